@@ -25,8 +25,8 @@ from cluttergen_jax.evaluation.measures.bullet_world import (
     support_friction,
     write_compound,
 )
-from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing
-from cluttergen_jax.physics.stability import moved
+from cluttergen_jax.physics.host import below_top, empty_settling, empty_standing
+from cluttergen_jax.physics.stability import displacement
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.types import Settling, Standing, Verdict
 
@@ -121,7 +121,7 @@ class BulletPhysics:
         verdict = Verdict.STABLE if is_quiet else Verdict.UNSETTLED
         if is_quiet and self._overlap(client) > self.config.max_penetration:
             verdict = Verdict.PENETRATING
-        shift, turn = moved(np, final[neighbours], poses[neighbours])
+        shift, turn = displacement(np, final[neighbours], poses[neighbours])
         if is_displaced or (shift > self.config.max_shift).any() or (turn > self.config.max_turn).any():
             verdict = Verdict.DISPLACED
         layout = self._world.layout
@@ -187,7 +187,7 @@ class BulletPhysics:
                 pybullet.stepSimulation(physicsClientId=client.id)
             result.num_steps[row] = until
             self._find(client, placed.tolist())
-            shift, turn = moved(np, client.poses[placed], poses[placed])
+            shift, turn = displacement(np, client.poses[placed], poses[placed])
             stands = (shift <= max_shift).all() and (turn <= max_turn).all()
             verdict = Verdict.STABLE if stands else otherwise
             if verdict != Verdict.NONE:

@@ -27,7 +27,7 @@ from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.physics import mjx_scenes
-from cluttergen_jax.physics.mjx_faces import faces_first
+from cluttergen_jax.physics.mjx_pairs import faces_first
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 
@@ -59,7 +59,7 @@ class _OwnOfMjx:
     def replacing_mjx(self) -> AbstractContextManager[None]:
         return faces_first()
 
-    def overflowed(self, model: mjx.Model, data: mjx.Data) -> jax.Array:
+    def has_overflowed(self, model: mjx.Model, data: mjx.Data) -> jax.Array:
         del model, data
         return jnp.asarray(False)
 

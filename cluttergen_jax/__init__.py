@@ -28,7 +28,6 @@ What a command does, one function does, with the same defaults:
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
-from warnings import warn
 
 from cluttergen_jax.api.export import export
 from cluttergen_jax.api.generate import generate
@@ -55,8 +54,13 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
     from cluttergen_jax.evaluation.api import certify, evaluate
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
-    from cluttergen_jax.generation.brax_ppo import train_brax
-    from cluttergen_jax.generation.environments import make_env, make_gym_env, make_sb3_env, make_vector_env
+    from cluttergen_jax.generation.environments import (
+        make_env,
+        make_gym_env,
+        make_sb3_env,
+        make_vector_env,
+        train_brax,
+    )
     from cluttergen_jax.importing.poses import pool_poses, set_pose
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.placement.rollout.replay import Replay
@@ -144,28 +148,17 @@ _MODULES = {
     "placement.region": ("KeepOut", "make_region"),
     "placement.rollout.replay": ("Replay",),
     "placement.scenes": ("SceneBatch",),
-    "generation.brax_ppo": ("train_brax",),
-    "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env"),
+    "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env", "train_brax"),
 }
 _ELSEWHERE = {name: module for module, names in _MODULES.items() for name in names}
 _RENAMED = {
     "load_pool": ("assets.pool", "find_pool"),
     "load_support": ("assets.support_file", "find_support"),
 }
-_FORMER = {
-    "SampledScene": "SceneBatch",
-    "SceneBank": "BankArrays",
-    "StoredArrays": "BankArrays",
-    "StoredScene": "BankArrays",
-}
-"""Names of the previous release, which are understood in this one."""
 
 
 def __getattr__(name: str) -> Any:
     """The other names of `__all__`, imported when first asked for: JAX and MuJoCo take a second to load."""
-    if name in _FORMER:
-        warn(f"cluttergen_jax.{name} is now called {_FORMER[name]}", DeprecationWarning, stacklevel=2)
-        name = _FORMER[name]
     if name in __all__:
         module, there = _RENAMED.get(name, (_ELSEWHERE.get(name, "generation"), name))
         return getattr(import_module(f"cluttergen_jax.{module}"), there)

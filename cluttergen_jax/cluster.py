@@ -118,7 +118,7 @@ def each_on(
     """
     if not items:
         return
-    with _connected(cluster, num_cpus) as ray:
+    with _connect(cluster, num_cpus) as ray:
         number = min(cluster.num_workers or _room(ray, num_cpus, num_gpus), len(items))
         actor = ray.remote(max_restarts=0, num_cpus=num_cpus, num_gpus=num_gpus)(_Actor)
         own = {name: value for name, value in os.environ.items() if name.startswith(_SETTINGS)}
@@ -138,7 +138,7 @@ def each_on(
 
 
 @contextmanager
-def _connected(cluster: Cluster, num_cpus: int) -> Iterator[ModuleType]:
+def _connect(cluster: Cluster, num_cpus: int) -> Iterator[ModuleType]:
     """Ray, connected; left as it was found."""
     # What is never wanted from a library: messages home, and a note about them on the terminal.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -328,7 +328,7 @@ class _Crew:
     def results(self, num_workers: int) -> Iterator[tuple[int, Any]]:
         """See `each_on`."""
         waiting = deque(range(len(self.items)))
-        self.workers = [self._hired() for _ in range(num_workers)]
+        self.workers = [self._start_worker() for _ in range(num_workers)]
         num_left, until = len(self.items), time.monotonic() + _PATIENCE
         while num_left:
             if stop_asked.is_set():
@@ -357,7 +357,7 @@ class _Crew:
         for worker in self.workers:
             self.ray.kill(worker.actor)
 
-    def _hired(self) -> _Worker:
+    def _start_worker(self) -> _Worker:
         actor = self.actor.remote()
         return _Worker(actor, deque([(None, actor.begin.remote(*self.begin))]))
 
@@ -408,7 +408,7 @@ class _Crew:
             ) from error
         waiting.extendleft(reversed([] if is_lost else places))
         self.ray.kill(worker.actor)
-        self.workers[self.workers.index(worker)] = self._hired()
+        self.workers[self.workers.index(worker)] = self._start_worker()
         return is_lost
 
 

@@ -6,9 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from cluttergen_jax.errors import ConfigError, closest
+
+if TYPE_CHECKING:
+    from cluttergen_jax.schema import Record
 
 # The words of settings stand where nothing heavy is imported: the command line offers them as choices.
 Method = Literal[
@@ -48,8 +51,7 @@ Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "a
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]
 EvalAction = Literal["sampled", "mean"]
-Suite = Literal["paper", "extended", "downstream", "honest"]
-"""`honest` is the former name of `extended`, understood in this release."""
+Suite = Literal["paper", "extended", "downstream"]
 Split = Literal["train", "val", "test"]
 SensedFrom = Literal["free", "overhead", "side"]
 RobotTask = Literal["lift", "place"]
@@ -74,28 +76,15 @@ SegmenterInput = Literal["colour", "depth"]
 RobotObserver = Literal["true", "perception"]
 ExportFormat = Literal["mjcf", "mjcf-old", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
 
-REMOVED = {
-    "ranked": "method='guided', which needs no training",
-    "policy-clear": "method='guided', which needs no training",
-    "tight": "preset='cpu', or `generate` with method guided, which fills crowded tables without training",
-}
-"""Names of methods, variants and presets that earlier versions had, and what to take in their place."""
-
 
 def no_such(what: str, name: str, known: Iterable[str]) -> ConfigError:
-    """The error for a name of a method, a variant or a preset that is unknown, or is so by now."""
+    """The error for an unknown name of a method, a variant or a preset."""
     known = tuple(known)
-    if name in REMOVED:
-        return ConfigError(f"{what} {name!r}, which was removed", ", ".join(known), REMOVED[name])
     return ConfigError(f"{what} {name!r}", ", ".join(known), meant=closest(name, known))
 
 
 def check_engine(engine: str) -> None:
-    """Refuses what is no engine.
-
-    Raises:
-      ConfigError: it names those that there are.
-    """
+    """Refuses what is no engine (ConfigError)."""
     if engine not in ENGINES:
         raise ConfigError(
             f"engine = {engine!r}",
@@ -106,11 +95,7 @@ def check_engine(engine: str) -> None:
 
 
 def check_range(name: str, value: int, least: int, most: int, example: int) -> None:
-    """Refuses what is no whole number from `least` to `most`.
-
-    Raises:
-      ConfigError: it names the argument.
-    """
+    """Refuses what is no whole number from `least` to `most` (ConfigError)."""
     check_whole(**{name: value})
     if not least <= value <= most:
         raise ConfigError(f"{name} = {value}", f"{least} to {most}", f"{name}={example}")
@@ -134,11 +119,7 @@ def _is_positive(value: object) -> bool:
 
 
 def check_positive(config: object, *names: str) -> None:
-    """Refuses fields of a config that are not finite numbers above zero.
-
-    Raises:
-      ConfigError: it names the field.
-    """
+    """Refuses fields of a config that are not finite numbers above zero (ConfigError)."""
     for name in names:
         value = getattr(config, name)
         if not _is_positive(value):
@@ -153,11 +134,7 @@ MAX_WORKERS = 4096
 
 
 def check_workers(argument: str, number: int) -> None:
-    """Refuses a number of threads or processes that cannot be meant; 0 takes every core.
-
-    Raises:
-      ConfigError: it names the argument.
-    """
+    """Refuses a number of threads or processes that cannot be meant; 0 takes every core (ConfigError)."""
     if isinstance(number, bool) or not isinstance(number, Integral) or not 0 <= number <= MAX_WORKERS:
         raise ConfigError(
             f"{argument} = {number!r}",
@@ -173,11 +150,7 @@ MAX_NOISE = 10.0
 
 
 def check_noise(noise: object) -> None:
-    """Refuses what is no sequence of factors of the usual noise.
-
-    Raises:
-      ConfigError: it names the argument.
-    """
+    """Refuses what is no sequence of factors of the usual noise (ConfigError)."""
     factors = list(noise) if isinstance(noise, Iterable) and not isinstance(noise, str) else []
     if not factors or not all(isinstance(each, Real) and 0 <= float(each) <= MAX_NOISE for each in factors):
         raise ConfigError(f"noise = {noise!r}", f"one number or more, 0 to {MAX_NOISE:g}", "noise=(0, 1)")
@@ -295,7 +268,7 @@ class StabilityConfig:
         return self.decision_step if self.stop_when_decided else self.max_steps
 
 
-def stability_record(config: StabilityConfig) -> dict[str, Any]:
+def stability_record(config: StabilityConfig) -> Record:
     """The config as records keep it: without what older versions did not know, where that is off."""
     record = asdict(config)
     if not config.both_detectors:
@@ -353,11 +326,7 @@ MAX_SECONDS = 3600.0
 
 
 def check_seconds(argument: str, seconds: object) -> None:
-    """Refuses a time for which no scene is simulated.
-
-    Raises:
-      ConfigError: it names the argument.
-    """
+    """Refuses a time for which no scene is simulated (ConfigError)."""
     if not (_is_positive(seconds) and float(seconds) <= MAX_SECONDS):  # type: ignore[arg-type]
         raise ConfigError(
             f"{argument} = {seconds!r}",

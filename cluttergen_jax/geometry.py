@@ -11,6 +11,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 Array = Any
 """A NumPy array, or a JAX array where the function takes `xp`."""
@@ -73,7 +74,7 @@ def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
     )
 
 
-def transformed(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+def transform_points(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     """f64[..., 3]: points f[..., 3] of a frame that stands at `pose`, in the frame of that pose."""
     pose = np.asarray(pose, np.float64)
     return np.asarray(points, np.float64) @ rotation_matrix(pose[3:]).T + pose[:3]
@@ -90,7 +91,7 @@ def yaw_matrix(yaw: float) -> np.ndarray:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
-def turned(points: np.ndarray, yaw: float) -> np.ndarray:
+def rotate_in_plane(points: ArrayLike, yaw: float) -> np.ndarray:
     """f64[..., 2]: points of the plane turned about the origin."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     return np.asarray(points, np.float64) @ np.array([[cos, sin], [-sin, cos]])
@@ -99,4 +100,4 @@ def turned(points: np.ndarray, yaw: float) -> np.ndarray:
 def rectangle_corners(center: Any, half_extents: Any, yaw: float) -> np.ndarray:
     """f64[4, 2]: the corners of a turned rectangle, one after the other around it, counter-clockwise."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    return np.asarray(center) + turned(signs * half_extents, yaw)
+    return np.asarray(center) + rotate_in_plane(signs * half_extents, yaw)

@@ -36,7 +36,7 @@ class FolderLock:
 
     def __init__(self, path: Path, folder: Path) -> None:
         self.path = path
-        self._file = _locked(path, folder)
+        self._file = _open_locked(path, folder)
         holder = {
             "process": os.getpid(),
             "host": socket.gethostname(),
@@ -77,16 +77,12 @@ def lock_beside(folder: Path) -> FolderLock:
 
 
 def check_unlocked(path: Path, folder: Path) -> None:
-    """Refuses a folder that another process is writing to; takes no lock.
-
-    Raises:
-      BankError: somebody holds it.
-    """
+    """Refuses a folder that another process is writing to; takes no lock (BankError)."""
     if path.exists():
-        os.close(_locked(path, folder))
+        os.close(_open_locked(path, folder))
 
 
-def _locked(path: Path, folder: Path) -> int:
+def _open_locked(path: Path, folder: Path) -> int:
     """The descriptor of the locked file, made if need be."""
     while True:
         # A link that somebody put there is not followed: what it leads to would be emptied.

@@ -18,6 +18,8 @@ import msgspec
 import numpy as np
 
 T = TypeVar("T")
+Record = dict[str, Any]
+"""JSON values by name, as a file keeps them; what a reader needs of them it has by `convert`."""
 CHECKSUM = "sha256"
 """Of a record: the digest of all else in it."""
 _SEAL = b"cluttergen_sha256"
@@ -44,14 +46,14 @@ def parse_json(data: bytes) -> Any:
 
 
 def _lenient(data: bytes) -> Any:
-    """`parsed`, with NaN and Infinity."""
+    """`parse_json`, with NaN and Infinity."""
     try:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
         raise SchemaError(f"not JSON: {error}") from error
 
 
-def typed(value: Any, kind: type[T]) -> T:
+def convert(value: Any, kind: type[T]) -> T:
     """A value of JSON as a class that declares its fields: a `msgspec.Struct` or a data class.
 
     Fields that the class does not name are passed over; nothing is converted but whole numbers to floats.
@@ -70,13 +72,13 @@ def digest_of(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def with_checksum(record: Mapping[str, Any], allow_nan: bool = False) -> dict[str, Any]:
+def with_checksum(record: Mapping[str, Any], allow_nan: bool = False) -> Record:
     """A record of JSON values with its checksum."""
     plain = json.loads(json.dumps(record, allow_nan=allow_nan))
     return {**plain, CHECKSUM: _digest(plain)}
 
 
-def checked_record(data: bytes, allow_nan: bool = False) -> dict[str, Any]:
+def checked_record(data: bytes, allow_nan: bool = False) -> Record:
     """The record in a file, without its checksum.
 
     Args:
@@ -108,11 +110,7 @@ def with_seal(data: bytes) -> bytes:
 
 
 def check_seal(data: bytes) -> None:
-    """Refuses a file that is not the one whose checksum it has; files without one pass.
-
-    Raises:
-      SchemaError: it is not.
-    """
+    """Refuses a file that is not the one whose checksum it has; files without one pass (SchemaError)."""
     found = _SEALED.search(data)
     if found is None:
         return

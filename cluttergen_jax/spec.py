@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args
 
 from cluttergen_jax.config import (
     HAND,
@@ -80,6 +80,22 @@ class SceneOptions(EnvOptions, total=False):
     natural: bool
     tidy: bool
     height: Height
+
+
+class PlaceOptions(TypedDict, total=False):
+    """Fields of a `SceneSpec` that `place_by_hand` takes."""
+
+    pool: str | Path
+    objects: Sequence[str]
+    exclude: Sequence[str]
+    num_objects: int | None
+    repeat: bool
+    support: str | Path
+    region: Rectangle | str | None
+    keep_out: Sequence[Rectangle | str]
+    containment: Containment
+    min_margin: float | None
+    overhang: Overhang
 
 
 class EvaluateOptions(TypedDict, total=False):
@@ -252,13 +268,14 @@ class SceneSpec:
             engine=recipe["engine"],
         )
 
-    def overrides(self) -> dict[str, Any]:
+    def overrides(self) -> SceneOptions:
         """The fields that are not at their defaults, by name."""
-        return {
+        found = {
             each.name: getattr(self, each.name)
             for each in dataclasses.fields(self)
             if getattr(self, each.name) != each.default
         }
+        return cast(SceneOptions, found)
 
     def __repr__(self) -> str:
         return f"SceneSpec({', '.join(f'{name}={value!r}' for name, value in self.overrides().items())})"
@@ -299,11 +316,7 @@ class SceneSpec:
         )
 
     def check_method(self, method: str) -> None:
-        """Refuses what is asked of scenes that a method cannot bring about.
-
-        Raises:
-          ConfigError: it names the methods that can.
-        """
+        """Refuses what is asked of scenes that a method cannot bring about (ConfigError)."""
         if self.height != "rest" and method != "random":
             given = f"height = {self.height!r} with method {method!r}"
             raise ConfigError(given, "height='rest'", "method='random'")

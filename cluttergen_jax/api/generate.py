@@ -67,7 +67,7 @@ def generate(
     """
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.generation.generate import recipe_of, write_bank
-    from cluttergen_jax.generation.make import set_up
+    from cluttergen_jax.generation.sampler import set_up
 
     asked = spec_of(generate, spec, options)
     check_range("num_scenes", num_scenes, 1, MAX_SCENES, 20)

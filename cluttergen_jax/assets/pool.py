@@ -24,7 +24,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside, own_folder
-from cluttergen_jax.schema import SchemaError, checked_record, typed, with_checksum
+from cluttergen_jax.schema import SchemaError, checked_record, convert, with_checksum
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
@@ -119,8 +119,8 @@ def _index(pool: Pool) -> dict[str, Any]:
     }
 
 
-def read_pool(path: str | Path) -> Pool:
-    """Reads a pool folder.
+def read_pool(path: str | Path, names: Sequence[str] = ()) -> Pool:
+    """Reads a pool folder; of its objects those in `names` alone, if all of these are in it.
 
     Raises:
       PoolError: there is no pool, or one of its files is missing or damaged; the message names the file.
@@ -131,13 +131,16 @@ def read_pool(path: str | Path) -> Pool:
         record = checked_record(index_path.read_bytes())
         if record.get("format") != FORMAT:
             raise SchemaError(f"not a pool of format {FORMAT}")
-        index = typed(record, _Index)
+        index = convert(record, _Index)
     except OSError as error:
         raise PoolError(f"{path} is not a pool: {index_path} cannot be read ({error.strerror})") from error
     except SchemaError as error:
         raise PoolError(f"{index_path} is damaged: {error}", hint=_AGAIN) from error
-    objects = tuple(read_object(inside(path, each)) for each in index.objects)
-    for each, asset in zip(index.objects, objects, strict=True):
+    wanted = index.objects
+    if names and set(names) <= set(wanted):
+        wanted = [each for each in wanted if each in names]
+    objects = tuple(read_object(inside(path, each)) for each in wanted)
+    for each, asset in zip(wanted, objects, strict=True):
         if asset.name != each:
             raise PoolError(f"{Path(path) / each} holds an object called {asset.name!r}", "one of that name")
     return Pool(index.name, objects, index.tier, index.licence)
@@ -192,19 +195,22 @@ def folders_with(record: str, root: Path) -> dict[str, Path]:
     }
 
 
-def find_pool(name_or_path: str | Path, exclude: Sequence[str] = ()) -> Pool:
+def find_pool(name_or_path: str | Path, exclude: Sequence[str] = (), names: Sequence[str] = ()) -> Pool:
     """The pool of that name, or at that path. `all` is the union of the embedded ones.
 
     Args:
       name_or_path: one pool, or several joined by `+`: their union, in which a name that occurs in more than
         one of them is prefixed with its pool's. Objects named after it, each after a `~`, are left out.
       exclude: more names of objects to leave out.
+      names: objects that are wanted: of a single pool that has them the others are not read.
 
     Raises:
       PoolError: nothing is called so (the message lists what exists), or its files are damaged; the pools
         have one name or different tiers; or there is no such object to leave out.
     """
     text = composed(name_or_path, exclude)
+    if names and len(folders := _folders(text)) == 1:
+        return read_pool(folders[0], names)
     union, *without = [text] if _folders(text) else text.split(_WITHOUT)
     terms = [union] if _folders(union) else union.split(_AND)
     pools = [_read(term) for term in terms]

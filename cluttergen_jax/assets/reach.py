@@ -9,7 +9,7 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import turned
+from cluttergen_jax.geometry import rotate_in_plane
 
 _OVERHANG = 0.01
 _LEVEL = 0.002
@@ -32,7 +32,7 @@ def reach_of(support: SupportAsset) -> Reach:
     """The smallest rectangle that holds all boxes of the support's top, and a centimetre more."""
     level = [box for box in support.boxes if _is_top(box, support)]
     tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
-    axes = turned(np.eye(2), -support.region.yaw)
+    axes = rotate_in_plane(np.eye(2), -support.region.yaw)
     rim = np.concatenate([top.corners for top in tops]) @ axes
     return Reach(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
 
@@ -60,10 +60,10 @@ def check_keep_out(boxes: Sequence[Rectangle], region: Rectangle) -> None:
       ConfigError: they do.
     """
     grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, _GRID)] * 2), -1).reshape(-1, 2)
-    places = turned(grid * region.half_extents, region.yaw) + region.center
+    places = rotate_in_plane(grid * region.half_extents, region.yaw) + region.center
     is_free = np.ones(len(places), bool)
     for box in boxes:
-        local = turned(places - np.array(box.center), -box.yaw)
+        local = rotate_in_plane(places - np.array(box.center), -box.yaw)
         is_free &= (np.abs(local) > box.half_extents).any(1)
     if not is_free.any():
         raise ConfigError(

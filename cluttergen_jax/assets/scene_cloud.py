@@ -12,7 +12,7 @@ from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.geometry import transformed, turned
+from cluttergen_jax.geometry import rotate_in_plane, transform_points
 
 _DENSE = 8
 """Surface samples per cloud point from which a point's colour is taken."""
@@ -76,7 +76,7 @@ def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: Sup
     for number, (asset, pose) in enumerate(zip(objects, poses, strict=True)):
         if id(asset) not in known:
             known[id(asset)] = cloud_colours(asset)
-        points.append(transformed(pose, asset.cloud))
+        points.append(transform_points(pose, asset.cloud))
         colours.append(known[id(asset)])
         labels.append(np.full(len(asset.cloud), 2 + number, np.int32))
     return Cloud(np.concatenate(points).astype(np.float32), np.concatenate(colours), np.concatenate(labels))
@@ -89,7 +89,9 @@ def top_points(support: SupportAsset) -> np.ndarray:
     counts = np.maximum(np.round(2 * half * np.sqrt(_PER_SQUARE_METRE)), 2).astype(int)
     x, y = (np.linspace(-h, h, n) for h, n in zip(half, counts, strict=True))
     flat = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    return np.column_stack([turned(flat, region.yaw) + region.center, np.full(len(flat), support.top)])
+    return np.column_stack(
+        [rotate_in_plane(flat, region.yaw) + region.center, np.full(len(flat), support.top)]
+    )
 
 
 def ply_of(cloud: Cloud) -> bytes:

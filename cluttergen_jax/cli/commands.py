@@ -39,7 +39,7 @@ COMMANDS = {
     "doctor": "Show versions, devices, renderers and extras.",
 }
 """What each command is for: the first line of its class's docstring."""
-_MODULES = {"import": "import_", "inspect": "inspect_", "list": "list_"}
+_MODULES = {"import": "import_", "inspect": "inspect_", "list": "list_", "pull": "hub", "push": "hub"}
 
 
 def load(name: str) -> Any:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterator, Sequence
-from typing import Any, get_args
-
-from cluttergen_jax.config import REMOVED, Method, Preset, Variant, no_such
-from cluttergen_jax.errors import ConfigError
+from collections.abc import Iterator
+from typing import Any
 
 FLAGS = {"max_attempts": "attempts", "num_threads": "threads", "is_private": "private", "take_all": "all"}
 """Arguments whose option is called otherwise."""
@@ -46,20 +43,6 @@ def with_flags(text: str, command: Any) -> str:
 def option_help(text: str, command: Any) -> str:
     """What a docstring says of an argument as help for the option: with flags, and words without quotes."""
     return re.sub(r'"([^"\s]*)"', r"\1", with_flags(" ".join(text.split()), command))
-
-
-_OF_NAMES = {"--method": Method, "--methods": Method, "--variant": Variant, "--preset": Preset}
-
-
-def removed_name(words: Sequence[str]) -> ConfigError | None:
-    """What to say of a command line that names a method, a variant or a preset of earlier versions."""
-    option = ""
-    for word in (part for each in words for part in each.split("=", 1)):
-        if word.startswith("--"):
-            option = word
-        elif option in _OF_NAMES and word in REMOVED:
-            return no_such(option.strip("-").removesuffix("s"), word, get_args(_OF_NAMES[option]))
-    return None
 
 
 def _flag(flag: str, value: str) -> str:

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
 from cluttergen_jax.api.import_ import import_pool, import_support
-from cluttergen_jax.cli.import_report import print_report
+from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.options import Options, options_from
 from cluttergen_jax.errors import ConfigError
+
+if TYPE_CHECKING:
+    from cluttergen_jax.importing.run import ImportReport
+    from cluttergen_jax.importing.table_top import LeftOut
 
 
 @options_from(
@@ -54,3 +62,101 @@ class Import(Options):
             f"the queried region is {2 * x:.3f} x {2 * y:.3f} m\nUse it: --support {support.name}"
         )
         return 0
+
+
+_MOST_DEAR = 3
+"""So many objects are named for what they cost."""
+
+_OF_POSES = (
+    "  (an object in a pose that you do not want: `cluttergen pool pose POOL OBJECT` lists its\n"
+    '  poses and changes it; --up file, or up = "file" in objects.toml, keeps those of the files)'
+)
+
+
+def print_report(report: ImportReport, command: Any) -> None:
+    """What was made, which axes were taken for up, what was skipped, left out, and what failed, and why.
+
+    Args:
+      command: the class of the command, whose flags are named.
+    """
+    from cluttergen_jax.cli.pool_table import pool_table
+
+    if report.objects:
+        print(with_flags(pool_table(report.objects), command))
+        made = len(report.objects) - report.num_cached
+        print(
+            f"{report.path}: {len(report.objects)} objects ({made} made, {report.num_cached} from the cache)"
+        )
+    else:
+        print("no object was made: why, stands below", file=sys.stderr)
+    for line in report.sets:
+        print(f"{line} (--set none goes by the general rules)")
+    if report.costs:
+        print(_cost_line(report))
+    for (axis, reason), names in _group_rows(
+        [(each.axis, each.reason, n) for n, each in report.up_axes.items()]
+    ):
+        print(f"up is {axis} ({with_flags(reason, command)}): {names}")
+    if report.objects:
+        print(_OF_POSES)
+    pieces = [each for each in report.skipped if each.is_piece]
+    if pieces:
+        are = "file is a piece" if len(pieces) == 1 else "files are pieces"
+        print(f"{len(pieces)} {are} of these objects (`ImportReport.skipped` has each)")
+    others = [each for each in report.skipped if not each.is_piece]
+    if others:
+        print(f"{len(others)} skipped:")
+        for (reason,), names in _group_rows([(each.reason, each.name) for each in others]):
+            print(f"  {with_flags(reason, command)}: {names}")
+    print(with_flags(left_out_text(report.left_out), command), end="")
+    if report.failures:
+        print(f"{len(report.failures)} failed:", file=sys.stderr)
+        for failure in report.failures:
+            # A source that could not be found is named in its reason already.
+            is_named, reason = failure.reason.startswith(failure.name), with_flags(failure.reason, command)
+            print(f"  {reason if is_named else f'{failure.name}: {reason}'}", file=sys.stderr)
+
+
+def _cost_line(report: ImportReport) -> str:
+    """What all objects cost together, and which of them most."""
+    dear = sorted(report.costs, key=lambda name: -report.costs[name].seconds)[:_MOST_DEAR]
+    told = ", ".join(f"{name} {report.costs[name].seconds:.1f} s" for name in dear)
+    together = f"{report.cost.seconds:.1f} s of work, {report.cost.cpu_seconds:.1f} CPU-seconds"
+    return f"cost: {together}; most: {told}" if len(report.costs) > 1 else f"cost: {together}"
+
+
+def _group_rows(rows: Sequence[tuple[str, ...]]) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Rows that agree in all but the last entry, which is a name: what they agree in, and the names."""
+    for head, group in groupby(sorted(rows), key=lambda row: row[:-1]):
+        yield head, ", ".join(row[-1] for row in group)
+
+
+_MOST_NAMED = 8
+"""So many of what was left out for one reason are named; `ImportReport.left_out` has them all."""
+_MANY_FILES = 3
+
+
+def left_out_text(left_out: Sequence[LeftOut]) -> str:
+    """One block, or nothing; options are called as the arguments of `import_pool`."""
+    if not left_out:
+        return ""
+    lines = [f"{len(left_out)} left out, as no objects for a table:"]
+    for reason in dict.fromkeys(each.reason for each in left_out):
+        lines.append(f"  {reason}: {_names_text([each for each in left_out if each.reason == reason])}")
+    one = f"[{left_out[0].name!r}] take = true"
+    return "\n".join([*lines, f"  (`take_all` takes them all; objects.toml takes one of them: {one})", ""])
+
+
+def _names_text(group: Sequence[LeftOut]) -> str:
+    """The first few by name; bodies that many files have, once."""
+    bodies = [each.name.rpartition("#")[2] for each in group]
+    files = Counter(bodies)
+    told = {}
+    for each, body in zip(group, bodies, strict=True):
+        if files[body] >= _MANY_FILES and body != each.name and not body.isdigit():
+            told[body] = f"{body} in {files[body]} files"
+        else:
+            told[each.name] = each.name + (f" ({each.detail})" if each.detail else "")
+    names = list(told.values())
+    more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
+    return ", ".join([*names[:_MOST_NAMED], *more])

@@ -8,15 +8,16 @@ import os
 import platform
 import signal
 import sys
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
-from cluttergen_jax.cli.flags import removed_name, with_flags
-from cluttergen_jax.cli.stopping import watch_signals
+from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
 from cluttergen_jax.numerics import OF_THIS_PACKAGE
@@ -29,8 +30,8 @@ _MANY_OBJECTS = 100_000
 
 def program(args: Sequence[str] | None = None) -> None:
     """The console script: `main`, and an exit that waits for nothing once Ctrl-C was pressed."""
-    signal.signal(signal.SIGINT, _struck)
-    watch_signals(_struck)
+    signal.signal(signal.SIGINT, _on_interrupt)
+    watch_signals(_on_interrupt)
     # Imports and traces make millions of objects that stay; looking for garbage among them took a sixth of a
     # short command's time.
     gc.set_threshold(_MANY_OBJECTS)
@@ -46,7 +47,7 @@ def program(args: Sequence[str] | None = None) -> None:
     sys.exit(status)
 
 
-def _struck(number: int, frame: FrameType | None) -> None:
+def _on_interrupt(number: int, frame: FrameType | None) -> None:
     """The first Ctrl-C interrupts what is done, in good order; a second one waits for nothing."""
     signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     stop_asked.set()
@@ -69,9 +70,6 @@ def main(args: Sequence[str] | None = None) -> int:
         error = ConfigError(given, ", ".join(COMMANDS), "cluttergen --help", meant)
         print(f"error: {error}", file=sys.stderr)
         return 2
-    if old := None if is_completion else removed_name(words):
-        print(f"error: {old}", file=sys.stderr)
-        return 2
     try:
         for path in (os.curdir, str(cache_home()), *words):
             check_utf8(path)
@@ -80,8 +78,8 @@ def main(args: Sequence[str] | None = None) -> int:
         return 2
     try:
         if is_completion:
-            return run(parsed(all_commands(), "cluttergen", words))
-        command = parsed(load(name), f"cluttergen {name}", words[1:])
+            return run(parse_words(all_commands(), "cluttergen", words))
+        command = parse_words(load(name), f"cluttergen {name}", words[1:])
     except BrokenPipeError:
         return _unread()
     except SystemExit as ended:
@@ -90,7 +88,7 @@ def main(args: Sequence[str] | None = None) -> int:
     return run(command)
 
 
-def parsed(command: Any, prog: str, words: Sequence[str]) -> Any:
+def parse_words(command: Any, prog: str, words: Sequence[str]) -> Any:
     """What the words make of a command; tyro exits where they make nothing, or ask for help."""
     import tyro
 
@@ -119,7 +117,7 @@ def run(command: Any) -> int:
     except BrokenPipeError:
         return _unread()
     except OSError as error:
-        print(f"error: {_told(error)}", file=sys.stderr)
+        print(f"error: {_os_error_text(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("\nstopped; the same command takes it up again", file=sys.stderr)
@@ -146,8 +144,44 @@ def _unread() -> int:
     return 0
 
 
-def _told(error: OSError) -> str:
+def _os_error_text(error: OSError) -> str:
     """What the operating system refused, and what to try."""
     path = error.filename2 or error.filename
     given = f"{f'{path}: ' if path else ''}{error.strerror or error}"
     return str(ClutterGenError(given, hint=f"{advice_on(error)}, then the same command again"))
+
+
+GRACE = 3.0
+"""Seconds in which a signal has to be answered."""
+
+
+def watch_signals(usual: Callable[..., Any]) -> None:
+    """Ends the process with 128 + the signal where one is not answered in time. For the main thread, once.
+
+    Python answers a signal between two steps of the main thread. One that comes while that thread is in
+    compiled code is seen by a thread of its own. What is on disk is whole whenever a process ends.
+
+    Args:
+      usual: the handler of Ctrl-C that is there as long as nobody has answered, or has taken it over to save
+        what there is first (`learning.training.interrupt`). A second signal waits for nobody.
+    """
+    reads, writes = os.pipe()
+    os.set_blocking(writes, False)
+    signal.set_wakeup_fd(writes, warn_on_full_buffer=False)
+
+    def watch() -> None:
+        count = 0
+        while True:
+            for number in os.read(reads, 64):
+                if number in (signal.SIGINT, signal.SIGTERM):
+                    count += 1
+                    threading.Thread(target=_end_late, args=(number, count, usual), daemon=True).start()
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _end_late(number: int, count: int, usual: Callable[..., Any]) -> None:
+    time.sleep(GRACE)
+    if count > 1 or signal.getsignal(signal.SIGINT) is usual:
+        print("\nstopped; the same command takes it up again", file=sys.stderr, flush=True)
+        os._exit(128 + number)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -13,8 +14,10 @@ from cluttergen_jax.errors import ClutterGenError, ConfigError
 if TYPE_CHECKING:
     from cluttergen_jax.assets import pool as pools
     from cluttergen_jax.assets.object import ObjectAsset
+    from cluttergen_jax.importing.poses import Pose
 
 _HEADER = ("object", "size mm", "scale", "mass kg", "friction", "licence", "what people call it")
+_POSES = ("pose", "mm tall", "degrees from now", "tips over at", "of random falls")
 
 
 @dataclass(frozen=True)
@@ -44,9 +47,7 @@ class Pool:
         if self.action == "list":
             _list()
         elif self.action == "pose":
-            from cluttergen_jax.cli.pool_poses import pose
-
-            pose(self.names)
+            _pose(self.names)
         elif self.action == "show":
             from cluttergen_jax.assets.pool import find_pool
 
@@ -108,3 +109,34 @@ def _remove(names: Sequence[str]) -> None:
         pool = remove_pool(name)
         held = "damaged" if pool is None else f"{len(pool)} objects: {', '.join(pool.names)}"
         print(f"removed pool {name} ({held}) from {folder}")
+
+
+def _pose(words: Sequence[str]) -> None:
+    """Lists an object's poses; with a number behind pool and object, after it was put into that one."""
+    from cluttergen_jax.importing.poses import pool_poses, set_pose
+    from cluttergen_jax.tables import aligned_table
+
+    if len(words) not in (2, 3) or not all(word.isdecimal() for word in words[2:]):
+        raise ConfigError(
+            f"pool pose {' '.join(words)}",
+            "a pool, one of its objects, and the number of a pose (0 or more) to change it",
+            "cluttergen pool pose POOL OBJECT",
+        )
+    pool, name, *number = words
+    if number:
+        asset = set_pose(pool, name, int(number[0]))
+        tall, rate = 2000 * asset.half_extents[2], 100 * (asset.quality.solo_rate or 0.0)
+        print(f"{name} now stands so: {tall:.0f} mm tall, stable in {rate:.1f} % of trials")
+        print("\n".join(f"  ! {flag}" for flag in asset.flags), end="\n" if asset.flags else "")
+    print(aligned_table(_POSES, [_pose_row(k, each) for k, each in enumerate(pool_poses(pool, name))]))
+
+
+def _pose_row(number: int, each: Pose) -> tuple[str, ...]:
+    turn = math.degrees(math.acos(max(-1.0, min(1.0, each.up[2])))) if number else 0.0
+    return (
+        str(number) if number else "0 (now)",
+        f"{1000 * each.height:.0f}",
+        f"{turn:.0f}",
+        f"{each.tip:.0f}",
+        f"{100 * each.likelihood:.0f} %",
+    )

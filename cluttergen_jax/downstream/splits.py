@@ -30,7 +30,7 @@ from cluttergen_jax.schema import (
     SchemaError,
     check_seal,
     checked_record,
-    typed,
+    convert,
     with_checksum,
     with_seal,
 )
@@ -112,7 +112,7 @@ class SplitFormat:
             record = checked_record(data)
             if (record.get("kind"), record.get("format")) != (self.kind, FORMAT):
                 raise SchemaError(f"not the record of {self.kind} of format {FORMAT}")
-            typed(record, self.record)
+            convert(record, self.record)
         except SchemaError as error:
             hint = f"a fresh copy of the folder, or `cluttergen {self.command}` into another"
             raise BankError(f"{file} cannot be read ({error})", hint=hint) from error

@@ -8,7 +8,7 @@ from typing import Any
 
 from cluttergen_jax.evaluation.episodes import WITHIN
 from cluttergen_jax.evaluation.trial import row_name
-from cluttergen_jax.proportions import wilson
+from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
 
 Row = dict[str, Any]

@@ -15,7 +15,7 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
-from cluttergen_jax.proportions import proportion, spread_of, wilson
+from cluttergen_jax.statistics import proportion, spread_of, wilson
 from cluttergen_jax.types import Array, Verdict
 
 _WIDTHS = (16, 64, BLOCK_SIZE)

@@ -25,14 +25,14 @@ from cluttergen_jax.evaluation.resolved import (
 )
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.methods import proposer_of, suited
+from cluttergen_jax.learning.methods import proposer_of, with_history_of
 from cluttergen_jax.physics import engine_of, make_physics
 from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
+from cluttergen_jax.placement.removal import footprint_area
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
-from cluttergen_jax.placement.ruin import footprint_area
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible
 
@@ -263,7 +263,7 @@ class Runner:
         has_two = engine_of(self.engine, stability) == "native"
         stability = replace(stability, both_detectors=trial.both_detectors and has_two)
         with usable(resolved.checkpoint, trial):
-            config = suited(base.rules.config, resolved.checkpoint)
+            config = with_history_of(base.rules.config, resolved.checkpoint)
         # Stable steps, as the paper counts them, need whole attempts; a policy that was trained on attempts
         # cut off as soon as they were decided reads histories of that length.
         is_longer = resolved.is_cut and trial.whole_attempts

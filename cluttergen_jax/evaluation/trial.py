@@ -12,9 +12,9 @@ from typing import Any
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.config import TRUSTED_METHODS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.changes import find_change
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.region import find_change
 
 MAX_TRIALS = 1_000_000
 RUIN, RANDOM_ORDER, TIDY, ROBUST, FREE_HEIGHT = "ruin", "random order", "tidy", "robust", "free height"

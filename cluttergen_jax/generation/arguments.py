@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+import inspect
+from functools import partial
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -56,3 +58,28 @@ def _check_boxes(boxes: KeepOut) -> None:
         raise ConfigError(f"KeepOut of shapes {shapes}", "center [B, 2], half_extents [B, 2], yaw [B]")
     if is_known(*arrays) and not all(np.isfinite(np.asarray(each)).all() for each in arrays):
         raise ConfigError("a KeepOut with numbers that are not finite", "metres and radians")
+
+
+T = TypeVar("T")
+
+
+def required_recipe(recipe: partial[T] | None, maker: str) -> partial[T]:
+    """The recipe, by which an object is made again when it is unpickled.
+
+    Raises:
+      TypeError: there is none: the object was not made by `maker`.
+    """
+    if recipe is None:
+        raise TypeError(f"it holds an engine, and is pickled as the call of {maker} that made it; none did")
+    return recipe
+
+
+def recipe_text(recipe: partial[Any] | None) -> str:
+    """The arguments of the call in one line, those with the default left out; "" if there is none."""
+    if recipe is None:
+        return ""
+    parameters = inspect.signature(recipe.func).parameters
+    given = dict(zip(parameters, recipe.args, strict=False)) | recipe.keywords
+    usual = {name: each.default for name, each in parameters.items()}
+    other = {name: value for name, value in given.items() if name not in usual or usual[name] != value}
+    return ", ".join(f"{name}={value!r}" for name, value in other.items())

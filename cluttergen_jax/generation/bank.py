@@ -151,10 +151,10 @@ def load_bank(
         check_range("seed", seed, 0, _MOST, 0)
     bank = read_bank(find_bank(path, hub=hub, revision=revision))
     reader = StandingReader(bank)
-    wanted = None if num_scenes is None else _drawn(bank, num_scenes, seed)
+    wanted = None if num_scenes is None else _draw_numbers(bank, num_scenes, seed)
     parts = list(reader.scenes(wanted))
     _check_any(bank, parts)
-    return _arrays(bank, _compiled(bank, reader), joined(parts))
+    return _arrays(bank, _compile_model(bank, reader), joined(parts))
 
 
 def stream_bank(
@@ -177,7 +177,7 @@ def stream_bank(
     reader = StandingReader(bank)
     num_slots = reader.look()
     _check_any(bank, reader.names)
-    compiled = _compiled(bank, reader)
+    compiled = _compile_model(bank, reader)
     rest: list[StandingScenes] = []
     for part in reader.scenes():
         scenes = joined([*rest, part.padded(num_slots)])
@@ -189,7 +189,7 @@ def stream_bank(
         yield _arrays(bank, compiled, rest[0])
 
 
-def _drawn(bank: Bank, number: int, seed: int) -> np.ndarray:
+def _draw_numbers(bank: Bank, number: int, seed: int) -> np.ndarray:
     """i64: so many of the scenes that stand, sorted."""
     rows = pa.concat_tables(bank.tables(["index", "is_success"]))
     good = rows["index"].to_numpy()[rows["is_success"].to_numpy()]
@@ -203,7 +203,7 @@ def _check_any(bank: Bank, found: Sized) -> None:
         raise BankError(f"{bank.path}: none of its {number} scenes succeeded", hint="more scenes")
 
 
-def _compiled(bank: Bank, reader: StandingReader) -> SceneModel:
+def _compile_model(bank: Bank, reader: StandingReader) -> SceneModel:
     """The model of all scenes that a reader has seen."""
     recipe = bank.record.get("recipe", {})
     stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)

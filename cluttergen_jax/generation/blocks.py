@@ -24,10 +24,9 @@ from cluttergen_jax.learning.methods import Method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.numerics import bits_of_here, with_own_settings
 from cluttergen_jax.physics import engine_of
-from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_block, sample_blocks
 from cluttergen_jax.placement.scenes import SceneBatch
-from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bits import differences
 from cluttergen_jax.scene.bank.table import table_of

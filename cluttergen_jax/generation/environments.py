@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
+
+import jax
+import jax.numpy as jnp
 
 from cluttergen_jax.config import Change, check_range, check_whole
 from cluttergen_jax.errors import ConfigError, MissingExtraError
@@ -14,7 +19,7 @@ from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement.brax_env import Env
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.placement.setup import make_setup
+from cluttergen_jax.placement.problem import make_setup
 from cluttergen_jax.scene.bank.reference import read_start
 from cluttergen_jax.spec import EnvOptions, SceneSpec, spec_of, takes_spec
 
@@ -67,7 +72,7 @@ def make_env(
         which the object stands on the support, which is much easier to learn but stacks nothing.
       action_range: of all numbers; (0.0, 1.0) is the contract's own.
       reward: of an attempt: "compressed", 1 if the object stays there and less the more it moved; "paper" or
-        "code", the published ones, which reach into hundreds and thousands (`placement.reward`).
+        "code", the published ones, which reach into hundreds and thousands (`placement.rules`).
       auto_reset: begin the next episode in the step that ends one; if not, whoever trains resets.
       num_cells: G, cells along each side of the region whose heights are told, 0 to 256; 0 for none.
       history_stride: rows of a failed attempt's trajectory that are told: each so many, 0 to 240; with 0
@@ -217,3 +222,49 @@ def _without_reset(purpose: str, spec: SceneSpec | str | Path | None, settings: 
     if "auto_reset" in settings:
         raise ConfigError(f"auto_reset in {purpose}", "settings of make_env without it")
     return make_env(spec, **settings, auto_reset=False)
+
+
+class _JaxAsBraxKnowsIt:
+    """JAX with the function that Brax 0.14 asks for and JAX 0.10 has no more."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(jax, name)
+
+    @staticmethod
+    def device_put_replicated(tree: Any, devices: Sequence[Any]) -> Any:
+        """The tree with a leading axis, one copy a device."""
+        return jax.tree.map(lambda leaf: jnp.stack([leaf] * len(devices)), tree)
+
+
+def train_brax(env: Env, num_timesteps: int, **settings: Any) -> tuple[Any, Any, dict[str, float]]:
+    """`brax.training.agents.ppo.train.train` in an environment of `make_env`.
+
+    Args:
+      env: made with `auto_reset=False`: Brax brings resets of its own.
+      num_timesteps: attempts in all.
+      settings: Brax's own, such as `num_envs`, `learning_rate`, `network_factory` or `progress_fn`; its
+        `episode_length` is the environment's unless it is given.
+
+    Returns:
+      What Brax returns: a function from parameters to a policy, the parameters, and figures.
+
+    Raises:
+      ConfigError: the environment resets itself.
+    """
+    from brax.training.agents.ppo import train as ppo
+
+    if getattr(env, "auto_reset", False):
+        raise ConfigError("an environment that resets itself", "make_env(..., auto_reset=False)")
+    length = settings.pop("episode_length", None) or env.episode_length
+    with _old_jax_in(ppo):
+        return ppo.train(environment=env, num_timesteps=num_timesteps, episode_length=length, **settings)
+
+
+@contextmanager
+def _old_jax_in(module: Any) -> Iterator[None]:
+    """While it is entered, one module sees a JAX with what JAX has no more; nobody else does."""
+    module.jax = jax if hasattr(jax, "device_put_replicated") else _JaxAsBraxKnowsIt()
+    try:
+        yield
+    finally:
+        module.jax = jax

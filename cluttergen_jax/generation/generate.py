@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -22,15 +21,15 @@ from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.learning.methods import DEFAULT_METHOD, Method, sampler_of
 from cluttergen_jax.physics import engine_of
 from cluttergen_jax.placement.config import placement_record
-from cluttergen_jax.placement.problem import Problem, crowding
+from cluttergen_jax.placement.problem import Problem, Setup, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of
-from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.clutter_stats import ClutterTally
 from cluttergen_jax.scene.bank.remote import publish_all, url_of
 from cluttergen_jax.scene.bank.totals import Totals
 from cluttergen_jax.scene.bank.writer import names_of
+from cluttergen_jax.schema import Record
 
 _FEW = 0.5
 _ROOM = "fewer objects, a larger region or a larger `budget`"
@@ -60,7 +59,7 @@ def write_bank(
     out: str | Path,
     setup: Setup,
     method: Method,
-    recipe: dict[str, Any],
+    recipe: Record,
     num_scenes: int,
     render: bool,
     max_files: int,
@@ -71,7 +70,7 @@ def write_bank(
     """The bank of a recipe in a folder, begun or continued; see `cluttergen_jax.generate`."""
     problem, sampler, bits = setup.problem, sampler_of(setup, method), bits_of(setup, cluster)
 
-    def made(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
+    def make_tables(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
         if cluster is None:
             return blocks_here(sampler, problem, blocks, recipe["seed"])
         return blocks_on(cluster, setup, method, blocks, recipe["seed"], None if allow_other_bits else bits)
@@ -90,7 +89,7 @@ def write_bank(
         for note in notes:
             print(note, file=sys.stderr, flush=True)
         started = time.perf_counter()
-        num_new = run_blocks(made, writer, num_scenes)
+        num_new = run_blocks(make_tables, writer, num_scenes)
         bank = read_bank(writer.path)
         totals, clutter = Totals(), ClutterTally(bank)
         for rows in bank.tables():
@@ -119,7 +118,7 @@ def write_bank(
     )
 
 
-def recipe_of(problem: Problem, method: Method) -> dict[str, Any]:
+def recipe_of(problem: Problem, method: Method) -> Record:
     """What decides the scenes of a bank; two equal recipes make equal scenes on one machine."""
     config = dataclasses.asdict(problem.config)
     # Neither decides a scene: threads do not, and every scene of a bank has the same region.

@@ -15,13 +15,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation.recipes import required_recipe
+from cluttergen_jax.generation.arguments import required_recipe
 from cluttergen_jax.generation.wrappers import ActionRange
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
+
+Info = dict[str, Any]
+"""What Gymnasium calls info, options and metadata."""
 
 
 class Outcome(struct.PyTreeNode):
@@ -49,7 +52,7 @@ def attempt(env: Env, state: State, action: Array) -> tuple[State, Outcome]:
     after = env.step(state, action)
     is_over = after.pipeline_state.episode.is_over
     outcome = Outcome(after.obs, after.reward, is_over, _info(after))
-    return _begun_where(is_over, env.reset(after.pipeline_state.key), after), outcome
+    return _begin_where(is_over, env.reset(after.pipeline_state.key), after), outcome
 
 
 def attempt_or_begin(env: Env, state: State, action: Array) -> tuple[State, Outcome]:
@@ -59,7 +62,7 @@ def attempt_or_begin(env: Env, state: State, action: Array) -> tuple[State, Outc
     """
     was_over = state.done > 0
     after = env.step(state, action)
-    now = _begun_where(was_over, env.reset(state.pipeline_state.key), after)
+    now = _begin_where(was_over, env.reset(state.pipeline_state.key), after)
     reward = jnp.where(was_over, 0.0, after.reward)
     return now, Outcome(now.obs, reward, now.done > 0, _info(after))
 
@@ -73,7 +76,7 @@ def _info(state: State) -> dict[str, Array]:
     }
 
 
-def _begun_where(condition: Array, fresh: State, state: State) -> State:
+def _begin_where(condition: Array, fresh: State, state: State) -> State:
     """The fresh state in place of the other one, with what that has finished."""
     ongoing, obs, done = jax.tree.map(
         lambda new, old: jnp.where(condition, new, old),
@@ -135,7 +138,7 @@ class GymnasiumEnv(_Remade, gymnasium.Env):
       scene: the latest finished scene, arrays of NumPy; None before there is one.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  Gymnasium looks for it on the class.
+    metadata: Info = {"render_modes": []}  # noqa: RUF012  Gymnasium looks for it on the class.
 
     _kept = (*_Remade._kept, "scene")
 
@@ -146,18 +149,16 @@ class GymnasiumEnv(_Remade, gymnasium.Env):
         self._state: State | None = None
         self.scene: SceneBatch | None = None
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
         """A new episode; `options` has no entries."""
         super().reset(seed=seed)
         _check_options(options)
         self._state = self._reset(_key(self.np_random))
         return to_numpy(self._state.obs), {}
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, Info]:
         """One attempt with `action`, f32[4]. After the episode's last one, `reset` has to follow."""
-        before = _checked(self._state, action, self.action_space)
+        before = _check_step(self._state, action, self.action_space)
         self._state, outcome = self._attempt(before, np.asarray(action, np.float32))
         obs, outcome = to_numpy(outcome.obs), jax.device_get(outcome.replace(obs=None))
         if is_over := bool(outcome.is_over):
@@ -192,33 +193,31 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
         self._reset, self._attempt = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(partial(step, env)))
         self._state: State | None = None
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
         """New episodes of all scenes, each with a key of its own; `options` has no entries."""
         super().reset(seed=seed)
         _check_options(options)
         self._state = self._reset(jax.random.split(_key(self.np_random), self.num_envs))
         return to_numpy(self._state.obs), {}
 
-    def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, Info]:
         """One attempt of each scene with `actions`, f32[N, 4]."""
-        before = _checked(self._state, actions, self.action_space)
+        before = _check_step(self._state, actions, self.action_space)
         was_over = np.asarray(before.done) > 0
         self._state, outcome = self._attempt(before, np.asarray(actions, np.float32))
         reward, is_over, info = jax.device_get((outcome.reward, outcome.is_over, outcome.info))
-        infos = _masked(info, ~is_over if self._is_same_step else ~was_over)
+        infos = _with_masks(info, ~is_over if self._is_same_step else ~was_over)
         if self._is_same_step and is_over.any():
             infos |= self._final(outcome, is_over, info)
         return to_numpy(self._state.obs), np.array(reward), np.array(is_over), np.zeros_like(is_over), infos
 
-    def _final(self, outcome: Outcome, is_over: np.ndarray, info: dict[str, np.ndarray]) -> dict[str, Any]:
+    def _final(self, outcome: Outcome, is_over: np.ndarray, info: dict[str, np.ndarray]) -> Info:
         """The last observations and infos of episodes that have ended."""
         last = np.full(self.num_envs, None, dtype=object)
         seen = to_numpy(outcome.obs)
         for index in np.flatnonzero(is_over):
             last[index] = jax.tree.map(lambda leaf, i=index: leaf[i], seen)
-        final = {"final_obs": last, "final_info": _masked(info, is_over)}
+        final = {"final_obs": last, "final_info": _with_masks(info, is_over)}
         return final | {f"_{name}": is_over.copy() for name in final}
 
     @property
@@ -229,7 +228,7 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
         return jax.device_get(self._state.pipeline_state.finished)
 
 
-def _masked(info: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarray]:
+def _with_masks(info: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, np.ndarray]:
     """Gymnasium's way to say which of the values count; none if no value does."""
     if not mask.any():
         return {}
@@ -242,12 +241,12 @@ def _key(random: np.random.Generator) -> Array:
     return new_key(random.integers(2**32, dtype=np.uint32))
 
 
-def _check_options(options: dict[str, Any] | None) -> None:
+def _check_options(options: Info | None) -> None:
     if options:
         raise ConfigError(f"options = {options!r} in reset", "none", "the settings of make_env")
 
 
-def _checked(state: State | None, action: Any, space: spaces.Box) -> State:
+def _check_step(state: State | None, action: Any, space: spaces.Box) -> State:
     """The state, which is there, and which an action of its space meets."""
     if state is None:
         raise gymnasium.error.ResetNeeded("reset() has to be called before the first step of an episode")

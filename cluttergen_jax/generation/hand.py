@@ -21,8 +21,8 @@ from cluttergen_jax.generation.generate import GeneratedBank, recipe_of
 from cluttergen_jax.learning.methods import Method
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.hand import HandError, HandScene
+from cluttergen_jax.placement.problem import Setup, make_setup
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.placement.setup import Setup, make_setup
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank import BankWriter, read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
@@ -179,11 +179,7 @@ def hand_setup(spec: SceneSpec) -> Setup:
 
 
 def _num_rows(path: Path) -> int:
-    """The scenes that a bank holds.
-
-    Raises:
-      BankError: its last block is damaged.
-    """
+    """The scenes that a bank holds; BankError where its last block is damaged."""
     stored = StoredBlocks.of(path)
     if not stored.places:
         return 0

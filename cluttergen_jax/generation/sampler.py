@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -14,18 +15,21 @@ from flax import struct
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.reach import reach_of
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import check_range, check_whole
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation.arguments import check_call, check_key, is_known
-from cluttergen_jax.generation.recipes import recipe_text, required_recipe
+from cluttergen_jax.generation.arguments import check_call, check_key, is_known, recipe_text, required_recipe
+from cluttergen_jax.learning.methods import Method, choose_method, sampler_of, with_history_of
 from cluttergen_jax.numerics import as_float32, with_own_settings
 from cluttergen_jax.placement.observation import ObservationConfig, observe
-from cluttergen_jax.placement.problem import Problem
+from cluttergen_jax.placement.problem import Problem, Setup, make_setup
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.placement.rollout.run import varying_alike
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
-from cluttergen_jax.placement.sharded import varying_alike
 from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.scene import Origin, Scene
+from cluttergen_jax.scene.bank.reference import read_start
+from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 from cluttergen_jax.types import Array, Verdict
 
 _ROUNDING = 1e-5
@@ -222,3 +226,67 @@ def _has_room(start: Start, most: int) -> Array:
             "make_sampler(start=...)",
         )
     return fits
+
+
+MAX_RETRIES = 10_000
+
+
+@with_own_settings
+@takes_spec(SceneOptions)
+def make_sampler(
+    spec: SceneSpec | str | Path | None = None,
+    *,
+    max_retries: int = 0,
+    num_scene_points: int = 0,
+    **options: Unpack[SceneOptions],
+) -> Sampler:
+    """A function `sample(key) -> SceneBatch` that may be compiled, mapped, scanned and sharded.
+
+    Nothing random is decided here: equal keys give equal scenes, within the limits that docs/contract.md
+    names. The arguments that are not explained here are those of `SceneSpec`.
+
+    Args:
+      spec: what is asked for, or a pool's name.
+      max_retries: a scene that fails is drawn again up to so often, inside the compiled code, until one
+        passes; 0 to 10,000.
+      num_scene_points: points of each scene's cloud, up to 200,000; 0 for none.
+      options: fields of `SceneSpec`, in place of those of `spec`.
+
+    Raises:
+      ConfigError: a setting is unknown, out of range, or contradicts another.
+      PoolError: a pool, an object, a support or a checkpoint cannot be found or read.
+      BankError: the scene to start from cannot be read, or does not stand.
+    """
+    asked = spec_of(make_sampler, spec, options)
+    check_range("max_retries", max_retries, 0, MAX_RETRIES, 5)
+    check_whole(num_scene_points=num_scene_points)
+    ObservationConfig(num_scene_points=num_scene_points)
+    method, setup = set_up(asked)
+    return Sampler(
+        problem=setup.problem,
+        steps=sampler_of(setup, method),
+        keep_out=setup.keep_out,
+        start=setup.start,
+        max_retries=max_retries,
+        num_scene_points=num_scene_points,
+        recipe=partial(
+            make_sampler,
+            **asked.overrides(),
+            max_retries=max_retries,
+            num_scene_points=num_scene_points,
+        ),
+    )
+
+
+def set_up(spec: SceneSpec) -> tuple[Method, Setup]:
+    """A method, and the problem compiled for it: with its rules, and the history that it looks back on.
+
+    Raises:
+      ConfigError, PoolError, BankError: see `make_sampler`.
+    """
+    method = choose_method(spec.method, spec.pool_text, spec.checkpoint)
+    spec.check_method(method.name)
+    config = spec.problem_config(method.name)
+    config = replace(config, placement=with_history_of(config.placement, method.checkpoint))
+    standing = None if spec.start is None else read_start(spec.start)
+    return method, make_setup(config, spec.boxes(), standing)

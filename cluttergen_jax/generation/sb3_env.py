@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from cluttergen_jax.generation.gymnasium_envs import GymnasiumVectorEnv
+from cluttergen_jax.generation.gymnasium_envs import GymnasiumVectorEnv, Info
 
 
 class SB3VecEnv(VecEnv):
@@ -34,14 +34,14 @@ class SB3VecEnv(VecEnv):
         """Takes the actions of `step_wait`, f32[N, 4]."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[Info]]:
         """One attempt of each scene."""
         obs, reward, is_over, _, infos = self.envs.step(self._actions)
         self._reward += reward
         self._length += 1
         return obs, reward, is_over, [self._info(infos, index) for index in range(self.num_envs)]
 
-    def _info(self, infos: dict[str, Any], index: int) -> dict[str, Any]:
+    def _info(self, infos: Info, index: int) -> Info:
         names = ("verdict", "num_placed", "is_success")
         if not infos.get("_final_info", np.zeros(self.num_envs, bool))[index]:
             return {name: infos[name][index].item() for name in names}

@@ -15,9 +15,9 @@ from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.placement.baselines import BASELINES, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.placement.setup import Setup
 
 DEFAULT_METHOD, FALLBACK_METHOD = "guided", "spread"
 """What a user gets unasked; the second where no checkpoint of the first is embedded."""
@@ -99,9 +99,9 @@ def _check_variant(method: str, given: Checkpoint) -> None:
         )
 
 
-def suited(placement: PlacementConfig, checkpoint: Checkpoint | None) -> PlacementConfig:
+def with_history_of(placement: PlacementConfig, checkpoint: Checkpoint | None) -> PlacementConfig:
     """The settings with the history that a method looks back on: none for a baseline."""
-    stride = 0 if checkpoint is None else checkpoint.placement["history_stride"]
+    stride = 0 if checkpoint is None else checkpoint.trained.placement.history_stride
     return replace(placement, history_stride=stride)
 
 
@@ -125,5 +125,5 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
       PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
     """
     rules = setup.problem.rules
-    rules = replace(rules, config=suited(rules.config, method.checkpoint))
+    rules = replace(rules, config=with_history_of(rules.config, method.checkpoint))
     return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)

@@ -78,7 +78,7 @@ def _disturb(
             num_steps[running] += 1
             overflowed, is_finite = sims.failures(running)
             poses_now = sims.poses(running)
-            _, turn = stability.moved(np, poses_now, start[running])
+            _, turn = stability.displacement(np, poses_now, start[running])
             # In soft contact everything sinks a little, which is no fall.
             shift = np.linalg.norm(poses_now[..., :2] - start[running, :, :2], axis=-1)
             is_off = (shift > config.robust_shift) | (turn > config.robust_turn)

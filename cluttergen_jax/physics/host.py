@@ -8,12 +8,67 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_batching import custom_vmap
 from jax.experimental.buffer_callback import buffer_callback
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.physics.report import empty_settling, empty_standing
+from cluttergen_jax.geometry import rotate
 from cluttergen_jax.progress import COMPILING
-from cluttergen_jax.types import Array, Settling, Standing
+from cluttergen_jax.types import Array, Settling, Standing, Verdict
+
+
+def empty_settling(xp: Any, batch: tuple[int, ...], num_objects: int, config: StabilityConfig) -> Settling:
+    """The report of scenes that were not judged: verdict NONE, everything else zero."""
+    return Settling(
+        verdict=xp.full(batch, int(Verdict.NONE), dtype=xp.int32),
+        num_steps=xp.zeros(batch, dtype=xp.int32),
+        check_steps=xp.zeros(batch, dtype=xp.int32),
+        poses=xp.zeros((*batch, num_objects, 7), dtype=xp.float32),
+        trajectory=xp.zeros((*batch, config.last_step + 1, 13), dtype=xp.float32),
+        motion_sum=xp.zeros(batch, dtype=xp.float32),
+        speed_sum=xp.zeros(batch, dtype=xp.float32),
+        shift=xp.zeros((*batch, num_objects), dtype=xp.float32),
+        turn=xp.zeros((*batch, num_objects), dtype=xp.float32),
+        penetration=xp.zeros(batch, dtype=xp.float32),
+        is_quiet=xp.zeros(batch, dtype=xp.bool),
+        margin=xp.zeros((*batch, num_objects), dtype=xp.float32),
+        touches=xp.zeros((*batch, num_objects), dtype=xp.bool),
+        bears=xp.zeros((*batch, num_objects), dtype=xp.bool),
+    )
+
+
+def empty_standing(xp: Any, batch: tuple[int, ...], num_objects: int) -> Standing:
+    """The report of scenes whose last check was not run: verdict NONE, everything else zero."""
+    return Standing(
+        verdict=xp.full(batch, int(Verdict.NONE), dtype=xp.int32),
+        num_steps=xp.zeros(batch, dtype=xp.int32),
+        shift=xp.zeros((*batch, num_objects), dtype=xp.float32),
+        turn=xp.zeros((*batch, num_objects), dtype=xp.float32),
+    )
+
+
+def below_top(xp: Any, poses: Array, center_of_mass: Array, top: float) -> Array:
+    """Whether each object's centre of mass is below the support's top.
+
+    Args:
+      poses: f[..., K, 7]; center_of_mass: f[K, 3], object frames, metres; top: metres.
+
+    Returns:
+      bool[..., K].
+    """
+    center = rotate(xp, poses[..., 3:], xp.broadcast_to(center_of_mass, (*poses.shape[:-1], 3)))
+    return poses[..., 2] + center[..., 2] < top
+
+
+def where(xp: Any, condition: Array, yes: Array, no: Array) -> Array:
+    """`xp.where` scene by scene: a condition bool[N], arrays f[N, ...]."""
+    return xp.where(condition.reshape(condition.shape + (1,) * (yes.ndim - 1)), yes, no)
+
+
+def mask_scenes(xp: Any, array: Array, is_kept: Array) -> Array:
+    """`array`, f[N, ...], with zeros for scenes that are not kept: a diverged scene reports no motion."""
+    return where(xp, is_kept, array, xp.zeros_like(array))
+
 
 HostFunction = Callable[..., Any]
 
@@ -117,7 +172,7 @@ def host_function(function: HostFunction, shapes: Any) -> HostFunction:
         `shapes` with that axis. Its last argument has no axes of its own.
       shapes: the result for one scene, a pytree of `jax.ShapeDtypeStruct`.
     """
-    batched = _flattened(function)
+    batched = _flatten_axes(function)
 
     def write(context: Any, out: Any, *buffers: Any) -> None:
         del context
@@ -135,7 +190,7 @@ def host_function(function: HostFunction, shapes: Any) -> HostFunction:
     return call
 
 
-def _flattened(function: HostFunction) -> HostFunction:
+def _flatten_axes(function: HostFunction) -> HostFunction:
     """`function` for any number of leading axes, none included."""
 
     def call(*args: Array) -> Any:
@@ -146,3 +201,49 @@ def _flattened(function: HostFunction) -> HostFunction:
         return jax.tree.map(lambda array: array.reshape((*batch, *array.shape[1:])), result)
 
     return call
+
+
+BatchFunction = Callable[..., Any]
+
+
+def one_scene(batched: BatchFunction) -> BatchFunction:
+    """A function of one scene that runs `batched`, whose arguments and results have a leading scene axis.
+
+    `vmap` makes it one call of `batched`, and `vmap` of `vmap` one call with the axes flattened into one.
+    MJX cannot be mapped from outside: its loop has to see the whole batch at once, to know when every scene
+    is decided, and Warp shares one contact list among all scenes.
+    """
+
+    # The model's arrays have to stay inside. Without this `jit` they become arguments of `many`, a mapped
+    # `cond` gives every argument the scene axis, and `custom_vmap` refuses constants that have one.
+    enclosed = jax.jit(batched)
+
+    @custom_vmap
+    def many(*args: Array) -> Any:
+        return enclosed(*args)
+
+    @many.def_vmap
+    def many_more(axis_size: int, is_batched: list[bool], *args: Array) -> tuple[Any, Any]:
+        args = _broadcast(axis_size, is_batched, args)
+        inner = args[0].shape[1]
+        flat = many(*(arg.reshape(axis_size * inner, *arg.shape[2:]) for arg in args))
+        result = jax.tree.map(lambda array: array.reshape(axis_size, inner, *array.shape[1:]), flat)
+        return result, jax.tree.map(lambda _: True, result)
+
+    @custom_vmap
+    def one(*args: Array) -> Any:
+        return jax.tree.map(lambda array: array[0], many(*(arg[None] for arg in args)))
+
+    @one.def_vmap
+    def one_mapped(axis_size: int, is_batched: list[bool], *args: Array) -> tuple[Any, Any]:
+        result = many(*_broadcast(axis_size, is_batched, args))
+        return result, jax.tree.map(lambda _: True, result)
+
+    return one
+
+
+def _broadcast(axis_size: int, is_batched: list[bool], args: tuple[Array, ...]) -> tuple[Array, ...]:
+    return tuple(
+        arg if has_axis else jnp.broadcast_to(arg, (axis_size, *arg.shape))
+        for arg, has_axis in zip(args, is_batched, strict=True)
+    )

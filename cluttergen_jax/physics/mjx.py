@@ -19,13 +19,19 @@ from mujoco import mjx
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics import stability
-from cluttergen_jax.physics.batching import one_scene
-from cluttergen_jax.physics.host import OneScenePhysics
+from cluttergen_jax.physics.host import (
+    OneScenePhysics,
+    below_top,
+    empty_settling,
+    empty_standing,
+    mask_scenes,
+    one_scene,
+    where,
+)
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import MIN_SHIFT
 from cluttergen_jax.physics.mjx_contacts import ContactRows, bearers, margins, overlaps
 from cluttergen_jax.physics.mjx_scenes import WARP_DEFAULTS, MjxScenes, WarpOptions, start_poses
-from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept, where
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 
@@ -119,10 +125,10 @@ class MjxPhysics(OneScenePhysics):
         start, is_sound = start_poses(self.layout, poses, is_placed, is_active)
         is_focus = jnp.arange(self.layout.num_objects) == focus[:, None]
         batch = _Batch(start, is_placed, is_focus, is_active & is_sound)
-        run = self._run_to_end(self._released(batch), self._attempt_step, is_attempt=True)
+        run = self._run_to_end(self._release(batch), self._attempt_step, is_attempt=True)
         return self._report(run, poses, is_active)
 
-    def _released(self, batch: _Batch) -> _Attempts:
+    def _release(self, batch: _Batch) -> _Attempts:
         num_scenes, num_objects = batch.is_placed.shape
         rows, focus = jnp.arange(num_scenes), jnp.argmax(batch.is_focus, axis=1)
         trajectory = jnp.zeros((num_scenes, self.config.last_step + 1, 13), jnp.float32)
@@ -140,10 +146,12 @@ class MjxPhysics(OneScenePhysics):
         rows, focus = jnp.arange(len(running)), jnp.argmax(batch.is_focus, axis=1)
         data = scenes.step(run.data, running[:, None] & batch.is_placed, batch.is_focus)
         is_finite = scenes.is_finite(data)
-        data = scenes.halted(data, is_finite, batch.start)
+        data = scenes.halt_diverged(data, is_finite, batch.start)
         velocity = scenes.velocity(data, focus)
         is_neighbour = batch.is_placed & ~batch.is_focus
-        shift, turn = (each * is_neighbour for each in stability.moved(jnp, scenes.poses(data), batch.start))
+        shift, turn = (
+            each * is_neighbour for each in stability.displacement(jnp, scenes.poses(data), batch.start)
+        )
         motion = stability.step_motion(jnp, velocity, run.track.velocity, config)
         after = stability.advance(jnp, run.track, motion, shift, turn, config)
         row = jnp.concatenate([scenes.poses(data)[rows, focus], velocity], axis=-1)
@@ -153,7 +161,7 @@ class MjxPhysics(OneScenePhysics):
             data=data,
             track=jax.tree.map(lambda new, old: where(jnp, running, new, old), after, run.track),
             trajectory=run.trajectory.at[rows, index].set(row, mode="drop"),
-            overflowed=run.overflowed | (running & scenes.overflowed(data)),
+            overflowed=run.overflowed | (running & scenes.has_overflowed(data)),
             is_finite=run.is_finite & (is_finite | ~running),
         )
 
@@ -170,7 +178,7 @@ class MjxPhysics(OneScenePhysics):
         # What fills up the places of a smaller number is no scene.
         part = part.replace(
             batch=part.batch.replace(is_judged=part.batch.is_judged & (index < num_scenes)),
-            data=self.scenes.taken(run.data, index, is_attempt),
+            data=self.scenes.take_scenes(run.data, index, is_attempt),
         )
         part = self._run_to_end(part, step, is_attempt)
         data = run.data.replace(qpos=run.data.qpos.at[index].set(part.data.qpos, mode="drop"))
@@ -213,16 +221,16 @@ class MjxPhysics(OneScenePhysics):
             verdict=jnp.where(is_active, verdict, report.verdict),
             num_steps=track.step,
             poses=final,
-            trajectory=kept(jnp, run.trajectory, is_finite),
-            motion_sum=kept(jnp, track.motion_sum, is_finite),
-            speed_sum=kept(jnp, track.speed_sum, is_finite),
-            shift=kept(jnp, track.shift, is_finite),
-            turn=kept(jnp, track.turn, is_finite),
-            penetration=kept(jnp, depths.max(axis=(1, 2)), ~overflowed & is_at_rest),
+            trajectory=mask_scenes(jnp, run.trajectory, is_finite),
+            motion_sum=mask_scenes(jnp, track.motion_sum, is_finite),
+            speed_sum=mask_scenes(jnp, track.speed_sum, is_finite),
+            shift=mask_scenes(jnp, track.shift, is_finite),
+            turn=mask_scenes(jnp, track.turn, is_finite),
+            penetration=mask_scenes(jnp, depths.max(axis=(1, 2)), ~overflowed & is_at_rest),
             is_quiet=is_quiet,
-            margin=kept(jnp, margin, is_at_rest),
-            touches=kept(jnp, (depths[jnp.arange(num_scenes), focus] > 0)[:, :-1], is_at_rest),
-            bears=kept(jnp, bearers(contacts, self.layout, focus), is_at_rest),
+            margin=mask_scenes(jnp, margin, is_at_rest),
+            touches=mask_scenes(jnp, (depths[jnp.arange(num_scenes), focus] > 0)[:, :-1], is_at_rest),
+            bears=mask_scenes(jnp, bearers(contacts, self.layout, focus), is_at_rest),
         )
 
     def _contacts(
@@ -257,12 +265,12 @@ class MjxPhysics(OneScenePhysics):
         may_move = running[:, None] & batch.is_placed
         data = scenes.step(run.data, may_move, is_awake=may_move)
         is_finite = scenes.is_finite(data)
-        data = scenes.halted(data, is_finite, batch.start)
-        shift, turn = stability.moved(jnp, scenes.poses(data), batch.start)
+        data = scenes.halt_diverged(data, is_finite, batch.start)
+        shift, turn = stability.displacement(jnp, scenes.poses(data), batch.start)
         num_steps = before.num_steps + 1
         shift, turn = jnp.maximum(before.shift, shift), jnp.maximum(before.turn, turn)
         verdict = stability.verdict_of_scene(jnp, num_steps, shift, turn, batch.is_placed, self.config)
-        verdict = jnp.where(scenes.overflowed(data), int(Verdict.OVERFLOW), verdict)
+        verdict = jnp.where(scenes.has_overflowed(data), int(Verdict.OVERFLOW), verdict)
         verdict = jnp.where(is_finite, verdict, int(Verdict.NON_FINITE))
         after = Standing(verdict=verdict, num_steps=num_steps, shift=shift, turn=turn)
         return _Checks(

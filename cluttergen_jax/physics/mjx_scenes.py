@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,8 +22,7 @@ from cluttergen_jax.geometry import norm, rotate
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.mjx_contacts import ContactRows
-from cluttergen_jax.physics.mjx_faces import faces_first
-from cluttergen_jax.physics.mjx_pairs import Pairs
+from cluttergen_jax.physics.mjx_pairs import Pairs, faces_first
 from cluttergen_jax.types import Array
 
 IMPLEMENTATIONS = ("warp", "jax")
@@ -124,8 +122,8 @@ class MjxScenes:
           is_attempt: `WarpOptions.num_awake` limits who may be awake.
         """
         if not self._is_warp:
-            return self._released(self._blank, start)
-        data = self._released(self._partly if is_attempt else self._whole, start)
+            return self._start_at(self._blank, start)
+        data = self._start_at(self._partly if is_attempt else self._whole, start)
         return self._asleep(data, ~is_awake, is_awake) if self._options.sleeps else data
 
     def few_of(self, num_scenes: int) -> int:
@@ -134,7 +132,7 @@ class MjxScenes:
         few = num_scenes // _FEW if least and self._is_warp else 0
         return few if few >= least else 0
 
-    def taken(self, data: mjx.Data, index: Array, is_attempt: bool) -> mjx.Data:
+    def take_scenes(self, data: mjx.Data, index: Array, is_attempt: bool) -> mjx.Data:
         """The scenes `index`, i32[M], of Warp's data by themselves; beyond the last, the last."""
 
         def of(array: Array) -> Array:
@@ -142,7 +140,7 @@ class MjxScenes:
 
         blank = self._partly if is_attempt else self._whole
         impl = data._impl
-        return self._released(blank, of(self.poses(data))).tree_replace(
+        return self._start_at(blank, of(self.poses(data))).tree_replace(
             {
                 "qvel": of(data.qvel),
                 "qacc_warmstart": of(data.qacc_warmstart),
@@ -151,14 +149,14 @@ class MjxScenes:
             }
         )
 
-    def _released(self, blank: mjx.Data, start: Array) -> mjx.Data:
+    def _start_at(self, blank: mjx.Data, start: Array) -> mjx.Data:
         blank = self._with_room(blank, len(start)) if self._is_warp else blank
         return jax.vmap(lambda qpos: blank.replace(qpos=qpos))(start.reshape(len(start), -1))
 
     def _with_room(self, blank: mjx.Data, num_scenes: int) -> mjx.Data:
         """Warp's blank data with the contact list, which all scenes share, lengthened for them."""
         size = num_scenes * self._num_contacts
-        changes: dict[str, Any] = {"_impl.naconmax": size, "_impl.naccdmax": size}
+        changes: dict[str, Array] = {"_impl.naconmax": size, "_impl.naccdmax": size}
         for name, array in vars(blank._impl).items():
             if name.startswith("contact__") and array.shape[0] == self._num_contacts:
                 changes[f"_impl.{name}"] = jnp.zeros((size, *array.shape[1:]), array.dtype)
@@ -192,7 +190,7 @@ class MjxScenes:
             qvel=jnp.where(jnp.repeat(may_move, 6, axis=1), after.qvel, 0.0),
         )
 
-    def halted(self, data: mjx.Data, is_finite: Array, start: Array) -> mjx.Data:
+    def halt_diverged(self, data: mjx.Data, is_finite: Array, start: Array) -> mjx.Data:
         """The scenes that are not finite, bool[N], put back to `start`, f32[N, K, 7], at rest."""
         keep = is_finite[:, None]
         return data.replace(
@@ -217,10 +215,10 @@ class MjxScenes:
         size = jnp.maximum(jnp.abs(data.qpos).max(axis=1), jnp.abs(data.qvel).max(axis=1))
         return size < _MAX_STATE
 
-    def overflowed(self, data: mjx.Data) -> Array:
+    def has_overflowed(self, data: mjx.Data) -> Array:
         """bool[N]: the last step lost contacts or constraints. A full contact list concerns all scenes."""
         if not self._is_warp:
-            return jax.vmap(self._pairs.overflowed, in_axes=(None, 0))(self._model, data)
+            return jax.vmap(self._pairs.has_overflowed, in_axes=(None, 0))(self._model, data)
         return (data._impl.overflow & _LOST) != 0
 
     def contacts(self, poses: Array) -> tuple[ContactRows, Array]:
@@ -234,7 +232,7 @@ class MjxScenes:
         # MJX dispatches all but this function to Warp by itself, and it can be imported with Warp alone.
         from mujoco.mjx.warp.collision_driver import collision
 
-        model, data = self._awake, self._released(self._blank, poses)
+        model, data = self._awake, self._start_at(self._blank, poses)
         for stage in (mjx.kinematics, collision):
             data = jax.vmap(stage, in_axes=(None, 0))(model, data)
         impl = data._impl
@@ -250,7 +248,7 @@ class MjxScenes:
         return contacts, jnp.maximum(impl.nacon[0], impl.ncollision[0]) > impl.naconmax
 
     def _contacts_in_jax(self, poses: Array) -> ContactRows:
-        data = self._released(self._blank, poses)
+        data = self._start_at(self._blank, poses)
         with faces_first():
             for stage in (mjx.kinematics, self._pairs.find_contacts):
                 data = jax.vmap(stage, in_axes=(None, 0))(self._model, data)

@@ -20,12 +20,17 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.disturbance import disturb
-from cluttergen_jax.physics.host import HostPhysics
+from cluttergen_jax.physics.host import (
+    HostPhysics,
+    below_top,
+    empty_settling,
+    empty_standing,
+    mask_scenes,
+    where,
+)
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.physics.margin import MIN_SHIFT
-from cluttergen_jax.physics.overlap import OverlapProbe
-from cluttergen_jax.physics.report import below_top, empty_settling, empty_standing, kept, where
+from cluttergen_jax.physics.margin import MIN_SHIFT, OverlapProbe
 from cluttergen_jax.physics.simulations import Motion, Simulations, sleeping_model
 from cluttergen_jax.types import Settling, Standing, Verdict
 
@@ -165,7 +170,7 @@ class NativePhysics(HostPhysics):
         while running.size:
             at = block[running]
             motion = sims.run(running, self._steps_to_verdict(int(result.num_steps[at[0]]), len(at), config))
-            shift, turn = stability.moved(np, motion.poses, start[running, None])
+            shift, turn = stability.displacement(np, motion.poses, start[running, None])
             is_made = np.arange(shift.shape[1]) < (motion.num_steps - ~motion.is_finite)[:, None]
             counts = is_placed[running, None] & is_made[..., None]
             result.num_steps[at] += motion.num_steps
@@ -237,7 +242,7 @@ class _Attempt:
         num, rows, focus = len(running), np.arange(len(running)), self.focus[running]
         velocity = motion.velocities[rows, :, focus]
         velocity[..., 3:] = rotate(np, motion.poses[rows, :, focus, 3:], velocity[..., 3:])
-        shift, turn = stability.moved(np, motion.poses, self.start[running, None])
+        shift, turn = stability.displacement(np, motion.poses, self.start[running, None])
         is_neighbour = self.is_neighbour[running]
         track = stability.Track(*(field[running] for field in self.track))
         # Of all steps at once: calls cost more than numbers.
@@ -291,7 +296,7 @@ class _Attempt:
             (result.shift, track.shift),
             (result.turn, track.turn),
         ):
-            field[block] = kept(np, values, self.is_finite)
+            field[block] = mask_scenes(np, values, self.is_finite)
 
     def disturb(self, result: Settling, block: np.ndarray) -> None:
         """Looks which of the block's stable attempts are fragile, and writes that into `result`."""

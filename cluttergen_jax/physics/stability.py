@@ -78,7 +78,7 @@ def is_quiet_step(xp: Any, velocity: Array, acceleration: Array, config: Stabili
     return quiet
 
 
-def moved(xp: Any, poses: Array, start: Array) -> tuple[Array, Array]:
+def displacement(xp: Any, poses: Array, start: Array) -> tuple[Array, Array]:
     """How far and how much every object is from where it was: shift and turn, f[..., K] each."""
     shift = norm(xp, poses[..., :3] - start[..., :3])
     return shift, turn_between(xp, poses[..., 3:], start[..., 3:])

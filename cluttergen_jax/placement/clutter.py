@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from numbers import Real
-from typing import Any
 
 from cluttergen_jax.errors import ConfigError, closest
 
@@ -44,7 +43,7 @@ class Clutter:
         if isinstance(given, Clutter):
             given = given.targets
         if isinstance(given, str):
-            given = _parsed(given)
+            given = _parse_text(given)
         if not isinstance(given, Mapping):
             raise ConfigError(f"clutter = {given!r}", "text or a mapping of names to numbers", _EXAMPLE)
         if not any(value is not None for value in given.values()):
@@ -52,7 +51,7 @@ class Clutter:
         for name in given:
             if name not in NAMES:
                 raise ConfigError(f"clutter {name!r}", ", ".join(NAMES), _EXAMPLE, closest(name, NAMES))
-        return Clutter(**{name: _checked(name, value) for name, value in given.items()})
+        return Clutter(**{name: _check_value(name, value) for name, value in given.items()})
 
     @property
     def targets(self) -> dict[str, float]:
@@ -61,11 +60,7 @@ class Clutter:
         return {name: value for name, value in named.items() if value is not None}
 
     def check(self, num_objects: int) -> None:
-        """Refuses what no scene of so many objects can have.
-
-        Raises:
-          ConfigError: it says what the most is.
-        """
+        """Refuses what no scene of so many objects can have (ConfigError)."""
         pairs = num_objects * (num_objects - 1) // 2
         most = {"stack": num_objects - 1, "depth": pairs, "contacts": pairs}
         for name, value in self.targets.items():
@@ -82,8 +77,8 @@ _MOST = {"near": 1.0, "occlusion": 1.0}
 _ALLOWED = {"near": "0 to 1 m", "occlusion": "0 to 1"}
 
 
-def _parsed(text: str) -> dict[str, Any]:
-    targets: dict[str, Any] = {}
+def _parse_text(text: str) -> dict[str, float]:
+    targets: dict[str, float] = {}
     for part in filter(None, (each.strip() for each in text.split(","))):
         name, equals, value = (each.strip() for each in part.partition("="))
         if not equals:
@@ -97,7 +92,7 @@ def _parsed(text: str) -> dict[str, Any]:
     return targets
 
 
-def _checked(name: str, value: object) -> float | None:
+def _check_value(name: str, value: object) -> float | None:
     if value is None:
         return None
     is_number = isinstance(value, Real) and not isinstance(value, bool)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
-from typing import Any, get_args
+from typing import get_args
 
 from cluttergen_jax.config import Containment, Height, Order, Overhang, Reward
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.schema import Record
 
 MAX_SLOTS = 40
 MAX_ATTEMPTS = 10
@@ -20,16 +21,8 @@ RUIN_AFTER = 5
 """Failed attempts in a row after which a scene is partly taken apart, where that is done."""
 ORDER_POWER = 4.0
 """Of a footprint in the weights of the order "weighted"."""
-_ADDED = {
-    "min_margin": 0.0,
-    "ruin_after": 0,
-    "budget": None,
-    "overhang": "any",
-    "clutter": None,
-    "natural": False,
-    "tidy": False,
-    "height": "rest",
-}
+_ALWAYS_RECORDED = 8
+"""So many fields come first in every record; the others where they are not at their defaults."""
 CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
 OVERHANGS = get_args(Overhang)
 HEIGHTS = get_args(Height)
@@ -57,13 +50,13 @@ class PlacementConfig:
       min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0, as
         in the paper, asks for nothing. A narrow object is asked for a third of what it has on a flat table.
       ruin_after: failed attempts in a row after which some placed objects are taken away and put into the
-        order again (`placement.ruin`); 0 never does, and the scene has failed after `max_attempts`.
+        order again (`placement.removal`); 0 never does, and the scene has failed after `max_attempts`.
       budget: attempts of a scene in all, of which it ends when fewer are left than slots to fill; None for
         `num_objects` x `max_attempts`.
       overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
         "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
       clutter: what the trusted methods should bring about (`Clutter`, or what `Clutter.of` takes).
-      natural: the trusted methods prefer flat, wide bearers (`placement.search.trusted`).
+      natural: the trusted methods prefer flat, wide objects below (`placement.search.candidate_sampler`).
       tidy: of the candidates that they trust the trusted methods take the one that costs the least room, by
         the cost of `drop`, instead of drawing uniformly.
       height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;
@@ -144,12 +137,12 @@ class PlacementConfig:
         return self.num_objects * self.max_attempts if self.budget is None else self.budget
 
 
-def placement_record(config: PlacementConfig) -> dict[str, Any]:
-    """The config as records keep it: without those settings, at rest, that older versions did not know."""
+def placement_record(config: PlacementConfig) -> Record:
+    """The config as records keep it: most settings only where they are not at their defaults."""
     record = asdict(config)
     if config.clutter is not None:
         record["clutter"] = config.clutter.targets
-    for name, at_rest in _ADDED.items():
-        if record[name] == at_rest:
-            del record[name]
+    for field in fields(config)[_ALWAYS_RECORDED:]:
+        if record[field.name] == field.default:
+            del record[field.name]
     return record

@@ -11,7 +11,7 @@ from flax import struct
 
 from cluttergen_jax.numerics import as_float32, new_key, with_own_settings
 from cluttergen_jax.placement.brax_env import Env, State
-from cluttergen_jax.placement.observation import ObservationConfig, observe
+from cluttergen_jax.placement.observation import Observation, ObservationConfig, observe
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
@@ -89,9 +89,8 @@ class PlacementEnv(Env):
             finished=jax.tree.map(jnp.zeros_like, scene_of(episode)),
             num_finished=jnp.int32(0),
         )
-        return State(
-            info={"truncation": jnp.float32(0)}, **self._seen(ongoing, jnp.float32(0), jnp.bool_(False))
-        )
+        state = self._state(ongoing, jnp.float32(0), jnp.bool_(False))
+        return state.replace(info={"truncation": jnp.float32(0)})
 
     @with_own_settings
     def step(self, state: State, action: Array) -> State:
@@ -109,11 +108,11 @@ class PlacementEnv(Env):
             num_finished=before.num_finished + ends.astype(jnp.int32),
         )
         if self.auto_reset:
-            ongoing = self._begun_again(ongoing, ends)
-        seen = self._seen(ongoing, transition.reward, after.is_over)
-        return state.replace(**seen | {"metrics": {**state.metrics, **seen["metrics"]}})
+            ongoing = self._begin_next(ongoing, ends)
+        new = self._state(ongoing, transition.reward, after.is_over)
+        return new.replace(info=state.info, metrics={**state.metrics, **new.metrics})
 
-    def _begun_again(self, ongoing: Ongoing, ends: Array) -> Ongoing:
+    def _begin_next(self, ongoing: Ongoing, ends: Array) -> Ongoing:
         """With the next episode in place of one that has ended."""
         key_episode, key_next = jax.random.split(ongoing.key)
         fresh = self.rules.begin(key_episode, keep_out=ongoing.keep_out, start=ongoing.start)
@@ -121,15 +120,15 @@ class PlacementEnv(Env):
             episode=_where(ends, fresh, ongoing.episode), key=jnp.where(ends, key_next, ongoing.key)
         )
 
-    def _seen(self, ongoing: Ongoing, reward: Array, is_over: Array) -> dict[str, Any]:
-        """The fields of `State` that are this environment's own."""
+    def _state(self, ongoing: Ongoing, reward: Array, is_over: Array) -> State:
+        """The state with what is this environment's own."""
         finished = ongoing.finished
-        return {
-            "pipeline_state": ongoing,
-            "obs": self.observe(ongoing.episode),
-            "reward": reward,
-            "done": is_over.astype(jnp.float32),
-            "metrics": {
+        return State(
+            pipeline_state=ongoing,
+            obs=self.observe(ongoing.episode),
+            reward=reward,
+            done=is_over.astype(jnp.float32),
+            metrics={
                 "reward": reward,
                 "success": finished.is_success.astype(jnp.float32),
                 "num_placed": finished.is_placed.sum().astype(jnp.float32),
@@ -137,15 +136,15 @@ class PlacementEnv(Env):
                 "stable_steps": finished.counts.steps.sum().astype(jnp.float32),
                 "num_finished": ongoing.num_finished.astype(jnp.float32),
             },
-        }
+        )
 
     @with_own_settings
-    def observe(self, episode: Episode) -> dict[str, Any]:
+    def observe(self, episode: Episode) -> Observation:
         """The observation of an episode (`placement.observation.observe`)."""
         return observe(self.rules, episode, self.observation)
 
     @property
-    def observation_size(self) -> dict[str, Any]:
+    def observation_size(self) -> Any:
         """The shape of each observation; nested as the observation is."""
         state = jax.eval_shape(self.reset, new_key(0))
         return jax.tree.map(lambda leaf: leaf.shape, state.obs)

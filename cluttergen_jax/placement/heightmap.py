@@ -5,13 +5,13 @@ Pure geometry, no physics: the placed objects' upper surfaces and the support's 
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.assets.ground import VOID, ground_heights, map_cells, reach_beyond, top_boxes
+from cluttergen_jax.assets.ground import VOID, map_cells, reach_beyond
 from cluttergen_jax.placement.region import Region, from_pose
+from cluttergen_jax.placement.support_map import SupportMap, top_boxes_of
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.types import Array
 
@@ -54,45 +54,16 @@ class HeightMap(struct.PyTreeNode):
         return self.owner.reshape(-1).at[index].get(mode="clip")
 
 
-class Ground(struct.PyTreeNode):
-    """The support alone, in the world frame.
-
-    Attributes:
-      height: f32[W, H], metres above the top, VOID where there is nothing; its border is VOID.
-      corner: f32[2], metres; cell: metres.
-    """
-
-    height: Array
-    corner: Array
-    cell: float = struct.field(pytree_node=False)
-
-    @staticmethod
-    def of(geometry: Geometry) -> Ground:
-        """Reads the arrays of `geometry`, outside `jit`."""
-        height, corner, cell = ground_heights(_top_boxes(geometry), float(geometry.top))
-        height, corner = jax.device_put((height.astype(np.float32), corner.astype(np.float32)))
-        return Ground(height, corner, cell)
-
-    def is_under(self, xy: Array) -> Array:
-        """bool[...]: whether the support is below world points f32[..., 2], to half a cell."""
-        shape = self.height.shape
-        i, j = (
-            jnp.clip((xy[..., k] - self.corner[k]) * (1 / self.cell), 0.0, shape[k] - 1.0).astype(jnp.int32)
-            for k in (0, 1)
-        )
-        return self.height.reshape(-1).at[i * shape[1] + j].get(mode="clip") > VOID
-
-
 class HeightMapper(struct.PyTreeNode):
     """Makes height maps of scenes on one support.
 
     Attributes:
-      geometry: of the world; ground: of its support.
+      geometry: of the world; support_map: of its support.
       cell: the sides of a map's cell, metres; shape: the number of cells along each.
     """
 
     geometry: Geometry
-    ground: Ground
+    support_map: SupportMap
     cell: tuple[float, float] = struct.field(pytree_node=False)
     shape: tuple[int, int] = struct.field(pytree_node=False)
 
@@ -111,9 +82,9 @@ class HeightMapper(struct.PyTreeNode):
         half = np.asarray(region.half_extents, np.float64)
         inverse = np.asarray(region.T_world_region.inverse().as_matrix())
         cell, shape = map_cells(
-            half + reach_beyond(_top_boxes(geometry), inverse, half, radius), _FINEST_CELL
+            half + reach_beyond(top_boxes_of(geometry), inverse, half, radius), _FINEST_CELL
         )
-        return HeightMapper(geometry, Ground.of(geometry), cell, shape)
+        return HeightMapper(geometry, SupportMap.of(geometry), cell, shape)
 
     def __call__(self, region: Region, poses: Array, is_placed: Array, with_owner: bool = False) -> HeightMap:
         """The map of one scene: poses f32[K, 7], world; is_placed bool[K].
@@ -151,20 +122,20 @@ class HeightMapper(struct.PyTreeNode):
 
     def _bare(self, region: Region, corner: Array) -> Array:
         """f32[W, H]: the heights of the support itself."""
-        ground = self.ground
+        support_map = self.support_map
         T = region.T_world_region
-        turn, shift = T.rotation().as_matrix()[:2, :2], T.translation()[:2] - ground.corner
+        turn, shift = T.rotation().as_matrix()[:2, :2], T.translation()[:2] - support_map.corner
         x, y = (corner[axis] + self.cell[axis] * (jnp.arange(self.shape[axis]) + 0.5) for axis in (0, 1))
         i, j = (
             jnp.clip(
-                ((turn[axis, 0] * x + shift[axis])[:, None] + turn[axis, 1] * y) * (1 / ground.cell),
+                ((turn[axis, 0] * x + shift[axis])[:, None] + turn[axis, 1] * y) * (1 / support_map.cell),
                 0.0,
-                ground.height.shape[axis] - 1.0,
+                support_map.height.shape[axis] - 1.0,
             ).astype(jnp.int32)
             for axis in (0, 1)
         )
-        flat = ground.height.reshape(-1)
-        return _with_void_border(flat.at[i * ground.height.shape[1] + j].get(mode="clip"))
+        flat = support_map.height.reshape(-1)
+        return _with_void_border(flat.at[i * support_map.height.shape[1] + j].get(mode="clip"))
 
 
 def _pack(height: Array, owner: Array) -> Array:
@@ -177,8 +148,3 @@ def _with_void_border(height: Array) -> Array:
     i, j = (jnp.arange(side) for side in height.shape)
     inner = ((i > 0) & (i < height.shape[0] - 1))[:, None] & ((j > 0) & (j < height.shape[1] - 1))
     return jnp.where(inner, height, VOID)
-
-
-def _top_boxes(geometry: Geometry) -> np.ndarray:
-    """f64[B, 7]: the support's boxes that reach up to its top."""
-    return top_boxes(np.asarray(geometry.boxes, np.float64), float(geometry.top))

@@ -14,6 +14,9 @@ from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode, History
 from cluttergen_jax.types import Array
 
+Observation = dict[str, Array | dict[str, Array]]
+"""What `observe` gives, by name."""
+
 
 @dataclass(frozen=True)
 class ObservationConfig:
@@ -40,7 +43,7 @@ class ObservationConfig:
             )
 
 
-def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> dict[str, Array | dict[str, Array]]:
+def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> Observation:
     """The observation of one episode.
 
     Returns:
@@ -56,7 +59,7 @@ def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> dict[s
     region, focus = episode.region, rules.focus(episode)
     local = jax.vmap(lambda pose: to_pose(region.T_world_region.inverse() @ from_pose(pose)))(episode.poses)
     local = jnp.where(episode.is_placed[:, None], local, 0.0)
-    observation: dict[str, Array | dict[str, Array]] = {
+    observation: Observation = {
         "region": jnp.append(region.half_extents, rules.height_range(episode)),
         "focus": focus,
         "is_placed": episode.is_placed,

@@ -13,20 +13,19 @@ from scipy.spatial import ConvexHull
 from cluttergen_jax.assets.columns import Columns
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.reach import check_reach
+from cluttergen_jax.assets.reach import check_keep_out, check_reach
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.placement.changes import ChangedRegion, find_change
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
-from cluttergen_jax.placement.heightmap import Ground
-from cluttergen_jax.placement.region import KeepOut, Region, make_region
+from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Geometry
-from cluttergen_jax.placement.world import World, make_world, repeated
+from cluttergen_jax.placement.support_map import SupportMap
+from cluttergen_jax.placement.types import Geometry, Start
+from cluttergen_jax.placement.world import World, make_world, repeat_objects
 
 SMALLEST_REGION = 0.02
 MOST_CROWDED = 8.0
@@ -86,7 +85,7 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
       PoolError: a pool, an object or a support cannot be found.
       ConfigError: more objects are asked for than there are, or the region is not on the support.
     """
-    pool = find_pool(config.pool)
+    pool = find_pool(config.pool, names=config.objects)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
     support = find_support(config.support)
     region = config.region or support.region
@@ -119,7 +118,7 @@ def compose(
     if (clutter := config.placement.clutter) is not None:
         clutter.check(wanted + len(standing))
     if wanted > len(objects):
-        objects = repeated(objects, wanted)
+        objects = repeat_objects(objects, wanted)
     region = config.region or support.region
     if min(region.half_extents) * 2 < SMALLEST_REGION:
         raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`")
@@ -135,17 +134,13 @@ def compose(
         draw_region=None
         if config.change == "none"
         else ChangedRegion(find_change(config.change), region, support.region, support.top),
-        ground=None if config.placement.overhang == "any" else Ground.of(geometry),
+        support_map=None if config.placement.overhang == "any" else SupportMap.of(geometry),
     )
     return Problem(config, world, rules, region)
 
 
 def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -> None:
-    """Refuses more objects than there are.
-
-    Raises:
-      ConfigError: it says how many there are.
-    """
+    """Refuses more objects than there are (ConfigError)."""
     if wanted > available and not repeat:
         raise ConfigError(
             f"{wanted} objects asked for, {available} chosen of pool {pool!r}",
@@ -200,7 +195,7 @@ def geometry_of(world: World) -> Geometry:
     """The world's objects as arrays, columns padded to the longest."""
     most = max(len(columns.sample) for columns in world.columns)
 
-    def padded(arrays: list[np.ndarray]) -> np.ndarray:
+    def pad(arrays: list[np.ndarray]) -> np.ndarray:
         return np.stack([np.pad(a, [(0, most - len(a))] + [(0, 0)] * (a.ndim - 1)) for a in arrays])
 
     runs = [_surface_runs(columns) for columns in world.columns]
@@ -211,9 +206,9 @@ def geometry_of(world: World) -> Geometry:
         center_of_mass=world.layout.center_of_mass,
         own_margin=np.array([_own_margin(asset) for asset in world.objects]),
         cloud=np.stack([asset.cloud for asset in world.objects]),
-        column_xy=padded([columns.xy[columns.sample] for columns in world.columns]),
-        column_bottom=padded([columns.bottom[columns.sample] for columns in world.columns]),
-        is_column=padded([np.ones(len(columns.sample), bool) for columns in world.columns]),
+        column_xy=pad([columns.xy[columns.sample] for columns in world.columns]),
+        column_bottom=pad([columns.bottom[columns.sample] for columns in world.columns]),
+        is_column=pad([np.ones(len(columns.sample), bool) for columns in world.columns]),
         surface=np.concatenate(runs),
         surface_owner=owner,
         boxes=np.array(boxes),
@@ -238,3 +233,51 @@ def _surface_runs(columns: Columns) -> np.ndarray:
     """f64[M, 64, 3]: an object's grown upper surface, padded with its first point."""
     padding = np.repeat(columns.surface[:1], -len(columns.surface) % _RUN, axis=0)
     return np.concatenate([columns.surface, padding]).reshape(-1, _RUN, 3)
+
+
+Standing = tuple[Sequence[ObjectAsset], np.ndarray]
+"""Objects that stand there when an episode begins, and their world poses f32[N, 7], metres, wxyz."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """A compiled problem, with what every episode begins with.
+
+    Attributes:
+      problem: the world, its rules and its queried region.
+      keep_out: where no object may come to lie.
+      start: what stands there already.
+    """
+
+    problem: Problem
+    keep_out: KeepOut
+    start: Start
+
+
+def make_setup(
+    config: ProblemConfig,
+    keep_out: Sequence[Rectangle] = (),
+    standing: Standing | None = None,
+    assets: tuple[Sequence[ObjectAsset], SupportAsset] | None = None,
+) -> Setup:
+    """Compiles the problem, around objects that stand there already if there are any.
+
+    Args:
+      assets: objects and a support that are at hand, in place of those that `config` names.
+
+    Raises:
+      ConfigError: a box cannot meet the region, or `make_problem` refuses.
+      PoolError: something cannot be found or read.
+    """
+    objects, poses = standing or ((), np.zeros((0, 7), np.float32))
+    problem = compose(*assets, config, objects) if assets else make_problem(config, objects)
+    check_keep_out(keep_out, problem.region)
+    return Setup(problem, keep_out_of(keep_out), _start_of(problem.world, poses))
+
+
+def _start_of(world: World, poses: np.ndarray) -> Start:
+    """The start of episodes in a world whose last N objects stand at `poses` f32[N, 7]."""
+    is_placed = np.arange(world.num_objects) >= world.num_objects - len(poses)
+    everyone = np.tile(np.eye(7)[3], (world.num_objects, 1))
+    everyone[is_placed] = poses
+    return on_device(Start(everyone, is_placed))

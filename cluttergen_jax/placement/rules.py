@@ -9,10 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.physics.protocol import Physics
-from cluttergen_jax.placement.bearing import borne, carried_by, nothing_borne, without
 from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
-from cluttergen_jax.placement.heightmap import Ground
-from cluttergen_jax.placement.overhang import most_beyond, shares_beyond
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
@@ -21,8 +18,14 @@ from cluttergen_jax.placement.region import (
     no_keep_out,
     pose_of_action,
 )
-from cluttergen_jax.placement.reward import reward_of
-from cluttergen_jax.placement.ruin import choose_ruin, footprint_area
+from cluttergen_jax.placement.removal import choose_removal, footprint_area
+from cluttergen_jax.placement.support_graph import (
+    empty_graph,
+    graph_after_settling,
+    graph_without,
+    supported_by,
+)
+from cluttergen_jax.placement.support_map import SupportMap, most_beyond, shares_beyond
 from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start, Transition
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
@@ -40,7 +43,7 @@ class Proposer(Protocol):
 
 
 class RegionDraw(Protocol):
-    """Draws an episode's region from a key; two that draw alike are equal (`placement.changes`)."""
+    """Draws an episode's region from a key; two that draw alike are equal (`placement.region`)."""
 
     def __call__(self, key: Array) -> Region:
         """A region drawn with `key`."""
@@ -59,7 +62,7 @@ class Rules(struct.PyTreeNode, eq=False):
       region: the queried region of every episode that is not given another; the largest of drawn ones.
       num_started: the most objects that may stand there already when an episode begins.
       draw_region: draws an episode's region from a key; None where all take `region`.
-      ground: the support alone, where overhang is limited (`PlacementConfig.overhang`).
+      support_map: the support alone, where overhang is limited (`PlacementConfig.overhang`).
       history_steps: of an attempt that took longer the history tells so many steps, as if it had been cut
         off then; None tells them all. A policy reads histories of the length that it was trained with.
     """
@@ -71,7 +74,7 @@ class Rules(struct.PyTreeNode, eq=False):
     num_started: int = struct.field(pytree_node=False, default=0)
     draw_region: RegionDraw | None = struct.field(pytree_node=False, default=None)
     history_steps: int | None = struct.field(pytree_node=False, default=None)
-    ground: Ground | None = None
+    support_map: SupportMap | None = None
 
     def begin(
         self,
@@ -118,7 +121,7 @@ class Rules(struct.PyTreeNode, eq=False):
             is_success=jnp.bool_(False),
             verdict=jnp.int32(Verdict.NONE),
             drift=jnp.float32(0),
-            bearing=nothing_borne(self.geometry),
+            support_graph=empty_graph(self.geometry),
         )
 
     @property
@@ -247,10 +250,10 @@ class Rules(struct.PyTreeNode, eq=False):
 
     def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""
-        assert self.ground is not None
+        assert self.support_map is not None
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
-        shares = shares_beyond(self.ground, self.geometry, settling.poses)
+        shares = shares_beyond(self.support_map, self.geometry, settling.poses)
         return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
 
     def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
@@ -283,7 +286,7 @@ class Rules(struct.PyTreeNode, eq=False):
         """Stable: the settled poses of all stay and the next slot begins. Else: as it was before."""
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_placed = episode.is_placed | is_focus
-        bearing = borne(episode.bearing, is_focus, settling)
+        support_graph = graph_after_settling(episode.support_graph, is_focus, settling)
         # Where neighbours are not judged, the paper's looser count puts them back by hand.
         moves = is_placed if self.physics.config.judge_neighbours else is_focus
         attempt = jnp.where(is_stable, 0, episode.attempt + 1)
@@ -292,7 +295,9 @@ class Rules(struct.PyTreeNode, eq=False):
             is_placed=jnp.where(is_stable, is_placed, episode.is_placed),
             slot=episode.slot + is_stable.astype(jnp.int32),
             attempt=attempt,
-            bearing=jax.tree.map(lambda new, old: jnp.where(is_stable, new, old), bearing, episode.bearing),
+            support_graph=jax.tree.map(
+                lambda new, old: jnp.where(is_stable, new, old), support_graph, episode.support_graph
+            ),
             history=jax.tree.map(
                 lambda rows: jnp.where(is_stable, jnp.zeros_like(rows), rows), episode.history
             ),
@@ -323,7 +328,7 @@ class Rules(struct.PyTreeNode, eq=False):
         is_over = self._is_spent(episode)
         if not config.ruin_after:
             return episode.replace(is_over=is_over | (episode.attempt >= config.max_attempts))
-        ruined = self.remove(episode, choose_ruin(episode, self.geometry, self._is_started(episode)))
+        ruined = self.remove(episode, choose_removal(episode, self.geometry, self._is_started(episode)))
         # What could not be filled again within the budget is not worth taking apart.
         is_ruined = (episode.attempt >= config.ruin_after) & ~self._is_spent(ruined)
         after = jax.tree.map(lambda new, old: jnp.where(is_ruined, new, old), ruined, episode)
@@ -343,7 +348,7 @@ class Rules(struct.PyTreeNode, eq=False):
           which: bool[K]; of what stood there from the beginning nothing is taken.
         """
         is_mine = episode.is_placed & ~self._is_started(episode)
-        which = carried_by(which & is_mine, episode.bearing.leans_on & is_mine[:, None])
+        which = supported_by(which & is_mine, episode.support_graph.leans_on & is_mine[:, None])
         slots, index = jnp.arange(self.num_slots), jnp.maximum(episode.object_index, 0)
         is_kept = (slots < episode.slot) & ~which[index]
         group = jnp.where(is_kept, 0, jnp.where(slots == episode.slot, 1, 2))
@@ -361,7 +366,7 @@ class Rules(struct.PyTreeNode, eq=False):
                 steps=counts.steps[order],
                 rest_steps=jnp.where(is_kept, counts.rest_steps, 0)[order],
             ),
-            bearing=without(episode.bearing, which, self.geometry),
+            support_graph=graph_without(episode.support_graph, which, self.geometry),
         )
 
     def _is_started(self, episode: Episode) -> Array:
@@ -397,3 +402,28 @@ def empty_history(max_attempts: int, num_rows: int) -> History:
         num_steps=jnp.zeros(max_attempts, jnp.int32),
         is_tried=jnp.zeros(max_attempts, bool),
     )
+
+
+_CODE_LAST_BONUS = 1000.0
+
+
+def reward_of(
+    settling: Settling, is_stable: Array, ordinal: Array, is_last: Array, config: PlacementConfig
+) -> Array:
+    """The reward of one attempt, f32.
+
+    "paper": -c sum_t (|v_t| + |a_t|) + n R0 1[stable], n the object's ordinal from 1 (paper, equation 1).
+    "code": -c sum_t |v_t|_1 + R0 1[stable], and 1,000 more for the last object (its published code).
+    "compressed": 1[stable] - log(1 + c sum_t (|v_t| + |a_t|)) / 10. The paper's penalty on a failed attempt
+      is 69 in the median and up to 1,600; its logarithm keeps the order and spares the critic.
+
+    Args:
+      ordinal: i32, 1 for the first object.
+    """
+    stable = is_stable.astype(jnp.float32)
+    if config.reward == "paper":
+        return -config.motion_cost * settling.motion_sum + ordinal * config.success_reward * stable
+    if config.reward == "code":
+        bonus = config.success_reward + _CODE_LAST_BONUS * is_last
+        return -config.motion_cost * settling.speed_sum + bonus * stable
+    return stable - jnp.log1p(config.motion_cost * settling.motion_sum) / 10

@@ -76,7 +76,7 @@ def scene_of(episode: Episode) -> SceneBatch:
     poses = jnp.where(
         is_placed[:, None], episode.poses[jnp.maximum(index, 0)], jnp.eye(7, dtype=jnp.float32)[3]
     )
-    bearing = episode.bearing
+    support_graph = episode.support_graph
     return SceneBatch(
         object_index=index,
         is_placed=is_placed,
@@ -86,8 +86,8 @@ def scene_of(episode: Episode) -> SceneBatch:
         verdict=episode.verdict,
         drift=episode.drift,
         counts=episode.counts,
-        level=jnp.where(is_placed, bearing.level[jnp.maximum(index, 0)], -1),
-        num_touching=num_touching(bearing.leans_on, episode.is_placed),
+        level=jnp.where(is_placed, support_graph.level[jnp.maximum(index, 0)], -1),
+        num_touching=num_touching(support_graph.leans_on, episode.is_placed),
     )
 
 

@@ -94,7 +94,7 @@ class Counts(struct.PyTreeNode):
     reward: Array
 
 
-class Bearing(struct.PyTreeNode):
+class SupportGraph(struct.PyTreeNode):
     """What carries what among the placed objects of an episode, known from contacts at rest.
 
     Attributes:
@@ -129,7 +129,7 @@ class Episode(struct.PyTreeNode):
       is_success: bool, every slot is filled and the finished scene stands.
       verdict: i32, the latest attempt's verdict; once all slots are filled, the last check's.
       drift: f32, metres, the largest movement in the last check.
-      bearing: what carries what.
+      support_graph: what carries what.
     """
 
     key: Array
@@ -147,7 +147,7 @@ class Episode(struct.PyTreeNode):
     is_success: Array
     verdict: Array
     drift: Array
-    bearing: Bearing
+    support_graph: SupportGraph
 
     @property
     def num_slots(self) -> Array:

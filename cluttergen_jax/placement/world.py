@@ -60,7 +60,7 @@ def base_name(name: str) -> str:
     return re.sub(r"#\d+$", "", name)
 
 
-def repeated(objects: Sequence[ObjectAsset], num_objects: int) -> tuple[ObjectAsset, ...]:
+def repeat_objects(objects: Sequence[ObjectAsset], num_objects: int) -> tuple[ObjectAsset, ...]:
     """The objects over again until there are at least `num_objects`, each equally often."""
     return tuple(objects) * -(-num_objects // len(objects))
 

@@ -21,7 +21,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import transformed
+from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.rendering.camera import axes
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
@@ -180,7 +180,7 @@ def close_points(
     if support is not None:
         points.append(np.column_stack([support.region.corners, np.full(4, support.top)]))
     for asset, pose in zip(assets, np.asarray(poses, np.float64), strict=True):
-        points.extend(transformed(pose, part.vertices) for part in asset.parts)
+        points.extend(transform_points(pose, part.vertices) for part in asset.parts)
     if not points:
         raise ConfigError("a close view of neither objects nor a support")
     return np.concatenate(points)

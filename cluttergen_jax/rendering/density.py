@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import turned
+from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.overlay import with_caption
@@ -101,7 +101,7 @@ def _heat_seen(
     seen = renderer.measure(styles)
     points = np.nan_to_num(renderer.camera.points(seen.depth), nan=1e3)
     region = recording.region
-    local = turned(points[..., :2] - region.center, -region.yaw)
+    local = rotate_in_plane(points[..., :2] - region.center, -region.yaw)
     action = (local / region.half_extents + 1) / 2
     is_top = (seen.label == SUPPORT) & (np.abs(points[..., 2] - recording.support.top) < _NEAR_TOP)
     is_top &= ((action >= 0) & (action <= 1)).all(-1)
@@ -124,7 +124,7 @@ def heat_points(recording: Replay, attempt: Attempt) -> tuple[np.ndarray, np.nda
     side = len(density)
     along = (np.arange(side) + 0.5) / side * 2 - 1
     local = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1) * region.half_extents
-    xy = turned(local, region.yaw) + region.center
+    xy = rotate_in_plane(local, region.yaw) + region.center
     is_seen = density > _FAINTEST
     points = np.column_stack([xy[is_seen], np.full(is_seen.sum(), recording.support.top)])
     colours = heat_image(density)[is_seen, :3]

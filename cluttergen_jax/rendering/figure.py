@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import transformed
+from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.overlay import Ring, ring_around, with_rings
@@ -111,5 +111,5 @@ def _ring(
     number: int,
 ) -> Ring:
     vertices = np.concatenate([part.vertices for part in recording.objects[index].parts])
-    outline, _ = renderer.camera.project(transformed(pose, vertices))
+    outline, _ = renderer.camera.project(transform_points(pose, vertices))
     return ring_around(outline, rgb, str(number), renderer.config.height / 90)

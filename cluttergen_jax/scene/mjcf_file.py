@@ -17,7 +17,7 @@ from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, RestingPose
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.geometry import rotation_matrix, transformed
+from cluttergen_jax.geometry import rotation_matrix, transform_points
 from cluttergen_jax.importing.readers.mjcf import compiled_with_notes
 from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece
 from cluttergen_jax.importing.readers.mjcf_roles import Roles, roles_of
@@ -110,7 +110,7 @@ def _support(
     seen = _roles(model, data, model.body_weldid == 0).surface
     pieces = tuple(geom_piece(model, data, i) for i in seen)
     placed = zip(objects, poses, strict=True)
-    corners = [transformed(pose, part.vertices) for each, pose in placed for part in each.parts]
+    corners = [transform_points(pose, part.vertices) for each, pose in placed for part in each.parts]
     standing = np.concatenate(corners)
     top = float(standing[:, 2].min())
     flat = [piece.mesh.vertices for piece in pieces] or [standing]

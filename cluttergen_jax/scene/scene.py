@@ -13,7 +13,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import product, transformed
+from cluttergen_jax.geometry import product, transform_points
 from cluttergen_jax.scene.cameras import Camera
 
 _UNIT = 1e-3
@@ -205,7 +205,7 @@ class Scene:
             raise ConfigError(
                 f"a model that has bodies called {sorted(taken)}", "names that are free", "another prefix"
             )
-        places = transformed(np.concatenate([position, turn]), self.poses[:, :3])
+        places = transform_points(np.concatenate([position, turn]), self.poses[:, :3])
         poses = np.concatenate([places, product(turn, self.poses[:, 3:])], axis=1)
         child = self.to_mjspec(support=support)
         child.keys[0].qpos = poses.ravel()

@@ -9,7 +9,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.geometry import transformed
+from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import FIRST_OBJECT, DepthImage, RaySensor, sensed_model
 
@@ -66,7 +66,7 @@ class InstanceSensor:
         """Rays are cast where the object can be seen at most."""
         width, height = camera.width, camera.height
         canvas = np.zeros((3 * height, 3 * width), bool)
-        left, right, upper, lower = self._window(transformed(poses[index], self._points[index]), camera)
+        left, right, upper, lower = self._window(transform_points(poses[index], self._points[index]), camera)
         if left < right and upper < lower:
             shifted = camera.K - np.array([[0, 0, left], [0, 0, upper], [0, 0, 0]])
             window = replace(camera, width=right - left, height=lower - upper, K=shifted)

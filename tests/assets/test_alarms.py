@@ -1,8 +1,6 @@
 """Files that contradict themselves by a factor of three are flagged: what is seen, what collides, mass."""
 
-import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +9,6 @@ from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.deviation import size_alarm
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import joined
-from cluttergen_jax.assets.modeller.catalog import POOLS, make_shape
-from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
-from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.assets.stated_mass import combined, mass_alarm
 from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.import_ import Import
@@ -76,23 +71,6 @@ def test_a_mass_that_does_not_fit_the_size(mass, told):
     assert told in alarm
 
 
-def test_a_shell_is_as_heavy_as_its_hull_unless_no_material_weighs_so_much():
-    shell = solid_of(open_box_slabs(wall=0.0002)).mesh
-    assert shell.volume < 0.05 * 240e-6
-    assert mass_alarm(combined([MassProperties(0.1, np.zeros(3), np.eye(3))]), shell) == ""
-    alarm = mass_alarm(combined([MassProperties(0.3, np.zeros(3), np.eye(3))]), shell)
-    assert "over the volume of its mesh" in alarm
-
-
-@pytest.mark.parametrize("family", sorted({family for families in POOLS.values() for family in families}))
-def test_our_own_objects_raise_none(family):
-    shape = make_shape(family)
-    assert shape.parts
-    assert (
-        size_alarm(*(joined(each).vertices for each in ([p.mesh for p in shape.pieces], shape.parts))) == ""
-    )
-
-
 URDF = """<robot name="carton"><link name="box">
   <visual><geometry><box size="0.08 0.06 0.16"/></geometry></visual>
   <collision><geometry><box size="0.18 0.18 0.24"/></geometry></collision>
@@ -116,23 +94,6 @@ def test_a_file_that_contradicts_itself_is_flagged_and_its_table_says_so(tmp_pat
     assert f"  ! carton: {mass}" in pool_table([asset])
 
 
-def test_many_notes_that_differ_in_names_alone_are_told_once(tmp_path):
-    (tmp_path / "carton.xml").write_text(MJCF)
-    (shape,) = read_source(tmp_path / "carton.xml")
-    lost = tuple(f"part-{k}.obj names 'part-{k}.mtl', which is not there" for k in range(9))
-    asset = replace(make_object(shape, BodyConfig(tier="light")), notes=(*lost, "its front is x"))
-    lines = pool_table([asset]).splitlines()
-    assert sum("which is not there" in line for line in lines) == 1
-    assert "    ... and 8 more notes like it, of carton (`ObjectAsset.notes` has all)" in lines
-    assert "  - carton: its front is x" in lines
-
-
-def test_whoever_gives_a_mass_has_looked(tmp_path):
-    (tmp_path / "carton.xml").write_text(MJCF.replace(".09 .09 .12", ".04 .03 .08"))
-    (shape,) = read_source(tmp_path / "carton.xml", ReadOptions(mass=0.5))
-    assert make_object(shape, BodyConfig(tier="light")).flags == ()
-
-
 def test_a_mass_by_volume_is_asked_for_and_named(tmp_path):
     (tmp_path / "carton.xml").write_text(MJCF.replace(".09 .09 .12", ".04 .03 .08"))
     (shape,) = read_source(tmp_path / "carton.xml")
@@ -145,17 +106,3 @@ def test_a_mass_by_volume_is_asked_for_and_named(tmp_path):
     assert any("the mass that its file states is not asked for" in note for note in asset.notes)
     with pytest.raises(ConfigError, match="mass = 'weight'"):
         ReadOptions(mass="weight")
-
-
-def test_size_and_scale_stand_in_the_table_and_outlast_the_pools_files(tmp_path):
-    (tmp_path / "carton.xml").write_text(MJCF.replace(".09 .09 .12", ".04 .03 .08"))
-    (shape,) = read_source(tmp_path / "carton.xml", ReadOptions(scale=0.5))
-    asset = make_object(shape, BodyConfig(tier="light"))
-    write_object(tmp_path / "carton", asset)
-    again = read_object(tmp_path / "carton")
-    assert (again.scale, object_hash(again)) == (0.5, object_hash(asset))
-    heading, row, *_ = pool_table([again]).splitlines()
-    assert heading.split()[:6] == ["object", "size", "mm", "scale", "mass", "kg"]
-    assert row.startswith("carton  40 x 30 x 80    0.5    0.048")
-    # Objects that were not scaled keep the digest that they had.
-    assert "scale" not in json.loads(object_files(replace(asset, scale=1.0))["object.json"])

@@ -1,19 +1,14 @@
 """Visual surfaces face outwards whatever their files say, and sheets are drawn from both sides."""
 
-import mujoco
 import numpy as np
 import pytest
-import trimesh
 
-from cluttergen_jax.assets.body import make_object
 from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import simplified, solid_of
 from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid
-from cluttergen_jax.rendering.picture import render_model
-from tests.helpers.drawing import needs_gl
-from tests.helpers.shapes import open_box_slabs, shape_of, slab
+from tests.helpers.shapes import open_box_slabs, slab
 
 BALL = ellipsoid(np.full(3, 0.05))
 RNG = np.random.default_rng(0)
@@ -100,41 +95,3 @@ def test_a_bowl_of_one_sheet_is_seen_from_both_sides():
     np.testing.assert_allclose(radius[:num] - radius[num:], 0.0002, atol=2e-5)
     (again,) = faced([Piece(bowl)], None)
     assert len(again.mesh.faces) == 2 * num
-
-
-def brightness(surface):
-    """The mean of the pixels that show a surface, and their share."""
-    spec = mujoco.MjSpec()
-    mesh = spec.add_mesh(name="surface")
-    mesh.uservert, mesh.userface = surface.vertices.ravel(), surface.faces.ravel()
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, group=2)
-    image = render_model(spec.compile(), width=120, height=120, samples=1).astype(float).mean(2)
-    return image[image > 0].mean(), (image > 0).mean()
-
-
-@needs_gl
-def test_an_inverted_object_is_drawn_like_the_other():
-    stone = ellipsoid(np.array([0.05, 0.04, 0.03]))
-    light, size = brightness(stone)
-    assert brightness(inverted(stone))[0] < 0.9 * light
-    (piece,) = make_object(shape_of(inverted(stone))).pieces
-    assert brightness(piece.mesh) == (pytest.approx(light, rel=0.02), pytest.approx(size, rel=0.02))
-
-
-def test_a_moebius_strip_is_left_alone():
-    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    across = np.stack(
-        [np.cos(angle) * np.cos(angle / 2), np.sin(angle) * np.cos(angle / 2), np.sin(angle / 2)], 1
-    )
-    ring = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
-    vertices = np.concatenate([ring - 0.01 * across, ring + 0.01 * across])
-    here, there = np.arange(24), np.roll(np.arange(24), -1)
-    low, high = here, here + 24
-    low_next, high_next = there.copy(), there + 24
-    low_next[-1], high_next[-1] = 24, 0
-    faces = np.concatenate([np.stack([low, low_next, high], 1), np.stack([high, low_next, high_next], 1)])
-    strip = Mesh(vertices, faces)
-    assert not trimesh.Trimesh(vertices, faces).is_winding_consistent
-    (after,) = faced([Piece(strip)], None)
-    np.testing.assert_array_equal(after.mesh.faces[: len(faces)], faces)

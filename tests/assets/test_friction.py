@@ -107,13 +107,6 @@ def test_a_change_of_all_friction_changes_an_objects_own():
     assert usual[0] == pytest.approx(0.4)
 
 
-def test_priorities_follow_friction_and_never_reach_the_default():
-    priorities = [own_contact(each, CONTACT.friction)[1] for each in (0.001, 0.1, 0.11, 0.5, 2.0, 10.0, 99.0)]
-    assert priorities == sorted(priorities, reverse=True)
-    assert len(set(priorities)) == 6
-    assert min(priorities) == 1
-
-
 def test_it_is_kept_on_disk_and_absent_where_there_is_none(tmp_path):
     plain, slippery = box("box", FLAT), replace(box("box", FLAT), friction=0.1)
     for name, asset in (("plain", plain), ("slippery", slippery)):

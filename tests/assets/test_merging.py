@@ -12,7 +12,7 @@ from cluttergen_jax.assets.merging import merge_parts, parts_enough
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.solid import solid_of
-from tests.helpers.shapes import open_box_slabs, slab
+from tests.helpers.shapes import slab
 
 
 def cylinder(radius, height, at=0.0):
@@ -62,19 +62,3 @@ def test_boxes_side_by_side_are_one_where_little_lies_between_them(gap, count):
     parts = [box.vertices for box in boxes]
     (fewer,) = merge_parts(parts, solid_of(boxes), (0.05,), enough=1, most=32)
     assert len(fewer) == count
-
-
-def test_walls_of_an_open_box_stay_apart():
-    slabs = open_box_slabs()
-    parts = [each.vertices for each in slabs]
-    (fewer,) = merge_parts(parts, solid_of(slabs), (0.05,), enough=1, most=32)
-    assert len(fewer) == len(parts)
-
-
-def test_a_smaller_limit_merges_less_and_as_if_it_were_alone():
-    slabs = [slab((0.01, 0.03, 0.02 + 0.006 * step), (0.02 * step, 0, 0)) for step in range(8)]
-    parts, solid = [each.vertices for each in slabs], solid_of(slabs)
-    few, many = merge_parts(parts, solid, (0.05, 0.021), enough=1, most=32)
-    assert len(few) < len(many) <= 8
-    (alone,) = merge_parts(parts, solid, (0.021,), enough=1, most=32)
-    assert [len(each) for each in alone] == [len(each) for each in many]

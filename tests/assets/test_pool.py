@@ -1,7 +1,6 @@
 """Pools on disk: what is written is what is read, and damage is named."""
 
 import dataclasses
-import json
 
 import mujoco
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from cluttergen_jax.assets import pool as pools
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object_files import object_hash
-from cluttergen_jax.assets.pool import Pool, find_pool, list_pools, read_pool, write_pool
+from cluttergen_jax.assets.pool import Pool, find_pool, read_pool, write_pool
 from cluttergen_jax.errors import PoolError
 from tests.helpers.shapes import make_box
 
@@ -48,13 +47,6 @@ def test_hash_survives_the_disk_and_sees_every_change(tmp_path, pool):
     assert len(hashes | {object_hash(asset)}) == len(changes) + 1
 
 
-def test_bytes_are_the_same_each_time(tmp_path, pool):
-    first, second = (write_pool(tmp_path / name, pool) for name in "ab")
-    for path in first.rglob("*"):
-        if path.is_file():
-            assert path.read_bytes() == (second / path.relative_to(first)).read_bytes()
-
-
 def test_the_mjcf_opens_in_plain_mujoco(tmp_path, pool):
     path = write_pool(tmp_path / "two", pool)
     model = mujoco.MjModel.from_xml_path(str(path / "tall" / "object.xml"))
@@ -78,27 +70,6 @@ def test_a_damaged_file_is_named(tmp_path, pool, name, harm):
         read_pool(tmp_path / "two")
 
 
-def test_a_damaged_index_is_named(tmp_path, pool):
-    path = write_pool(tmp_path / "two", pool) / "pool.json"
-    for text in ("{", "[]", json.dumps({"format": 99}), json.dumps({"format": 1})):
-        path.write_text(text)
-        with pytest.raises(PoolError, match=r"pool\.json"):
-            read_pool(tmp_path / "two")
-
-
-def test_nothing_is_overwritten_untold(tmp_path, pool):
-    path = write_pool(tmp_path / "two", pool)
-    with pytest.raises(PoolError, match="exists"):
-        write_pool(path, pool)
-    other = Pool("two", pool.objects[:1])
-    write_pool(path, other, overwrite=True)
-    assert read_pool(path).names == ("tall",)
-    assert [each.name for each in tmp_path.iterdir()] == ["two"]
-    (tmp_path / "notes").mkdir()
-    with pytest.raises(PoolError, match="exists"):
-        write_pool(tmp_path / "notes", pool, overwrite=True)
-
-
 def test_a_failed_write_leaves_nothing(tmp_path, pool, monkeypatch):
     path = write_pool(tmp_path / "two", pool)
 
@@ -115,28 +86,11 @@ def test_a_failed_write_leaves_nothing(tmp_path, pool, monkeypatch):
     assert read_pool(path).hash == pool.hash
 
 
-def test_pools_are_found_by_name_and_by_path(home, pool):
-    write_pool(home / "pools" / "mine", pool)
-    assert list_pools()["mine"] == home / "pools" / "mine"
-    assert find_pool("mine").hash == pool.hash
-    assert find_pool(home / "pools" / "mine").hash == pool.hash
-    with pytest.raises(PoolError, match="mine"):
-        find_pool("yours")
-
-
 def test_all_is_the_union_and_clashes_are_prefixed(tmp_path, monkeypatch):
     monkeypatch.setattr(pools, "embedded_root", lambda: tmp_path)
     write_pool(tmp_path / "pools" / "study", Pool("study", (make_box("box"), make_box("lamp"))))
     write_pool(tmp_path / "pools" / "dining", Pool("dining", (make_box("box"),)))
     assert find_pool("all").names == ("dining-box", "study-box", "lamp")
-
-
-def test_a_pool_is_read_like_a_dictionary():
-    pool = Pool("two", (make_box("box"), make_box("lamp")))
-    assert list(pool) == ["box", "lamp"]
-    assert pool["lamp"] is pool.objects[1]
-    assert "lamp" in pool
-    assert "mug" not in pool
 
 
 def test_names_are_unique_and_plain(pool):

@@ -6,15 +6,11 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets import pool as pools
-from cluttergen_jax.assets.pool import Pool, composed, find_pool, public_name, user_root, write_pool
+from cluttergen_jax.assets.pool import Pool, find_pool, user_root, write_pool
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.generation import make_sampler
+from cluttergen_jax.errors import PoolError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
-from cluttergen_jax.learning.methods import choose_method
-from cluttergen_jax.learning.training.train import TrainConfig
 from cluttergen_jax.scene.bank import read_bank
 from tests.helpers.imports import made_here
 from tests.helpers.shapes import make_box
@@ -64,23 +60,6 @@ def test_what_cannot_be_put_together(text, message):
         find_pool(text)
 
 
-def test_a_folder_may_be_called_like_a_union(tmp_path):
-    path = write_pool(tmp_path / "x+y~z", Pool("xyz", (make_box("bar"),)))
-    assert find_pool(path).names == ("bar",)
-
-
-def test_names_without_folders():
-    assert public_name("/home/me/pools/a+dining~mug") == "a+dining~mug"
-    assert public_name("dining") == "dining"
-    assert Trial(pool="/home/me/a+/home/me/b~mug").pool_name == "a+b~mug"
-    assert TrainConfig(pool=composed("/home/me/a", ["mug"])).folder.name == "a~mug-policy-0"
-
-
-def test_part_of_a_pool_has_its_policy():
-    part, whole = (choose_method("policy", pool).checkpoint for pool in ("dining~mug", "dining"))
-    assert part.path == whole.path
-
-
 @pytest.mark.slow
 def test_a_bank_of_a_composition_is_made_continued_and_verified(tmp_path, capsys):
     write_pool(user_root() / "c", Pool("c", (box("cube", (0.03, 0.03, 0.03)), prism("can", 0.03, 0.04))))
@@ -112,14 +91,6 @@ def test_a_bank_of_a_composition_is_made_continued_and_verified(tmp_path, capsys
     # Another exclusion is another bank.
     assert main([*line[:3], "--exclude", "can", *line[5:], "-n", "2"]) == 2
     assert "another names, pool" in capsys.readouterr().err
-
-
-def test_samplers_leave_objects_out():
-    sampler = make_sampler("dining", exclude=("mug", "bottle"), num_objects=3, method="random")
-    assert sampler.problem.config.pool == "dining~mug~bottle"
-    assert not {"mug", "bottle"} & set(sampler.problem.world.names)
-    with pytest.raises(ConfigError, match="exclude"):
-        make_sampler("dining", exclude="mug")
 
 
 def test_adding_to_a_pool(tmp_path):

@@ -10,7 +10,7 @@ from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.assets.stated_mass import believed, combined
 from cluttergen_jax.cli.pool_table import pool_table
 from cluttergen_jax.importing.readers import ReadOptions, read_source
-from tests.helpers.shapes import shape_of, slab
+from tests.helpers.shapes import slab
 
 HALF = np.array([0.05, 0.03, 0.02])
 DENSITY = 500.0
@@ -69,14 +69,6 @@ def test_a_urdf_weighs_what_its_links_weigh_and_its_frozen_joint_is_named(tmp_pa
     assert make_object(given).mass == 2.0
 
 
-def test_what_a_body_can_have_is_taken_whole():
-    lopsided = np.array([0.0, 0.0, -0.01])
-    body, refusal = judged(0.3, np.diag([0.9e-4, 3.1e-4, 3.2e-4]), lopsided)
-    assert refusal == ""
-    assert body.mass == 0.3
-    np.testing.assert_array_equal(body.center, lopsided)
-
-
 @pytest.mark.parametrize(
     ("mass", "inertia", "reason"),
     [
@@ -115,29 +107,6 @@ def test_a_mass_stays_where_only_the_inertia_cannot_be(inertia, center, reason):
     np.testing.assert_allclose(body.inertia, UNIFORM.inertia * 0.3 / UNIFORM.mass)
     assert reason in refusal
     assert "0.3 kg is taken" in refusal
-
-
-def test_a_ball_of_one_kilogram_has_an_even_moment():
-    half = np.full(3, 0.05)
-    cube = mass_properties(slab(half), DENSITY)
-    body, refusal = believed(
-        combined([MassProperties(1.0, np.zeros(3), cube.inertia / cube.mass)]), slab(half), cube, DENSITY
-    )
-    assert (body.mass, refusal) == (1.0, "")
-
-
-def test_what_is_refused_or_missing_is_said_on_the_object(tmp_path):
-    (tmp_path / "chest.urdf").write_text(URDF.format(box=400, lid=100))
-    (shape,) = read_source(tmp_path / "chest.urdf")
-    assert any("500 kg is not taken" in note for note in make_object(shape).notes)
-    (tmp_path / "chest.urdf").write_text(URDF.format(box="much", lid=0.1))
-    (shape,) = read_source(tmp_path / "chest.urdf")
-    assert np.isnan(shape.stated.body.mass)
-    link = '<link name="a"><visual><geometry><box size=".1 .1 .1"/></geometry></visual></link>'
-    (tmp_path / "cube.urdf").write_text(f'<robot name="r">{link}</robot>')
-    (shape,) = read_source(tmp_path / "cube.urdf")
-    assert shape.notes == ("its file states no mass: it is its volume times 500 kg/m^3",)
-    assert shape_of(slab(HALF)).notes == ()
 
 
 def test_mjcf_inertia_is_that_of_the_compiled_bodies(tmp_path):

@@ -48,20 +48,6 @@ def test_embedded_supports_are_what_the_modeller_makes(tmp_path, monkeypatch):
         assert_same(find_support(name), make_support(name))
 
 
-def test_overwriting_replaces_the_whole_folder_and_only_a_support(tmp_path):
-    folder = write_support(tmp_path / "a", make_support("bar_table"))
-    with pytest.raises(PoolError, match="exists"):
-        write_support(folder, make_support("table"))
-    write_support(folder, make_support("table"), overwrite=True)
-    assert [f.name for f in folder.iterdir()] == ["support.json"]
-    other = tmp_path / "mine"
-    other.mkdir()
-    (other / "letter.txt").write_text("keep me")
-    with pytest.raises(PoolError, match="exists"):
-        write_support(other, make_support("table"), overwrite=True)
-    assert (other / "letter.txt").read_text() == "keep me"
-
-
 def test_damage_is_named(tmp_path):
     with pytest.raises(PoolError, match="round_table"):
         find_support("sofa")

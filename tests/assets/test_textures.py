@@ -11,18 +11,15 @@ import pytest
 import trimesh
 from PIL import Image
 
-from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
 from cluttergen_jax.assets.pieces import drawn
-from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.scene_cloud import cloud_colours
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.importing.cache import source_digest
-from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, find_sources, read_source, survey
+from cluttergen_jax.importing.readers import find_sources, read_source
 from cluttergen_jax.importing.supports import support_from_mesh
 from cluttergen_jax.rendering.viewer.scene_nodes import textured_mesh
 from cluttergen_jax.scene.bank.bank import read_bank
@@ -60,26 +57,6 @@ def test_the_colour_of_a_gltf_material_multiplies_its_image(tmp_path):
     (dim,) = read_source(path)[0].pieces
     assert_upright(dim, 0.5)
     assert dim.rgba[0] != 0.5  # MuJoCo takes exactly this grey for no colour at all.
-
-
-@pytest.mark.parametrize(("kd", "is_told"), [("0.8 0.8 0.8", False), ("0 0 0", True), ("0.05 0 0", True)])
-def test_an_mtl_image_is_drawn_as_it_is(kd, is_told, tmp_path):
-    (shape,) = read_source(textured.write_obj(tmp_path, kd=kd))
-    assert_upright(shape.pieces[0])
-    assert [f"(Kd {kd})" in note for note in shape.notes] == [True] * is_told
-
-
-def test_two_materials_of_a_file_stay_apart(tmp_path):
-    path = textured.write_obj(tmp_path)
-    lines = path.read_text().splitlines()
-    middle = next(k for k, line in enumerate(lines) if line.startswith("f ")) + 6
-    path.write_text("\n".join([*lines[:middle], "usemtl plain", *lines[middle:]]) + "\n")
-    with (tmp_path / "slab.mtl").open("a") as file:
-        file.write("newmtl plain\nKd 0.2 0.4 0.6\n")
-    pieces = read_source(path)[0].pieces
-    assert {piece.texture is None: len(piece.mesh.faces) for piece in pieces} == {False: 6, True: 6}
-    plain = next(piece for piece in pieces if piece.texture is None)
-    np.testing.assert_allclose(plain.rgba, (0.2, 0.4, 0.6, 1), atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -183,29 +160,6 @@ def test_an_image_that_is_lost_is_said(harm, tmp_path):
     assert (shape.pieces[0].texture is None) == (harm not in (_moved_in_glb, _with_relief))
 
 
-def test_vertex_colours_become_one_and_that_is_said(tmp_path):
-    vertices, faces, _ = textured.slab()
-    colours = np.zeros((len(vertices), 4), np.uint8)
-    colours[:] = np.where(vertices[:, :1] > 0, (255, 0, 0, 255), (0, 0, 255, 255))
-    trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False).export(str(tmp_path / "a.ply"))
-    (shape,) = read_source(tmp_path / "a.ply")
-    assert any("vertex colours" in note for note in shape.notes)
-    np.testing.assert_allclose(shape.pieces[0].rgba, (0.5, 0, 0.5, 1), atol=0.02)
-
-
-def test_large_images_are_shrunk_unless_asked(tmp_path):
-    path = textured.write_obj(tmp_path)
-    textured.picture(1500).save(tmp_path / "slab.png", "JPEG")
-    (usual,), (large,), (small,) = (
-        read_source(path, options)[0].pieces
-        for options in (None, ReadOptions(max_texture=4096), ReadOptions(max_texture=16))
-    )
-    assert [each.texture.image.size[0] for each in (usual, large, small)] == [1024, 1500, 16]
-    for piece in (usual, large):
-        for (x, y), colour in textured.quarters():
-            np.testing.assert_allclose(textured.colour_at(piece, x, y), colour, atol=12)
-
-
 def test_objects_keep_their_image_on_disk(tmp_path):
     asset = textured.asset()
     write_object(tmp_path / "slab", asset)
@@ -221,12 +175,6 @@ def test_objects_keep_their_image_on_disk(tmp_path):
     image.write_bytes(textured.png(textured.picture(32)))
     with pytest.raises(PoolError, match=asset.textures[0].file_name):
         read_object(tmp_path / "slab")
-
-
-def test_objects_without_an_image_are_what_they_were():
-    """The digests that pools of the first version had."""
-    hashes = {name: object_hash(find_pool(name).objects[0])[:16] for name in ("dining", "office")}
-    assert hashes == {"dining": "bbd45dd74efd9391", "office": "4c94f33de0636655"}
 
 
 def test_supports_keep_their_image(tmp_path):
@@ -287,26 +235,6 @@ def test_welding_keeps_seams_and_simplifying_keeps_the_image():
     assert np.quantile(np.minimum(off, 1 - off)[is_away], 0.99) < 0.02
 
 
-def test_the_second_side_of_a_sheet_has_the_image_too():
-    whole = textured.piece()
-    corners = whole.mesh.vertices[whole.mesh.faces]
-    is_top = (corners[..., 2] > textured.SIZE[2] / 2 - 1e-6).all(1)
-    sheet = dataclasses.replace(whole, mesh=Mesh(whole.mesh.vertices, whole.mesh.faces[is_top]))
-    (both,) = faced([sheet], None)
-    assert len(both.mesh.faces) == 2 * is_top.sum()
-    assert_upright(both)
-    back = dataclasses.replace(both, mesh=Mesh(both.mesh.vertices, both.mesh.faces[is_top.sum() :]))
-    assert_upright(back)
-
-
-def test_clouds_have_the_colours_of_the_image():
-    asset = textured.asset()
-    on_top = np.array([[*place, textured.SIZE[2] / 2] for place, _ in textured.quarters()], np.float32)
-    cloud = np.resize(on_top, asset.cloud.shape)
-    colours = cloud_colours(dataclasses.replace(asset, cloud=cloud))
-    np.testing.assert_array_equal(colours[:4], [colour for _, colour in textured.quarters()])
-
-
 def test_the_viewer_is_given_the_image():
     blob = io.BytesIO(textured_mesh(textured.piece()).export(file_type="glb"))
     (geometry,) = trimesh.load_scene(blob, file_type="glb", process=False).geometry.values()
@@ -318,38 +246,3 @@ def test_the_viewer_is_given_the_image():
     )
     assert_upright(piece)
     assert geometry.visual.material.doubleSided
-
-
-@pytest.mark.parametrize(
-    ("place", "kind"),
-    [
-        ("003_cracker_box/google_16k/textured.obj", "google_16k"),
-        ("065-a_cups/google_16k/textured.obj", "google_16k"),
-        ("003_cracker_box/textured_simple.obj", "YCB-Video"),
-        ("099_something/google_16k/textured.obj", None),
-        ("003_cracker_box/mine.obj", None),
-    ],
-)
-def test_ycb_downloads_bear_its_terms(place, kind, tmp_path):
-    path = tmp_path / place
-    textured.write_obj(path.parent, path.stem, "texture_map.png")
-    (source,) = find_sources(tmp_path)
-    assert isinstance(source, ObjectFile)
-    (shape,) = read_source(path)
-    assert_upright(shape.pieces[0])
-    assert (shape.provenance.licence == "CC BY 4.0") == (kind is not None)
-    if kind:
-        assert shape.name == place.split("/")[0]
-        assert shape.provenance.source == f"YCB Object and Model Set ({kind})"
-        assert "ICAR 2015" in shape.provenance.attribution
-
-
-def test_of_several_scans_of_a_ycb_object_the_best_is_taken(tmp_path):
-    for scan in ("google_512k", "google_16k", "poisson", "tsdf"):
-        textured.write_obj(tmp_path / "006_mustard_bottle" / scan, "textured", "texture_map.png")
-    textured.write_obj(tmp_path / "poisson", "poisson")
-    found = survey(tmp_path)
-    assert [source.name for source in found.sources] == ["006_mustard_bottle", "poisson"]
-    assert found.sources[0].path.parent.name == "google_16k"
-    assert found.sources[0].label == "mustard bottle"
-    assert sorted(each.name.split("/")[2] for each in found.skipped) == ["google_512k", "poisson", "tsdf"]

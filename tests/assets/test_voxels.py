@@ -64,10 +64,3 @@ def test_water_stays_in_an_open_box_and_nowhere_else():
     upside_down = mesh.transformed(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
     assert Voxels.of(upside_down, 60).water().sum() == 0
     assert Voxels.of(box(np.array([0.05, 0.04, 0.03])), 60).water().sum() == 0
-
-
-def test_hidden_faces_are_not_exposed():
-    outer, inner = box(np.array([0.05, 0.05, 0.05])), box(np.array([0.02, 0.02, 0.02]))
-    voxels = Voxels.of(joined([outer, inner]), 40)
-    assert voxels.is_exposed(outer.vertices * 0.999).all()
-    assert not voxels.is_exposed(inner.vertices).any()

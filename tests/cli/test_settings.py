@@ -4,14 +4,12 @@ import errno
 import math
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.reach import check_reach
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.assets.support_file import find_support, list_supports
 from cluttergen_jax.cli.main import main, run
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ConfigError
@@ -19,16 +17,11 @@ from cluttergen_jax.evaluation.measures.simulate import horizons_of
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.importing.readers import ReadOptions
 from cluttergen_jax.importing.run import ObjectConfig
-from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.problem import ProblemConfig, make_problem
-from cluttergen_jax.scene import Scene
 from tests.helpers.banks import two_scenes
 
 NOT_POSITIVE = (math.nan, math.inf, 0.0, -1.0)
-ONE = {"objects": ("mug",), "placement": PlacementConfig(num_objects=1)}
 
 
 @pytest.mark.parametrize("value", NOT_POSITIVE)
@@ -98,15 +91,6 @@ def test_rectangles_are_finite(value):
 # Regions
 
 
-@pytest.mark.parametrize("name", sorted(list_supports()))
-def test_own_regions_lie_on_their_supports(name):
-    support = find_support(name)
-    check_reach(support.region, support)
-    x, y = support.region.half_extents
-    with pytest.raises(ConfigError, match="beyond support"):
-        check_reach(replace(support.region, half_extents=(2 * x, 2 * y)), support)
-
-
 @pytest.mark.parametrize("turn", [0.0, 0.5])
 @pytest.mark.parametrize(
     ("region", "fits"),
@@ -133,11 +117,6 @@ def test_regions_lie_on_the_top_however_they_and_it_are_turned(region, fits, tur
         check_reach(region, table)
 
 
-def test_a_problem_whose_region_is_beyond_the_table_is_refused():
-    with pytest.raises(ConfigError, match="beyond support 'table'"):
-        make_problem(ProblemConfig(region=Rectangle((0.0, 0.0), (0.6, 0.6)), **ONE))
-
-
 def test_regions_that_grow_in_evaluation_may_be_wider_than_the_top(tmp_path):
     runner = Runner(Store(tmp_path))
     problem = runner.setup(runner.resolve(Trial(change="all", num_objects=1)))
@@ -148,45 +127,7 @@ def test_regions_that_grow_in_evaluation_may_be_wider_than_the_top(tmp_path):
 # Scenes in a user's own model
 
 
-def test_attaching_asks_for_objects_and_a_place():
-    asset = make_problem(ProblemConfig(**ONE)).world.objects[0]
-    pose = np.array([[0.0, 0.0, 0.8, 1.0, 0.0, 0.0, 0.0]])
-    scene = Scene(("mug",), (asset,), pose, cuboid_table())
-    for wrong in (
-        {"quaternion": (math.nan, 0.0, 0.0, 0.0)},
-        {"quaternion": (1.0, 0.0)},
-        {"position": (0.0, math.nan, 0.0)},
-    ):
-        with pytest.raises(ConfigError, match=next(iter(wrong))):
-            scene.attach_to(mujoco.MjSpec(), **wrong)
-    with pytest.raises(ConfigError, match="without objects"):
-        Scene((), (), np.zeros((0, 7)), cuboid_table()).attach_to(mujoco.MjSpec())
-    assert scene.attach_to(mujoco.MjSpec()).bodies == ("clutter/mug",)
-
-
 # The command line
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["verify", "x.xml", "--jobs", "-1"],
-        ["certify", "bank", "--jobs", "-1"],
-        ["import", "mesh.obj", "--pool", "mine", "--jobs", "-1"],
-        ["generate", "--threads", "-1"],
-        ["evaluate", "--threads", "-1"],
-    ],
-)
-def test_workers_are_not_negative(words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(words) == 2
-    assert "0 to 4096" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_sampler_has_no_negative_threads():
-    with pytest.raises(ConfigError, match="0 to 4096"):
-        make_sampler(num_threads=-1)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """What a terminal asks for: Ctrl-C and SIGTERM end the process within seconds, and NO_COLOR is heeded."""
 
 import os
-import pty
 import signal
 import subprocess
 import sys
@@ -18,11 +17,11 @@ from tests.helpers.worlds import trio
 BUSY = """
 import hashlib, signal, threading
 from contextlib import nullcontext
-from cluttergen_jax.cli import main, stopping
+from cluttergen_jax.cli import main
 from cluttergen_jax.learning.training.interrupt import Interrupt
-stopping.GRACE = 0.4
+main.GRACE = 0.4
 signal.signal(signal.SIGINT, main._struck)
-stopping.watch_signals(main._struck)
+main.watch_signals(main._struck)
 with {context}:
     # Said from within the call: a signal before it would be answered by Python itself.
     threading.Timer(0.5, print, ["ready"], {{"flush": True}}).start()
@@ -63,11 +62,11 @@ def test_a_compilation_before_which_nothing_is_to_be_saved_is_not_waited_for():
         is_over.wait()
 
     with pytest.raises(KeyboardInterrupt), Interrupt() as interrupt:
-        interrupt.compiled(compilation)
+        interrupt.run_compiling(compilation)
     is_over.set()
     assert signal.getsignal(signal.SIGTERM) is before
     with Interrupt() as interrupt:
-        assert interrupt.compiled(divmod, 7, 2) == (3, 1)
+        assert interrupt.run_compiling(divmod, 7, 2) == (3, 1)
 
 
 @pytest.mark.slow
@@ -98,22 +97,3 @@ def test_a_compilation_ends_within_seconds(tmp_path, command, number):
     assert process.wait(30) in (130, 143, -number)
     # Loaded machines are slow to end a process, too; the compilation itself takes longer.
     assert time.monotonic() - struck < 15
-
-
-@pytest.mark.parametrize(("no_color", "has_color"), [("", True), ("1", False)])
-def test_help_has_colours_where_they_are_wanted(no_color, has_color):
-    ours, theirs = pty.openpty()
-    environment = os.environ | {"NO_COLOR": no_color, "TERM": "xterm", "COLUMNS": "100"}
-    done = subprocess.Popen(
-        [sys.executable, "-m", "cluttergen_jax", "list", "--help"], env=environment, stdout=theirs
-    )
-    os.close(theirs)
-    text = b""
-    try:
-        while part := os.read(ours, 4096):
-            text += part
-    except OSError:
-        # The other end is closed.
-        pass
-    assert done.wait() == 0
-    assert (b"\x1b[" in text) == has_color

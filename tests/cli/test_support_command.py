@@ -82,9 +82,3 @@ def test_what_cannot_be_is_said(file, asked, says, capsys):
     assert says in capsys.readouterr().err
     assert not user_supports().exists()
     assert "drawer_desk" in list_supports()
-
-
-def test_a_file_of_several_objects_is_no_table(file, capsys):
-    trimesh.creation.box((0.3, 0.4, 0.5)).export(file.parent / "stool.stl")
-    assert main(["import", "--support", str(file.parent)]) == 2
-    assert "2 objects" in capsys.readouterr().err

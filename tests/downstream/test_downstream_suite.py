@@ -1,15 +1,12 @@
 """The suite `downstream`: studies whose results bring their tables along; what is made is not made again."""
 
 import json
-import shlex
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream import suite
 from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult, PerceptionRow
 from cluttergen_jax.downstream.perception.evaluation.judged import JudgedMoment
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
@@ -18,19 +15,17 @@ from cluttergen_jax.downstream.rearrange.episode import RearrangeResult
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials
-from cluttergen_jax.downstream.studies import perception, rearrangement, robot, transfer
+from cluttergen_jax.downstream.robot.trials import RobotTrials
+from cluttergen_jax.downstream.studies import perception, rearrangement, robot
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
-from cluttergen_jax.downstream.studies.protocol import PROTOCOL, _table
-from cluttergen_jax.downstream.studies.study import SETS, Found, Scale
-from cluttergen_jax.downstream.studies.trained import SEEDS_NOTE, grouped, mean_figures, pooled, table_of
-from cluttergen_jax.downstream.suite import STUDIES, command_of, result_of
-from cluttergen_jax.errors import BankError, ConfigError, MissingExtraError
+from cluttergen_jax.downstream.studies.protocol import PROTOCOL
+from cluttergen_jax.downstream.studies.study import SETS, Found
+from cluttergen_jax.downstream.suite import STUDIES, result_of
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation import suites
 from cluttergen_jax.evaluation.report import document, read_results, tables_of, write_report
-from cluttergen_jax.proportions import proportion, wilson
+from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
-from cluttergen_jax.types import Verdict
 
 
 def comparison(queries: int) -> PlacerComparison:
@@ -41,16 +36,6 @@ def comparison(queries: int) -> PlacerComparison:
         Table("By", ("a",), ()),
     ]
     return PlacerComparison([row], tables)
-
-
-def trained_row(seed: int | None, good: int, noise: float = 0.0, name: str = "scored") -> dict:
-    """A row of 100 queries of which `good` went well, as a trained placer of that seed would have it."""
-    share = proportion(np.arange(100) < good)
-    figures = dict.fromkeys(("success", "best_of_all", "with_margin", "paper"), share)
-    figures |= {"paper_without_invalid": share, "many": share | {"queries": 30}}
-    figures |= {"z_error": {"median": 0.001}, "verdicts": {v.label: 0.0 for v in Verdict if v >= 0}}
-    trial = {"placer": f"{name}-{seed}", "noise": noise, "queries": 100}
-    return {"trial": trial, "figures": figures, "variant": {"head": name}, "training_seed": seed}
 
 
 def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path):
@@ -72,58 +57,6 @@ def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path)
     assert "### Stable placement from one camera's view" in page
     assert "| random | 0.5 |" in page
     assert f"`cluttergen evaluate --suite downstream`, {result['date']}, 10 or 20 trials a row" in page
-
-
-def test_seeds_of_one_variant_are_told_in_one_line():
-    rows = [trained_row(seed, good) for seed, good in enumerate((90, 80, 100))]
-    rows += [trained_row(seed, 50, noise=1.0) for seed in range(3)] + [trained_row(None, 60, name="random")]
-    assert [len(each) for each in grouped(rows)] == [3, 3, 1]
-    table = table_of("title", rows)
-    assert table.columns[:5] == ("head", "noise", "seeds", "stands [95 %]", "each seed")
-    # All answer the same queries: three seeds are no more trials than one.
-    low, high = wilson(90, 100)
-    assert table.rows[0][:5] == ("scored", "0", "3", f"0.900 [{low:.3f}, {high:.3f}]", "0.900 0.800 1.000")
-    assert table.rows[2][:5] == ("random", "0", "-", f"0.600 [{wilson(60, 100)[0]:.3f}, 0.691]", "-")
-    # One row alone is told as it is.
-    alone = mean_figures(rows[:1])
-    assert alone["success"] == pytest.approx(rows[0]["figures"]["success"])
-
-
-def test_the_papers_protocol_stands_beside_the_strict_count():
-    shared, apart = ([trained_row(0, good)] for good in (90, 70))
-    shared[0]["figures"]["paper_without_invalid"] = proportion(np.arange(80) < 78)
-    table = _table([shared], [apart])
-    assert table.rows[0][2].startswith("0.975 [")
-    assert table.rows[0][4].startswith("0.900 [")
-    assert table.rows[0][5].startswith("0.700 [")
-
-
-def test_a_share_of_fewer_queries_has_the_interval_of_so_many():
-    shares = [proportion(np.arange(number) < number // 2) | {"queries": number} for number in (40, 20, 60)]
-    assert pooled(shares, 100) == proportion(np.arange(20) < 10)
-    assert pooled([{"share": None, "queries": 0}] * 2, 100)["share"] is None
-    table = _table([[trained_row(seed, 90) for seed in range(3)]], [[trained_row(0, 70)]])
-    assert SEEDS_NOTE in table.notes
-
-
-def test_sets_of_the_study_transfer_say_what_is_new_in_them():
-    told = {one.name: transfer.new_there(one) for one in (*SETS, *transfer.CAMERAS)}
-    assert told.pop("household") == ""
-    assert told.pop("small-table") == "table"
-    assert (told.pop("overhead"), told.pop("side")) == ("camera", "camera")
-    assert set(told.values()) == {"objects"}
-
-
-def test_a_studys_command_says_what_was_asked():
-    assert command_of("noise", Scale()) == "cluttergen evaluate --suite downstream --only noise"
-    asked = Scale(quick=True, num_pairs=5000, seeds=2, heads=("scored", "mixture"), seed=3)
-    assert command_of("set-size", asked) == (
-        "cluttergen evaluate --suite downstream --only set-size --quick --heads scored mixture "
-        "--num-pairs 5000 --seeds 2 --seed 3"
-    )
-    assert asked.training_seeds == range(2)
-    assert (Scale().training_seeds, Scale(quick=True).training_seeds) == (range(3), range(1))
-    assert (asked.capped(200), asked.capped(20_000)) == (200, 5000)
 
 
 def test_episodes_of_the_arm_are_counted_by_outcome():
@@ -158,20 +91,6 @@ def test_rearrangements_are_counted_by_episode_and_by_object():
     assert (found["figures"]["picks"], found["figures"]["fewest"]) == (2, 2)
 
 
-def test_the_pages_rearrangements_are_those_of_the_rows_beside_it():
-    results = Path(__file__).parents[2] / "docs" / "results"
-    made = json.loads((results / "rearrangement.json").read_text())
-    words = shlex.split(made["command"])
-    seed = words[words.index("--seed") + 1]
-    for record in made["records"]:
-        asked = {name: record["trial"][name] for name in ("setting", "observer", "row")}
-        folder = results / "episodes" / f"rearrange-{seed}-{asked['observer']}" / asked["setting"]
-        _, *lines = (folder / EPISODES).read_text().splitlines()
-        rows = tuple(RearrangeResult(**json.loads(line)) for line in lines[: record["trial"]["episodes"]])
-        again = rearrangement.row_of(asked, Rearrangements(asked["setting"], asked["observer"], rows))
-        assert json.loads(json.dumps(again)) == record
-
-
 def test_moments_are_counted_over_all_their_objects():
     moment = JudgedMoment(
         moment=0, has_arm=False,
@@ -196,16 +115,6 @@ def test_moments_are_counted_over_all_their_objects():
     # Of the two objects only the one that is well seen counts.
     assert (figures["adds"]["share"], figures["turn"]["share"], figures["both"]["share"]) == (1, 0, 0)
     assert "segmenter" not in perception.row_of(PerceptionResult("true", (row,)), row)["figures"]
-
-
-def test_studies_of_the_robot_name_the_extra_that_is_missing(tmp_path, monkeypatch):
-    def missing():
-        raise MissingExtraError("robot", "the robot")
-
-    monkeypatch.setattr(suite, "panda_folder", missing)
-    with pytest.raises(MissingExtraError, match="robot"):
-        cg.evaluate_suite("downstream", only=("rearrangement",), out=tmp_path)
-    assert not list(tmp_path.iterdir()), "nothing is begun"
 
 
 def test_what_the_suite_does_not_know_is_refused(tmp_path):

@@ -7,18 +7,16 @@ import json
 import jax
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from cluttergen_jax.downstream.fitting.fit import FitConfig, num_examples, taken
 from cluttergen_jax.downstream.placer.heads.features import (
-    CROP_SIDE,
     MIRRORED,
     UNSEEN,
     crops_of,
     features_of,
     own_shape,
 )
-from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead, mass_around
+from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
 from cluttergen_jax.downstream.placer.heads.regression import (
     Clouds,
     RegressionConfig,
@@ -27,24 +25,18 @@ from cluttergen_jax.downstream.placer.heads.regression import (
 )
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lowered
 from cluttergen_jax.downstream.placer.heads.trained import (
-    embedded_placers,
     head_of,
     load_placer,
     placer_folder,
 )
 from cluttergen_jax.downstream.placer.map_search import APART
-from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
 from cluttergen_jax.downstream.placer.training.examples import joined_examples
-from cluttergen_jax.downstream.placer.training.presets import preset
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
 from cluttergen_jax.downstream.placer.training.temperature import best_temperature
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
-from cluttergen_jax.learning.training.metrics_log import read_rows
-from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.search import CLEARANCE
 from tests.helpers.queries import HALF, TALL, made_up_examples, made_up_query, stacked
 
 HEADS = {
@@ -144,18 +136,6 @@ def test_what_is_hidden_is_seen_in_the_features():
     np.testing.assert_allclose(features[1, 16:18], [-3.0, 10 * (0.001 - TALL)], atol=1e-5)
 
 
-def test_a_lowered_object_just_clears_what_was_seen():
-    query, shape = made_up_query(), None
-    shape = own_shape(query)
-    rng = np.random.default_rng(0)
-    poses = lowered(query, Candidates(rng.uniform(-0.1, 0.1, (20, 2)), rng.uniform(0, 6, 20)))
-    picture = np.asarray(crops_of(query.heights, query.ceilings, shape, poses))
-    own = picture[..., 6] > 0
-    lowest = np.array([each[mask].min() / 100 for each, mask in zip(picture[..., 0], own, strict=True)])
-    assert (lowest < CLEARANCE + 1e-4).mean() > 0.9
-    assert picture.shape == (20, CROP_SIDE, CROP_SIDE, 7)
-
-
 def test_padded_queries_are_read_as_before(examples):
     """Worlds of other sizes are joined: maps and under-sides are padded, and nothing that is read changes."""
     small = stacked([made_up_query()])
@@ -179,21 +159,6 @@ def _wider(heights):
 
 
 # Learning
-
-
-def test_a_neighbourhood_outweighs_a_lone_cell():
-    mass = np.zeros((6, 5, 4), np.float32)
-    mass[1, 1, 2] = 0.2
-    mass[3:, 2:, [3, 0, 1]] = 0.8 / 27
-    around = np.asarray(mass_around(mass))
-    assert np.unravel_index(mass.argmax(), mass.shape) == (1, 1, 2)
-    # Turns go round: the middle of 3, 0 and 1 is 0.
-    assert np.unravel_index(around.argmax(), around.shape) == (4, 3, 0)
-    assert around.max() == pytest.approx(0.8)
-    by_hand = ndimage.convolve1d(mass, np.ones(3), axis=2, mode="wrap")
-    for axis in (0, 1):
-        by_hand = ndimage.convolve1d(by_hand, np.ones(3), axis=axis, mode="constant")
-    np.testing.assert_allclose(around, by_hand, rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", HEADS)
@@ -295,28 +260,10 @@ def run(folder, head="mixture", config=CONFIG):
     return PlacerTraining(HEADS[head], config, Taught(), folder, lambda line: None)
 
 
-def test_a_run_that_is_refused_leaves_no_folder(tmp_path):
-    with pytest.raises(ConfigError, match=r"8 pairs in batches of 9"):
-        run(tmp_path / "large", config=FitConfig(num_epochs=1, batch_size=9)).run()
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """Of a head's name its placer of a short run, made when it is first asked for."""
     return functools.cache(lambda name: run(tmp_path_factory.mktemp(name), name).run())
-
-
-@pytest.mark.parametrize(
-    "name", ["scored", *(pytest.param(name, marks=pytest.mark.slow) for name in ("mixture", "regression"))]
-)
-def test_gradient_steps_lower_the_loss(name, runs):
-    rows = read_rows(runs(name).parent / "metrics.csv")
-    assert [row["update"] for row in rows] == [0, 1, 2, 3]
-    assert rows[-1]["loss"] < rows[0]["loss"] - 1e-3
-    record = json.loads((runs(name) / "record.json").read_text())
-    assert (record["kind"], record["head"]) == ("placer", name)
-    assert record["validation"]["loss"] == pytest.approx(min(row["val_loss"] for row in rows), rel=1e-5)
 
 
 def test_a_run_leaves_a_placer_that_tells_chances(runs):
@@ -394,32 +341,3 @@ def test_what_is_no_such_placer_is_refused(tmp_path):
         (tmp_path / "record.json").write_text(json.dumps({"format": 1, **record, "temperature": temperature}))
         with pytest.raises(PoolError, match="temperature"):
             load_placer(tmp_path)
-
-
-def test_presets_take_the_options_of_their_head_alone():
-    head, config = preset("regression", "paper", "symmetric", None, num_epochs=7, seed=3)
-    assert (head.config.features, head.config.loss) == (1024, "symmetric")
-    assert (config.num_epochs, config.seed, config.schedule) == (7, 3, "linear")
-    with pytest.raises(ConfigError, match="preset 'paper' of head 'scored'"):
-        preset("scored", "paper", "printed", None)
-    with pytest.raises(ConfigError, match="loss = 'symmetric' with head 'mixture'"):
-        preset("mixture", "cpu", "symmetric", None)
-    with pytest.raises(ConfigError, match="Did you mean 'scored'"):
-        preset("score", "cpu", "printed", None)
-    with pytest.raises(ConfigError, match="num_epochs = 0"):
-        preset("scored", "cpu", "printed", None, num_epochs=0)
-
-
-def test_the_placer_that_comes_with_the_package_is_small_and_proposes():
-    folder = placer_folder("scored")
-    assert folder == embedded_placers()["scored"]
-    assert sum(path.stat().st_size for path in folder.iterdir()) <= 600_000
-    query = made_up_query()
-    found = jax.jit(find_placer("scored"))(jax.random.key(0), query)
-    assert float(found.score.min()) > 0.9
-    # Beside the box, or in the middle of its top, which is as large as the object.
-    place = np.abs(np.asarray(found.pose)[:, :2] - np.array([0.05, 0.0])).max(1)
-    is_on = place < 0.02
-    assert (is_on | (place > 0.04)).all()
-    assert not is_on[0]
-    np.testing.assert_allclose(found.pose[:, 2], np.where(is_on, TALL, 0.0) + 0.04 + CLEARANCE, atol=1e-5)

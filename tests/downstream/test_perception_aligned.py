@@ -8,12 +8,11 @@ import pytest
 pytest.importorskip("small_gicp", reason="needs the extra perception")
 
 from cluttergen_jax.downstream.perception.aligned import aligned
-from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.geometry import yaw_matrix
-from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, overhead, view_of
+from tests.helpers.perception import OBJECTS, POSES, TABLE, overhead, view_of
 
 MODELS = [ObjectModel.of(each) for each in OBJECTS]
 CORNERS = np.array([[x, y, TABLE.top] for x in (-0.25, 0.25) for y in (-0.3, 0.3)])
@@ -58,26 +57,3 @@ def test_what_has_moved_is_outvoted(wrong):
     moved = POSES.copy()
     moved[2, :2] += [0.012, 0.006]
     assert error(aligned(wrong, known(moved))) < 0.003
-
-
-def test_two_objects_are_no_majority(wrong):
-    assert aligned(wrong, dict(list(known().items())[:2])) is wrong
-    far = POSES.copy()
-    far[:, :2] += 0.15
-    assert error(aligned(wrong, known(far))) == pytest.approx(error(wrong))
-
-
-def test_objects_are_found_where_the_table_has_them(wrong):
-    finder = SceneFinder(OBJECTS, TABLE, ByColour())
-
-    def far(*given):
-        found = finder(*given)
-        return np.linalg.norm(found.pose[:, :2] - POSES[:, :2], axis=1).max()
-
-    as_stated = far([wrong])
-    assert as_stated > 0.005
-    assert far([wrong], None, POSES) < 0.001
-    assert far([wrong], None, POSES, 0.0) > 0.8 * as_stated
-    # Two cameras agree with each other.
-    right = replace(wrong, camera=overhead())
-    assert far([wrong, right]) < 0.7 * as_stated

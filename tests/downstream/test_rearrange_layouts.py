@@ -16,11 +16,10 @@ from cluttergen_jax.downstream.perception.symmetry import (
     turn_matrix,
     turn_symmetry,
 )
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, preferred, unlike
-from cluttergen_jax.downstream.rearrange.settings import AREA, SETTINGS
+from cluttergen_jax.downstream.rearrange.layouts import SceneDraw, clearance_of, unlike
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed
-from cluttergen_jax.geometry import transformed, yaw_quaternion
+from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from tests.helpers.worlds import box, prism
 
 OBJECTS = (
@@ -46,7 +45,7 @@ def test_gaps_are_those_of_the_shadows_of_what_is_moved():
     for _ in range(60):
         poses = drawn_poses(rng)
         hulls = [
-            MultiPoint(transformed(pose, asset.parts[0].vertices)[:, :2]).convex_hull
+            MultiPoint(transform_points(pose, asset.parts[0].vertices)[:, :2]).convex_hull
             for asset, pose in zip(OBJECTS, poses, strict=True)
         ]
         num_moved = int(rng.integers(1, 4))
@@ -57,16 +56,6 @@ def test_gaps_are_those_of_the_shadows_of_what_is_moved():
         # Edges are looked at every 5 mm.
         assert wanted - 1e-9 <= found <= np.hypot(wanted, 0.0025) + 1e-9 + 0.0025 * (wanted > 0)
     assert 10 < apart < 60
-
-
-def test_layouts_that_are_reached_with_room_are_kept_or_the_best_of_the_others():
-    gaps = np.array([0.012, 0.0, 0.003, 0.02, 0.01, 0.03])
-    reach = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.8])
-    assert preferred(reach, gaps, 2).tolist() == [0, 3, 4]
-    assert preferred(reach, gaps, 4).tolist() == [0, 2, 3, 4]
-    assert preferred(reach, gaps, 5).tolist() == [0, 1, 2, 3, 4]
-    assert preferred(reach, gaps, 9).tolist() == [0, 1, 2, 3, 4, 5]
-    assert preferred(reach / 2, gaps, 2).tolist() == [0, 3]
 
 
 def test_unlike_layouts_are_far_from_each_other():
@@ -81,18 +70,6 @@ def test_unlike_layouts_are_far_from_each_other():
         nearest = distances[chosen[:place]].min(0)
         assert nearest[chosen[place]] == pytest.approx(nearest.max())
     assert unlike(OBJECTS, poses[:4], region, 6).tolist() == [0, 1, 2, 3]
-
-
-def test_rules_choose_by_their_column_once_all_is_reached():
-    layouts = Layouts(
-        poses=np.zeros((4, 2, 7)),
-        clearance=np.array([0.01, 0.03, 0.05, 0.02]),
-        reach=np.array([1.0, 1.0, 0.5, 1.0]),
-        travel=np.array([0.3, 0.4, 0.1, 0.2]),
-    )
-    assert layouts.ranked("clearance").tolist() == [1, 3, 0, 2]
-    assert layouts.ranked("similar").tolist() == [3, 0, 1, 2]
-    assert layouts.ranked("reach").tolist() == [1, 3, 0, 2]
 
 
 @pytest.mark.parametrize(
@@ -123,21 +100,6 @@ def test_equal_places_are_no_error_and_others_are(order):
     shift, turn = offset(off, place, order)
     assert shift == pytest.approx(0.01)
     assert turn == pytest.approx(0 if order == ROUND else np.radians(15), abs=1e-6)
-
-
-def test_a_round_object_that_tips_is_wrong():
-    tipped = np.eye(4)
-    tipped[1:3, 1:3] = [[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]]
-    assert offset(tipped, np.eye(4), ROUND)[1] == pytest.approx(0.3)
-
-
-def test_settings_are_within_what_the_arm_reaches():
-    for setting in SETTINGS.values():
-        for region in (setting.start, setting.target):
-            assert (np.abs(region.corners) <= np.asarray(AREA.half_extents) + 1e-9).all()
-    paper = SETTINGS["paper"]
-    assert paper.target.center == (0.0, 0.15)
-    assert paper.target.half_extents == (0.225, 0.125)
 
 
 @pytest.mark.slow

@@ -13,9 +13,7 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, TrueObserver
 from cluttergen_jax.downstream.robot.frames import inverse, matrix_of
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.rendering.gl import RendererError
-from cluttergen_jax.sensing.camera import Camera
-from tests.helpers.arm import BOXES, SCENE
+from tests.helpers.arm import SCENE
 
 
 def test_an_estimate_of_something_round_agrees_whatever_its_turn():
@@ -128,69 +126,3 @@ def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():
     assert np.allclose(matrix_of(moved[0]), execution.tool @ T_tool_object, atol=1e-9)
     assert np.linalg.norm(moved[0, :3] - first[0, :3]) > 0.05
     assert np.array_equal(moved[1], first[1])
-
-
-@pytest.mark.parametrize(("shift", "least"), [(0.02, 0.5), (0.2, 0.7)])
-def test_an_estimate_is_believed_if_it_is_sure_enough_for_what_it_says(shift, least):
-    told = {"certainty": 1.0, "shift": 0.0}
-
-    class Told(TrueObserver):
-        def __call__(self, world, names, known):
-            found = super().__call__(world, names, known)
-            pose = found.pose + np.array([told["shift"], *np.zeros(6)])
-            return replace(found, pose=pose, certainty=np.full(len(names), told["certainty"]))
-
-    execution = Execution(SCENE, 0)
-    sight = ObjectTracker(Told(), EpisodeView(execution, SCENE.names))
-    first = sight()
-    execution.wait(0.1, Phase.FREE)
-    told |= {"certainty": least - 0.01, "shift": shift}
-    assert np.allclose(sight(0)[0, 0], first[0, 0], atol=1e-3)
-    told["certainty"] = least
-    assert np.allclose(sight(0)[0, 0], first[0, 0] + shift, atol=1e-3)
-
-
-def test_who_does_not_see_what_is_held_is_not_asked_for_it():
-    class Far(TrueObserver):
-        sees_held, asked = False, 0
-
-        def __call__(self, world, names, known):
-            self.asked += 1
-            self.known = known
-            return super().__call__(world, names, known)
-
-    execution, observer = Execution(SCENE, 0), Far()
-    sight = ObjectTracker(observer, EpisodeView(execution, SCENE.names))
-    first = sight()
-    execution.wait(0.1, Phase.FREE)
-    assert np.array_equal(sight(0), first)
-    assert observer.asked == 1
-    assert np.isnan(observer.known).all()
-    sight()
-    assert observer.asked == 2
-    assert np.array_equal(observer.known, first)
-    sight.take(1, inverse(execution.tool) @ matrix_of(first[1]))
-    execution.move_fingers(-0.01, Phase.FREE)
-    sight(1)
-    execution.wait(0.1, Phase.FREE)
-    sight()
-    assert np.allclose(observer.known, first, atol=2e-3)
-
-
-def test_cameras_see_the_boxes_and_the_arm():
-    execution = Execution(SCENE, 0)
-    camera = Camera.looking((0.9, 0.0, 1.3), (0.0, 0.0, 0.9), 320, 240, 300.0)
-    with EpisodeView(execution, SCENE.names) as view:
-        try:
-            rgb, depth = view.picture(camera)
-        except RendererError as error:
-            pytest.skip(f"nothing here can draw: {error}")
-        again = view.picture(camera)
-    assert rgb.shape == (camera.height, camera.width, 3)
-    assert np.array_equal(again[1], depth)
-    tops = SCENE.poses[:, :3] + [[0, 0, asset.half_extents[2]] for asset in BOXES]
-    pixels, distance = camera.project(tops)
-    for (column, row), expected in zip(pixels, distance, strict=True):
-        assert depth[int(row), int(column)] == pytest.approx(expected, abs=0.002)
-    (column, row), expected = camera.project((execution.tool @ [0, 0, -0.06, 1])[:3])
-    assert expected - 0.1 < depth[int(row), int(column)] < expected

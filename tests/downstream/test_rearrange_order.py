@@ -4,15 +4,11 @@ from collections import deque
 from itertools import product
 
 import numpy as np
-import pytest
 
 from cluttergen_jax.downstream.rearrange.order import (
-    GAP,
     Meetings,
     Relations,
     is_possible,
-    lowest_first,
-    ready,
     smallest_waiting,
 )
 from tests.helpers.worlds import box
@@ -84,31 +80,6 @@ def test_what_swaps_needs_one_to_wait_and_a_ring_too():
     two_rings = relations_of(4, blocks=[(0, 1), (1, 0), (2, 3), (3, 2)])
     assert len(smallest_waiting(two_rings, range(4))) == 2
     assert smallest_waiting(relations_of(3, blocks=[(0, 1), (1, 2)]), range(3)) == ()
-
-
-def test_what_can_go_home_now():
-    relations = relations_of(4, blocks=[(0, 1)], lies_on=[(1, 2)], goal_on=[(3, 0)])
-    assert ready(relations, range(4)) == [0]
-    assert ready(relations, [1, 2, 3]) == [1, 3]
-    # What stands and is not to be moved lies on something all the same.
-    assert ready(relations, [2]) == []
-
-
-def test_the_lowest_come_first_whatever_is_in_the_way():
-    objects = [box("a", (0.02, 0.02, 0.05)), box("b", (0.02, 0.02, 0.01)), box("c", (0.02, 0.02, 0.03))]
-    assert lowest_first(objects, [0, 1, 2]) == [1, 2, 0]
-    assert lowest_first(objects, [2, 0]) == [2, 0]
-
-
-@pytest.mark.parametrize(("gap", "near"), [(GAP - 0.001, True), (GAP + 0.001, False)])
-def test_a_goal_is_covered_by_what_stands_near_it(gap, near):
-    objects = [box("a", (0.02, 0.03, 0.04)), box("b", (0.03, 0.02, 0.01))]
-    poses = np.array([[0, 0, 0.04, 1, 0, 0, 0], [0.5, 0, 0.01, 1, 0, 0, 0]], float)
-    goals = np.array([[0.5, 0.5, 0.04, 1, 0, 0, 0], [0.05 + gap, 0, 0.01, 1, 0, 0, 0]], float)
-    relations = Meetings(objects).relations(poses, goals)
-    assert relations.blocks.tolist() == [[False, near], [False, False]]
-    assert not relations.lies_on.any()
-    assert not relations.goal_on.any()
 
 
 def test_who_lies_on_whom_now_and_later():

@@ -78,23 +78,6 @@ def test_layouts_come_in_the_order_of_the_rule_and_the_one_shown_is_taken(panel,
     assert "**layout 2** was taken" in panel._said.content
 
 
-def test_between_two_scenes_nothing_can_be_taken(panel):
-    assert all(button.disabled for button in panel._buttons)
-    panel.take()
-    panel.next()
-    with ThreadPoolExecutor(1) as other:
-        for _ in range(2):
-            answer = other.submit(panel, TASK, SCENE.poses, LAYOUTS)
-            until_shown(panel)
-            assert not any(button.disabled for button in panel._buttons)
-            press(panel, "Take this one")
-            # A second click is too late.
-            press(panel, "Take this one")
-            assert answer.result(PATIENCE) == 1
-            assert all(button.disabled for button in panel._buttons)
-    assert panel._taken.empty()
-
-
 @pytest.mark.slow
 def test_a_person_takes_a_layout_in_a_browser(panel, tmp_path):
     with browsers(lambda: tmp_path / "profile", "900,620") as start, ThreadPoolExecutor(1) as other:

@@ -11,21 +11,6 @@ from tests.helpers.worlds import box
 from tests.sensing.scenes import model_of
 
 
-def slab(low, high) -> Mesh:
-    corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), -1).reshape(-1, 3)
-    return Mesh.points(np.asarray(low) + corners * (np.asarray(high) - low))
-
-
-def ring() -> list[Mesh]:
-    """A square tube of 6 cm outside, its walls of 1 cm, upright."""
-    return [
-        slab((-0.03, -0.03, 0), (-0.02, 0.03, 0.05)),
-        slab((0.02, -0.03, 0), (0.03, 0.03, 0.05)),
-        slab((-0.02, -0.03, 0), (0.02, -0.02, 0.05)),
-        slab((-0.02, 0.02, 0), (0.02, 0.03, 0.05)),
-    ]
-
-
 @pytest.mark.parametrize("half", [(0.03, 0.02, 0.01), (0.05, 0.02, 0.036)])
 def test_pairs_of_a_box_lie_on_opposite_faces_that_the_hand_spans(half):
     pairs = sample_pairs(Union(box("box", half).parts), 2000, np.random.default_rng(0))
@@ -34,26 +19,6 @@ def test_pairs_of_a_box_lie_on_opposite_faces_that_the_hand_spans(half):
     assert np.allclose(pairs.width, 2 * np.asarray(half)[axis])
     assert np.allclose(pairs.middle[np.arange(len(axis)), axis], 0)
     assert set(axis) == {side for side in range(3) if 2 * half[side] <= MAX_WIDTH}
-
-
-def test_a_hollow_body_is_held_by_one_wall_or_as_a_whole():
-    pairs = sample_pairs(Union(ring()), 4000, np.random.default_rng(1))
-    level = np.abs(pairs.axis[:, 2]) < 0.5
-    # From inside the tube outwards, and from outside inwards: one wall; and the tube's walls from end to end.
-    widths = np.unique(pairs.width[level].round(6))
-    assert np.allclose(widths, [0.01, 0.06])
-    beyond = pairs.first + pairs.axis * pairs.width[:, None]
-    assert (np.abs(beyond) <= 0.05 + 1e-9).all()
-
-
-def test_no_pair_begins_within_the_body():
-    parts = [slab((-0.03, -0.02, 0), (0.005, 0.02, 0.04)), slab((-0.005, -0.02, 0), (0.03, 0.02, 0.04))]
-    pairs = sample_pairs(Union(parts), 4000, np.random.default_rng(2))
-    along_x = np.abs(pairs.axis[:, 0]) > 0.5
-    assert along_x.any()
-    # The faces where the two overlap are no surface of their union.
-    assert np.allclose(np.abs(pairs.first[along_x, 0]), 0.03)
-    assert np.allclose(pairs.width[along_x], 0.06)
 
 
 @pytest.mark.parametrize("name", ["mug", "wine_glass"])

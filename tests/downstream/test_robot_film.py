@@ -15,16 +15,14 @@ from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.layouts import Layouts
 from cluttergen_jax.downstream.rearrange.observe import TrueObserver
 from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions
-from cluttergen_jax.downstream.rearrange.sheet import layout_sheet, layout_words
+from cluttergen_jax.downstream.rearrange.sheet import layout_sheet
 from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
 from cluttergen_jax.downstream.robot import film as robot_film
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
-from cluttergen_jax.downstream.robot.film import FPS, check_films, film_firsts
-from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
-from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.rendering import gl
+from cluttergen_jax.downstream.robot.film import FPS, film_firsts
+from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.figure import GREEN
-from cluttergen_jax.rendering.gl import RendererError
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera
 from tests.helpers.arm import PLACES, SCENE, standing, task_of
@@ -49,16 +47,6 @@ def turn_arm(trace):
     execution.data.ctrl[execution.panda.grip] = -0.01
     execution.wait(SECONDS / 2, Phase.FREE)
     return execution
-
-
-def test_states_are_kept_with_what_the_hand_holds():
-    trace = Trace(96)
-    execution = turn_arm(trace)
-    assert len(trace.states) == round(SECONDS / 0.1)
-    assert trace.held == [-1] * 5 + [1] * 5
-    assert np.array_equal(trace.states[-1], execution.data.qpos)
-    assert abs(trace.states[0][execution.panda.qpos[0]] - execution.joints[0]) > 0.3
-    assert np.array_equal(turn_arm(None).data.qpos, execution.data.qpos)
 
 
 @pytest.mark.slow
@@ -104,32 +92,8 @@ def test_the_first_of_each_outcome_is_filmed_once_and_as_its_row_says(small, tmp
     assert run == [0, 1, 1]
 
 
-def test_an_episode_that_ends_otherwise_is_an_error_and_no_film(tmp_path):
-    with pytest.raises(BankError, match=r"'no path: to pick it up'.* 'success'"):
-        film_firsts([BAD], lambda number, trace: GOOD, tmp_path / "films", "gif", "place")
-    assert not (tmp_path / "films").exists()
-
-
-def test_a_film_is_at_most_eight_times_as_fast():
-    step = 1 / 960
-    for seconds, speed in ((4.0, 1.0), (30.0, 3.0), (500.0, 8.0)):
-        found = robot_film._every(seconds) * step * FPS
-        assert 0.95 * speed < found <= speed
-
-
-def test_without_a_renderer_it_is_said_before_anything_is_run(monkeypatch):
-    monkeypatch.setattr(gl, "_trial", lambda given: (None, "none"))
-    with pytest.raises(RendererError):
-        check_films("gif")
-
-
 GOALS = np.stack([standing(PLACES[::-1]), standing([[-0.1, -0.1], [0.15, 0.2]]), standing(PLACES)])
 LAYOUTS = Layouts(GOALS, np.array([0.012, 0.2, 0.1]), np.array([1.0, 0.5, 1.0]), np.array([0.16, 0.1, 0.0]))
-
-
-def test_what_is_known_of_a_layout_stands_under_it():
-    assert layout_words(LAYOUTS, 0) == "0: gap 12 mm, reach 100%, way 16 cm"
-    assert layout_words(LAYOUTS, 1, True) == "1, chosen: gap 200 mm, reach 50%, way 10 cm"
 
 
 @needs_gl

@@ -1,6 +1,5 @@
 """The arm's model, grasps that are tested and kept: what must hold, and what must not."""
 
-import importlib.util
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -17,23 +16,20 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.robot import model as robot_model
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
-from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, HandCheck, candidates_of, spread
+from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, HandCheck
 from cluttergen_jax.downstream.robot.grasping.grasps import (
     Grasps,
     grasp_file,
     grasps_of,
     make_grasps,
     read_grasps,
-    verified,
     write_grasps,
 )
 from cluttergen_jax.downstream.robot.grasping.grip_test import MAX_LOAD, MAX_SHIFT, MAX_SLIP, grip_test
-from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet, grasp_trails
 from cluttergen_jax.downstream.robot.grasping.sets import GraspSets
-from cluttergen_jax.downstream.robot.model import Panda, base_pose, home_pose, with_panda
-from cluttergen_jax.errors import MissingExtraError, PoolError
+from cluttergen_jax.downstream.robot.model import Panda, home_pose, with_panda
+from cluttergen_jax.errors import PoolError
 from cluttergen_jax.scene import Scene
-from tests.helpers.drawing import needs_gl
 from tests.helpers.worlds import box
 
 TABLE = cuboid_table()
@@ -60,14 +56,6 @@ def test_poses_and_matrices_are_two_ways_of_saying_the_same():
     assert np.allclose(inverse(matrix) @ matrix, np.eye(4), atol=1e-12)
 
 
-def test_the_arm_stands_before_the_region_on_the_level_of_the_table(panda):
-    data = mujoco.MjData(panda)
-    mujoco.mj_kinematics(panda, data)
-    base = data.xpos[panda.body("panda/link0").id]
-    assert np.allclose(base, [-0.525, 0.0, TABLE.top])
-    assert np.allclose(base, base_pose(TABLE)[:3])
-
-
 def test_the_arm_keeps_its_pose_and_leaves_the_scene_alone(panda):
     data = mujoco.MjData(panda)
     arm = Panda.of(panda)
@@ -92,12 +80,6 @@ def test_each_finger_presses_as_strongly_as_it_should(panda):
         data.ctrl[arm.grip] = robot_model.PandaConfig().grip_target
         mujoco.mj_forward(panda, data)
         assert all(-70 <= force <= -59 for force in data.qfrc_actuator[arm.dofs[7:]])
-
-
-def test_without_the_package_that_carries_it_the_extra_is_named(monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match="robot"):
-        robot_model.panda_folder()
 
 
 def from_above(*heights, width=0.04):
@@ -132,14 +114,6 @@ def test_a_firm_grasp_holds_and_one_of_a_heavy_or_slippery_thing_does_not():
     assert heavy.margin[0] == 0
 
 
-def test_a_grasp_by_an_edge_alone_is_not_kept():
-    """The pads reach 8 mm below the tool: 1 mm of them holds the box, and 2 mm short they would miss it."""
-    light, at_edge = box("box", (0.02, 0.02, 0.05), mass=0.2), from_above(0.03, 0.057)
-    with Rollout(nthread=0) as pool:
-        assert grip_test(light, at_edge, pool).is_held.tolist() == [True, True]
-        assert verified(light, at_edge, pool).is_held.tolist() == [True, False]
-
-
 def test_a_grasp_is_judged_alone_and_by_any_number_of_threads():
     cube = box("cube", (0.02, 0.03, 0.02), mass=0.3)
     candidates = from_above(0.0, 0.01, 0.005)
@@ -148,15 +122,6 @@ def test_a_grasp_is_judged_alone_and_by_any_number_of_threads():
         alone = [grip_test(cube, candidates.take(slice(k, k + 1)), one) for k in range(3)]
     for k, each in enumerate(alone):
         assert all(np.array_equal(a[k], b[0]) for a, b in zip(together, each, strict=True))
-
-
-def test_spread_begins_anywhere_and_takes_the_far_ones_first():
-    rng = np.random.default_rng(0)
-    places = np.array([0.0, 0.001, 0.002, 0.3, 0.301, 0.6])
-    pose = made(np.stack([DOWN] * 6), np.array([[x, 0, 0] for x in places]))
-    chosen = spread(pose, 3, rng)
-    assert {round(x, 1) for x in places[chosen]} == {0.0, 0.3, 0.6}
-    assert sorted(spread(pose, 6, rng)) == list(range(6))
 
 
 @pytest.fixture(scope="module")
@@ -223,12 +188,6 @@ def test_objects_without_grasps_are_named(cube_grasps):
     assert told["cube"] is grasps
 
 
-def test_what_is_too_wide_has_no_candidates():
-    with Rollout(nthread=0) as pool:
-        grasps = make_grasps(box("block", (0.1, 0.1, 0.1)), 8, 0, pool)
-    assert len(grasps) == grasps.num_tested == 0
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("pool", ["household", "dining"])
 def test_every_object_has_grasps(pool, home):
@@ -236,39 +195,3 @@ def test_every_object_has_grasps(pool, home):
     assert sets.lacking == ()
     # The plate's rim is too low and too flat for this hand's palm.
     assert set(sets.lifted_only) <= {"dinner_plate"}
-
-
-def test_candidates_repeat_exactly():
-    mug = find_pool("dining")["mug"]
-    one, two = (candidates_of(mug, 8, 600, np.random.default_rng(1)) for _ in range(2))
-    assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
-
-
-def some_grasps(number):
-    """Made-up ones from above, 3 cm wide; the first holds nothing more than its own weight."""
-    poses = np.tile(pose_of(made(DOWN, (0.0, 0.0, 0.04))), (number, 1))
-    zeros, margin = np.zeros(number), np.linspace(1, MAX_LOAD, number)
-    return Grasps(
-        "cube", "0", poses, zeros + 0.03, zeros, zeros, zeros, margin, np.ones(number, bool), number, poses
-    )
-
-
-def test_a_drawn_grasp_has_its_tips_where_the_fingers_touch():
-    trails = grasp_trails(some_grasps(40), most=3)
-    assert len(trails) == 2 * 3
-    tips = trails[0].points[[0, -1]]
-    assert np.allclose(tips, [[0, 0.015, 0.04], [0, -0.015, 0.04]])
-    assert (trails[0].points[1:3, 2] > 0.04).all(), "the palm is above"
-    weak, strong = trails[0].rgb, trails[-1].rgb
-    assert weak[0] > weak[1]
-    assert strong[1] > strong[0]
-    assert grasp_trails(some_grasps(0)) == []
-
-
-@needs_gl
-def test_a_sheet_shows_grasps_about_the_object():
-    cube = box("cube", (0.02, 0.03, 0.04))
-    bare, held = (grasp_sheet([cube], [some_grasps(n)], columns=1, samples=1) for n in (0, 5))
-    green = (held[..., 1] > 1.3 * held[..., 0].astype(int)) & (held[..., 1] > 60)
-    assert green.sum() > 50
-    assert not ((bare[..., 1] > 1.3 * bare[..., 0].astype(int)) & (bare[..., 1] > 60)).any()

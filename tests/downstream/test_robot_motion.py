@@ -23,10 +23,8 @@ from cluttergen_jax.downstream.robot.episode import (
 )
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of, raised
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.grasping.grips import first_grasp, ranked
 from cluttergen_jax.downstream.robot.model import base_pose, home_pose
 from cluttergen_jax.downstream.robot.motion import execute as robot_execute
-from cluttergen_jax.downstream.robot.motion import plan as robot_plan
 from cluttergen_jax.downstream.robot.motion.collision import (
     CLEARANCE,
     ROOM,
@@ -112,15 +110,6 @@ def test_solutions_bring_the_tool_where_it_should_be(kinematics):
             assert ((joints >= kinematics.low) & (joints <= kinematics.high)).all()
     assert missed <= 1
     assert list(kinematics.solutions(made(DOWN, np.array([0.6, 0.0, TOP])), 1)) == []
-
-
-def test_most_of_what_is_reached_is_found_in_two_tries(kinematics):
-    rng, tools = np.random.default_rng(1), []
-    while len(tools) < 100:
-        tool = kinematics.tool(rng.uniform(kinematics.low, kinematics.high))
-        if tool[2, 2] < 0 and 0 < tool[2, 3] - TOP < 0.5:
-            tools.append(tool)
-    assert np.mean([len(list(kinematics.solutions(tool, 1))) for tool in tools]) >= 0.9
 
 
 def test_a_line_is_straight_and_without_jumps(kinematics):
@@ -233,14 +222,6 @@ def test_a_way_leads_around_what_stands_between(world, kinematics, ends):
     assert not np.array_equal(path, planner.connect(*ends, 0.03, seed=4))
 
 
-def test_a_way_that_is_none_is_given_up(world, kinematics, ends, monkeypatch):
-    monkeypatch.setattr(robot_plan, "MOST_CHECKS", 300)
-    below = ends[1].copy()
-    below[3] -= 1.0
-    assert not world.is_free(below, 0.03)
-    assert Planner(world, kinematics).connect(ends[0], below, 0.03, seed=0) is None
-
-
 @pytest.mark.parametrize("share", [SHARE, 0.25])
 def test_motions_keep_to_their_share_of_the_limits(share):
     rng = np.random.default_rng(5)
@@ -254,14 +235,6 @@ def test_motions_keep_to_their_share_of_the_limits(share):
     assert np.quantile(acceleration / (share * MAX_ACCELERATION), 0.99) < 1.05
     still = timed(np.zeros((3, 7)), step)
     assert len(still.joints) == 1
-
-
-@pytest.mark.parametrize("number", [2, 3, 40])
-def test_short_ways_begin_and_end_at_rest(number):
-    path = np.linspace(np.zeros(7), np.full(7, 0.01), number)
-    motion = timed(path, 1 / 960)
-    assert np.abs(motion.speed[[0, -1]]).max() < 1e-3
-    assert np.allclose(motion.joints[-1], 0.01, atol=1e-6)
 
 
 @pytest.fixture
@@ -352,37 +325,6 @@ def test_what_moved_and_what_does_not_stay_are_found():
     assert result.error > 0.004
 
 
-def test_room_is_kept_besides_where_it_is_asked_for(world, kinematics):
-    """The hand beside the wall, 1 mm and `ROOM` more being asked for."""
-    wall = SCENE.poses[1, 0] + WALL.half_extents[0]
-    world.release(np.array([0.0, 0.0, -9.0, 1, 0, 0, 0]))
-    away = np.array([x for x in np.arange(0.0, 0.12, 0.0005) if is_hand_free(world, wall + x)])
-    world.room = ROOM
-    with_room = np.array([x for x in np.arange(0.0, 0.12, 0.0005) if is_hand_free(world, wall + x)])
-    assert with_room.min() - away.min() == pytest.approx(ROOM, abs=0.001)
-
-
-def is_hand_free(world, x):
-    return world.is_hand_free(made(np.diag([1.0, -1, -1]), np.array([x, 0.0, TOP + 0.06])), 0.02, Mode.COME)
-
-
-def test_grasps_beside_the_middle_come_later(grasps):
-    beside = grasps.pose.copy()
-    beside[0, 0] += 0.05
-    both = replace(grasps, pose=beside, width=np.array([0.05, 0.04]))
-    assert next(ranked(grasps, np.eye(4))).width == 0.06
-    assert next(ranked(both, np.eye(4))).width == 0.04
-    assert first_grasp(both).width.tolist() == [0.04]
-
-
-def test_grasps_in_which_the_object_turned_come_later(grasps):
-    both = replace(grasps, width=np.array([0.05, 0.04]))
-    assert next(ranked(both, np.eye(4))).width == 0.05
-    swings = replace(both, turn=np.array([0.1, 0.0]))
-    assert next(ranked(swings, np.eye(4))).width == 0.04
-    assert first_grasp(swings).width.tolist() == [0.04]
-
-
 def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
     """The cube is put down by feel where, unknown to the arm, a box stands."""
     hidden = SCENE.poses.copy()
@@ -407,64 +349,6 @@ def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
     assert np.linalg.norm(episode_world.execution.poses()[TARGET, :3] - free[:3]) < 0.01
 
 
-@pytest.mark.parametrize(
-    ("blocked", "where", "outcome"),
-    [
-        (Mode.CARRY, 0.2, Outcome.NO_PLACE),
-        (Mode.CLEAR, 0.2, Outcome.NO_PLACE),
-        (Mode.TRAVEL, 0.2, Outcome.NO_PLACE),
-        (Mode.CARRY, 0.0, Outcome.NO_PATH),
-        (Mode.CLEAR, 0.0, Outcome.NO_PATH),
-    ],
-)
-def test_no_joints_are_sought_where_the_hand_alone_cannot_leave_upwards(
-    world, grasps, kinematics, monkeypatch, blocked, where, outcome
-):
-    """Where the object shall stand, and where it stands."""
-    place = matrix_of(np.array(standing(-0.15, 0.2, CUBE)))
-    heights = []
-
-    def is_hand_free(T_world_tool, opening, mode):
-        heights.append(T_world_tool[2, 3])
-        return mode != blocked or abs(T_world_tool[1, 3] - where) > 0.1
-
-    mover = Mover(None, world, kinematics, TARGET, 0, lambda only: SCENE.poses)
-    monkeypatch.setattr(world, "is_hand_free", is_hand_free)
-    monkeypatch.setattr(kinematics, "solutions", None)
-    with pytest.raises(Failed) as failure:
-        mover.find_pick(grasps, place[None])
-    assert failure.value.outcome == outcome
-    # Where only the end of the way is blocked, every centimetre of it was looked at.
-    assert blocked != Mode.TRAVEL or np.ptp(heights) > 0.11
-
-
-def test_what_is_lifted_is_looked_at_as_it_lies_in_the_hand(world, grasps, kinematics, monkeypatch):
-    held = pose_of(matrix_of(grasps.held) @ matrix_of(np.array([0, 0, 0, np.cos(0.1), 0, 0, np.sin(0.1)])))
-    seen, hold = [], world.hold
-    monkeypatch.setattr(
-        world, "hold", lambda T_tool_object: (seen.append(T_tool_object), hold(T_tool_object))
-    )
-    execution = EpisodeWorld(SCENE, TARGET, (), 0).execution
-    mover = Mover(execution, world, kinematics, TARGET, 0, lambda only: SCENE.poses)
-    plan = mover.find_pick(replace(grasps, held=held))
-    assert np.allclose(seen[-1], plan.grip.T_tool_object)
-    assert not np.allclose(seen[-1], inverse(plan.grip.T_object_tool), atol=0.01)
-
-
-@pytest.mark.parametrize(("degrees", "is_found"), [(5, True), (15, False)])
-def test_a_table_holds_up_what_will_hang_a_little_turned(world, grasps, kinematics, degrees, is_found):
-    """The cube's low edge would be 3 mm or 8 mm inside the table; it stands level until it is lifted."""
-    half = np.radians(degrees) / 2
-    hanging = matrix_of(np.array([0, 0, 0, np.cos(half), np.sin(half), 0, 0]))
-    tilted = replace(grasps, held=pose_of(matrix_of(grasps.held) @ hanging))
-    mover = Mover(EpisodeWorld(SCENE, TARGET, (), 0).execution, world, kinematics, TARGET, 0)
-    if is_found:
-        assert mover.find_pick(tilted).grip.width > 0
-    else:
-        with pytest.raises(Failed, match="to pick it up"):
-            mover.find_pick(tilted)
-
-
 @pytest.mark.parametrize(("degrees", "is_corrected"), [(2, True), (10, False)])
 def test_the_hand_is_not_turned_into_the_table(kinematics, degrees, is_corrected):
     """What has turned in the hand is levelled on the way down, unless a finger would meet the table."""
@@ -482,24 +366,6 @@ def test_the_hand_is_not_turned_into_the_table(kinematics, degrees, is_corrected
     if path is not None:
         assert angle_between(kinematics.tool(path[-1]), level) > np.radians(degrees) / 2
         assert world.blocker(path[-1], 0.03, Mode.CARRY) is None
-
-
-def test_no_grasp_is_taken_in_which_the_fingers_would_touch_others_as_they_close(
-    grasps, kinematics, monkeypatch
-):
-    scene = Scene(("low", "cube"), (LOW, CUBE), SCENE.poses[[0, 2]], TABLE)
-    execution = EpisodeWorld(scene, 1, (), 0).execution
-    world = PlanningWorld(scene.names, scene.objects, scene.poses, 1, TABLE, base_pose(TABLE))
-    wide = Mover(execution, world, kinematics, 1, 0).find_pick(grasps).grip.width
-    is_free = world.is_hand_free
-
-    def blocked(tool, opening, mode):
-        is_wide_and_closed = abs(tool[1, 1]) > 0.9 and opening == wide / 2
-        return not is_wide_and_closed and is_free(tool, opening, mode)
-
-    monkeypatch.setattr(world, "is_hand_free", blocked)
-    narrow = Mover(execution, world, kinematics, 1, 0).find_pick(grasps).grip.width
-    assert (wide, narrow) == (0.06, 0.04)
 
 
 def test_what_cannot_be_levelled_is_let_go_where_it_touches(grasps, kinematics, monkeypatch):
@@ -527,28 +393,6 @@ def test_what_cannot_be_levelled_is_let_go_where_it_touches(grasps, kinematics, 
     assert angle_between(matrix_of(execution.poses()[TARGET]), matrix_of(np.array(place))) < np.radians(2)
 
 
-def test_the_hand_leaves_by_a_shorter_way_if_the_arm_reaches_no_farther(grasps, kinematics, monkeypatch):
-    """What turned in the hand since the way was planned may need it; no plan goes so near to the limit."""
-    execution = EpisodeWorld(SCENE, TARGET, (), 0).execution
-    world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
-    mover = Mover(execution, world, kinematics, TARGET, 0)
-    mover.pick(mover.find_pick(grasps))
-    line = mover.planner.line
-
-    def short(joints, along, opening, mode):
-        is_too_far = mode == Mode.COME and np.linalg.norm(along) > 0.05
-        return None if is_too_far else line(joints, along, opening, mode)
-
-    monkeypatch.setattr(mover.planner, "line", short)
-    place = matrix_of(np.array(standing(0.15, -0.15, CUBE)))
-    target = raised(place, 0.001) @ inverse(mover._T_tool_object)
-    joints = next(kinematics.solutions(target, 1))
-    assert mover._lowering(joints, place, mover._opening, mover._T_tool_object) is None
-    assert mover.place(place[None]) == 0
-    assert mover.go_home()
-    assert np.abs(execution.poses()[TARGET, :3] - place[:3, 3]).max() < 0.003
-
-
 def test_what_finds_no_place_is_put_back(grasps, kinematics):
     episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
     world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
@@ -574,9 +418,3 @@ def test_the_stand_lies_beside_the_table(yaw):
     assert gap.max() > 0
     base = base_pose(support)
     assert np.linalg.norm(stand.center[:2] - base[:2]) < 0.8
-
-
-@pytest.mark.slow
-def test_an_episode_is_made_again_by_its_seed(grasps):
-    one, two = (place_episode(SCENE, TARGET, grasps, SCENE.poses[[TARGET]], seed=7) for _ in range(2))
-    assert replace(one, cpu=0.0) == replace(two, cpu=0.0)

@@ -1,6 +1,5 @@
 """`robot place`: rows are kept and taken up again, causes are counted, and places are what a search finds."""
 
-import json
 import math
 import os
 import signal
@@ -27,7 +26,7 @@ from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.places import SearchPlaces
 from cluttergen_jax.downstream.robot.planner_hash import planner_hash
 from cluttergen_jax.downstream.robot.rows import RowFile
-from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials, episode_seed, run_trials
+from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials, run_trials
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers.placing import write_bank
@@ -113,33 +112,6 @@ def test_rows_are_not_continued_with_other_grasps_or_another_planner(bank, made,
     assert len(run_trials(scenes, "lift", 3, 0, tmp_path, {}).rows) == 3
 
 
-def test_rows_of_an_older_version_are_shown_and_not_continued(bank, made, tmp_path, capsys):
-    scenes = list(read_scenes(bank))
-    first = run_trials(scenes, "lift", 2, 0, tmp_path, {"seed": 0})
-    old = '{"seed": 0}\n' + (tmp_path / EPISODES).read_text().partition("\n")[2]
-    (tmp_path / EPISODES).write_text(old)
-    again = run_trials(scenes, "lift", 2, 0, tmp_path, {"seed": 0})
-    assert list(map(repr, again.rows)) == list(map(repr, first.rows))
-    assert "older version, which did not note their grasps, planner, versions" in capsys.readouterr().err
-    with pytest.raises(BankError, match="an older version, which did not note their grasps"):
-        run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 0})
-    assert (tmp_path / EPISODES).read_text() == old
-
-
-def test_rows_of_other_scenes_are_not_taken_up(bank, made, tmp_path):
-    scenes = list(read_scenes(bank))[:2]
-    first = run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 0})
-    numbers = [scene.origin.index for scene in scenes]
-    assert [row.scene for row in first.rows] == [*numbers, numbers[0]]
-    with pytest.raises(BankError, match=f"episode 0 is of scene {numbers[0]}"):
-        run_trials(scenes[1:], "lift", 4, 0, tmp_path, {"seed": 0})
-
-
-def test_without_scenes_it_is_said(tmp_path):
-    with pytest.raises(BankError, match="no scene"):
-        run_trials([], "lift", 3, 0, tmp_path, {})
-
-
 def test_rates_are_of_all_and_of_those_that_were_possible():
     rows = (GOOD, GOOD, failed(Outcome.NO_GRASP), failed(Outcome.CONTACT, "fork"))
     trials = RobotTrials("place", rows)
@@ -150,12 +122,6 @@ def test_rates_are_of_all_and_of_those_that_were_possible():
     assert "of 3 where" in told
     assert "no grasp 1" in told
     assert "fork" in told
-
-
-def test_episodes_have_seeds_of_their_own():
-    seeds = {episode_seed(seed, index) for seed in range(3) for index in range(50)}
-    assert len(seeds) == 150
-    assert episode_seed(1, 7) == episode_seed(1, 7)
 
 
 @pytest.mark.slow
@@ -190,13 +156,6 @@ def test_settings_that_cannot_be_are_refused(given, told, tmp_path):
         cg.robot_place(tmp_path, **given)
 
 
-def test_commands_have_both_actions(capsys):
-    assert main(["robot", "place", "--help"]) == 0
-    assert "--num-episodes" in capsys.readouterr().out
-    assert main(["robot", "grasps", "--help"]) == 0
-    assert "--num-grasps" in capsys.readouterr().out
-
-
 @pytest.mark.slow
 def test_the_command_moves_objects_and_says_how_it_went(bank, home, tmp_path, capsys):
     words = [
@@ -216,20 +175,6 @@ def test_the_command_moves_objects_and_says_how_it_went(bank, home, tmp_path, ca
     assert (tmp_path / "place" / EPISODES).is_file()
     assert main(words) == 0
     assert capsys.readouterr().out == told
-
-
-@pytest.mark.slow
-def test_a_placer_that_looks_is_asked_and_rows_tell_of_its_noise(bank, home, tmp_path, capsys):
-    words = ["robot", "place", str(bank.path), "--placer", "scored", "--num-episodes", "1", "--threads", "1"]
-    assert main([*words, "--out", str(tmp_path)]) == 0
-    assert "of 1 of all episodes" in capsys.readouterr().out
-    recipe, row = map(json.loads, (tmp_path / "place" / EPISODES).read_text().splitlines())
-    assert (recipe["placer"], recipe["noise"], len(recipe["weights"])) == ("scored", 1.0, 64)
-    assert (row["placer"], row["num_others"]) == ("scored", 2)
-    assert row["looks"] in (2, 3)
-    # Without noise they would be other rows.
-    assert main([*words, "--out", str(tmp_path), "--noise", "0"]) == 2
-    assert "made otherwise" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """The arm that looks: what it leaves out of its pictures, what it avoids, and that it is told no truth."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -11,7 +10,6 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.placer.proposers import find_placer
-from cluttergen_jax.downstream.placer.query import without_scores
 from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
 from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
 from cluttergen_jax.downstream.robot.episode import Referee, sensed_place_episode
@@ -23,8 +21,7 @@ from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.columns import CELL, THIN, columns_of
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.sensed import HeldPose
+from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.scene import Scene
@@ -158,29 +155,6 @@ def test_pixels_of_the_arm_and_what_it_brings_are_known_from_its_joints(is_aside
     assert seen > 400
 
 
-def test_a_hand_that_has_closed_has_lost_what_it_held():
-    class Hand:
-        tool, opening, is_closed = np.eye(4), 0.03, False
-
-    hand, start = Hand(), SCENE.poses[0]
-    held = HeldPose(hand, start)
-    assert np.allclose(held()[0], start)
-    hand.is_closed = True
-    held()
-    hand.tool = made(np.eye(3), np.array([0.0, 0.0, 0.1]))
-    assert np.allclose(held()[0, :3], start[:3] + np.array([0, 0, 0.1]))
-    # Along a sloped side the fingers may slide.
-    hand.opening = 0.025
-    held()
-    hand.opening = 0.001
-    with pytest.raises(Failed) as told:
-        held()
-    assert told.value.outcome == Outcome.SLIP
-    # What was let go stays where it is.
-    hand.is_closed, hand.tool = False, np.eye(4)
-    assert np.allclose(held()[0, :3], start[:3] + np.array([0, 0, 0.1]))
-
-
 @pytest.fixture
 def withheld(monkeypatch):
     """Where objects truly are the referee alone knows; the names that planning is told of are kept."""
@@ -240,9 +214,3 @@ def test_what_is_seen_decides_where_it_is_put(scene, placer):
     assert np.allclose(kept[-1, [0, 1, 3]], last[[0, 1, 3]])
     # It rests on the top, as far as that was seen.
     assert abs(kept[-1, 2] - BOX.half_extents[2]) < 0.004
-
-
-def test_without_a_place_in_the_region_nothing_is_put(bank, scene, grasps):
-    away = CameraPlacer(bank, lambda key, query: without_scores(jnp.full((5, 4), 9.0)), "away", 0.0)
-    result = sensed_place_episode(scene, 2, grasps, away, seed=1)
-    assert (result.outcome, result.proposal) == (Outcome.NO_PLACE, -1)

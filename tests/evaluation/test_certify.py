@@ -1,17 +1,15 @@
 """Certificates: measured by hand where a hand can, kept in the bank, and taken up again."""
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
-import cluttergen_jax
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path
 from cluttergen_jax.scene.bank.card import CARD
 from cluttergen_jax.scene.bank.stats import stats_of
-from cluttergen_jax.scene.bank.table import CERTIFICATE, SCHEMA
+from cluttergen_jax.scene.bank.table import CERTIFICATE
 from tests.helpers import banks
 
 
@@ -73,17 +71,6 @@ def test_what_is_certified_is_not_measured_again(bank, capsys):
     assert "| `shake` |" in (bank / CARD).read_text()
 
 
-def test_certificates_from_python_are_the_commands(bank, tmp_path):
-    again = tmp_path / "bank"
-    banks.two_scenes(again)
-    found = cluttergen_jax.certify(again, seconds=0.5)
-    table = read_bank(again).table
-    assert table.equals(read_bank(bank).table)
-    assert found.num_new == table.num_rows
-    assert found.shake.tolist() == [each for each in table["shake"].to_pylist() if each is not None]
-    assert cluttergen_jax.certify(read_bank(again)).num_new == 0
-
-
 def test_a_certificate_of_an_older_version_is_shown_and_completed(tmp_path, capsys):
     path = tmp_path / "bank"
     banks.two_scenes(path)
@@ -124,28 +111,3 @@ def test_a_bank_that_grows_is_certified_as_it_grows(tmp_path, capsys):
     # The new scene failed, and has nothing to be certified.
     assert "(0 rows are new)" in capsys.readouterr().out
     assert read_bank(path).table["shake"].equals(shake)
-
-
-def test_a_block_that_grows_keeps_its_certificates(tmp_path, capsys):
-    path = tmp_path / "bank"
-    banks.two_scenes(path)
-    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
-    before, again = read_bank(path).table, StoredBlocks.of(path).read(0).to_pylist()
-    more = [*again, again[0] | {"index": 3}]
-    with banks.writer(path, 4) as writer:
-        writer.write_block(0, pa.Table.from_pylist(more, schema=SCHEMA))
-    grown = read_bank(path).table
-    assert grown.slice(0, 3).equals(before)
-    assert grown["shake"].null_count == before["shake"].null_count + 1
-    assert "measured: 2 of 3 scenes" in "\n".join(stats_of(read_bank(path)).certificate_lines())
-    # Of a scene that is another one now, nothing is known.
-    more[0] = again[1] | {"index": 0}
-    with banks.writer(path, 4) as writer:
-        writer.write_block(0, pa.Table.from_pylist(more, schema=SCHEMA))
-    assert read_bank(path).table["shake"].to_pylist()[:2] == [None, before["shake"][1].as_py()]
-
-
-def test_a_second_writer_is_refused(bank, capsys):
-    with banks.writer(bank, 3):
-        assert main(["certify", str(bank)]) == 2
-    assert "being written by" in capsys.readouterr().err

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.evaluation import cells, comparison
 from cluttergen_jax.evaluation.episodes import (
     Attempts,
     attempts_of,
@@ -19,7 +18,6 @@ from cluttergen_jax.evaluation.episodes import (
     within,
 )
 from cluttergen_jax.evaluation.studies.fig1a import at_least
-from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_blocks
 from tests.helpers.problems import HalfTable, made_up_rules
 
@@ -74,19 +72,6 @@ def test_figures_by_hand(made_up):
     json.dumps(figures, allow_nan=False)
 
 
-def test_nothing_is_said_of_a_scene_where_none_is_valid(made_up):
-    scenes = made_up[1].scenes
-    none = dataclasses.replace(made_up[1], scenes=scenes.replace(is_success=np.zeros_like(scenes.is_success)))
-    figures = figures_of(none)
-    names = ("attempts_per_valid_scene", "simulated_steps_per_valid_scene")
-    assert [figures[name] for name in names] == [None, None]
-    row = {"trial": dataclasses.asdict(Trial()), "figures": figures}
-    assert [cells.per_valid_scene(row, name, 1) for name in ("attempts", "simulated_steps")] == ["-", "-"]
-    flat = comparison._flat(row)
-    assert [flat[name] for name in names] == [None, None]
-    assert "-" in comparison._table([row]).rows[0]
-
-
 def test_steps_count_placements_that_took_three_attempts():
     # Scene 0: slot 0 stands at once, slot 1 at its third attempt; scene 1: slot 0 never stands.
     rows = [(0, 0, 1, 20, 1), (0, 1, 1, 240, 0), (0, 1, 2, 100, 0), (0, 1, 3, 30, 1)]
@@ -123,11 +108,3 @@ def test_whole_attempts_count_all_steps_and_the_history_tells_what_decided():
     assert int(expected.counts.steps[0]) == 60
     for ours, theirs in zip(jax.tree.leaves(after.history), jax.tree.leaves(expected.history), strict=True):
         np.testing.assert_array_equal(ours, theirs)
-
-
-def test_finished_episodes_make_no_attempt(made_up):
-    sampler, is_wanted = made_up[0], np.array([True, False, True])
-    _, attempts = jax.jit(lambda key: sampler.step(sampler.begin(key, np.arange(3), is_wanted)))(
-        jax.random.key(0)
-    )
-    assert attempts.is_made.tolist() == [True, False, True]

@@ -1,19 +1,13 @@
 """Comparing methods and making suites: from Python, and from the command line."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 import cluttergen_jax
 from cluttergen_jax.cli.evaluate import Evaluate
 from cluttergen_jax.cli.main import run
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.resolved import Checkpoints
-from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.running import command_of, num_failed
-from cluttergen_jax.evaluation.store import Store
-from cluttergen_jax.evaluation.studies.study import Scale
+from cluttergen_jax.evaluation.running import num_failed
 from cluttergen_jax.learning.policies.embedded import list_policies
 
 SUPPORTS = ("table", "round_table")
@@ -67,25 +61,6 @@ def test_suites_fail_where_a_first_seed_is_missing():
     assert num_failed([{"records": [], "measure": {"rows": [timed]}}]) == 1
 
 
-def test_a_comparison_from_python_writes_nothing_unasked(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    found = cluttergen_jax.evaluate(["random"], supports=["table"], num_objects=2, trials=4)
-    (row,) = found.rows
-    assert (row["pool"], row["support"], row["method"], row["trials"]) == ("dining", "table", "random", 4)
-    assert row["low95"] <= row["success"] <= row["high95"]
-    assert found.table.rows[0][:4] == ("dining", "table", "2", "random")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_errors_name_arguments():
-    with pytest.raises(ConfigError, match="num_threads"):
-        cluttergen_jax.evaluate(num_threads=-1)
-    with pytest.raises(ConfigError, match="supports = "):
-        cluttergen_jax.evaluate(supports=())
-    with pytest.raises(ConfigError, match="seeds = 0"):
-        cluttergen_jax.evaluate_suite("paper", seeds=0)
-
-
 def test_a_suite_from_python_hands_out_each_study_as_it_is_done(tmp_path, capsys):
     given = []
     # One scene of each row, too few to tell anything about how different scenes are.
@@ -127,12 +102,3 @@ def test_a_suite_from_python_hands_out_each_study_as_it_is_done(tmp_path, capsys
 def test_mistakes_are_explained(tmp_path, capsys, options, said):
     assert command(tmp_path, **options) == 2
     assert said in capsys.readouterr().err
-
-
-def test_studies_name_the_command_that_makes_them():
-    scale = Scale(quick=True, seeds=1, pools=("my pool", "dining"))
-    runner = Runner(Store(None), Checkpoints(path=Path("runs/x")), num_threads=2)
-    assert command_of("paper", "table2", scale, runner) == (
-        "cluttergen evaluate --checkpoint runs/x --pools 'my pool' dining --suite paper --quick --seeds 1 "
-        "--threads 2 --only table2"
-    )

@@ -4,11 +4,10 @@ import dataclasses
 import json
 import shutil
 
-import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.comparison import compare
 from cluttergen_jax.evaluation.resolved import Checkpoints, MissingCheckpointError, MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
@@ -44,13 +43,6 @@ def test_rows_of_earlier_versions_are_found_again(tmp_path, trial, name):
     assert Store(tmp_path).path(trial.title, key) == tmp_path / name
 
 
-def test_a_store_without_a_folder_keeps_nothing():
-    store = Store(None)
-    assert store.write("row", "k", {"figures": {}}, {})["figures"] == {}
-    assert store.keep("row", "k", {"a": (1, 2)}) == {"a": [1, 2]}
-    assert store.read("row", "k") is store.read_arrays("row", "k") is None
-
-
 def test_store_sets_damaged_files_aside(tmp_path):
     said = []
     store = Store(tmp_path, said.append)
@@ -82,48 +74,6 @@ def test_rows_are_kept_with_both_counts(runner):
     arrays = runner.arrays(trial)
     assert arrays["is_success"].mean() == figures["success"]
     assert arrays["poses"].shape == (6, 2, 7)
-
-
-def test_whole_attempts_change_steps_and_no_verdict(runner):
-    trials = (SMALL, dataclasses.replace(SMALL, whole_attempts=True))
-    cut, whole = (runner.run(runner.resolve(each)) for each in trials)
-    np.testing.assert_array_equal(cut.scenes.is_success, whole.scenes.is_success)
-    np.testing.assert_array_equal(cut.scenes.poses, whole.scenes.poses)
-    assert (cut.scenes.counts.steps <= whole.scenes.counts.steps).all()
-    assert cut.attempts.steps.max() <= 60
-
-
-def test_a_trusted_method_acts_where_nothing_is_taken_away(runner):
-    trial = dataclasses.replace(SMALL, method="spread")
-    assert trial.ruin_after == 0
-    sampler = runner.sampler(runner.resolve(trial))
-    pose = jax.eval_shape(lambda key: sampler.propose(key, sampler.rules.begin(key)), jax.random.key(0))
-    assert pose.shape == (4,)
-
-
-def test_what_trains_guided_names_no_pool(runner, tmp_path):
-    trial = dataclasses.replace(SMALL, method="guided", training_seed=3)
-    elsewhere = Runner(Store(tmp_path / "rows"), Checkpoints(folder=tmp_path))
-    assert elsewhere.row(trial)["hint"] == "cluttergen train --variant guided --seed 3"
-    for name in ("guided-3", "guided"):
-        policy = tmp_path / name / "policy"
-        policy.mkdir(parents=True)
-        record = {"format": 1, "network": {}, "placement": {"max_attempts": 5, "history_stride": 0}}
-        (policy / "record.json").write_text(json.dumps(record))
-        (policy / "weights.npz").write_bytes(b"weights")
-    found = Checkpoints(folder=tmp_path)
-    assert found.find(trial).path == tmp_path / "guided-3" / "policy"
-    # A folder without a seed is of the first one.
-    first = dataclasses.replace(trial, training_seed=0)
-    assert found.find(first).path == tmp_path / "guided" / "policy"
-
-
-def test_changed_regions_are_where_objects_go(runner):
-    trial = dataclasses.replace(SMALL, support="table-1.40x1.40", region=(0.2, 0.2), change="translation")
-    episode = runner.setup(runner.resolve(trial)).rules.begin(jax.random.key(4))
-    center = np.asarray(episode.region.T_world_region.translation())[:2]
-    assert 0 < np.abs(center).max() <= 0.15
-    np.testing.assert_allclose(episode.region.half_extents, [0.1, 0.1], atol=1e-6)
 
 
 def test_missing_checkpoints_are_rows_of_their_own(runner, tmp_path):
@@ -215,8 +165,3 @@ def test_checkpoints_are_found_by_pool_variant_and_seed(tmp_path):
         row = Runner(Store(tmp_path / "results"), found).row(other)
         assert "cannot be used" in row["missing"]
         assert str(tmp_path) not in row["missing"]
-
-
-def test_pool_errors_are_pool_errors(runner):
-    with pytest.raises(PoolError):
-        runner.plan([dataclasses.replace(SMALL, pool="breakfast")])

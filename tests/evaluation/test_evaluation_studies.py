@@ -12,7 +12,7 @@ from cluttergen_jax.downstream.suite import STUDIES as DOWNSTREAM
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.episodes import WITHIN
 from cluttergen_jax.evaluation.measures.survival import PEERS
-from cluttergen_jax.evaluation.report import document, provenance, read_results, tables_of, with_earlier_rows
+from cluttergen_jax.evaluation.report import document, read_results, tables_of
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
@@ -20,7 +20,7 @@ from cluttergen_jax.evaluation.studies import furniture, table1, table2
 from cluttergen_jax.evaluation.studies.findings import Findings, each_standing, row_of
 from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
 from cluttergen_jax.evaluation.studies.survival import SURVIVAL
-from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES, SUITES, find_suite
+from cluttergen_jax.evaluation.suites import STUDIES, SUITES, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -34,13 +34,6 @@ def runner(tmp_path_factory):
 
 
 # What is asked
-
-
-def test_a_grid_holds_every_combination_once():
-    rows = grid(SMALL, method=("random", "drop"), attempts=(1, 2, 3))
-    asked = [(row.method, row.attempts) for row in rows]
-    assert asked == [(m, a) for m in ("random", "drop") for a in (1, 2, 3)]
-    assert {(row.num_objects, row.trials) for row in rows} == {(2, 6)}
 
 
 @pytest.mark.parametrize("suite", SUITES)
@@ -70,18 +63,6 @@ def test_suites_ask_what_the_paper_asked():
     assert len([t for t in studies["table1"] if t.method == "policy"]) == 15
 
 
-def test_unknown_suites_and_studies_are_named():
-    with pytest.raises(ConfigError, match="paper, extended"):
-        find_suite("everything", Scale())
-    with pytest.raises(ConfigError, match="table1"):
-        find_suite("paper", Scale(), ("table9",))
-
-
-@pytest.mark.parametrize(("former", "name"), FORMER_NAMES.items())
-def test_former_names_of_suites_are_understood(former, name):
-    assert find_suite(former, Scale()) == find_suite(name, Scale())
-
-
 def test_methods_choose_rows_and_leave_out_studies_without_any():
     studies = find_suite("paper", Scale(methods=("policy",)))
     assert all({trial.method for trial in study.trials} == {"policy"} for study in studies)
@@ -90,24 +71,6 @@ def test_methods_choose_rows_and_leave_out_studies_without_any():
         "furniture",
         "attempts",
     }
-
-
-def test_imported_groups_are_a_study_of_their_own_where_they_are_at_hand():
-    assert "imported" not in {study.name for study in find_suite("paper", Scale())}
-    with pytest.raises(ConfigError, match="cluttergen import"):
-        find_suite("paper", Scale(), ("imported",))
-    (study,) = find_suite("paper", Scale(imported=(("paper_study", 9),)), ("imported",))
-    assert {(trial.pool, trial.num_objects) for trial in study.trials} == {("paper_study", 9)}
-    rows = [{"trial": dataclasses.asdict(trial), "missing": "none"} for trial in study.trials]
-    (table,) = tables_of(result_of(study, rows))
-    column = table.columns.index("paper: success")
-    shown = {row[1]: row[column] for row in table.rows}
-    assert shown == {"random": "0.000", "policy": "0.874"}
-
-
-def test_imported_groups_stand_beside_the_papers_figures():
-    assert table1.papers("policy", "paper_dining") == table1.papers("beta_free", "dining") == (0.912, 89)
-    assert table1.papers("drop", "dining") is table1.papers("policy", "mine") is None
 
 
 # What is shown
@@ -206,57 +169,6 @@ def test_tables_hold_every_row_and_say_quick(name, number, cells):
     assert ("python train.py" in page) == (name != "furniture")
 
 
-def test_the_papers_figures_stand_beside_ours():
-    (study,) = find_suite("paper", Scale(), ("table2",))
-    rows = [{"trial": dataclasses.asdict(t), "missing": "none"} for t in study.trials]
-    (table,) = tables_of(result_of(study, rows))
-    column = table.columns.index("paper: success")
-    shown = {row[2]: row[column] for row in table.rows if row[1] == "beta_free"}
-    assert shown == {change: f"{value:.3f}" for change, value in table2.PAPER.items()}
-
-
-def test_tables_of_the_authors_sizes_stand_beside_ours():
-    """Each with every pool, by the paper's method as well, under a name of their own."""
-    (study,) = find_suite("paper", Scale(), ("table_tops",))
-    tops = {trial.support for trial in study.trials}
-    assert len(tops) == 11
-    assert "table-1.06x0.80" in tops
-    policies = [trial for trial in study.trials if trial.paper_count]
-    assert {trial.method for trial in policies} == {"beta_free", "policy"}
-    assert len(policies) == 2 * 11 * 5
-    made = figures(3, [1, 1, 1, 3])
-    rows = [{"trial": dataclasses.asdict(t), "figures": made | {"paper": made}} for t in study.trials]
-    shown = tables_of(json.loads(json.dumps(result_of(study, rows))))
-    assert any("the box about the top" in note for table in shown for note in table.notes)
-    assert not any("this project's" in note for table in shown for note in table.notes)
-
-
-def test_values_read_off_the_papers_pictures_stand_below_ours():
-    rows = {}
-    for name in ("fig1a", "steps_by_attempt"):
-        (study,) = find_suite("paper", Scale(), (name,))
-        made = figures(3, [1, 1, 1, 3])
-        made["paper"] = figures(4, [1, 1, 0, 4])
-        asked = [{"trial": dataclasses.asdict(t), "figures": made} for t in study.trials]
-        (table,) = tables_of(json.loads(json.dumps(result_of(study, asked))))
-        rows[name] = {row[:2]: row[2:] for row in table.rows}
-    assert rows["fig1a"]["the paper's", "ClutterGen"] == ("0.990", "1.000", "1.000")
-    assert rows["steps_by_attempt"]["kitchen", "ClutterGen, the paper"] == (
-        "-",
-        "106",
-        "85",
-        "49",
-        "48",
-        "60",
-    )
-    # A row without a memory that falls says that the fall is selection.
-    assert any("kitchen 202 to 99" in note and "selection" in note for note in table.notes)
-    # One that does not fall says nothing.
-    made["paper"]["steps_by_attempt"][1]["mean"] = 300.0
-    (table,) = tables_of(json.loads(json.dumps(result_of(study, asked))))
-    assert not any("selection" in note for note in table.notes)
-
-
 def test_results_page_agrees_with_its_json():
     results, notes = read_results(DOCS / "results"), (DOCS / "missed.md").read_text(encoding="utf-8")
     # New studies have no result until they are made.
@@ -335,56 +247,3 @@ def test_survival_asks_the_engines_that_are_installed(runner, tmp_path):
     assert [row["engine"] for row in result["rows"]] == installed
     assert len(result["notes"]) == len(PEERS) - len(installed)
     assert all("cluttergen_jax[peers]" in note for note in result["notes"])
-
-
-def test_seeds_that_were_trained_in_another_way_have_a_row_of_their_own():
-    (result,) = (each for each in read_results(DOCS / "results") if each["name"] == "table1")
-    one = next(row for row in result["records"] if row["trial"]["method"] == "beta_free" and "figures" in row)
-    alike = one | {"trial": one["trial"] | {"training_seed": 1}}
-    other = one | {"policy": one["policy"] | {"attempts": 1000}}
-    missing = {"trial": one["trial"], "missing": "no checkpoint", "hint": "train it"}
-    (table,) = table1.tables(result | {"records": [one, other, alike, missing]})
-    assert [row[2] for row in table.rows] == ["2", "1"]
-    # Scenes of several trainings are not as many trials of the method: a note says what the interval is of.
-    assert any("success of several seeds" in note for note in table.notes)
-    (table,) = table1.tables(result | {"records": [one, other]})
-    assert not any("success of several seeds" in note for note in table.notes)
-    (table,) = table1.tables(result | {"records": [missing]})
-    assert len(table.rows) == 1
-
-
-def test_rows_that_were_not_made_again_stay_with_where_they_come_from():
-    (earlier,) = (each for each in read_results(DOCS / "results") if each["name"] == "table1")
-    asked = {trial.method for trial in table1.trials(Scale())}
-    first, *others = (
-        row for row in earlier["records"] if "figures" in row and row["trial"]["method"] in asked
-    )
-    of_before = first | {"trial": first["trial"] | {"method": "beta"}}
-    earlier = earlier | {"records": [first, of_before, *others]}
-    # As an older version wrote it, which knew of no other order.
-    first = first | {"trial": {name: value for name, value in first["trial"].items() if name != "order"}}
-    earlier = earlier | {"records": [first, *earlier["records"][1:]]}
-    again = first | {
-        "trial": first["trial"] | {"order": "random"},
-        "figures": first["figures"] | {"success": 0.5},
-    }
-    fresh = first | {"trial": again["trial"] | {"method": "guided"}}
-    made = earlier | {"records": [again, fresh], "command": "cluttergen again", "date": "2026-12-01"}
-    made.pop("earlier", None)
-    merged = with_earlier_rows(made, earlier)
-    assert len(merged["records"]) == len(others) + 2
-    assert sum(row["figures"]["success"] == 0.5 for row in merged["records"]) == 1
-    pools = [row["trial"]["pool"] for row in merged["records"]]
-    assert pools == sorted(pools, key=pools.index), "the rows of a pool stand together"
-    told = provenance(merged)
-    assert told.startswith("`cluttergen again`")
-    assert f"did not make again: `{earlier['command']}`" in told
-    assert tables_of(merged)
-    assert with_earlier_rows(earlier, made | {"records": [first]}) is earlier
-    # What the older version did not know of sets new rows apart.
-    largest = again | {"trial": again["trial"] | {"order": "largest"}}
-    merged = with_earlier_rows(made | {"records": [again, largest]}, earlier | {"records": [first, *others]})
-    assert len(merged["records"]) == len(others) + 2
-    robot = next(each for each in read_results(DOCS / "results") if each["name"] == "robot")
-    with pytest.raises(ConfigError, match="'robot' to be kept"):
-        with_earlier_rows(robot, robot)

@@ -8,15 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.arrangement import by_object, region_positions
+from cluttergen_jax.evaluation.measures.arrangement import by_object
 from cluttergen_jax.evaluation.measures.diversity import (
-    at_equal_count,
-    edge_share,
     embed,
-    independent_distance,
-    moment_root,
     nearest_distance,
-    plan_box_area,
     plan_clusters,
     plan_entropy,
     scene_distances,
@@ -67,13 +62,6 @@ def test_by_object_says_where_each_object_is():
     assert (slot[~placed] == -1).all()
 
 
-@given(st.floats(-0.3, 0.3), st.floats(-0.2, 0.2), st.floats(0, 6.28))
-def test_region_frame_is_the_regions(x, y, yaw):
-    turn = Rotation.from_euler("z", yaw + REGION.yaw).as_quat()[[3, 0, 1, 2]]
-    poses = scenes_at(np.array([[[x, y]]]), turn)
-    np.testing.assert_allclose(region_positions(poses, REGION), [[[x, y]]], atol=1e-12)
-
-
 def test_entropy_of_one_place_is_zero_and_of_all_cells_that_of_an_even_spread():
     grid = np.stack(np.meshgrid(np.arange(6) + 0.5, np.arange(4) + 0.5, indexing="ij"), -1).reshape(-1, 2)
     positions = np.zeros((24, K, 2))
@@ -86,19 +74,6 @@ def test_entropy_of_one_place_is_zero_and_of_all_cells_that_of_an_even_spread():
     assert result.area[0] == pytest.approx(0.01)
     assert np.isnan(result.entropy[2])
     assert result.count.tolist() == [24, 24, 0]
-
-
-def test_shares_along_the_edges():
-    rng = np.random.default_rng(2)
-    positions = np.zeros((4000, K, 2))
-    positions[:, 0] = rng.uniform(-1, 1, (4000, 2)) * REGION.half_extents
-    positions[:, 1] = [0.99 * REGION.half_extents[0], 0.0]
-    shares = edge_share(scenes_at(positions), np.ones((4000, K), bool) & [True, True, False], REGION)
-    assert shares[0] == pytest.approx(0.36, abs=0.03)
-    assert shares[1] == 1
-    assert np.isnan(shares[2])
-    with pytest.raises(ConfigError, match="band"):
-        edge_share(scenes_at(positions), np.ones((4000, K), bool), REGION, 0.6)
 
 
 def test_clusters_are_told_from_an_even_spread():
@@ -124,26 +99,6 @@ def test_correction_removes_most_of_the_bias():
     bias, plain_bias = result.entropy.mean() - truth, result.plain.mean() - truth
     assert plain_bias < -0.2
     assert abs(bias) < 0.4 * abs(plain_bias)
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**31), st.integers(1, 30))
-def test_entropy_is_bounded_and_knows_no_order(seed, num):
-    rng = np.random.default_rng(seed)
-    poses, is_placed = random_scenes(rng, num)
-    result = plan_entropy(poses, is_placed, REGION)
-    known = ~np.isnan(result.entropy)
-    assert ((result.evenness[known] >= 0) & (result.evenness[known] <= 1)).all()
-    assert (result.entropy[known] >= result.plain[known] - 1e-12).all()
-    order = rng.permutation(num)
-    np.testing.assert_allclose(plan_entropy(poses[order], is_placed[order], REGION).entropy, result.entropy)
-
-
-def test_box_is_the_rectangle_between_extremes():
-    positions = np.array([[[-0.1, 0.0]], [[0.2, 0.05]], [[0.0, -0.1]], [[0.29, 0.19]]])
-    is_placed = np.array([[True], [True], [True], [False]])
-    assert plan_box_area(scenes_at(positions), is_placed, REGION) == pytest.approx(0.3 * 0.15)
-    assert np.isnan(plan_box_area(scenes_at(positions), is_placed & False, REGION))
 
 
 def test_distance_of_one_object_is_that_of_its_points():
@@ -188,22 +143,6 @@ def test_distance_is_a_metric_whatever_is_absent(seed):
     np.testing.assert_array_equal(scene_distances(vectors_of(elsewhere, is_placed)), distances)
 
 
-def test_distance_to_an_absent_object_is_by_its_definition():
-    poses = scenes_at(np.full((2, K, 2), 0.05))
-    is_placed = np.array([[True, False, False], [False, False, False]])
-    trace = np.square(moment_root(OBJECTS[0])).sum()
-    expected = np.sqrt(2 * 0.05**2 + trace + 0.4**2)
-    vectors = vectors_of(poses, is_placed, absence=0.4, num_slots=1)
-    assert scene_distances(vectors)[0, 1] == pytest.approx(expected)
-
-
-def test_independent_distance_is_that_of_even_draws():
-    rng = np.random.default_rng(3)
-    points = rng.uniform(-1, 1, (2, 200_000, 2)) * REGION.half_extents
-    drawn = np.sqrt(np.square(points[0] - points[1]).sum(1).mean())
-    assert independent_distance(REGION) == pytest.approx(drawn, rel=0.01)
-
-
 def test_nearest_is_the_nearest_and_zero_for_a_repeated_scene():
     rng = np.random.default_rng(4)
     poses, is_placed = random_scenes(rng, 30)
@@ -213,13 +152,6 @@ def test_nearest_is_the_nearest_and_zero_for_a_repeated_scene():
     assert nearest_distance(np.concatenate([vectors, vectors[:1]]))[[0, -1]].tolist() == [0, 0]
     with pytest.raises(ConfigError):
         nearest_distance(vectors[:1])
-
-
-@pytest.mark.parametrize("num", [1, 2, 17])
-def test_vendi_of_equals_is_one_and_of_strangers_their_number(num):
-    assert vendi_score(np.ones((num, num))) == pytest.approx(1.0)
-    assert vendi_score(np.eye(num)) == pytest.approx(num)
-    assert vendi_score(np.kron(np.eye(num), np.ones((3, 3)))) == pytest.approx(num)
 
 
 def test_vendi_counts_scenes():
@@ -234,34 +166,3 @@ def test_vendi_counts_scenes():
     assert vendi_score(scene_kernel(np.repeat(vectors, 3, axis=0), REGION)) == pytest.approx(score)
     assert vendi_score(scene_kernel(vectors, REGION, 1e-4)) == pytest.approx(12)
     assert vendi_score(scene_kernel(vectors, REGION, 1e4)) == pytest.approx(1, abs=1e-4)
-
-
-def test_what_is_no_kernel_is_refused():
-    for kernel in (
-        np.zeros((2, 2)),
-        np.ones((2, 3)),
-        np.array([[1, 2], [2, 1]]),
-        np.array([[1, 0.5], [0, 1]]),
-    ):
-        with pytest.raises(ConfigError):
-            vendi_score(kernel)
-    with pytest.raises(ConfigError):
-        plan_entropy(np.zeros((3, 2, 7)), np.ones((3, 3), bool), REGION)
-    with pytest.raises(ConfigError):
-        plan_entropy(np.full((3, 2, 7), np.nan), np.ones((3, 2), bool), REGION)
-
-
-def test_equal_counts_make_unequal_sets_comparable():
-    rng = np.random.default_rng(6)
-    vectors = rng.normal(size=(400, 3))
-
-    def nearest(rows):
-        return float(nearest_distance(vectors[rows]).mean())
-
-    assert at_equal_count(nearest, 400, 400) == (pytest.approx(nearest(np.arange(400))), 0.0)
-    few, spread = at_equal_count(nearest, 400, 50, num_draws=10)
-    # In three dimensions the distance shrinks with the cube root of the number.
-    assert few == pytest.approx(2 * nearest(np.arange(400)), rel=0.15)
-    assert 0 < spread < 0.2 * few
-    with pytest.raises(ConfigError):
-        at_equal_count(nearest, 400, 401)

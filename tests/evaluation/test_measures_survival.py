@@ -7,8 +7,6 @@ import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.bullet_world import BodyFrames
 from cluttergen_jax.evaluation.measures.drake_world import DrakePeer
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.simulate import movement, shift_and_turn, without_sinking
@@ -101,37 +99,6 @@ def test_a_pair_has_the_objects_own_friction_in_drake():
     pairs = [drake.CalcContactFrictionFromSurfaceProperties(support, one) for one in each]
     np.testing.assert_allclose([pair.static_friction() for pair in pairs], [0.5, 0.1, 0.9])
     peer.close()
-
-
-def test_what_diverges_in_drake_does_not_stand(models, monkeypatch):
-    drake = pytest.importorskip("pydrake.all", reason="needs the extra peers")
-
-    class Diverging(drake.Simulator):
-        def AdvanceTo(self, time):
-            monkeypatch.setattr(Diverging, "AdvanceTo", lambda *_: pytest.fail("it goes on"))
-            raise RuntimeError("SceneGraph encountered a non-finite value")
-
-    monkeypatch.setattr(drake, "Simulator", Diverging)
-    poses, is_placed, _ = scenes()
-    result = movement_elsewhere("drake", models, poses[:1], is_placed[:1])
-    assert np.isinf(result.largest_shift).all()
-    assert not result.survives().any()
-
-
-def test_body_frames_go_there_and_back():
-    rng = np.random.default_rng(0)
-    frames = BodyFrames.of(OBJECTS)
-    poses = rng.normal(size=(3, 7))
-    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
-    back = frames.object_poses(range(3), frames.body_poses(range(3), poses))
-    np.testing.assert_allclose(back[:, :3], poses[:, :3], atol=1e-12)
-    np.testing.assert_allclose(np.abs((back[:, 3:] * poses[:, 3:]).sum(1)), 1)
-
-
-def test_unknown_engine_is_refused(models):
-    poses, is_placed, _ = scenes()
-    with pytest.raises(ConfigError, match="pybullet, drake"):
-        movement_elsewhere("abacus", models, poses, is_placed)
 
 
 def test_what_all_objects_sink_together_is_no_motion():

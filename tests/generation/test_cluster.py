@@ -11,14 +11,13 @@ from contextlib import suppress
 import numpy as np
 import psutil
 import pytest
-import trimesh
 
 import cluttergen_jax as cg
 from cluttergen_jax import cluster as clusters
 from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.cluster import MOST_DEATHS, Cluster, cluster_of, each_on
+from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.config import VerifyConfig
-from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
+from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.scene.bank import BankWriter, read_bank
 from tests.helpers import banks
 from tests.helpers import clusters as work
@@ -64,12 +63,6 @@ def test_an_item_that_always_kills_its_worker_is_named(ray, tmp_path):
     assert MOST_DEATHS <= len(list(tmp_path.iterdir())) <= MOST_DEATHS + 1
 
 
-@pytest.mark.slow
-def test_workers_that_never_start_are_not_hired_for_ever(ray):
-    with pytest.raises(ClutterGenError, match="6 worker processes died over their start"):
-        list(each_on(TWO, work.no_start, range(12), "number"))
-
-
 def test_what_the_function_raises_is_raised_here(ray):
     with pytest.raises(ConfigError, match=r"item \d\. Allowed: none\. Try: another\."):
         list(each_on(TWO, work.refusals, range(3), "number"))
@@ -82,23 +75,6 @@ def test_workers_of_other_versions_are_refused(ray, monkeypatch):
         list(each_on(TWO, work.squares, range(3), "number"))
 
 
-def test_workers_have_the_settings_of_this_process_and_no_others(ray, monkeypatch):
-    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
-    # Ray gives each worker this one by itself.
-    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    names = ["XLA_FLAGS", "OMP_NUM_THREADS", "JAX_PLATFORMS"]
-    found = dict(each_on(TWO, work.variables, names, "name"))
-    assert found == {0: "--xla_cpu_enable_fast_math=false", 1: None, 2: "cpu"}
-
-
-def test_workers_end_with_whoever_left_early(ray):
-    results = each_on(TWO, work.squares, range(1000), "number")
-    _, (_, process) = next(results)
-    results.close()
-    psutil.wait_procs([psutil.Process(process)] if psutil.pid_exists(process) else [], timeout=60)
-    assert not psutil.pid_exists(process)
-
-
 @pytest.mark.slow
 def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(ray, pool, tmp_path, monkeypatch):
     """The test of four workers below in miniature, in the Ray of all quick tests."""
@@ -106,7 +82,7 @@ def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(ray, po
     cg.generate(tmp_path / "one" / "bank", **options)
     # Of five blocks the workers have four in hand at first: one that dies is missed.
     killed, hired = [], []
-    write, hire = BankWriter.write_block, clusters._Crew._hired
+    write, hire = BankWriter.write_block, clusters._Crew._start_worker
 
     def write_and_kill(writer, block, table):
         nonlocal killed
@@ -115,7 +91,7 @@ def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(ray, po
             killed[0].send_signal(signal.SIGKILL)
 
     monkeypatch.setattr(BankWriter, "write_block", write_and_kill)
-    monkeypatch.setattr(clusters._Crew, "_hired", lambda crew: hired.append(crew) or hire(crew))
+    monkeypatch.setattr(clusters._Crew, "_start_worker", lambda crew: hired.append(crew) or hire(crew))
     cg.generate(tmp_path / "two" / "bank", **options, cluster="local", workers=2)
     assert len(hired) == 3
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
@@ -123,19 +99,6 @@ def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(ray, po
 
 def contents(path):
     return {str(each.relative_to(path)): each.read_bytes() for each in path.rglob("*") if each.is_file()}
-
-
-def test_without_ray_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"cluttergen_jax\[ray\]"):
-        list(each_on(TWO, work.squares, range(3), "number"))
-
-
-def test_workers_want_a_cluster():
-    assert cluster_of(None, 0) is None
-    for cluster, workers in ((None, 2), ("local", -1)):
-        with pytest.raises(ConfigError, match=f"workers = {workers}"):
-            cluster_of(cluster, workers)
 
 
 def begin(pool, path, *more):
@@ -183,16 +146,6 @@ def whole(pool, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_four_workers_of_which_one_is_killed_make_the_bank_of_one_process(pool, whole, tmp_path):
-    path = tmp_path / "bank"
-    running = begin(pool, path, "--cluster", "local", "--workers", "4")
-    wait_for(lambda: list(path.glob("scenes-*.parquet")) and len(actors(running)) == 4, running)
-    actors(running)[0].send_signal(signal.SIGKILL)
-    assert running.wait() == 0, running.stderr.read()
-    assert contents(path) == contents(whole)
-
-
-@pytest.mark.slow
 def test_ctrl_c_leaves_a_bank_that_goes_on(pool, whole, tmp_path):
     path = tmp_path / "bank"
     running = begin(pool, path, "--cluster", "local", "--workers", "2")
@@ -205,12 +158,6 @@ def test_ctrl_c_leaves_a_bank_that_goes_on(pool, whole, tmp_path):
     assert 256 <= read_bank(path).table.num_rows < 2300
     assert begin(pool, path, "--cluster", "local", "--workers", "3").wait() == 0
     assert contents(path) == contents(whole)
-
-
-@pytest.mark.slow
-def test_an_item_that_is_given_up_is_told_from_the_others(ray, tmp_path):
-    found = dict(each_on(TWO, work.Deaths(tmp_path, 100), range(6), "number", if_lost=99))
-    assert found == {0: 0, 1: -1, 2: -2, 3: 99, 4: -4, 5: -5}
 
 
 @pytest.mark.slow
@@ -243,21 +190,3 @@ def test_rows_of_a_table_are_the_same_on_a_cluster(ray, pool, tmp_path):
         }
     # Kept as if they had been made here.
     assert cg.evaluate(**asked, out=tmp_path).rows == there
-
-
-@pytest.mark.slow
-def test_an_import_on_a_cluster_makes_the_same_pool(ray, tmp_path, monkeypatch):
-    (tmp_path / "meshes").mkdir()
-    for number in range(3):
-        trimesh.creation.box((0.05, 0.06, 0.04 + 0.01 * number)).export(
-            tmp_path / "meshes" / f"box_{number}.stl"
-        )
-    (tmp_path / "meshes" / "bad.obj").write_text("v 0 0 nonsense")
-    pools = []
-    for name, more in (("here", {}), ("there", {"cluster": "local", "workers": 2})):
-        monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / name))
-        report = cg.import_pool(tmp_path / "meshes", "boxes", trials=4, progress=False, **more)
-        assert [each.name for each in report.failures] == ["bad"]
-        pools.append(report.pool)
-    assert pools[0].hash == pools[1].hash
-    assert pools[0].names == pools[1].names == ("box_0", "box_1", "box_2")

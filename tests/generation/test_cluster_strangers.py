@@ -8,9 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cluttergen_jax import cluster as clusters
 from cluttergen_jax.cluster import Cluster, each_on
-from cluttergen_jax.errors import ClutterGenError
 from tests.helpers import clusters as work
 
 ray = pytest.importorskip("ray", reason="needs the extra ray")
@@ -66,19 +64,3 @@ def test_strangers_are_refused_and_nothing_is_left(place):
     assert not list((place / "home").rglob("auth_token"))
     assert {k: v for k, v in os.environ.items() if k.startswith("RAY_AUTH")} == {}
     assert set(before) <= set(os.environ)
-
-
-def test_a_ray_that_knows_no_tokens_is_not_started(monkeypatch, place):
-    monkeypatch.setattr(ray, "__version__", "2.51.1")
-    with pytest.raises(ClutterGenError, match=r"Ray 2\.51\.1 lets anybody .* Ray 2\.52 or newer"):
-        list(each_on(Cluster("local", 1), work.variables, ["HOME"], "name"))
-    assert list((place / "tmp").iterdir()) == []
-
-
-def test_a_long_temporary_folder_has_no_room_for_sockets(monkeypatch, tmp_path):
-    monkeypatch.delenv("RAY_TMPDIR", raising=False)
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / ("long" * 10)))
-    with clusters._folder_for_ray() as folder:
-        assert folder.startswith("/tmp/ray-")
-        Path(folder, "sub").mkdir(parents=True)
-    assert not Path(folder).parent.exists()

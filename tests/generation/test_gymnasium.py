@@ -6,12 +6,10 @@ import warnings
 from functools import partial
 
 import gymnasium
-import jax
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import cluttergen_jax as cg
 from cluttergen_jax.errors import ConfigError
@@ -104,25 +102,6 @@ def test_steps_are_those_of_gymnasium_s_own_vector_environment(mode):
     assert num_ended > num_filled > 0
 
 
-def test_the_step_after_the_end_begins_the_next_episode(next_step):
-    first, _ = next_step.reset(seed=0)
-    stays, falls = np.array([0.8, 0, 0, 0]), np.array([-0.8, 0, 0, 0])
-    next_step.step(np.array([stays, falls, stays]))
-    obs, reward, terminated, _, infos = next_step.step(np.array([stays, falls, falls]))
-    np.testing.assert_array_equal(terminated, [True, True, False])
-    assert not np.array_equal(obs[:2], first[:2])
-    assert "final_obs" not in infos
-    np.testing.assert_array_equal(infos["num_placed"], [2, 0, 1])
-    scenes = next_step.scenes
-    obs, reward, terminated, _, infos = next_step.step(np.array([falls, falls, falls]))
-    np.testing.assert_array_equal(obs[:2], first[:2])
-    np.testing.assert_array_equal(reward[:2], 0)
-    assert reward[2] != 0
-    np.testing.assert_array_equal(terminated, [False, False, True])
-    np.testing.assert_array_equal(infos["_num_placed"], [False, False, True])
-    np.testing.assert_array_equal(scenes.is_placed[:2].sum(-1), next_step.scenes.is_placed[:2].sum(-1))
-
-
 def test_a_copy_goes_on_where_the_other_one_stands(next_step):
     next_step.reset(seed=3)
     next_step.step(actions(1)[0])
@@ -161,27 +140,6 @@ def test_the_step_that_ends_an_episode_begins_the_next(envs):
     assert obs.dtype == np.float32
 
 
-def test_seeds_decide_what_is_drawn():
-    rules = made_up_rules(num_objects=2, history_stride=0)
-    envs = GymnasiumVectorEnv(ActionRange(PlacementEnv(rules, auto_reset=False), 0.0, 1.0), 16)
-    draws = [envs.reset(seed=seed)[0] for seed in (5, 5, 6, None)]
-    assert all(each in envs.observation_space for each in draws)
-    focus = [draw["focus"] for draw in draws]
-    np.testing.assert_array_equal(focus[0], focus[1])
-    assert not np.array_equal(focus[0], focus[2])
-    assert not np.array_equal(focus[2], focus[3])
-    assert len(np.unique(focus[0])) > 1
-
-
-def test_gymnasium_wrappers_add_up_rewards(envs):
-    watched = RecordEpisodeStatistics(envs)
-    watched.reset(seed=0)
-    for _ in range(2):
-        *_, infos = watched.step(np.tile([0.8, 0, 0, 0], (NUM, 1)))
-    np.testing.assert_array_equal(infos["episode"]["l"], 2)
-    assert (infos["episode"]["r"] > 0).all()
-
-
 def test_what_cannot_be_is_said(envs):
     with pytest.raises(gymnasium.error.ResetNeeded):
         GymnasiumVectorEnv(of_one(), 2).step(np.zeros((2, 4)))
@@ -198,18 +156,3 @@ def test_what_cannot_be_is_said(envs):
         cg.make_vector_env(0)
     with pytest.raises(ConfigError, match="auto_reset"):
         cg.make_gym_env(auto_reset=True)
-
-
-@pytest.mark.slow
-def test_from_names():
-    settings = {"pool": "dining", "num_objects": 3, "action": "surface"}
-    single, envs = cg.make_gym_env(**settings), cg.make_vector_env(8, **settings)
-    assert single.observation_space == envs.single_observation_space
-    envs.reset(seed=0)
-    envs.action_space.seed(0)
-    placed = 0
-    for _ in range(12):
-        placed += envs.step(envs.action_space.sample())[1].sum()
-    assert placed > 10
-    assert jax.tree.leaves(envs.scenes)
-    envs.close()

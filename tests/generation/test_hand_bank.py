@@ -3,8 +3,6 @@
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 import webbrowser
 from dataclasses import replace
@@ -15,19 +13,15 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.generation import hand
-from cluttergen_jax.generation.hand import HandBank, hand_setup
-from cluttergen_jax.generation.sources import BankSource, viewing
+from cluttergen_jax.generation.hand import HandBank
+from cluttergen_jax.generation.sources import viewing
+from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
-from cluttergen_jax.placement.setup import Setup
-from cluttergen_jax.scene.bank import bank as reading
-from cluttergen_jax.scene.bank import blocks, read_bank
+from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 from cluttergen_jax.scene.bank.writer import BankWriter
-from cluttergen_jax.spec import SceneSpec
 from tests.helpers.problems import trio_problem
 
 SEED = 7
@@ -125,17 +119,6 @@ def test_every_reader_reads_it(made, tmp_path):
     assert "- attempts per object: as many as were wanted" in card
 
 
-def test_it_can_be_looked_at_but_its_attempts_are_nobodys(made):
-    path, kept, _ = made
-    source = BankSource(path)
-    still = source.still(0)
-    np.testing.assert_array_equal(still.poses, kept[0][2])
-    with pytest.raises(BankError, match="made by hand: its attempts cannot be made again"):
-        source.recorded(0)
-    # Others may place the same objects.
-    assert source.methods == ("random", "clear", "drop", "spread")
-
-
 def test_it_goes_on_where_it_ended_with_the_objects_that_come_next(made, setup, tmp_path):
     path, _, _ = made
     shutil.copytree(path, tmp_path / "bank")
@@ -166,37 +149,6 @@ def test_other_settings_do_not_go_on_with_it(made, setup):
         HandBank(path, setup, (), SEED + 1)
     with pytest.raises(BankError, match="another keep_out"):
         HandBank(path, setup, [Rectangle((0.1, 0.1), (0.02, 0.02))], SEED)
-
-
-def test_a_certificate_keeps_the_seconds_and_is_kept_when_scenes_are_added(made, setup, tmp_path):
-    path, _, _ = made
-    shutil.copytree(path, tmp_path / "bank")
-    seconds = read_bank(path).table["seconds"]
-    cg.certify(tmp_path / "bank", seconds=0.5)
-    table = read_bank(tmp_path / "bank").table
-    assert table["seconds"].equals(seconds)
-    assert table["shake"].null_count == 1
-    with opened(tmp_path / "bank", setup) as bank:
-        bank.keep(fill(bank))
-    grown = read_bank(tmp_path / "bank").table
-    assert grown.slice(0, table.num_rows).equals(table)
-    assert grown["shake"].null_count == 2
-    cg.certify(tmp_path / "bank", seconds=0.5)
-    assert read_bank(tmp_path / "bank").table["shake"].null_count == 1
-
-
-def test_blocks_follow_one_another(setup, tmp_path, monkeypatch):
-    for module in (hand, blocks, reading):
-        monkeypatch.setattr(module, "BLOCK_SIZE", 2)
-    for _ in range(2):
-        with opened(tmp_path / "bank", setup) as bank:
-            for _ in range(2):
-                bank.keep(give_up(bank))
-            bank.keep(fill(bank))
-    table = read_bank(tmp_path / "bank").table
-    assert table["index"].to_pylist() == list(range(6))
-    assert table["is_success"].to_pylist() == [False, False, True] * 2
-    assert len(list((tmp_path / "bank").glob("scenes-*.parquet"))) == 3
 
 
 def test_a_scene_that_cannot_be_written_may_be_kept_later(setup, tmp_path, monkeypatch):
@@ -232,73 +184,6 @@ def test_a_damaged_bank_is_not_written_over(made, setup, tmp_path):
     # The lock is free again.
     block.write_bytes(data)
     opened(tmp_path / "bank", setup).close()
-
-
-def test_an_empty_bank_says_so(setup, tmp_path):
-    with opened(tmp_path / "bank", setup) as bank:
-        bank.rehearse()
-        assert bank.num_kept == 0
-        assert "none was kept" in str(bank.summary())
-    with pytest.raises(BankError, match="no scenes yet"):
-        stats_of(read_bank(tmp_path / "bank"))
-
-
-def test_the_problem_is_the_one_asked_for():
-    box, region = Rectangle((0.1, 0.0), (0.02, 0.02)), Rectangle((0.0, 0.0), (0.15, 0.12), 0.1)
-    given = {
-        "pool": "dining",
-        "num_objects": 2,
-        "objects": ("mug", "bowl", "fork"),
-        "exclude": (),
-        "support": "table-0.40x0.40",
-        "region": region,
-        "containment": "footprint",
-        "keep_out": [box],
-        "min_margin": None,
-        "overhang": "none",
-        "repeat": False,
-    }
-    setup = hand_setup(SceneSpec(**given))
-    placement = setup.problem.config.placement
-    assert sorted(setup.problem.world.names) == ["bowl", "fork", "mug"]
-    assert setup.problem.region == region
-    assert placement == replace(
-        placement, num_objects=2, containment="footprint", overhang="none", min_margin=0.003, ruin_after=0
-    )
-    np.testing.assert_allclose(setup.keep_out.center, [[0.1, 0.0]])
-    assert hand_setup(SceneSpec(**given | {"min_margin": 0.0})).problem.config.placement.min_margin == 0
-
-
-def test_options_of_the_two_uses_of_view_are_kept_apart(capsys):
-    assert main(["view", "--region", "0.2x0.2"]) == 2
-    assert "--region without --place" in capsys.readouterr().err
-    assert main(["view", "--place", "--method", "drop"]) == 2
-    assert "--method with --place" in capsys.readouterr().err
-
-
-def test_an_unknown_pool_is_told_and_leaves_nothing_behind(tmp_path, capsys):
-    pytest.importorskip("viser", reason="needs the extra viewer")
-    assert (
-        main(["view", "--place", "--pool", "no_such_pool", "--port", "0", "--out", str(tmp_path / "x")]) == 2
-    )
-    assert "no_such_pool" in capsys.readouterr().err
-    assert not (tmp_path / "x").exists()
-
-
-@pytest.mark.slow
-def test_ctrl_c_ends_the_command_in_good_order(tmp_path):
-    words = "view --place --objects mug bowl --num-objects 1 --support table-0.40x0.40 --port 0 --no-browser"
-    command = [sys.executable, "-m", "cluttergen_jax", *words.split(), "--out", str(tmp_path / "bank")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
-        lines = []
-        while not lines or not lines[-1].startswith("viewer"):
-            lines.append(run.stdout.readline())
-            assert lines[-1], lines
-        run.send_signal(signal.SIGINT)
-        rest = run.stdout.read()
-        assert run.wait(60) == 0
-    assert "scenes     none was kept" in rest
-    assert read_bank(tmp_path / "bank").num_scenes == 1
 
 
 @pytest.mark.slow

@@ -1,18 +1,15 @@
 """The rules that generate, make_sampler, make_env and evaluate resolve alike from what they are given."""
 
-import inspect
-
 import numpy as np
 import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.config import TRUSTED_METHODS, VerifyConfig
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import api as evaluation
 from cluttergen_jax.evaluation import comparison
 from cluttergen_jax.evaluation.trial import Trial, key_of
-from cluttergen_jax.generation.sources.opening import open_source
+from cluttergen_jax.generation.sources.scene_sources import open_source
 from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.card import card_text
@@ -20,7 +17,6 @@ from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.spec import SceneSpec
 from tests.helpers.worlds import trio
 
-NOTHING = {"order": None, "ruin_after": None, "budget": None, "min_margin": None, "setting": "default"}
 RULES = ("order", "ruin_after", "budget", "min_margin")
 PAPER = {"order": "random", "ruin_after": 0, "budget": None, "min_margin": 0.0}
 
@@ -54,27 +50,6 @@ def test_methods_have_rules_of_their_own():
 def test_what_is_given_wins(setting, method):
     given = {"order": "fixed", "ruin_after": 0, "budget": 70, "min_margin": 0.0}
     assert rules(method, setting=setting, **given) == given
-
-
-def test_there_is_no_other_setting():
-    with pytest.raises(ConfigError, match="Did you mean 'paper'"):
-        SceneSpec(setting="papers")
-
-
-@pytest.mark.parametrize("function", [cg.generate, cg.make_sampler, cg.make_env, cg.evaluate])
-def test_all_are_asked_alike(function):
-    known = inspect.signature(function).parameters
-    assert {name: known[name].default for name in NOTHING} == NOTHING
-
-
-def test_a_sampler_and_an_environment_follow_them(pool):
-    asked = {"pool": pool, "num_objects": 2, "order": "largest", "ruin_after": 2, "budget": 14}
-    for made in (cg.make_sampler(method="drop", **asked).problem, cg.make_env(**asked, observation="dict")):
-        config = made.rules.config
-        assert (config.order, config.ruin_after, config.max_scene_attempts) == ("largest", 2, 14)
-        assert config.min_margin == MIN_MARGIN
-    paper = cg.make_env(pool=pool, setting="paper", observation="dict").rules.config
-    assert (paper.order, paper.ruin_after, paper.budget, paper.min_margin) == ("random", 0, None, 0.0)
 
 
 def test_trials_follow_them(monkeypatch):
@@ -120,7 +95,7 @@ def test_a_bank_with_ruin_is_replayed_and_verified(ruined):
     source, _ = open_source(str(ruined.path))
     attempts = np.array(read_bank(ruined.path).table["attempts"].to_pylist())
     row = int(attempts.sum(1).argmax())
-    recording = source.recorded(row)
+    recording = source.replay(row)
     assert len(recording.attempts) == attempts[row].sum()
     assert any(len(recording.taken_away(number)) for number in range(len(recording.attempts)))
     assert all(found.stands for found in cg.verify(ruined.path, VerifyConfig(seconds=1.0)).scenes)

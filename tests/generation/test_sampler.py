@@ -14,16 +14,14 @@ import jaxlie
 import mujoco
 import numpy as np
 import pytest
-from jax.sharding import PartitionSpec
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError, PoolError
-from cluttergen_jax.learning.methods import choose_method, suited
+from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
+from cluttergen_jax.learning.methods import choose_method
 from cluttergen_jax.learning.policies.embedded import list_policies
-from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import KeepOut, make_region
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.scene.bank import read_bank
@@ -89,19 +87,6 @@ def test_every_transformation_gives_the_same_scenes(sample, scenes, form):
     assert_same(result, scenes)
 
 
-def test_what_varies_over_a_mesh_is_said(pool):
-    # JAX checks it while it traces, however many devices there are.
-    sample = cg.make_sampler(pool=pool, num_objects=2, method="random", max_retries=3)
-    mesh = jax.make_mesh((1,), ("scene",), axis_types=(jax.sharding.AxisType.Auto,))
-    spec = PartitionSpec("scene")
-    mapped = jax.shard_map(jax.vmap(sample), mesh=mesh, in_specs=spec, out_specs=spec)
-    assert jax.eval_shape(mapped, KEYS).poses.shape == (6, 2, 7)
-    block = jax.shard_map(
-        sample.steps.sample, mesh=mesh, in_specs=(PartitionSpec(), spec, spec), out_specs=spec
-    )
-    assert jax.eval_shape(block, KEYS[0], jnp.arange(4), jnp.ones(4, bool)).poses.shape == (4, 2, 7)
-
-
 SHARDED = """
 import sys, jax, numpy as np, cluttergen_jax as cg
 from jax.sharding import NamedSharding, PartitionSpec as P
@@ -140,32 +125,6 @@ def test_a_sampler_is_pickled_as_the_call_that_made_it(sample, scenes, pool):
     assert repr(other) == f"Sampler(pool={pool!r}, num_objects=2, method='random', num_scene_points=60)"
     with pytest.raises(TypeError, match="make_sampler"):
         pickle.dumps(dataclasses.replace(sample, recipe=None))
-
-
-def test_scenes_are_told_in_few_lines(sample, scenes, bank):
-    stored = read_bank(bank)
-    arrays = cg.load_bank(bank)
-    made = [scenes, sample.scene(scenes, 0), stored, arrays, arrays.collection, sample]
-    made += [next(iter(stored.scenes())), dataclasses.replace(sample, recipe=None)]
-    for each in made:
-        assert len(repr(each)) < 1000, type(each)
-        assert repr(each).count("\n") < 10
-        assert repr(each).startswith(type(each).__name__)
-
-
-def test_a_scene_is_what_its_fields_say(sample, scenes):
-    assert {int(index) for row in scenes.object_index for index in row} <= {0, 1, 2}
-    for row in range(6):
-        scene = sample.scene(scenes, row)
-        assert scene.origin.is_success == bool(scenes.is_success[row])
-        assert len(scene.objects) == int(scenes.is_placed[row].sum())
-        assert [asset.name for asset in scene.objects] == list(scene.names)
-        if scene.origin.is_success:
-            assert scene.origin.verdict == Verdict.STABLE.label
-            assert scene.to_mjspec().compile().nq == 7 * len(scene.names)
-        # The region's own points lie on the table's top; every point that counts is on or above it.
-        cloud = np.asarray(scenes.cloud[row])[np.asarray(scenes.cloud_mask[row])]
-        assert cloud[:, 2].min() > 0.699
 
 
 @pytest.fixture(scope="module")
@@ -252,20 +211,6 @@ def test_more_standing_objects_than_the_sampler_was_made_for(sample):
     assert (scenes.verdict == Verdict.OUTSIDE).all()
 
 
-def test_scenes_that_a_batch_does_not_hold_are_refused(sample, scenes):
-    one = jax.tree.map(lambda leaf: leaf[0], scenes)
-    nested = jax.tree.map(lambda leaf: leaf.reshape(2, 3, *leaf.shape[1:]), scenes)
-    for sampled, index, says in (
-        (scenes, 6, "0 to 5"),
-        (scenes, -1, "0 to 5"),
-        (one, 1, "0"),
-        (nested, 0, "one"),
-    ):
-        with pytest.raises(ConfigError, match=says):
-            sample.scene(sampled, index)
-    assert sample.scene(one).names == sample.scene(scenes, 0).names
-
-
 @pytest.mark.slow
 def test_region_and_keep_out_may_be_given_in_the_call_and_mapped(sample):
     offsets = jnp.array([-0.2, 0.2])
@@ -338,17 +283,6 @@ def test_bad_settings_are_explained(pool, asked, says):
         cg.make_sampler(**{"pool": pool} | asked)
 
 
-def test_keep_out_boxes_may_leave_little(pool):
-    boxes = [Rectangle(half_extents=(0.27, 0.4)), Rectangle(half_extents=(0.4, 0.1))]
-    assert cg.make_sampler(pool=pool, keep_out=boxes).keep_out.yaw.shape == (2,)
-
-
-@pytest.mark.parametrize("key", [KEYS, 0, jnp.zeros(2), None])
-def test_what_is_not_one_key_is_refused(sample, key):
-    with pytest.raises(ConfigError, match="one key"):
-        sample(key)
-
-
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
@@ -377,11 +311,6 @@ def test_the_default_method_is_the_same_for_every_pool(monkeypatch):
         assert [choose_method(None, pool).name for pool in ("dining", "all", "mine")] == [expected] * 3
 
 
-def test_a_checkpoint_brings_its_own_method():
-    folder = list_policies()["dining-normal"]
-    assert choose_method(None, "dining", folder).name == "normal"
-
-
 @pytest.mark.parametrize(
     ("method", "trained"), [("policy", "normal"), ("normal", "policy"), ("guided", "policy")]
 )
@@ -390,42 +319,6 @@ def test_a_checkpoint_of_another_method_is_refused(method, trained):
     with pytest.raises(ConfigError, match=f"method={trained!r}"):
         choose_method(method, "dining", str(folder))
     assert choose_method(trained, "dining", folder).checkpoint.path == folder
-
-
-def test_a_samplers_record_is_read_once(monkeypatch):
-    read, opened = Path.read_bytes, []
-
-    def noted(path, *args, **kwargs):
-        opened.append(path.name)
-        return read(path, *args, **kwargs)
-
-    monkeypatch.setattr(Path, "read_bytes", noted)
-    method, checkpoint = choose_method("policy", "dining")
-    assert suited(PlacementConfig(), checkpoint).history_stride == checkpoint.placement["history_stride"]
-    assert checkpoint.kind == "pose"
-    assert (method, opened.count("record.json")) == ("policy", 1)
-
-
-def test_a_method_without_checkpoint_is_refused(pool):
-    with pytest.raises(PoolError):
-        cg.make_sampler(pool=pool, method="open_loop")
-
-
-def test_importing_the_package_loads_neither_jax_nor_mujoco():
-    code = (
-        "import sys, cluttergen_jax as cg; names = dir(cg); "
-        "assert {'make_sampler', 'load_bank'} <= set(cg.__all__) <= set(names); "
-        "assert not {'jax', 'mujoco', 'numpy', 'trimesh'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-    with pytest.raises(AttributeError, match="nothing"):
-        _ = cg.nothing
-
-
-def test_every_public_name_is_what_it_says():
-    other = {"load_pool": "find_pool", "load_support": "find_support"}
-    for name in cg.__all__:
-        assert getattr(cg, name).__name__ == other.get(name, name)
 
 
 @pytest.mark.slow

@@ -12,13 +12,8 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.generation import generate
-from cluttergen_jax.generation.blocks import check_worker
-from cluttergen_jax.numerics import bits_of_here, new_key, own_settings
-from cluttergen_jax.progress import interruptible
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.scene.bank import read_bank
-from tests.helpers.sampled_elsewhere import drawn
 from tests.helpers.worlds import trio
 
 BASELINES = ("random", "clear", "drop", "spread", "guided")
@@ -61,47 +56,8 @@ def test_every_method_is_the_same_program_whatever_is_set(pool, method):
         assert str(jax.make_jaxpr(sample)(new_key(0))) == usual
 
 
-def test_what_jax_is_told_holds_in_the_thread_that_can_be_interrupted():
-    def told():
-        return jax.config.jax_enable_x64, jax.config.jax_threefry_partitionable
-
-    with jax.enable_x64(True):
-        with own_settings():
-            assert told() == (False, True)
-            assert interruptible(told) == (False, True)
-        assert jax.config.jax_enable_x64
-
-
 def test_a_sampler_runs_where_all_is_set_otherwise(pool):
     assert set(json.loads(elsewhere("tests.helpers.sampled_elsewhere", pool, "guided"))) == {"guided"}
-
-
-def test_a_worker_of_another_kind_is_refused():
-    here = bits_of_here()
-    for allowed in (here, None):
-        check_worker(allowed)
-    with pytest.raises(ClutterGenError, match=r"instructions .*`allow_other_bits`"):
-        check_worker(here | {"instructions": "x86_64 avx"})
-
-
-@pytest.mark.slow
-def test_generate_continues_other_bits_by_leave(pool, tmp_path, monkeypatch):
-    settings = {"pool": pool, "num_objects": 2, "method": "random", "max_files": 0}
-    bank = cg.generate(tmp_path / "bank", num_scenes=2, **settings)
-    assert bank.record["bits"] == [bits_of_here()]
-    other = bits_of_here() | {"jaxlib": "0.0"}
-    monkeypatch.setattr(generate, "bits_of", lambda setup, cluster: other)
-    with pytest.raises(BankError, match="jaxlib"):
-        cg.generate(tmp_path / "bank", num_scenes=4, **settings)
-    mixture = cg.generate(tmp_path / "bank", num_scenes=4, allow_other_bits=True, **settings)
-    assert mixture.record["bits"] == [bits_of_here(), other]
-    assert "other scenes by" in (tmp_path / "bank" / "README.md").read_text()
-
-
-@pytest.mark.slow
-def test_a_sampler_of_each_method_draws_the_same_scene(pool):
-    theirs = json.loads(elsewhere("tests.helpers.sampled_elsewhere", pool, *BASELINES))
-    assert theirs == {method: drawn(pool, method) for method in BASELINES}
 
 
 @pytest.mark.slow

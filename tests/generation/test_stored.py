@@ -1,15 +1,11 @@
 """A bank as a reset: draws are scenes of the bank, in one model, and they stand there."""
 
 import itertools
-import subprocess
-import sys
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 import cluttergen_jax as cg
@@ -104,20 +100,6 @@ def test_columns_and_scenes_make_the_same_model(path, bank):
     np.testing.assert_array_equal(bank.xfrc_applied[:3], many.xfrc_applied[:3].astype(np.float32))
 
 
-def test_objects_that_stand_there_more_than_once_and_gaps_in_scenes(tmp_path):
-    """Two boxes in one scene and an object that was not placed: places in the model are told apart."""
-    scenes = banks.rows(0, 2).to_pylist()
-    scenes[0] |= {"objects": ["box", "tall", "box#2"], "is_placed": [True, False, True], "num_placed": 2}
-    scenes[1] |= {"objects": ["tall", "prism", "box"]}
-    with banks.writer(tmp_path / "bank", 2) as writer:
-        writer.write_block(0, pa.Table.from_pylist(scenes, schema=banks.rows(0, 1).schema))
-    bank = cg.load_bank(tmp_path / "bank")
-    many = collect(list(read_scenes(read_bank(tmp_path / "bank"))))
-    assert bank.names == many.names == ("box", "box#2", "tall", "prism")
-    np.testing.assert_array_equal(bank.object_index, [[0, 1, -1], [2, 3, 0]])
-    np.testing.assert_array_equal(bank.qpos, many.qpos.astype(np.float32))
-
-
 def test_a_subset_is_drawn_by_its_seed(path, bank):
     some, again, other = (cg.load_bank(path, num_scenes=50, seed=seed) for seed in (1, 1, 2))
     assert len(some) == 50
@@ -134,37 +116,6 @@ def test_a_subset_is_drawn_by_its_seed(path, bank):
         cg.load_bank(path, num_scenes=1, seed=-1)
 
 
-def test_a_bank_opens_without_its_columns_and_a_subset_is_read_from_its_own_blocks(tmp_path, monkeypatch):
-    path, num_blocks = tmp_path / "bank", 6
-    with banks.writer(path, num_blocks * 256, shard_blocks=3) as writer:
-        for block in range(num_blocks):
-            writer.write_block(block, banks.rows(block))
-        writer.finish()
-    reads, read = [], pq.ParquetFile.read_row_groups
-
-    def told(file, row_groups, columns=None):
-        reads.append((len(row_groups), columns))
-        return read(file, row_groups, columns)
-
-    def row_groups_of(column):
-        return sum(number for number, columns in reads if columns is None or column in columns)
-
-    monkeypatch.setattr(pq.ParquetFile, "read_row_groups", told)
-    bank = read_bank(path)
-    assert not reads
-    assert list(bank.rows([700])) == [700]
-    assert reads == [(1, None)]
-    reads.clear()
-    some = cg.load_bank(path, num_scenes=2)
-    assert row_groups_of("poses") == len({number // 256 for number in some.index.tolist()})
-    assert row_groups_of("index") == num_blocks + row_groups_of("poses")
-    reads.clear()
-    assert len(next(cg.stream_bank(path, 10))) == 10
-    # Of the second shard the names alone, which make the model.
-    assert row_groups_of("poses") == 3
-    assert row_groups_of("objects") == num_blocks + 3
-
-
 @pytest.mark.parametrize("batch_size", [1, 50, 1000])
 def test_batches_are_the_bank_in_one_model(tmp_path, batch_size):
     with banks.writer(tmp_path / "bank", 600, shard_blocks=2) as writer:
@@ -179,41 +130,3 @@ def test_batches_are_the_bank_in_one_model(tmp_path, batch_size):
     joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
     for one, two in zip(jax.tree.leaves(joined), jax.tree.leaves(whole), strict=True):
         np.testing.assert_array_equal(one, two)
-
-
-MEMORY = """
-import sys
-from pathlib import Path
-import jax, cluttergen_jax as cg
-
-def most():
-    # `resource` would begin with what the process of the tests held.
-    return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
-
-small, large = sys.argv[1:]
-for path in (small, large):
-    some = cg.load_bank(path, num_scenes=2000)
-    jax.vmap(some.reset)(jax.random.split(jax.random.key(0), 64))
-    num_seen = sum(len(batch) for batch in cg.stream_bank(path, 2000))
-    cg.read_bank(path).rows([5, cg.read_bank(path).num_scenes - 1])
-    print(num_seen, most())
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_a_million_scenes_take_no_more_memory_than_a_fifth_of_them(tmp_path):
-    first = banks.rows(0)
-    for name, num_blocks in (("small", 768), ("large", 3907)):
-        with banks.writer(tmp_path / name, num_blocks * 256) as writer:
-            for block in range(num_blocks):
-                index = pa.array(np.arange(block * 256, (block + 1) * 256, dtype=np.int32))
-                writer.write_block(block, first.set_column(0, first.schema.field(0), index))
-            writer.finish()
-    assert sum(1 for _ in (tmp_path / "large").glob("*.parquet")) == 6
-    command = [sys.executable, "-c", MEMORY, str(tmp_path / "small"), str(tmp_path / "large")]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
-    (small, before), (large, after) = (map(float, line.split()) for line in said)
-    assert (small, large) == (768 * 192, 3907 * 192)
-    # Megabytes; the poses alone of a million scenes of three objects are 84.
-    assert after - before < 60

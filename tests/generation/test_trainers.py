@@ -1,7 +1,6 @@
 """Other trainers: environments made from names, and Brax's PPO in them, through Brax's own wrappers."""
 
 import functools
-import inspect
 
 import jax
 import jax.numpy as jnp
@@ -156,44 +155,6 @@ def test_brax_own_trainer():
     assert float(seen[-1][1]["eval/avg_episode_length"]) <= env.episode_length
     assert ppo.jax is jax
     assert not hasattr(jax, "device_put_replicated")
-
-
-def test_brax_brings_its_own_resets():
-    with pytest.raises(ConfigError, match="auto_reset=False"):
-        cg.train_brax(made_up_env(auto_reset=True), num_timesteps=16)
-
-
-def test_environment_from_names(pool):
-    settings = {"pool": pool, "num_objects": 2, "history_stride": 20, "max_attempts": 3}
-    env = cg.make_env(**settings, action="surface")
-    assert env.observation_size == 3 + 9 * 3 + 9 * 3 + 13 * 3 * (60 // 20 + 1) + 8 * 8
-    assert (env.action_size, env.episode_length) == (3, 6)
-
-    def tried(key):
-        state = env.reset(key)
-        return state, env.step(state, jnp.zeros(3))
-
-    before, after = jax.jit(jax.vmap(tried))(jax.random.split(jax.random.key(0), 3))
-    assert before.obs.shape == (3, env.observation_size)
-    # Let go in the middle of the table, each of the trio stays there.
-    assert (np.asarray(after.pipeline_state.episode.slot) == 1).all()
-    assert (np.asarray(after.reward) > 0.5).all()
-
-
-def test_environment_with_clouds(pool):
-    env = cg.make_env(pool=pool, observation="dict", num_cells=0, num_scene_points=30)
-    seen = jax.eval_shape(env.reset, jax.random.key(0)).obs
-    assert seen["scene_cloud"].shape == (30, 3)
-    assert "heights" not in seen
-    assert env.action_size == 4
-
-
-def test_settings_are_those_of_the_sampler_and_the_same_by_default():
-    ours, theirs = (inspect.signature(make).parameters for make in (cg.make_env, cg.make_sampler))
-    shared = set(ours) & set(theirs)
-    of_methods = {"method", "checkpoint", "clutter", "natural", "tidy", "height"}
-    assert set(theirs) - shared == of_methods | {"max_retries"}
-    assert {name: ours[name].default for name in shared} == {name: theirs[name].default for name in shared}
 
 
 @pytest.mark.parametrize(

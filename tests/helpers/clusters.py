@@ -79,9 +79,3 @@ def slow_squares() -> Callable[[int], tuple[int, str]]:
         return item * item, ray.get_runtime_context().get_node_id()
 
     return work
-
-
-def no_start() -> Callable[[int], int]:
-    """Kills its worker before there is a function."""
-    os.kill(os.getpid(), signal.SIGKILL)
-    raise AssertionError

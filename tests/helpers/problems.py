@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.physics.report import empty_settling, empty_standing
+from cluttergen_jax.physics.host import empty_settling, empty_standing
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.placement.region import Region, make_region

@@ -65,7 +65,7 @@ class Stopping(Interrupt):
     @is_asked.setter
     def is_asked(self, value): ...
 
-    def compiled(self, function, *args):
+    def run_compiling(self, function, *args):
         """Does not count as a call."""
         return function(*args)
 

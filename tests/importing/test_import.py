@@ -16,13 +16,12 @@ from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
 from cluttergen_jax.assets.deviation import is_within_parts
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.pool import find_pool, user_root
+from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.inspect_ import Inspect
-from cluttergen_jax.errors import AssetError, ConfigError, PoolError
+from cluttergen_jax.errors import PoolError
 from cluttergen_jax.importing import cache, run
-from cluttergen_jax.importing.processes import Outcome
 from cluttergen_jax.importing.readers import ReadOptions, find_sources
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 from tests.helpers.imports import made_here
@@ -75,42 +74,6 @@ def test_an_unchanged_pool_is_read_not_made(tree, here):
     assert not second.failures
 
 
-def test_a_line_tells_of_each_object_and_what_it_cost(tree, monkeypatch, capsys):
-    late = Outcome(fault="it was not done after 120 s", seconds=120.0, cpu_seconds=119.5, is_late=True)
-
-    def some(jobs, config, watch):
-        for index, job in enumerate(jobs):
-            cost = {"seconds": 2.0, "cpu_seconds": 1.5}
-            yield index, late if job.source.name == "cube" else Outcome(run.made(job), **cost)
-
-    monkeypatch.setattr(run, "_outcomes", some)
-    status = Import(sources=(str(tree),), pool="mine", trials=8, progress=False).run()
-    assert status == 1
-    out, err = capsys.readouterr()
-    assert "crate: made in 2.0 s, 1.5 CPU-seconds: 1 part, 0.096 kg" in err
-    assert "cube: failed after 120.0 s, 119.5 CPU-seconds" in err
-    assert "not done after 120 s. Try: a longer --time-limit" in err
-    assert "cost: 124.0 s of work, 122.5 CPU-seconds; most: cube 120.0 s, crate 2.0 s, lamp 2.0 s" in out
-    report = import_sources([tree], "mine", QUICK)
-    assert report.num_cached == 1
-    assert set(report.costs) == {"cube", "lamp"}
-    assert find_pool("mine").names == ("crate",)
-
-
-@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_time_limit_is_a_length_of_time(limit):
-    with pytest.raises(ConfigError, match="time_limit"):
-        ImportConfig(time_limit=limit)
-
-
-def test_a_second_try_is_said(tree):
-    (source,) = find_sources(tree / "crate.obj")
-    job = run.Job(source, "key", ObjectConfig(trials=8))
-    second = run.next_try(job, "its worker process crashed (SIGSEGV)")
-    assert "second try" in run.made(second).flags[0]
-    assert "SIGSEGV" in run.made(second).flags[0]
-
-
 def test_what_is_lost_twice_becomes_one_hull_and_says_so(tmp_path):
     beam = trimesh.creation.box((0.1, 0.02, 0.02))
     post = trimesh.creation.box((0.02, 0.02, 0.1))
@@ -148,21 +111,6 @@ def test_changed_content_needs_force(tree, here):
     forced = ImportConfig(QUICK.object, 1, force=True, progress=False)
     import_sources([tree / "cube.stl"], "mine", forced)
     assert find_pool("mine").names == ("cube",)
-
-
-def test_embedded_names_are_taken(tree):
-    for name in ("dining", "all", "../x", ""):
-        with pytest.raises(PoolError):
-            import_sources([tree], name, QUICK)
-
-
-def test_nothing_to_import_fails_without_a_pool(tmp_path):
-    with pytest.raises(AssetError, match="nothing to import"):
-        import_sources([], "mine", QUICK)
-    report = import_sources([tmp_path / "nowhere"], "mine", QUICK)
-    assert report.failures
-    assert report.path is None
-    assert not (user_root() / "mine").exists()
 
 
 def test_keys_see_bytes_settings_and_companions(tree):

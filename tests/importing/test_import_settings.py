@@ -6,9 +6,8 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.cli.main import main
-from cluttergen_jax.errors import AssetError, ConfigError
-from cluttergen_jax.importing import cache, run
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
 from cluttergen_jax.importing.readers.axes import AXES, turn_of
@@ -121,16 +120,6 @@ def test_settings_reach_the_object_and_the_cache(folder):
     assert import_sources([folder], "mine", QUICK).num_cached == 2
 
 
-def test_a_setting_that_changes_makes_its_object_anew(folder):
-    first = keys(planned(folder, SETTINGS))
-    second = keys(planned(folder, SETTINGS.replace("mass = 0.2", "mass = 0.3")))
-    assert {name for name in first if first[name] != second[name]} == {"big_cup"}
-
-
-def keys(plans):
-    return {name: cache.cache_key(plan.source, ObjectConfig(plan.options)) for name, plan in plans.items()}
-
-
 def test_flags_hold_for_all_and_settings_for_one(folder, tmp_path):
     elsewhere = tmp_path / "other.toml"
     elsewhere.write_text('["crate.obj"]\nlicence = "MIT"\n')
@@ -140,20 +129,6 @@ def test_flags_hold_for_all_and_settings_for_one(folder, tmp_path):
     assert plans["slab"].options == options
     shape = read_shape(plans["slab"].source, options)
     assert (shape.provenance.licence, shape.friction) == ("CC0-1.0", 0.3)
-
-
-def test_one_file_of_a_folder_has_its_settings_too(folder):
-    (folder / "objects.toml").write_text(SETTINGS)
-    (only,) = plan_all([folder / "slab.glb"], ReadOptions()).objects
-    assert (only.up.axis, only.options.density) == ("z", 1000)
-
-
-def test_one_body_of_an_mjcf_file(folder):
-    body = '<body name="{}"><geom type="box" size=".02 .02 .02"/></body>'
-    bodies = body.format("pan") + body.format("lid")
-    (folder / "kitchen.xml").write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
-    plans = planned(folder, '["kitchen.xml"]\nfriction = 0.2\n["kitchen.xml#pan"]\nname = "frying_pan"\n')
-    assert (plans["frying_pan"].options.friction, plans["lid"].options.friction) == (0.2, 0.2)
 
 
 @pytest.mark.parametrize(
@@ -181,31 +156,3 @@ def test_slips_of_the_pen(folder, text, message):
     with pytest.raises(ConfigError, match=message) as error:
         planned(folder, text)
     assert "objects.toml" in str(error.value) or "settings" in str(error.value)
-
-
-def test_a_settings_file_that_is_not_there(folder, tmp_path):
-    with pytest.raises(ConfigError, match="cannot be read"):
-        planned(folder, settings=tmp_path / "none.toml")
-
-
-def test_the_command_says_axes_and_what_it_skipped(folder, capsys):
-    cups = folder / "cups"
-    (cups / "large.stl").unlink()
-    (cups / "fox.fbx").write_text("x")
-    line = ["import", str(cups), "--pool", "mine", "--trials", "8", "--jobs", "1", "--no-progress"]
-    assert main([*line, "--license", "CC0-1.0", "--friction", "0.2", "--up", "y"]) == 0
-    out = capsys.readouterr().out
-    assert "up is y (as --up says): small" in out
-    assert "FBX is not read; Blender and others can save it as GLB: cups/fox.fbx" in out
-    assert find_pool("mine").licence == "CC0-1.0"
-    assert find_pool("mine")["small"].friction == 0.2
-
-
-def test_a_table_takes_no_settings(folder, capsys):
-    assert main(["import", "--support", str(folder / "slab.glb"), "--friction", "0.2"]) == 2
-    assert "--friction with --support" in capsys.readouterr().err
-
-
-def test_nothing_there_is_still_an_asset_error(tmp_path):
-    with pytest.raises(AssetError, match="nothing to import"):
-        import_sources([], "mine", QUICK)

@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.gaps import gap_alarm, piece_gaps
+from cluttergen_jax.assets.gaps import piece_gaps
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import solid_of
-from cluttergen_jax.cli.import_ import Import
-from cluttergen_jax.cli.import_report import print_report
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.cli.import_ import Import, print_report
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all
-from cluttergen_jax.importing.readers import ReadOptions, read_shape
+from cluttergen_jax.importing.readers import ReadOptions
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 from cluttergen_jax.importing.table_top import Limits
 from tests.helpers.cases import CASES
@@ -59,16 +58,6 @@ def test_scenery_in_every_file_and_mocap_bodies_are_no_objects():
     assert (len(everything), nothing) == (8, {})
 
 
-@pytest.mark.parametrize("name", ["tin-visual.xml", "seen.xml"])
-def test_a_ghost_is_no_object_whatever_it_is_called(tmp_path, name):
-    shutil.copytree(CASES / "18_ghost_twin" / "objects", tmp_path / "set")
-    (tmp_path / "set" / "tin-visual.xml").rename(tmp_path / "set" / name)
-    plan = plan_all([tmp_path / "set"], ReadOptions())
-    assert [each.source.name for each in plan.objects] == ["tin"]
-    if name == "seen.xml":
-        assert [(each.name, each.detail) for each in plan.left_out] == [(name, "of tin.xml")]
-
-
 def test_what_most_files_have_is_scenery_and_what_few_have_is_one_object(tmp_path):
     table = body("table", '<geom type="box" size=".3 .3 .02"/>')
     for index, name in enumerate(("cup", "bowl", "pan", "jug", "pot")):
@@ -81,20 +70,6 @@ def test_what_most_files_have_is_scenery_and_what_few_have_is_one_object(tmp_pat
         "stands alike in several files"
     }
     assert left["pan_again.xml#pan"] == "alike in another file"
-
-
-def test_two_versions_of_one_file_lose_nothing(tmp_path):
-    bodies = body("cup"), body("bowl", '<geom size=".04"/>')
-    write(tmp_path / "a.xml", *bodies)
-    write(tmp_path / "b.xml", *bodies)
-    assert planned(tmp_path)[0] == ["cup", "bowl"]
-
-
-def test_the_same_form_in_two_colours_is_two_objects(tmp_path):
-    for colour in ("1 0 0 1", "0 0 1 1"):
-        block = f'<geom type="box" size=".03 .03 .03" rgba="{colour}"/>'
-        write(tmp_path / f"{colour[0]}.xml", body("block", block, free=True), body("ball", free=True))
-    assert sorted(planned(tmp_path)[0]) == ["ball", "block", "block-2"]
 
 
 @pytest.mark.parametrize("free", [True, False])
@@ -131,11 +106,6 @@ def test_fixed_bodies_are_scenery_only_beside_free_ones(tmp_path):
     assert set(left) == {"free/b.xml#drawer", "held/c.xml#pin"}
 
 
-def test_a_robot_that_is_free_makes_no_scenery_of_what_stands_beside_it(tmp_path):
-    write(tmp_path / "scene.xml", body("robot", arm(4), free=True), body("vase"))
-    assert planned(tmp_path)[0] == ["vase"]
-
-
 def test_markers_and_empty_bodies_are_no_objects(tmp_path):
     goal = body("goal", '<geom size=".02" contype="0" conaffinity="0"/>')
     write(tmp_path / "task.xml", body("puck"), goal, body("frame", "<site/>"))
@@ -148,18 +118,6 @@ def test_markers_and_empty_bodies_are_no_objects(tmp_path):
     assert len(planned(tmp_path / "alone")[0]) == 1
 
 
-@pytest.mark.parametrize("is_weighed", [True, False])
-def test_urdf_robots_state_masses_and_lamps_do_not(tmp_path, is_weighed):
-    inertial = '<inertial><mass value="1"/></inertial>' if is_weighed else ""
-    links = "".join(f'<link name="{i}">{inertial}</link>' for i in range(5))
-    joints = "".join(
-        f'<joint name="j{i}" type="revolute"><parent link="{i}"/><child link="{i + 1}"/></joint>'
-        for i in range(4)
-    )
-    (tmp_path / "lamp.urdf").write_text(f'<robot name="r">{links}{joints}</robot>')
-    assert planned(tmp_path)[0] == ([] if is_weighed else ["lamp"])
-
-
 def test_settings_take_one_body_and_leave_another(tmp_path):
     shutil.copytree(CASES / "19_scenery_in_every_file" / "objects", tmp_path / "set")
     settings = tmp_path / "set" / "objects.toml"
@@ -170,13 +128,6 @@ def test_settings_take_one_body_and_leave_another(tmp_path):
     settings.write_text('["mug.xml"]\ntake = "yes"\n')
     with pytest.raises(ConfigError, match="take"):
         planned(tmp_path / "set")
-
-
-def test_the_only_body_left_of_a_file_is_called_after_it(tmp_path):
-    for name, size in (("hammer", 2), ("plug", 3)):
-        unnamed = f'<body><freejoint/><geom size=".0{size}"/></body>'
-        write(tmp_path / f"{name}.xml", body("table"), body("wall"), unnamed)
-    assert planned(tmp_path)[0] == ["hammer", "plug"]
 
 
 # Size and mass
@@ -202,15 +153,6 @@ def shape_of(size, density=500.0, mass=None):
 def test_limits_of_size_and_mass(size, density, mass, word):
     left = Limits().beyond_as_read("box", shape_of(size, density, mass))
     assert (left is None) if word is None else (word in left.reason)
-
-
-def test_limits_are_asked_for():
-    shape = shape_of((0.7, 0.1, 0.1), mass=25.0)
-    assert "large" in Limits(0.65).beyond_as_read("box", shape).reason
-    assert "heavy" in Limits(0.8).beyond_as_read("box", shape).reason
-    assert Limits(0.8, 30.0).beyond_as_read("box", shape) is None
-    with pytest.raises(ConfigError):
-        Limits(size=0.0)
 
 
 CONFIG = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
@@ -252,25 +194,6 @@ def test_what_is_too_large_is_told_in_one_block(quick_import, capsys):
     assert [each.name for each in import_sources([cube], "again", CONFIG).left_out] == ["unit_cube.obj"]
 
 
-def test_hands_and_grippers_are_no_objects_by_their_names(tmp_path):
-    for name in ("pr2_gripper", "wsg50_1", "l_finger", "jaco_hand", "hand_sanitizer", "fish_fingers_box"):
-        trimesh.creation.box((0.05, 0.05, 0.05)).export(tmp_path / f"{name}.stl")
-    names, left = planned(tmp_path)
-    assert names == ["fish_fingers_box", "hand_sanitizer"]
-    assert all("gripper, finger or hand" in reason for reason in left.values())
-    assert len(planned(tmp_path, take_all=True)[0]) == 6
-
-
-def test_a_pools_name_that_others_have_is_refused_before_any_work(quick_import, tmp_path, monkeypatch):
-    for name in ("cup", "mug"):
-        (tmp_path / name).mkdir()
-        trimesh.creation.box((0.05, 0.05, 0.05)).export(tmp_path / name / f"{name}.stl")
-    import_sources([tmp_path / "cup"], "t", CONFIG)
-    monkeypatch.setattr(run, "_make", None)
-    with pytest.raises(PoolError, match="exists and holds something else"):
-        import_sources([tmp_path / "mug"], "t", CONFIG)
-
-
 def test_names_get_numbers_among_what_was_made(quick_import, tmp_path):
     for number in (1, 2, 3):
         path = tmp_path / "set" / str(number) / "mug.obj"
@@ -302,19 +225,3 @@ def boxes(*places):
 def test_the_gap_between_pieces_is_measured(gap):
     gaps = piece_gaps(boxes((0, 0, 0), (0.04 + gap, 0, 0)))
     assert np.allclose(gaps, [gap] if gap > 0.005 else [], atol=1e-6)
-
-
-def test_a_row_of_pieces_has_a_gap_each_and_what_lies_inside_has_none():
-    assert np.allclose(sorted(piece_gaps(boxes((0, 0, 0), (0.06, 0, 0), (0.14, 0, 0)))), [0.02, 0.04])
-    inside = trimesh.creation.box((0.01, 0.01, 0.01))
-    hollow = trimesh.creation.box((0.03, 0.03, 0.03))
-    hollow.invert()
-    shell = trimesh.util.concatenate(trimesh.creation.box((0.04, 0.04, 0.04)), hollow)
-    assert piece_gaps(solid_of([Mesh(each.vertices, each.faces) for each in (shell, inside)])) == []
-
-
-@pytest.mark.parametrize(("name", "gap"), [("planks", "90 mm"), ("knob_and_handle", "85 mm")])
-def test_pieces_that_do_not_touch_are_flagged(name, gap):
-    plan = plan_all([CASES / "16_pieces_apart" / "objects" / f"{name}.obj"], ReadOptions())
-    shape = read_shape(plan.objects[0].source)
-    assert gap in gap_alarm(solid_of([piece.mesh for piece in shape.pieces]))

@@ -33,13 +33,6 @@ def test_a_collada_unit_holds_alone_and_in_a_urdf(tmp_path, name):
     np.testing.assert_allclose(size_of(urdf), 2 * np.array(SIZES[name]), atol=1e-5)
 
 
-def test_the_vertical_axis_holds_beside_the_unit(tmp_path):
-    (tmp_path / "die.dae").write_text(DIE.replace("Z_UP", "Y_UP"))
-    np.testing.assert_allclose(size_of(tmp_path / "die.dae"), [0.019, 0.0076, 0.0114], atol=1e-5)
-    (tmp_path / "die.dae").write_text(DIE.replace(' meter="0.0254"', ""))
-    np.testing.assert_allclose(size_of(tmp_path / "die.dae"), [0.748, 0.4488, 0.2992], atol=1e-5)
-
-
 @pytest.mark.parametrize("unit", ["0", "-1", "nan", "inch", ""])
 def test_a_unit_that_is_no_length_is_refused(tmp_path, unit):
     (tmp_path / "die.dae").write_text(DIE.replace("0.0254", unit))
@@ -47,50 +40,9 @@ def test_a_unit_that_is_no_length_is_refused(tmp_path, unit):
         read_source(tmp_path / "die.dae")
 
 
-def test_an_image_without_a_path_costs_no_surface():
-    path = CASES / "20_dae_image_without_path" / "objects"
-    np.testing.assert_allclose(size_of(path), [0.06, 0.06, 0.06])
-    (shape,) = read_source(path)
-    assert "no path is given" in shape.notes[0]
-
-
-def test_surfaces_on_a_skeleton_are_named_as_left_out(tmp_path):
-    text = DIE.replace('<instance_geometry url="#g"/>', '<instance_controller url="#c"/>')
-    (tmp_path / "die.dae").write_text(text)
-    with pytest.raises(AssetError, match=r"no triangles.*1 surfaces with a skeleton"):
-        read_source(tmp_path / "die.dae")
-
-
 def colours(path):
     (shape,) = read_source(path)
     return {piece.rgba[:3] for piece in shape.pieces}
-
-
-def painted(folder, use, materials, line="mtllib a.mtl"):
-    text = f"{line}\nusemtl {use}\n" + trimesh.creation.box((0.1, 0.06, 0.04)).export(file_type="obj")
-    (folder / "a.obj").write_text(text)
-    (folder / "a.mtl").write_text(materials)
-    (shape,) = read_source(folder / "a.obj")
-    return shape
-
-
-def test_a_material_that_is_nowhere_defined_is_told(tmp_path):
-    shape = painted(tmp_path, "blue", "newmtl red\nKd 1 0 0\n")
-    assert "a.obj names material 'blue', which is nowhere defined" in shape.notes
-    assert shape.pieces[0].rgba == GREY
-
-
-def test_one_number_is_a_grey(tmp_path):
-    assert painted(tmp_path, "dark", "newmtl dark\nKd 0.2\n").pieces[0].rgba == (0.2, 0.2, 0.2, 1.0)
-
-
-def test_a_comment_behind_mtllib_names_no_files(tmp_path):
-    shape = painted(tmp_path, "red", "newmtl red\nKd 1 0 0\n", "mtllib a.mtl # the paint")
-    assert (shape.pieces[0].rgba, shape.notes) == ((1.0, 0.0, 0.0, 1.0), ())
-
-
-def test_a_tab_behind_mtllib_is_a_space():
-    assert colours(CASES / "10_obj_mtllib") == {(1.0, 0.0, 0.0)}
 
 
 @pytest.mark.parametrize(
@@ -122,14 +74,6 @@ def test_all_material_files_are_read(tmp_path, lines):
     before = cache.cache_key(source, ObjectConfig())
     (tmp_path / "blue.mtl").write_text("newmtl blue\nKd 0 1 0\n")
     assert cache.cache_key(source, ObjectConfig()) != before
-
-
-def test_a_material_file_whose_name_has_spaces_goes_before_two_files(tmp_path):
-    (tmp_path / "my cup.mtl").write_text("newmtl red\nKd 1 0 0\n")
-    (tmp_path / "box.obj").write_text(
-        (CASES / "10_obj_mtllib" / "tab.obj").read_text().replace("tab", "my cup", 1)
-    )
-    assert colours(tmp_path / "box.obj") == {(1.0, 0.0, 0.0)}
 
 
 def test_a_missing_material_file_is_named(tmp_path):

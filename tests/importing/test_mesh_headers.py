@@ -4,7 +4,6 @@ import json
 import struct
 import sys
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +11,7 @@ import trimesh
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
-from cluttergen_jax.importing.readers.text import utf8
 
-CASES = Path(__file__).parents[1] / "cases" / "import" / "09_stl_trailing"
 OBJ = """# {comment}
 mtllib box.mtl
 v 0 0 0
@@ -48,23 +45,6 @@ def test_materials_are_found_whatever_the_encoding(tmp_path, fresh, comment, obj
     (shape,) = read_source(tmp_path / "box.obj")
     colours = {piece.rgba[:3] for piece in shape.pieces}
     np.testing.assert_allclose(sorted(colours), [(0.1, 0.8, 0.2), (0.9, 0.9, 0.95)], atol=0.005)
-
-
-def test_text_headers_of_other_formats(tmp_path, fresh):
-    box = trimesh.creation.box((0.05, 0.05, 0.05))
-    stl = box.export(file_type="stl_ascii").replace("solid ", "solid Würfel ", 1)
-    (tmp_path / "box.stl").write_bytes(stl.encode("latin-1"))
-    ply = box.export(file_type="ply", encoding="binary")
-    (tmp_path / "box.ply").write_bytes(ply.replace(b"\ncomment ", b"\ncomment W\xfcrfel ", 1))
-    for name in ("box.stl", "box.ply"):
-        (shape,) = read_source(tmp_path / name)
-        assert len(shape.pieces[0].mesh.faces) == 12
-
-
-def test_utf8_stays_as_it_is():
-    for text in ("Würfel\n", "立方体\n", "plain\n"):
-        assert utf8(text.encode()) == text.encode()
-    assert utf8(b"\x81\xfc") == "\x81ü".encode()
 
 
 def glb(change):
@@ -167,25 +147,3 @@ def test_a_false_count_of_an_stl_file_is_said(tmp_path, count):
     (shape,) = read_source(tmp_path / "a.stl")
     assert len(shape.pieces[0].mesh.faces) == 12
     assert any(f"announces {count:,} triangles: the 12 " in note for note in shape.notes)
-
-
-@pytest.mark.parametrize("rest", [b"\0", b"\r\n", b"x" * 50, b"COLOR=" + bytes(200)])
-def test_bytes_after_the_last_triangle_of_an_stl_file_are_said(tmp_path, rest):
-    (tmp_path / "a.stl").write_bytes(stl_of(12) + rest)
-    (shape,) = read_source(tmp_path / "a.stl")
-    assert shape.pieces[0].mesh.volume == pytest.approx(0.05**3, rel=1e-5)
-    assert any(f"{len(rest)} bytes after its last triangle" in note for note in shape.notes)
-
-
-def test_a_binary_stl_file_may_begin_like_one_of_text(tmp_path):
-    for count in (12, 0):
-        (tmp_path / "a.stl").write_bytes(b"solid with facet".ljust(80) + stl_of(count)[80:])
-        (shape,) = read_source(tmp_path / "a.stl")
-        assert len(shape.pieces[0].mesh.faces) == 12
-
-
-def test_a_file_with_a_newline_after_its_triangles():
-    """As it was sent."""
-    (shape,) = read_source(CASES / "trail.stl")
-    assert len(shape.pieces[0].mesh.faces) == 12
-    assert any("2 bytes" in note for note in shape.notes)

@@ -1,7 +1,5 @@
 """MJCF pictures: where MuJoCo itself draws them, and what becomes of one that is not there."""
 
-import importlib.util
-import os
 from pathlib import Path
 
 import mujoco
@@ -11,9 +9,8 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh, cleaned
-from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
-from cluttergen_jax.importing.readers.cube_maps import laid_around, one_image
+from cluttergen_jax.importing.readers.cube_maps import laid_around
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
 from tests.helpers.drawing import needs_gl
 from tests.helpers.mujoco_pictures import beside
@@ -91,30 +88,6 @@ def test_a_picture_is_where_mujoco_draws_it(shape, kind, is_uniform, tmp_path):
     assert overlap > 0.9
 
 
-def robosuite_objects():
-    """The folder of robosuite's objects: named by CLUTTERGEN_ROBOSUITE, or of the installed package."""
-    if named := os.environ.get("CLUTTERGEN_ROBOSUITE"):
-        return Path(named)
-    spec = importlib.util.find_spec("robosuite")
-    return Path(spec.origin).parent / "models" / "assets" / "objects" if spec and spec.origin else None
-
-
-@needs_gl
-@pytest.mark.slow
-@pytest.mark.skipif(robosuite_objects() is None, reason="needs robosuite's objects")
-@pytest.mark.parametrize(
-    "name", ["bottle", "bread", "cereal", "milk", "plate-with-hole", "round-nut", "square-nut"]
-)
-def test_objects_of_robosuite_look_as_in_mujoco(name):
-    path = robosuite_objects() / f"{name}.xml"
-    # With images of full size: MuJoCo's own way of shrinking them is a little darker.
-    source, pieces = mujoco.MjModel.from_xml_path(str(path)), read_mjcf(path, max_side=4096).pieces
-    assert all(piece.texture is not None for piece in pieces)
-    differing, overlap = beside(source, pieces)
-    assert differing < 0.01
-    assert overlap > 0.95
-
-
 @pytest.mark.parametrize("name", ["nut_2d", "nut_cube"])
 def test_a_box_is_wooden_on_all_sides(name):
     (shape,) = read_source(CASES / "15_mjcf_texture_without_uv" / "objects" / f"{name}.xml")
@@ -174,30 +147,6 @@ def seen(points):
     return np.column_stack([across / away + 1, 1 - down / away]) / 2
 
 
-def test_six_equal_pictures_are_one():
-    sides = np.random.default_rng(0).integers(0, 255, (6, 4, 4, 3), np.uint8)
-    assert one_image(sides).shape == (8, 12, 3)
-    np.testing.assert_array_equal(one_image(sides)[4:, :4], sides[3])
-    assert one_image(np.broadcast_to(sides[:1], sides.shape)).shape == (4, 4, 3)
-
-
-@pytest.mark.parametrize("kind", ["2d", "cube"])
-def test_a_picture_of_one_colour_is_a_colour(kind, tmp_path):
-    texture = (
-        f"<texture name='t' type='{kind}' builtin='flat' rgb1='1 .5 0' rgb2='1 .5 0' width='8' height='8'/>"
-    )
-    path = write_model(tmp_path, texture, "<geom size='.05' material='m'/>", "rgba='.5 1 1 1'")
-    (piece,) = read_mjcf(path).pieces
-    assert piece.texture is None
-    np.testing.assert_allclose(piece.rgba, (0.5, 0.5, 0, 1), atol=0.01)
-
-
-def test_a_missing_picture_costs_the_picture_alone():
-    (shape,) = read_source(CASES / "14_mjcf_missing_image" / "objects" / "tin" / "tin.xml")
-    assert [piece.texture for piece in shape.pieces] == [None]
-    assert any("'label.png' cannot be read" in note for note in shape.notes)
-
-
 def test_of_several_pictures_those_that_are_there_are_kept(tmp_path):
     """Beside pictures that are missing, empty or stand-ins of Git LFS, on a cube's side and in a part."""
     (tmp_path / "images").mkdir()
@@ -230,32 +179,3 @@ def test_of_several_pictures_those_that_are_there_are_kept(tmp_path):
     assert [piece.rgba for piece in model.pieces][1:4] == [(0, 1, 0, 1)] * 3
     for name in ("empty", "lfs", "gone", "inner"):
         assert any(f"'{name}.png' cannot be read" in note for note in model.notes)
-
-
-@pytest.mark.parametrize(
-    ("more", "geom", "told"),
-    [
-        ("<mesh name='q' file='lost.obj'/>", "type='mesh' mesh='q'", r"lost\.obj"),
-        ("", "type='cylinder' size='0 0'", "size"),
-    ],
-)
-def test_what_else_is_wrong_is_told(more, geom, told, tmp_path):
-    texture = f"<texture name='t' type='2d' file='gone.png'/>{more}"
-    path = write_model(tmp_path, texture, f"<geom {geom} material='m'/>")
-    with pytest.raises(AssetError, match=f"cannot be compiled as MJCF: Error: .*{told}"):
-        read_mjcf(path)
-
-
-def test_what_mujoco_draws_otherwise_is_noted(tmp_path):
-    """An image marked as sRGB comes out darker; of a mesh's own coordinates texrepeat is no part."""
-    from PIL.PngImagePlugin import PngInfo
-
-    info = PngInfo()
-    info.add(b"sRGB", b"\0")
-    Image.new("RGB", (8, 8), (188, 188, 188)).save(tmp_path / "grey.png", pnginfo=info)
-    path = write_model(
-        tmp_path, "<texture name='t' type='2d' file='grey.png'/>", "<geom size='.05' material='m'/>"
-    )
-    model = read_mjcf(path)
-    np.testing.assert_allclose(model.pieces[0].rgba[:3], 0.5, atol=0.01)
-    assert any("sRGB" in note for note in model.notes)

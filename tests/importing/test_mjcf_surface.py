@@ -10,7 +10,6 @@ import trimesh
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
-from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 
 CASES = Path(__file__).parents[1] / "cases" / "import"
 GHOST = "contype='0' conaffinity='0'"
@@ -115,46 +114,6 @@ def test_what_is_the_object(tmp_path, case):
     np.testing.assert_allclose(size_of(shape), size, atol=0.5)
 
 
-def test_classes_decide_as_if_written_on_the_geom(tmp_path):
-    defaults = f"""<default><default class="visual"><geom {GHOST} group="2"/></default>
-      <default class="collision"><geom group="3"/></default></default>"""
-    shape = read_body(
-        tmp_path,
-        "<geom class='visual' size='.03'/><geom class='collision' type='box' size='.03 .03 .03'/>",
-        defaults,
-    )
-    assert (len(shape.pieces), len(shape.parts), shape.notes) == (1, 1, ())
-    assert len(shape.pieces[0].mesh.vertices) > 8
-
-
-def test_a_geom_that_only_a_pair_names_collides(tmp_path):
-    path = tmp_path / "pair.xml"
-    path.write_text(
-        f"""<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>
-          <body><freejoint/><geom name="box" type="box" size=".03 .03 .03" {GHOST}/></body></worldbody>
-          <contact><pair geom1="box" geom2="floor"/></contact></mujoco>"""
-    )
-    (shape,) = read_source(path)
-    assert len(shape.parts) == 1
-
-
-def test_what_is_left_out_or_taken_is_said(tmp_path):
-    shape = read_body(tmp_path, "<geom name='ground' type='plane' size='1 1 1'/>" + CARTON)
-    assert shape.notes == ("left out, as planes have no inside: 'ground'",)
-    shape = read_body(tmp_path, BALL + "<geom type='box' size='.03 .03 .03'/>")
-    assert shape.notes == ("taken for collision alone, as what is seen covers them: a box",)
-    (shape,) = read_source(CASES / "04_mjcf_region_box" / "region.xml")
-    assert shape.notes == ("left out, as they are not seen and do not collide: 'reg_bbox'",)
-
-
-@pytest.mark.parametrize("look", ["group='3'", "rgba='1 0 0 0'"])
-def test_where_nothing_is_seen_what_collides_is_shown(tmp_path, look):
-    shape = read_body(tmp_path, f"<geom name='hidden' type='box' size='.03 .02 .05' {look}/>")
-    np.testing.assert_allclose(size_of(shape), (60, 40, 100), atol=1e-3)
-    assert shape.pieces[0].rgba[3] == 1.0
-    assert shape.notes == ("taken for the surface, as nothing else is there to be seen: 'hidden'",)
-
-
 @pytest.mark.parametrize(
     ("geoms", "reason"),
     [
@@ -195,33 +154,3 @@ def test_the_ground_under_a_grid_of_heights_is_where_mujoco_has_it(tmp_path):
         assert ours == pytest.approx(theirs, abs=1e-6)
     assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
     assert mesh.volume > 0.12 * 0.10 * 0.01
-
-
-def test_a_scene_shows_no_floor_as_a_ball_and_no_target(tmp_path):
-    scene = read_mjcf_scene(CASES / "02_mjcf_not_solid" / "scene_with_floor.xml")
-    table = joined([piece.mesh for piece in scene.support.pieces])
-    np.testing.assert_allclose(np.ptp(table.vertices, axis=0), (0.8, 0.6, 0.04), atol=1e-6)
-    path = tmp_path / "scene.xml"
-    path.write_text(
-        f"""<mujoco><worldbody><geom type="plane" size="0 0 1"/>
-          <body name="carton" pos="0 0 .08"><freejoint/>{CARTON}{STICKERS}</body>
-          <body name="goal"><freejoint/><geom size=".3" rgba="0 1 0 0" {GHOST}/></body></worldbody>
-        </mujoco>"""
-    )
-    scene = read_mjcf_scene(path)
-    assert scene.names == ("carton",)
-    assert len(scene.objects[0].pieces) == 7
-    assert scene.support.pieces == ()
-    path.write_text(path.read_text().replace(CARTON + STICKERS, f"<geom size='.1' group='3' {GHOST}/>"))
-    with pytest.raises(AssetError, match="nothing of them is seen or collides"):
-        read_mjcf_scene(path)
-
-
-@pytest.mark.parametrize("where", ['pos="1e308 0 0" size="1 1 1"', 'size="1e308 1 1"', 'size="1e200 1 1"'])
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_a_geom_out_of_all_bounds_is_named(tmp_path, where):
-    cup = '<geom type="box" size="0.03 0.03 0.05" contype="0" conaffinity="0" mass="1"/>'
-    body = f'<body name="b"><geom name="far" type="box" {where}/>{cup}</body>'
-    (tmp_path / "a.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-    with pytest.raises(AssetError, match=r"geom 'far' reaches beyond 1,000,000 m"):
-        read_source(tmp_path / "a.xml")

@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.cli.import_ import Import, print_report
 from cluttergen_jax.importing.readers import find_sources, read_shape, survey
 from cluttergen_jax.importing.readers.pieces import whole_of
-from cluttergen_jax.importing.readers.tree import Skipped
-from cluttergen_jax.importing.run import ImportReport
 
 CASES = Path(__file__).parents[1] / "cases" / "import" / "13_pieces_beside_model"
 MJCF = """<mujoco><asset><mesh name="m" file="{}"/></asset>
@@ -75,41 +72,12 @@ def test_every_spelling_of_a_piece_is_known(tail, tmp_path):
     assert names(tmp_path) == ["blue_mug", "bowl"]
 
 
-@pytest.mark.parametrize("name", ["thing_0", "colander", "mug_collar", "site", "visual_aid", "apart-3"])
-def test_other_names_are_no_pieces(name):
-    assert not whole_of(name)
-
-
-@pytest.mark.parametrize("folder", ["collision", "visual", "convex", "vhacd", "collision_meshes"])
-def test_folders_of_pieces_hold_no_objects(tmp_path, folder):
-    save(tmp_path, "mug.obj", f"{folder}/0.obj", f"{folder}/mug.obj", f"{folder}/other.stl")
-    assert names(tmp_path) == ["mug"]
-
-
-def test_what_is_seen_stands_for_what_is_there_in_pieces_alone(tmp_path):
-    save(tmp_path, "mug/visual/mug.obj", "mug/collision/mug_0.obj", "mug/collision/mug_1.obj")
-    save(tmp_path, "cup_vis.obj", "cup_col.obj", "cup_coacd_0.obj")
-    assert names(tmp_path) == ["cup", "mug"]
-
-
-def test_a_piece_without_a_whole_is_an_object(tmp_path):
-    save(tmp_path, "mug_col.obj", "pan_textured.stl", "small_0.obj", "small_1.obj")
-    assert names(tmp_path) == ["mug_col", "pan_textured", "small_0", "small_1"]
-
-
 def test_a_folder_called_after_its_model_holds_its_pieces(tmp_path):
     save(tmp_path / "rack", "boards.obj", "rack_stand.obj", "rack_3.obj", model="rack.xml", mesh="boards.obj")
     (tmp_path / "rack" / "rack_boards.xml").write_text(MJCF.format("rack_stand.obj"))
     save(tmp_path / "pot", "visual.obj", "lid.obj", model="model.xml", mesh="visual.obj")
     (tmp_path / "pot" / "model_orig.xml").write_text(MJCF.format("visual.obj"))
     assert names(tmp_path) == ["pot", "rack"]
-
-
-def test_meshes_that_no_model_names_are_no_objects_beside_those_of_models(tmp_path):
-    """As in robosuite: `objects/meshes` has the meshes of `objects/*.xml`, some left over."""
-    save(tmp_path, "meshes/a.obj", "meshes/a.stl", "meshes/cube.obj", model="can.xml", mesh="meshes/a.stl")
-    (tmp_path / "can-visual.xml").write_text(MJCF.format("meshes/a.stl"))
-    assert names(tmp_path) == ["can"]
 
 
 @pytest.mark.parametrize(
@@ -130,24 +98,6 @@ def test_a_model_that_cannot_be_read_still_owns_what_it_names(tmp_path, text):
     assert "b" in names(tmp_path)
 
 
-def test_parts_of_mjcf_are_no_failures(tmp_path):
-    save(tmp_path, "a.obj", model="mug.xml")
-    (tmp_path / "looks.xml").write_text('<mujoco><asset><mesh name="b" file="a.obj"/></asset></mujoco>')
-    (tmp_path / "body.xml").write_text("<mujocoinclude><body/></mujocoinclude>")
-    (tmp_path / "lights.xml").write_text("<mujoco><worldbody><light/></worldbody></mujoco>")
-    found = survey(tmp_path)
-    assert [source.name for source in found.sources] == ["mug"]
-    assert {each.reason for each in found.skipped} == {"a part of MJCF models, made to be included"}
-
-
-def test_windows_paths_are_followed(tmp_path):
-    save(tmp_path, "parts/a.obj", "parts/b.obj")
-    (tmp_path / "assets.xml").write_text('<mujoco><asset><mesh file="parts\\a.obj"/></asset></mujoco>')
-    world = "<worldbody><body/></worldbody>"
-    (tmp_path / "mug.xml").write_text(f'<mujoco><include file=".\\assets.xml"/>{world}</mujoco>')
-    assert names(tmp_path) == ["b", "mug"]
-
-
 def test_a_mesh_in_mujocos_own_format_is_read(tmp_path):
     box = trimesh.creation.box((0.04, 0.06, 0.08))
     head = struct.pack("4i", len(box.vertices), 0, 0, len(box.faces))
@@ -158,14 +108,3 @@ def test_a_mesh_in_mujocos_own_format_is_read(tmp_path):
     (source,) = find_sources(tmp_path)
     (piece,) = read_shape(source).pieces
     np.testing.assert_allclose(np.ptp(piece.mesh.vertices, axis=0), [0.04, 0.06, 0.08], atol=1e-6)
-
-
-def test_pieces_are_counted_in_one_line(capsys):
-    skipped = tuple(Skipped(f"f/mug_col_{i}.obj", "by its name a piece of mug.obj", True) for i in range(38))
-    print_report(
-        ImportReport(None, (), 0, (), (*skipped, Skipped("f/notes.txt", "not a mesh format"))), Import
-    )
-    told = capsys.readouterr().out
-    assert "38 files are pieces of these objects" in told
-    assert "1 skipped:" in told
-    assert "mug_col_3" not in told

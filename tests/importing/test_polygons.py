@@ -9,10 +9,8 @@ import trimesh
 
 from cluttergen_jax.assets.folds import num_folds, without_folds
 from cluttergen_jax.assets.mesh import Mesh, cleaned
-from cluttergen_jax.importing.readers import find_sources, read_shape, read_source
-from cluttergen_jax.importing.readers.ply_polygons import cut_ply
-from cluttergen_jax.importing.readers.polygons import CROSSING, cut_obj, cuts
-from cluttergen_jax.importing.solo import measured_object
+from cluttergen_jax.importing.readers import read_source
+from cluttergen_jax.importing.readers.polygons import cut_obj
 
 CASES = Path(__file__).parents[1] / "cases" / "import" / "01_ngon_concave"
 HEIGHT = 0.03
@@ -104,13 +102,6 @@ def test_an_l_bracket_is_one(name):
     assert num_folds(cleaned(mesh)) == 0
 
 
-def test_its_body_weighs_what_an_l_bracket_does():
-    (source,) = find_sources(CASES / "bracket_spin.obj")
-    asset = measured_object(read_shape(source), trials=8)
-    assert asset.mass == pytest.approx(0.0765, rel=1e-4)
-    assert len(asset.parts) <= 4
-
-
 @pytest.mark.parametrize("name", WRITERS)
 @pytest.mark.parametrize("seed", range(4))
 def test_every_format_covers_an_outline_once(name, seed, tmp_path):
@@ -146,28 +137,6 @@ def test_corners_that_count_back_do_so_from_their_own_line(is_quad, tmp_path):
     assert cleaned(shape.pieces[0].mesh).volume == pytest.approx(0.1 * 0.1 * HEIGHT)
 
 
-def test_what_a_fan_covers_stays_as_it_is():
-    ring = np.linspace(0, 2 * np.pi, 9)[:-1]
-    what = prism(0.05 * np.stack([np.cos(ring), np.sin(ring)], 1), 3)
-    assert cut_obj(as_obj(*what)) == (as_obj(*what), ())
-    assert cut_ply(as_ply(*what)) == (as_ply(*what), ())
-
-
-def test_an_outline_that_crosses_itself_is_said():
-    bow = np.array([[0, 0, 0], [0.1, 0.1, 0], [0.1, 0, 0], [0, 0.05, 0]])
-    assert cuts(bow, [np.arange(4)]) == ({}, True)
-    text = b"\n".join(b"v %f %f %f" % tuple(row) for row in bow) + b"\nf 1 2 3 4\n"
-    assert cut_obj(text) == (text, (CROSSING,))
-
-
-@pytest.mark.parametrize("damage", [b"f 1 2 99 4 5", b"f 1 x 3 4", b"f 1 0 3 4", b"v nan nan nan"])
-def test_what_cannot_be_meant_is_left_to_the_parser(damage):
-    text = as_obj(*prism(outline(0)[0], 0)) + b"\n" + damage + b"\n"
-    cut_obj(text)
-    for end in range(0, 2000, 37):
-        cut_ply(as_ply(*prism(outline(0)[0], 0), "<")[:end])
-
-
 def fanned(points, start):
     vertices, polygons = prism(points, start)
     faces = [[each[0], each[i], each[i + 1]] for each in polygons for i in range(1, len(each) - 1)]
@@ -187,15 +156,6 @@ def test_what_arrives_folded_is_cut_anew(seed, is_soup):
         assert num_folds(cleaned(mended)) == 0
         assert area(mended) == pytest.approx(2 * inside + around * HEIGHT, rel=1e-6)
         assert mended.volume == pytest.approx(inside * HEIGHT, rel=1e-6)
-
-
-def test_a_folded_stl_file_is_said(tmp_path):
-    points = np.array([[0, 0], [0.1, 0], [0.1, 0.03], [0.03, 0.03], [0.03, 0.1], [0, 0.1]])
-    mesh = fanned(points, 5)
-    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(tmp_path / "l.stl")
-    (shape,) = read_source(tmp_path / "l.stl")
-    assert area(shape.pieces[0].mesh) == pytest.approx(0.0222, rel=1e-5)
-    assert any("flat over itself" in note for note in shape.notes)
 
 
 def test_sound_surfaces_stay_the_same_object():

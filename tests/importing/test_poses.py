@@ -52,11 +52,3 @@ def test_who_says_how_it_stands_is_believed(lying, options):
     (shape,) = read_source(lying, ReadOptions(**options))
     assert not shape.is_pose_free
     assert read_source(lying)[0].is_pose_free
-
-
-def test_a_pose_that_is_none(capsys):
-    with pytest.raises(PoolError, match="embedded"):
-        cluttergen_jax.set_pose("dining", "mug", 1)
-    for words in (["mine"], ["mine", "carton", "one"]):
-        assert main(["pool", "pose", *words]) == 2
-        assert "cluttergen pool pose POOL OBJECT" in capsys.readouterr().err

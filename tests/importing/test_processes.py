@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.importing.processes import Crew, death, run_all
+from cluttergen_jax.importing.processes import Crew, run_all
 
 
 def reciprocal(number):
@@ -23,10 +23,6 @@ def reciprocal(number):
     if number == 0:
         os.kill(os.getpid(), signal.SIGKILL)
     return str(1 / number)
-
-
-def environment(name):
-    return os.environ.get(name, "")
 
 
 def sleep(seconds):
@@ -80,16 +76,6 @@ def test_a_crash_costs_only_its_own_job():
     assert "memory" in lost
 
 
-def test_what_ended_a_worker_is_told():
-    found = outcomes([signal.SIGSEGV, signal.SIGABRT, 3, "well"])
-    assert "SIGSEGV" in found[0].fault
-    assert "SIGABRT" in found[1].fault
-    assert "status 3" in found[2].fault
-    assert "memory" not in "".join(each.fault for each in found.values())
-    assert (found[3].result, found[3].fault) == ("well", "")
-    assert "signal 250" in death(-250)
-
-
 def test_a_job_without_an_end_is_ended_and_the_rest_goes_on():
     found = outcomes(["spin", "well"], limit=0.6)
     assert found[1].result == "well"
@@ -110,38 +96,9 @@ def test_a_lost_job_is_tried_once_more_in_another_way(how):
     assert found.seconds < 60
 
 
-def test_who_is_at_work_is_told():
-    heard = []
-    crew = Crew(sleep, 2, watch=heard.append)
-    try:
-        assert len(dict(crew.outcomes([0.1, 0.1, 1.0]))) == 3
-    finally:
-        crew.close()
-    assert [0, 1] in heard
-    assert heard[-1] == [2]
-
-
-def test_a_job_may_be_tried_in_more_ways_within_one_limit():
-    ways = {"spin": signal.SIGSEGV, signal.SIGSEGV: "well"}
-    found = outcomes(["spin"], limit=1.5, again=lambda job, fault: ways[job], most_tries=3)[0]
-    assert (found.result, found.fault) == ("well", "")
-    found = outcomes(["spin"], limit=0.9, again=lambda job, fault: job, most_tries=3)[0]
-    assert found.is_late
-    assert found.seconds < 0.9 * 4 + 2
-
-
 def test_workers_that_cannot_begin_end_the_run():
     with pytest.raises(ClutterGenError, match=r"status 7.*__main__"):
         outcomes([Unborn()])
-
-
-def test_a_result_of_none_is_one():
-    assert outcomes([None])[0].fault == ""
-
-
-def test_workers_take_one_thread_and_no_gpu():
-    results = dict(run_all(environment, ["OMP_NUM_THREADS", "JAX_PLATFORMS"], 2))
-    assert results == {0: "1", 1: "cpu"}
 
 
 def test_leaving_early_ends_the_workers():
@@ -151,10 +108,6 @@ def test_leaving_early_ends_the_workers():
     results.close()
     assert time.perf_counter() - start < 20
     assert not multiprocessing.active_children()
-
-
-def test_no_jobs_need_no_process():
-    assert list(run_all(reciprocal, [], 4)) == []
 
 
 def is_running(pid):

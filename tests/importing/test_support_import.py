@@ -8,10 +8,9 @@ from shapely.ops import unary_union
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
-from cluttergen_jax.assets.overhead import cover, largest_rectangle, look_down
+from cluttergen_jax.assets.overhead import cover, largest_rectangle
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import primitives
 from cluttergen_jax.importing.supports import support_from_mesh
 
 FURNITURE = [name for name in SUPPORTS if name != "table"]
@@ -67,12 +66,6 @@ def test_our_tables_are_found_again(name, angle):
         assert shared / outline.union(own_outline).area > 0.94
 
 
-def test_a_turned_desk_gets_a_turned_region():
-    found = support_from_mesh(shape_of(make_support("drawer_desk"), 0.4))
-    assert np.sin(2 * (found.region.yaw - 0.4)) == pytest.approx(0, abs=1e-6)
-    assert len(top_outline(found)[1]) == 1
-
-
 def test_rims_and_risers_become_obstacles():
     for name in ("tray_table", "shelf_desk"):
         own = make_support(name)
@@ -126,23 +119,3 @@ def test_largest_rectangle_against_all_rectangles(seed):
     for a0, a1, b0, b1 in cover(mask, missing=0.0, limit=1000):
         count[a0:a1, b0:b1] += 1
     np.testing.assert_array_equal(count, mask.astype(int))
-
-
-def test_looking_down_sees_the_height_of_a_slope_and_of_the_highest():
-    roof = trimesh.creation.box((2, 2, 1)).apply_translation((0, 0, -0.5))
-    slope = np.array([[-1, -1, 0.2], [1, -1, 0.4], [1, 1, 0.4], [-1, 1, 0.2]])
-    low = Mesh(roof.vertices, roof.faces)
-    faces = np.concatenate([low.faces, np.array([[0, 1, 2], [0, 2, 3]]) + len(low.vertices)])
-    both = Mesh(np.concatenate([low.vertices, slope]), faces)
-    view = look_down(both, np.array([-1.0, -1.0]), np.array([1.0, 1.0]), np.array([20, 20]))
-    x = view.origin[0] + (np.arange(view.height.shape[0]) + 0.5) * view.cell[0]
-    np.testing.assert_allclose(view.height, np.broadcast_to((0.3 + 0.1 * x)[:, None], view.height.shape))
-    assert not view.is_level.any()
-    assert look_down(low, np.array([-1.0, -1.0]), np.array([1.0, 1.0]), np.array([20, 20])).is_level.all()
-
-
-def test_an_inverted_table_is_drawn_the_right_way_round():
-    table = primitives.box(np.array([0.4, 0.3, 0.35]))
-    inverted = Piece(Mesh(table.vertices, table.faces[:, ::-1]))
-    support = support_from_mesh(Shape("table", "table", (inverted,), SOURCE))
-    assert support.pieces[0].mesh.volume == pytest.approx(0.8 * 0.6 * 0.7)

@@ -7,7 +7,6 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.mesh import joined
-from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.readers import find_sources, read_shape, read_source, survey
 from cluttergen_jax.importing.run import ObjectConfig
@@ -53,24 +52,6 @@ def mixed(tmp_path):
     return folder
 
 
-def test_models_and_meshes_side_by_side(mixed):
-    things = [f"thing_{index}" for index in range(16)]
-    assert names(mixed) == sorted([*things, "can", "lamp", "bulb", "toy", "axle"])
-    kinds = {source.name: source.kind for source in find_sources(mixed)}
-    assert (kinds["toy"], kinds["lamp"], kinds["bulb"]) == ("mjcf", "urdf", "mesh")
-
-
-def test_what_is_left_out_is_said_by_name(mixed):
-    told = skipped(mixed)
-    assert set(told) == {"fox.fbx", "notes.txt", "package.xml", "cut.xml", "thing_0.stl", "toy.obj"}
-    assert "FBX" in told["fox.fbx"]
-    assert told["notes.txt"] == "not a mesh format"
-    assert "<package>" in told["package.xml"]
-    assert "well-formed" in told["cut.xml"]
-    assert told["thing_0.stl"] == "the same object as thing_0.obj"
-    assert told["toy.obj"] == "the same object as toy.xml"
-
-
 def test_published_folders_stay_one_object_each(tmp_path):
     for name in ("mug", "bowl"):
         folder = tmp_path / name / "0"
@@ -84,17 +65,6 @@ def test_published_folders_stay_one_object_each(tmp_path):
     told = skipped(tmp_path / "mug")
     assert set(told) == {"0/textured.obj", "0/collision.obj", "0/textured_objs/original-7.obj"}
     assert all("a piece of mobility.urdf" in reason for reason in told.values())
-
-
-def test_numbers_are_names_of_different_objects(tmp_path):
-    for index in range(3):
-        save_box(tmp_path / "cups" / f"{index}.obj")
-    assert names(tmp_path) == ["cups", "cups-2", "cups-3"]
-
-
-def test_no_object_is_called_as_the_support_of_a_scene(tmp_path):
-    save_box(tmp_path / "set" / "support.obj")
-    assert names(tmp_path) == ["support-2"]
 
 
 def test_included_files_are_part_of_what_includes_them(tmp_path):
@@ -125,13 +95,6 @@ def test_bodies_that_mujoco_makes_are_objects_too(tmp_path):
     sizes = [np.ptp(joined([piece.mesh for piece in shape.pieces]).bounds, axis=0) for shape in shapes]
     np.testing.assert_allclose(sizes[2], [0.1, 0.06, 0.06], atol=1e-6)
     np.testing.assert_allclose(sizes[3], 0.04, atol=1e-3)
-
-
-def test_soft_bodies_are_refused_as_such(tmp_path):
-    cloth = '<flexcomp name="f" type="grid" count="4 4 1" spacing=".02 .02 .02" radius=".001"/>'
-    (tmp_path / "cloth.xml").write_text(f"<mujoco><worldbody>{cloth}</worldbody></mujoco>")
-    with pytest.raises(AssetError, match=r"cloth\.xml holds soft bodies alone"):
-        read_source(tmp_path)
 
 
 def test_a_file_that_includes_itself_ends(tmp_path):
@@ -165,16 +128,3 @@ def test_each_real_folder_is_entered_once(tmp_path):
     assert told["another"] == "a link to a folder that is imported already: linked/inner"
     assert "holds this one" in told["inner/out"]
     assert told["broken"] == told["round"] == "a link that leads nowhere"
-
-
-def test_a_link_to_elsewhere_is_followed(tmp_path):
-    save_box(tmp_path / "elsewhere" / "cube.obj")
-    (tmp_path / "here").mkdir()
-    os.symlink("../elsewhere", tmp_path / "here" / "link")
-    assert names(tmp_path / "here") == ["cube"]
-
-
-def test_a_folder_without_objects_names_what_it_has(tmp_path):
-    (tmp_path / "fox.fbx").write_text("x")
-    with pytest.raises(AssetError, match=r"fox\.fbx"):
-        find_sources(tmp_path)

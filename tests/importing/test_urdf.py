@@ -6,8 +6,7 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import find_sources, read_source, survey
-from tests.helpers.cases import CASES
+from cluttergen_jax.importing.readers import find_sources, read_source
 
 BOX = '<box size=".1 .06 .04"/>'
 
@@ -37,15 +36,6 @@ def size_of(shape):
     return np.ptp(joined([piece.mesh for piece in shape.pieces]).bounds, axis=0)
 
 
-def test_one_number_scales_all_three_axes():
-    shape = read(CASES / "06_urdf_scalar_scale")
-    np.testing.assert_allclose(size_of(shape), [0.1, 0.06, 0.04], atol=1e-6)
-
-
-def test_a_colour_without_alpha_is_opaque():
-    assert read(CASES / "07_urdf_rgba3").pieces[0].rgba == (0.8, 0.1, 0.1, 1.0)
-
-
 CLEAR = '<material name="clear"><color rgba="1 0 0 0"/></material>'
 HANDLE = '<visual><geometry><sphere radius="0.01"/></geometry></visual>'
 
@@ -59,37 +49,6 @@ def test_what_is_clear_is_left_out_and_drawn_where_nothing_else_is_seen(tmp_path
     assert "left out, as their alpha is 0: 1 of 2 surfaces" in shape.notes
 
 
-@pytest.mark.parametrize("name", ["thing.urdf", "thing.xml"])
-def test_a_namespace_around_all_is_nothing_to_stumble_over(tmp_path, name):
-    save_box(tmp_path / "cup.stl")
-    path = write(tmp_path, link(form='<mesh filename="cup.stl"/>'), name)
-    path.write_text(path.read_text().replace("<robot", '<robot xmlns="http://drake.mit.edu"'))
-    np.testing.assert_allclose(size_of(read(tmp_path)), [0.1, 0.06, 0.04], atol=1e-6)
-
-
-def test_another_root_than_robot_is_told(tmp_path):
-    path = write(tmp_path, link())
-    path.write_text('<sdf version="1.6"><model name="cup"/></sdf>')
-    with pytest.raises(AssetError, match=r"thing\.urdf is no URDF: its root is <sdf>"):
-        read(path)
-
-
-def test_what_urdf_does_not_have_is_said(tmp_path):
-    joint = '<joint name="j" type="hinge"><parent link="a"/><child link="b"/></joint>'
-    two = BOX + '<sphere radius="1"/>'
-    notes = read(write(tmp_path, link(form=two) + link("b") + link("c") + joint)).notes
-    assert "joint 'j' is of type 'hinge', which URDF does not have: it is fixed" in notes
-    assert "of 2 shapes in one <geometry> the first is taken, <box>" in notes
-    assert "its links 'a', 'c' hang on no joint: all are put at the model's origin" in notes
-    with pytest.raises(AssetError, match="a <mesh> that names no file"):
-        read(write(tmp_path, link(form='<mesh scale="1 1 1"/>')))
-
-
-def test_a_material_of_one_link_holds_in_another():
-    shape = read(CASES / "11_urdf_material_reuse")
-    assert [piece.rgba for piece in shape.pieces] == [(0.8, 0.0, 0.0, 1.0)] * 2
-
-
 def test_the_materials_of_the_model_go_before_those_of_links(tmp_path):
     red, blue = (f'<material name="m"><color rgba="{rgba}"/></material>' for rgba in ("1 0 0 1", "0 0 1 1"))
     joint = '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
@@ -97,16 +56,6 @@ def test_the_materials_of_the_model_go_before_those_of_links(tmp_path):
     assert [piece.rgba[0] for piece in read(write(tmp_path, body)).pieces] == [0, 1]
     shape = read(write(tmp_path, link(inside='<material name="lost"/>')))
     assert "material 'lost' is named and nowhere defined" in shape.notes
-
-
-def test_a_density_in_the_file_is_taken(tmp_path):
-    assert read(CASES / "21_urdf_density").density == 2700
-    two = [
-        link(name, more=f'<inertial><density value="{n}"/></inertial>') for name, n in (("a", 1), ("b", 2))
-    ]
-    joint = '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
-    with pytest.raises(AssetError, match=r"densities \[1\.0, 2\.0\]"):
-        read(write(tmp_path, "".join(two) + joint))
 
 
 WRONG = {
@@ -183,14 +132,6 @@ def test_a_joint_that_cannot_be_followed_is_told(tmp_path, second, told):
     assert told in str(error.value)
 
 
-def test_axes_are_checked_and_short_ones_are_said(tmp_path):
-    shape = read(write(tmp_path, fingers("", axis="0 1")))
-    assert any("axis '0 1' of joint 'f1'" in note for note in shape.notes)
-    for axis in ("0 0 0", "0 0 1 0", "up"):
-        with pytest.raises(AssetError, match=rf'<axis xyz="{axis}">'):
-            read(write(tmp_path, fingers("", axis=axis)))
-
-
 @pytest.mark.parametrize(
     ("said", "place"),
     [
@@ -211,16 +152,6 @@ def test_meshes_are_found_that_are_named_as_on_another_machine(tmp_path, said, p
     assert [source.kind for source in find_sources(tmp_path)] == ["urdf"]
 
 
-def test_the_longest_part_of_a_path_that_fits_is_taken_and_a_guess_is_said(tmp_path):
-    save_box(tmp_path / "visual" / "cup.stl")
-    save_box(tmp_path / "meshes" / "cup.stl", (0.2, 0.2, 0.2))
-    shape = read(write(tmp_path, link(form=r'<mesh filename="C:\cups\visual\cup.stl"/>')))
-    assert size_of(shape)[0] == pytest.approx(0.1)
-    assert not any("is taken from" in note for note in shape.notes)
-    shape = read(write(tmp_path, link(form=r'<mesh filename="C:\cups\old\cup.stl"/>')))
-    assert any("cup.stl is taken from meshes/" in note for note in shape.notes)
-
-
 @pytest.mark.parametrize(
     "body",
     [
@@ -235,14 +166,3 @@ def test_an_unprocessed_xacro_is_named_as_one(tmp_path, body, space):
     path.write_text(path.read_text().replace("<robot", f"<robot{space}"))
     with pytest.raises(AssetError, match=r"cup\.urdf is an unprocessed xacro.*Try: xacro cup\.urdf > "):
         read(path)
-
-
-def test_a_processed_xacro_is_read_and_its_source_left_out(tmp_path):
-    path = write(tmp_path, link(), "cup.urdf")
-    path.write_text(path.read_text().replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"'))
-    source = write(tmp_path, '<xacro:property name="x" value="1"/>', "cup.urdf.xacro")
-    (skipped,) = survey(tmp_path).skipped
-    assert "xacro cup.urdf.xacro > cup.urdf" in skipped.reason
-    assert read(tmp_path).name == "cup"
-    with pytest.raises(AssetError, match=r"Try: xacro cup\.urdf\.xacro > cup\.urdf"):
-        read(source)

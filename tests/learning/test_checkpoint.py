@@ -7,11 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.fitting.fit import FitConfig
-from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.learning.agents import ENCODER
-from cluttergen_jax.learning.ppo.checkpoint import check_folder, read_policy, save_policy
-from cluttergen_jax.learning.training.run import with_encoder
+from cluttergen_jax.errors import PoolError
+from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
 from tests.helpers.records import unsigned
 
 KERNEL, BIAS = "params/actor/kernel", "params/actor/bias"
@@ -86,12 +83,6 @@ def test_what_is_wrong_is_named(folder, name, value, says):
     assert repr(name) in str(caught.value)
 
 
-def test_no_weights_at_all_are_no_weights(folder):
-    change(folder, **{BIAS: None, KERNEL: None})
-    with pytest.raises(PoolError, match=r"bias' is missing; array .*kernel' is missing"):
-        read_policy(folder, LIKE)
-
-
 def test_a_bomb_is_not_unpacked(folder):
     # 64 MB of zeros in a file of 64 kB: refused by its size, before it is in memory.
     with (
@@ -102,35 +93,3 @@ def test_a_bomb_is_not_unpacked(folder):
             file.write(bytes(1 << 20))
     with pytest.raises(PoolError, match="67108864 bytes"):
         read_policy(folder, LIKE)
-
-
-def test_weights_of_an_encoder_are_looked_at_too(tmp_path):
-    net = {"Dense_0": {"kernel": np.ones((3, 2), np.float32), "bias": np.ones(2, np.float32)}}
-    save_policy(tmp_path, net, {"encoder": "pointnet", "features": 2})
-    params = {"params": {ENCODER: {"object_net": net, "scene_net": net}}}
-    with_encoder(params, tmp_path)
-    change(tmp_path, **{"Dense_0/bias": np.full(2, np.nan, np.float16)})
-    with pytest.raises(PoolError, match="'Dense_0/bias' holds numbers that are not finite"):
-        with_encoder(params, tmp_path)
-    change(tmp_path, **{"Dense_0/bias": None})
-    with pytest.raises(PoolError, match="'Dense_0/bias' is missing"):
-        with_encoder(params, tmp_path)
-
-
-def test_a_folder_of_something_else_is_no_place_for_a_run(tmp_path):
-    for name in (".hidden.json", "train.log", "metrics.csv"):
-        (tmp_path / name).write_text("")
-    check_folder(tmp_path, {})
-    check_folder(tmp_path / "new", {})
-    (tmp_path / "bank.json").write_text("{}")
-    for place in (tmp_path, tmp_path / "bank.json"):
-        with pytest.raises(ConfigError, match=r"bank\.json is nothing of a run.*another `out`"):
-            check_folder(place, {})
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"learning_rate": float("inf")}, {"num_epochs": 0.5}, {"batch_size": 2.5}, {"num_epochs": 0}]
-)
-def test_a_fit_has_whole_epochs_and_finite_steps(wrong):
-    with pytest.raises(ConfigError, match=next(iter(wrong))):
-        FitConfig(**wrong)

@@ -7,17 +7,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import pdist
 
 from cluttergen_jax.assets.cloud import farthest_first
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.agents import Agent
-from cluttergen_jax.learning.networks import cloud_encoder, pointnet2
+from cluttergen_jax.learning.networks import cloud_encoder
 from cluttergen_jax.learning.networks.actor_critic import NetworkConfig
-from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, CloudNet, encode_scenes, init_encoder
-from cluttergen_jax.learning.networks.pointnet2 import PointNet2, SetAbstraction, ball_query, farthest_points
+from cluttergen_jax.learning.networks.cloud_encoder import (
+    CloudEncoder,
+    CloudNet,
+    ball_query,
+    encode_scenes,
+    farthest_points,
+    init_encoder,
+)
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
-from cluttergen_jax.placement.clouds import CloudLayout, even_points, scene_cloud
+from cluttergen_jax.placement.clouds import CloudLayout, scene_cloud
 from cluttergen_jax.placement.env import PlacementEnv
 from tests.helpers.problems import made_up_rules
 from tests.helpers.runs import compiled_once
@@ -95,23 +99,9 @@ def test_farthest_points_are_those_of_numpy():
         assert bool(is_chosen.all())
 
 
-def test_farthest_points_say_when_there_are_no_more():
-    mask = np.arange(20) % 4 == 0
-    index, is_chosen = farthest_points(jnp.asarray(points(20)), mask, 9)
-    np.testing.assert_array_equal(is_chosen, np.arange(9) < 5)
-    assert sorted(np.asarray(index)[:5].tolist()) == [0, 4, 8, 12, 16]
-
-
-def test_prefix_of_an_ordered_cloud_is_its_farthest_point_sample():
-    cloud = points(64)
-    ordered = cloud[farthest_first(np.float64(cloud))]
-    index, _ = farthest_points(jnp.asarray(ordered), np.ones(64, bool), 20)
-    np.testing.assert_array_equal(index, np.arange(20))
-
-
 @pytest.mark.parametrize("at_once", [1 << 20, 150])
 def test_ball_query_finds_what_a_tree_finds(monkeypatch, at_once):
-    monkeypatch.setattr(pointnet2, "_SEARCHED_AT_ONCE", at_once)
+    monkeypatch.setattr(cloud_encoder, "_SEARCHED_AT_ONCE", at_once)
     cloud, centres, radius, number = points(50), points(9, 3), 0.4, 5
     mask = np.random.default_rng(2).uniform(size=50) < 0.7
     index, is_found = jax.jit(ball_query, static_argnums=(3, 4))(centres, cloud, mask, radius, number)
@@ -121,23 +111,6 @@ def test_ball_query_finds_what_a_tree_finds(monkeypatch, at_once):
     assert 0 < np.isfinite(distance).mean() < 1
     for row, theirs, found in zip(np.asarray(index), nearest, np.asarray(is_found), strict=True):
         np.testing.assert_array_equal(row[found], among[theirs[found]])
-
-
-def test_fewer_points_than_a_group_is_no_fault():
-    index, is_found = ball_query(*map(jnp.asarray, (points(2), points(3))), np.ones(3, bool), 10.0, 8)
-    assert index.shape == is_found.shape == (2, 3)
-    assert bool(is_found.all())
-
-
-def test_a_level_does_not_change_when_the_cloud_is_moved():
-    level = SetAbstraction(0.5, 4, (8, 6))
-    cloud, mask, index = jnp.asarray(points(30)), jnp.arange(30) < 25, jnp.arange(6)
-    features = jax.random.normal(jax.random.key(3), (30, 2))
-    weights = jax.jit(level.init)(jax.random.key(0), cloud, mask, features, index, mask[index])
-    apply = jax.jit(lambda cloud: level.apply(weights, cloud, mask, features, index, mask[index]))
-    # Shifts that float32 adds without rounding, so that the search finds the same points.
-    np.testing.assert_allclose(apply(cloud), apply(cloud + jnp.array([4.0, -2.0, 1.0])), atol=1e-4)
-    assert np.abs(apply(cloud) - apply(cloud * 1.3)).max() > 1e-2
 
 
 def test_masked_points_do_not_matter_whatever_they_are(net):
@@ -160,15 +133,6 @@ def test_order_of_points_does_not_matter(net):
     )
 
 
-@pytest.mark.slow
-def test_gradient_stays_finite_with_padding():
-    module = PointNet2(4, 4)
-    cloud, mask = jnp.asarray(points(20)), jnp.arange(20) < 3
-    weights = jax.jit(module.init)(jax.random.key(0), cloud, mask, np.arange(10))
-    slope = jax.jit(jax.grad(lambda w: jnp.sum(module.apply(w, cloud, mask, np.arange(10)) ** 2)))(weights)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slope))
-
-
 @pytest.mark.parametrize(("number", "objects", "size"), [(20480, 10, 1024), (2048, 10, 1024), (64, 40, 8)])
 def test_layout_shares_points_equally(number, objects, size):
     layout = CloudLayout.of(number, objects, size)
@@ -184,17 +148,6 @@ def test_layout_shares_points_equally(number, objects, size):
         # The points of each owner are its first ones.
         offset = np.where(owner < 0, index, (index - layout.num_ground) % layout.share)
         assert all(sorted(offset[owner == k]) == list(range((owner == k).sum())) for k in range(-1, objects))
-
-
-def test_even_points_are_even_and_at_different_distances():
-    points = even_points(400)
-    assert np.abs(points).max() <= 1
-    for number in (400, 100):
-        counts = np.histogram2d(*points[:number].T, bins=5, range=[[-1, 1]] * 2)[0]
-        assert np.abs(counts - number / 25).max() <= 0.5 * number / 25
-    distance = np.sort(pdist(points))
-    assert np.diff(distance).min() >= 0
-    assert len(np.unique(distance.round(6))) > 0.4 * len(distance)
 
 
 def test_scene_of_unmoved_objects_is_their_clouds():
@@ -220,14 +173,6 @@ def test_scene_features_see_poses_of_placed_objects_only(encoder):
     assert change[2] == 0
 
 
-def test_lengths_count_in_units_of_the_object(encoder):
-    module, weights = encoder
-    clouds, half = world()
-    apply = jax.jit(lambda *each: module.apply({"params": weights}, *each, method="of_object"))
-    np.testing.assert_allclose(apply(clouds[0], half[0]), apply(2 * clouds[0], 2 * half[0]), atol=1e-5)
-    assert np.abs(apply(clouds[0], half[0]) - apply(clouds[1], half[1])).max() > 1e-2
-
-
 @pytest.mark.slow
 def test_chunks_change_neither_features_nor_gradient(monkeypatch):
     module = CloudEncoder(SMALL, NUM_OBJECTS)
@@ -244,10 +189,6 @@ def test_chunks_change_neither_features_nor_gradient(monkeypatch):
         slope, features = jax.jit(jax.grad(total, has_aux=True))(weights)
         results.append((features, slope["scene_net"]))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=2e-4, rtol=1e-3), *results)
-
-
-def test_chunks_divide_the_batch_where_they_can():
-    assert [cloud_encoder._chunk(batch) for batch in (1, 5, 64, 100, 1000, 37)] == [1, 5, 32, 25, 25, 32]
 
 
 @pytest.mark.slow
@@ -312,16 +253,3 @@ def test_renumbering_the_objects_leaves_actions_unchanged(kind):
     one, two = act(clouds, half, seen), act(clouds[order], half[order], renumbered)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), one, two)
     assert np.abs(one[1] - act(clouds, half, renumbered)[1]).max() > 1e-3
-
-
-def test_older_records_are_read():
-    old = {"head": "beta", "object_points": 64, "object_features": 64, "token_width": 96, "num_heads": 4}
-    assert NetworkConfig(**old) == NetworkConfig()
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"scene_encoder": "voxels"}, {"scene_points": 3}, {"num_centroids": 0}, {"object_points": 0}]
-)
-def test_config_refuses(wrong):
-    with pytest.raises(ConfigError):
-        NetworkConfig(**wrong)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.learning.networks.footprint import FootprintFeatures
+from cluttergen_jax.learning.agents import FootprintFeatures
 
 CELL = 0.01
 SIDE = 48 * CELL
@@ -57,17 +57,6 @@ def test_shares_are_those_of_the_footprint(held, symmetry):
     assert worst < 0.15
 
 
-@pytest.mark.slow
-def test_both_ways_round_a_paddle_takes_both_sides():
-    once, twice = (
-        FootprintFeatures.of(jnp.array([cloud_of(*PADDLE), cloud_of(BLOCK)]), SIDE, 12, num_turns, symmetry)
-        for num_turns, symmetry in [(8, 1), (4, 2)]
-    )
-    once, twice = (np.asarray(room(observation()))[..., 0] for room in (once, twice))
-    np.testing.assert_allclose(twice, (once[..., :4] + once[..., 4:]) / 2, atol=0.03)
-    assert np.abs(once[..., :4] - once[..., 4:]).max() > 0.3
-
-
 @pytest.mark.parametrize(("height", "is_in_the_way"), [(0.02, False), (0.07, True)])
 def test_what_is_lower_than_an_underside_is_not_in_its_way(height, is_in_the_way):
     """The pan's handle is 5 cm up; the block's top is at `height`, in the middle of the region."""
@@ -94,16 +83,6 @@ def test_a_place_is_free_or_not(room):
     assert shares[8, 4].max() > 0.3
     assert np.abs(shares[:5]).max() < 5e-3
     assert np.abs(shares[:, 9:]).max() < 5e-3
-
-
-def test_the_block_may_turn_a_quarter(room):
-    straight, turned = (np.asarray(room(observation(turn=turn))) for turn in (0.0, np.pi / 2))
-    np.testing.assert_allclose(straight, turned, atol=0.03)
-
-
-def test_flat_ground_and_far_objects_take_no_room(room):
-    for at in ((0.1, 0.0, 0.001), (0.9, 0.0, 0.02), (0.0, -5.0, 0.02)):
-        assert np.abs(np.asarray(room(observation(at=at)))[..., 0]).max() < 1e-6
 
 
 def test_larger_regions_are_told_beyond_the_picture_what_is_over_its_edge(room):

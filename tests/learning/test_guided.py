@@ -13,7 +13,6 @@ from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.methods import proposer_of
 from cluttergen_jax.learning.networks.stability import (
     NUM_FEATURES,
-    StabilityNet,
     StabilityNetConfig,
     features_of,
 )
@@ -21,10 +20,13 @@ from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.guided import blank_params, load_guided, make_guided
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.training import guided
-from cluttergen_jax.learning.training.attempts import Examples, Explorer, begin, collect_step
 from cluttergen_jax.learning.training.stability import (
+    Examples,
+    Explorer,
     FitConfig,
+    begin,
     calibration,
+    collect_step,
     draw_calibration,
     fit,
     predictions_of,
@@ -87,12 +89,6 @@ def test_what_nobody_looked_at_teaches_nothing_of_robustness():
     one, _ = fit(SMALL, FitConfig(num_epochs=2), unknown, seed=0)
     other, _ = fit(SMALL, FitConfig(num_epochs=2), unknown.replace(is_robust=~examples.is_robust), seed=0)
     jax.tree.map(np.testing.assert_array_equal, one, other)
-
-
-def test_fewer_examples_than_a_batch_are_fitted_too():
-    params, loss = fit(SMALL, FitConfig(num_epochs=2), made_up(60), seed=0)
-    assert np.isfinite(loss)
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(params))
 
 
 def test_calibration_counts_what_stood(tmp_path):
@@ -171,15 +167,6 @@ def test_a_stored_network_places_as_before(rules, tmp_path):
     assert not stored.is_robust
 
 
-def test_a_record_of_other_sizes_is_refused(rules, tmp_path):
-    save_policy(tmp_path, blank_params(SMALL), RECORD | {"network": {"size": 3}})
-    with pytest.raises(PoolError, match="does not say what network"):
-        load_guided(read_checkpoint(tmp_path), rules)
-    save_policy(tmp_path, blank_params(SMALL), RECORD | {"network": {"width": 32}})
-    with pytest.raises(PoolError, match="of shape"):
-        load_guided(read_checkpoint(tmp_path), rules)
-
-
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -241,10 +228,3 @@ def test_a_training_can_be_stopped_and_taken_up_and_ends_alike(home, tmp_path):
     (whole / "attempts" / "00-01.npz").write_bytes(b"half of it")
     with pytest.raises(PoolError, match=r"00-01\.npz cannot be read"):
         guided.GuidedTraining(TINY, whole, lines.append).run()
-
-
-def test_the_network_is_small():
-    params = blank_params(StabilityNetConfig())
-    assert sum(leaf.size for leaf in jax.tree.leaves(params)) < 10_000
-    predicted = StabilityNet().apply(params, jnp.ones((3, NUM_FEATURES)))
-    assert predicted.stands.shape == (3,)

@@ -2,14 +2,11 @@
 
 import dataclasses
 import importlib.util
-import json
 from pathlib import Path
 
 import pytest
 
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.learning.training.presets import PRESETS, make_settings
-from cluttergen_jax.learning.training.train import TrainConfig
+from cluttergen_jax.learning.training.presets import make_settings
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAPERS = ("paper", "paper_code", "paper_cpu")
@@ -43,17 +40,6 @@ def test_the_page_of_settings_agrees_with_the_presets():
     assert make_paper.PAGE.read_text(encoding="utf-8") == make_paper.page()
 
 
-def test_the_papers_code_differs():
-    printed, code = make_settings("paper", "policy"), make_settings("paper_code", "policy")
-    assert (printed.placement.reward, code.placement.reward) == ("paper", "code")
-    assert (printed.ppo.num_epochs, code.ppo.num_epochs) == (5, 10)
-    assert (printed.ppo.anneals, code.ppo.anneals) == (False, True)
-    assert (printed.ppo.value_clip, code.ppo.value_clip) == (0, 0.2)
-    assert printed.stability.judge_neighbours
-    assert not code.stability.judge_neighbours
-    assert code.stability.per_axis
-
-
 @pytest.mark.parametrize("preset", PAPERS)
 @pytest.mark.parametrize(
     ("variant", "changed"),
@@ -66,23 +52,3 @@ def test_the_papers_code_differs():
 def test_rivals_change_one_thing_of_the_papers_method(preset, variant, changed):
     full, rival = (make_settings(preset, each) for each in ("policy", variant))
     assert rival == dataclasses.replace(full, network=dataclasses.replace(full.network, **changed))
-
-
-@pytest.mark.parametrize("preset", PAPERS)
-def test_a_frozen_encoder_wants_weights_and_names_the_command(preset, tmp_path):
-    kind = PRESETS[preset]().network.scene_encoder
-    with pytest.raises(ConfigError, match=f"cluttergen pretrain --encoder {kind} --features") as refused:
-        TrainConfig(preset=preset).settings()
-    assert "--encoder-weights" in str(refused.value)
-    (tmp_path / "record.json").write_text(json.dumps({"format": 1, "encoder": kind, "features": 96}))
-    network = TrainConfig(preset=preset, encoder_weights=str(tmp_path)).settings().network
-    assert network.encoder_frozen
-    assert (network.object_features, network.scene_features) == (96, 96)
-    along = TrainConfig(preset=preset, encoder=kind).settings().network
-    assert not along.encoder_frozen
-
-
-def test_a_free_beta_has_no_prior_on_height():
-    assert make_settings("cpu", "beta_free").network.height_precision == 0
-    with pytest.raises(ConfigError, match="head beta"):
-        dataclasses.replace(make_settings("cpu", "beta").network, head="beta_free")

@@ -11,7 +11,7 @@ import pytest
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.training.distributed import agree, join
+from cluttergen_jax.learning.training.distributed import join
 from cluttergen_jax.learning.training.metrics_log import read_rows
 
 ROOT = Path(__file__).parents[2]
@@ -90,8 +90,3 @@ def test_two_processes_train_like_one_and_stop_and_go_on_together(tmp_path):
 def test_half_a_set_of_processes_is_refused(given):
     with pytest.raises(ConfigError, match="process_id"):
         join(*given)
-
-
-def test_one_process_agrees_with_itself():
-    join(None, None, None)
-    np.testing.assert_array_equal(agree(3, True, 0.5), [[3, 1, 0.5]])

@@ -9,7 +9,7 @@ import pytest
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.learning.agents import make_agent
-from cluttergen_jax.learning.training.evaluator import Evaluator
+from cluttergen_jax.learning.training.run import Evaluator
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, compose

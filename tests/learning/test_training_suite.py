@@ -3,7 +3,6 @@
 import shutil
 import signal
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -13,14 +12,11 @@ from cluttergen_jax import train_suite
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import VARIANTS
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.suites import Scale, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
-from cluttergen_jax.learning.training import suite_run
-from cluttergen_jax.learning.training.pretrain import Pretraining
 from cluttergen_jax.learning.training.run import Run, RunConfig
 from cluttergen_jax.learning.training.suite import (
     DEFAULT_ATTEMPTS,
@@ -61,39 +57,6 @@ def test_tables_are_covered_and_the_first_seed_comes_first():
     dining = {run.attempts for run in runs if run.pool == "dining" and run.variant == "policy"}
     assert dining == set(TABLE_ATTEMPTS)
     assert {run.attempts for run in runs if run.pool != "dining"} == {5}
-
-
-def test_extended_tables_are_covered_with_one_seed():
-    runs = plan("extended")
-    names = [run.name for run in runs]
-    assert len(set(names)) == len(names)
-    assert {run.seed for run in runs} == {0}
-    asked = {
-        PlannedRun(trial.pool, trial.method, trial.training_seed, trial.attempts).name
-        for study in find_suite("extended", Scale())
-        for trial in study.trials
-        if trial.method in POLICIES
-    }
-    assert {"dining-beta_free-0"} <= asked == set(names)
-    commands = [config_of(TrainConfig(), run, Path("runs")) for run in runs]
-    assert {(args.pool, args.num_objects) for args in commands} == {("dining", 10)}
-
-
-def test_the_former_name_of_a_suite_is_understood():
-    assert plan("honest") == plan("extended")
-
-
-def test_pools_seeds_and_patterns_select():
-    assert {run.pool for run in plan("paper", pools=("office",))} == {"office"}
-    assert {run.seed for run in plan("paper", seeds=(7,))} == {7}
-    assert [run.name for run in plan("paper", only="*-normal-1", pools=("study",))] == ["study-normal-1"]
-    for wrong in (
-        {"suite": "all"},
-        {"suite": "paper", "only": "nothing"},
-        {"suite": "paper", "seeds": (1, 1)},
-    ):
-        with pytest.raises(ConfigError):
-            plan(**wrong)
 
 
 def finish_run(args, updates, is_whole=True):
@@ -143,32 +106,6 @@ def test_what_is_done_is_left_alone_and_other_settings_are_refused(tmp_path, cap
     assert main([*command, "--num-attempts", "9999"]) == 2
     assert "another ppo" in capsys.readouterr().err
     assert contents(tmp_path) == before
-
-
-@pytest.mark.slow
-def test_the_papers_runs_begin_with_an_encoder_of_their_own(tmp_path, monkeypatch):
-    """Pretrained once for all of them, unless another is given or it is to be trained along."""
-    made = []
-
-    def run(self):
-        made.append((self.config.network.scene_encoder, self.config.network.object_features, self.folder))
-        record = {"encoder": "pointnet", "features": 256, "held_out_accuracy": 0.9}
-        save_policy(self.folder, {"x": np.ones(2)}, record)
-
-    monkeypatch.setattr(Pretraining, "run", run)
-    monkeypatch.setattr(suite_run, "run_training", lambda config, show: trained.append(config))
-    for kind in (
-        {},
-        {"encoder_weights": str(tmp_path / "runs" / "encoder-pointnet")},
-        {"encoder": "pointnet"},
-    ):
-        trained = []
-        train_suite("paper", suite_only="dining-*-0", out=tmp_path / "runs", show=lambda text: None, **kind)
-        given = {Path(config.out).name: (config.preset, config.encoder_weights) for config in trained}
-        weights = None if "encoder" in kind else str(tmp_path / "runs" / "encoder-pointnet")
-        assert given["dining-beta_free-0"] == given["dining-open_loop-0"] == ("paper_cpu", weights)
-        assert given["dining-policy-0"] == ("cpu", None)
-    assert made == [("pointnet", 256, tmp_path / "runs" / "encoder-pointnet")]
 
 
 PAIR = ("duo-normal-0", "duo-beta_free-0")

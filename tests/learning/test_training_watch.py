@@ -1,6 +1,5 @@
 """How a run is watched over: memory, metrics, evaluations, Weights & Biases, Ctrl-C."""
 
-import json
 import os
 import signal
 import sys
@@ -11,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.errors import ConfigError, MissingExtraError
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.memory import check_memory, free_bytes
 from cluttergen_jax.learning.training.metrics_log import MetricsLog, WandbLog, read_rows
-from tests.helpers.runs import PPO, Stopping, compiled_once, make_run
+from cluttergen_jax.learning.training.run import check_memory, free_bytes
+from tests.helpers.runs import PPO, compiled_once, make_run
 
 __all__ = ["compiled_once"]
 
@@ -92,12 +91,6 @@ def test_wandb_gets_every_row_and_the_same_id_again(tmp_path, monkeypatch):
     assert calls[0]["resume"] == "allow"
 
 
-def test_missing_wandb_names_the_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(MissingExtraError, match=r"cluttergen_jax\[wandb\]"):
-        WandbLog(tmp_path, {})
-
-
 def test_first_interrupt_asks_and_the_second_strikes():
     before = signal.getsignal(signal.SIGINT)
     with Interrupt() as interrupt:
@@ -147,23 +140,3 @@ def test_evaluations_stand_beside_trainings_own_check(tmp_path):
     # What is done is not done again.
     make_run(folder, evaluate=evaluate).train(show=said.append)
     assert len(given) == 4
-
-
-@pytest.mark.slow
-def test_evaluation_that_was_missed_is_made_up_for(tmp_path):
-    evaluate, given = evaluations()
-    folder = tmp_path / "run"
-    make_run(folder).train()
-    assert "evaluation" not in read_record(folder / "policy")
-    make_run(folder, evaluate=evaluate).train()
-    assert len(given) == 1
-    assert read_record(folder / "policy")["evaluation"]["episodes"] == 256
-
-
-@pytest.mark.slow
-def test_interrupted_run_is_not_evaluated(tmp_path):
-    evaluate, given = evaluations()
-    with pytest.raises(KeyboardInterrupt):
-        make_run(tmp_path / "run", evaluate=evaluate).train(interrupt=Stopping(1))
-    assert given == []
-    assert json.loads((tmp_path / "run" / "last" / "record.json").read_text())["num_updates"] == 1

@@ -3,13 +3,12 @@
 import multiprocessing
 from collections import Counter
 
-import numpy as np
 import pytest
 
 from cluttergen_jax.assets.body import make_object
 from cluttergen_jax.assets.modeller.catalog import FAMILIES, POOLS, make_shape
 from cluttergen_jax.assets.object_files import object_hash
-from cluttergen_jax.errors import AssetError, ConfigError, PoolError
+from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.learning.training import variants as module
 from cluttergen_jax.learning.training.variants import (
@@ -60,16 +59,6 @@ def test_bodies_come_from_the_cache_unchanged(home, monkeypatch):
     assert not list(home.glob(".*"))
 
 
-@pytest.mark.slow
-def test_a_damaged_body_is_made_again(home):
-    (before,) = variants(1, 0, PAIR, num_processes=1)
-    folder = home / ShapeVariant("cereal_box", 0).key
-    np.save(folder / "cloud.npy", np.zeros((1024, 3), np.float32))
-    (after,) = variants(1, 0, PAIR, num_processes=1)
-    assert object_hash(after) == object_hash(before)
-    assert np.abs(np.load(folder / "cloud.npy")).max() > 0
-
-
 def test_a_body_that_fails_is_named_and_the_others_stay(home, monkeypatch):
     def some(function, jobs, num_processes):
         for index, job in enumerate(jobs):
@@ -96,10 +85,3 @@ def test_what_is_left_early_leaves_no_worker_and_no_half_body(home, monkeypatch)
         assert not process.is_alive()
     # What was finished is there, and it is whole.
     assert cache.load(ShapeVariant("cereal_box", 0).key, "cereal_box-0") is not None
-
-
-def test_wrong_wishes_are_refused():
-    with pytest.raises(ConfigError, match="0 variants"):
-        variants(0)
-    with pytest.raises(PoolError, match="spork"):
-        variants(1, families=("spork",))

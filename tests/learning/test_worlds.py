@@ -1,6 +1,5 @@
 """Training worlds: settings within their ranges, and worlds of one setting that share what is compiled."""
 
-import weakref
 from collections import Counter
 from dataclasses import replace
 
@@ -19,7 +18,7 @@ from cluttergen_jax.learning.training.worlds import (
     draw_settings,
     mean_footprint,
     object_sets,
-    padded,
+    pad_geometry,
 )
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
@@ -77,30 +76,10 @@ def test_worlds_of_one_setting_share_a_program_and_scenes_are_those_of_unpadded_
     np.testing.assert_array_equal(scenes.counts.verdicts, expected.counts.verdicts)
 
 
-def test_one_engine_holds_simulations_at_a_time(maker):
-    world = maker.make(TrainingSetting("table-0.30x0.36", 3, 1.0), 0)
-    world.start_engine(num_threads=1)
-    held = weakref.ref(world.rules.physics.engine.simulations(2))
-    assert held() is not None
-    world.start_engine(num_threads=1)
-    assert held() is None
-
-
-def test_a_radius_widens_maps_only_where_the_support_goes_on(maker):
-    for support, goes_on in (("table-0.30x0.36", False), ("shelf_desk", True)):
-        world = maker.make(TrainingSetting(support, 3, 1.0), 0)
-        geometry, region = world.rules.geometry, world.rules.region
-        own = float(np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max())
-        sides = [HeightMapper.of(geometry, region, radius) for radius in (None, own, own + 0.1)]
-        area = [np.prod(np.multiply(each.shape, each.cell)) for each in sides]
-        assert (sides[0].shape, sides[0].cell) == (sides[1].shape, sides[1].cell)
-        assert (area[2] > area[0]) == goes_on
-
-
 def test_padding_adds_nothing_that_was_not_there(maker):
     world = maker.make(TrainingSetting("table-0.30x0.36", 3, 1.0), 1)
     plain = geometry_of(world.world)
-    longer = padded(plain, plain.is_column.shape[1] + 7, len(plain.surface) + 5)
+    longer = pad_geometry(plain, plain.is_column.shape[1] + 7, len(plain.surface) + 5)
     np.testing.assert_array_equal(longer.is_column.sum(1), plain.is_column.sum(1))
 
     def points(geometry):
@@ -109,7 +88,7 @@ def test_padding_adds_nothing_that_was_not_there(maker):
 
     assert points(longer) == points(plain)
     with pytest.raises(ValueError, match="2 runs of surface too many"):
-        padded(plain, plain.is_column.shape[1], len(plain.surface) - 2)
+        pad_geometry(plain, plain.is_column.shape[1], len(plain.surface) - 2)
 
 
 def test_settings_keep_to_their_ranges_and_cover_the_fills():
@@ -148,10 +127,3 @@ def test_sets_hold_different_objects_of_all_families():
     assert set(first) != set(second)
     with pytest.raises(ConfigError, match="sets of 101 of 100 objects"):
         object_sets(twice, 1, np.random.default_rng(0), size=101)
-
-
-def test_worlds_of_too_few_objects_are_refused(maker):
-    with pytest.raises(ConfigError, match="4 objects asked for"):
-        maker.make(TrainingSetting("table-0.30x0.36", 4, 1.0), 0)
-    with pytest.raises(ConfigError, match="sets of one size"):
-        WorldMaker([maker.sets[0], maker.sets[1][:2]])

@@ -7,18 +7,13 @@ import jax
 import numpy as np
 import pytest
 
-import cluttergen_jax as cg
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, stability_record
-from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.physics import make_physics
+from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.scenes import scene_of
-from cluttergen_jax.scene.bank.table import SCHEMA, with_added
 from cluttergen_jax.types import Verdict
-from tests.helpers import banks
 from tests.helpers.worlds import TOP, box, layout_of, scene, trio
 
 EDGE = 0.3
@@ -129,43 +124,3 @@ def test_scenes_are_the_same_but_for_what_is_fragile_and_its_steps_count():
     more = (asked.counts.simulated_steps - free.counts.simulated_steps)[is_same]
     np.testing.assert_array_equal(more, num_stable[is_same] * StabilityConfig().robust_steps)
     np.testing.assert_array_equal(free.counts.steps[is_same], asked.counts.steps[is_same])
-
-
-def test_records_of_before_are_records_of_scenes_that_need_not_be_robust(tmp_path):
-    assert not any(name.startswith("robust") for name in stability_record(StabilityConfig()))
-    assert StabilityConfig(**stability_record(ROBUST)) == ROBUST
-    older = banks.RECIPE | {"stability": stability_record(StabilityConfig())}
-    with banks.writer(tmp_path / "bank", 3, older):
-        pass
-    with pytest.raises(BankError, match=r"another stability\.robust_friction"):
-        banks.writer(tmp_path / "bank", 3, banks.RECIPE | {"stability": stability_record(ROBUST)})
-    banks.writer(tmp_path / "bank", 3, older).close()
-
-
-def test_rows_of_before_count_nothing_as_fragile():
-    rows = banks.rows(0, 4)
-    older = rows.drop_columns(["num_fragile", "num_unsupported"])
-    assert with_added(older).select(SCHEMA.names).equals(rows)
-
-
-@pytest.mark.parametrize("wrong", [-0.1, 2.0, math.nan, "3 degrees"])
-def test_a_tilt_that_cannot_be_meant_is_refused(wrong):
-    with pytest.raises(ConfigError, match=r"robust_tilt.*Allowed: radians"):
-        StabilityConfig(robust_tilt=wrong)
-
-
-def test_only_the_native_engine_tells_what_is_robust(layout):
-    for engine in ("jax", "warp"):
-        with pytest.raises(ConfigError, match=r"robust.*native"):
-            make_physics(layout, ROBUST, engine)
-    assert isinstance(make_physics(layout, ROBUST), NativePhysics)
-
-
-@pytest.mark.slow
-def test_a_robust_bank_says_so_and_is_continued_as_such(tmp_path):
-    asked = {"num_objects": 3, "method": "drop", "render": False, "max_files": 1}
-    bank = cg.generate(tmp_path / "bank", num_scenes=2, robust=True, **asked)
-    assert bank.record["recipe"]["stability"]["robust_tilt"] == ROBUST_TILT
-    assert cg.generate(tmp_path / "bank", num_scenes=3, robust=True, **asked).num_scenes == 3
-    with pytest.raises(BankError, match=r"stability\.robust"):
-        cg.generate(tmp_path / "bank", num_scenes=3, **asked)

@@ -11,25 +11,21 @@ from shapely.geometry import MultiPoint, Point
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.evaluation.measures.certificate import certificates
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.robustness import TiltConfig, tilt
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.physics.mjx_margin import support_margins
-from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
-from cluttergen_jax.placement.scenes import scene_of
+from cluttergen_jax.physics.mjx_contacts import support_margins
+from cluttergen_jax.placement.config import PlacementConfig, placement_record
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
-from tests.helpers import banks
-from tests.helpers.problems import HalfTable, made_up_rules, trio_problem
+from tests.helpers.problems import HalfTable, made_up_rules
 from tests.helpers.worlds import TOP, box
 
 GOOD = jnp.array([0.9, 0.5, 0.5, 0.2])
 EDGE = 0.3
-CUBE, TALL = range(2)
 
 
 def signed_distance(points):
@@ -133,45 +129,6 @@ def test_without_a_margin_nothing_is_unsupported_and_states_are_as_they_were():
     assert key_of(Trial(method="drop", min_margin=0.003), {"pool": "p"}) != "38c4d1a8ceb82b164ff9"
 
 
-def test_a_bank_from_before_margins_is_continued_without_one(tmp_path):
-    older = banks.RECIPE | {"placement": placement_record(PlacementConfig())}
-    with banks.writer(tmp_path / "bank", 3, older):
-        pass
-    asked = banks.RECIPE | {"placement": placement_record(PlacementConfig(min_margin=0.003))}
-    with pytest.raises(BankError, match=r"another placement\.min_margin"):
-        banks.writer(tmp_path / "bank", 3, asked)
-    banks.writer(tmp_path / "bank", 3, older).close()
-
-
-@pytest.mark.parametrize("wrong", [-0.001, 0.2, math.nan, "3 mm"])
-def test_a_margin_that_cannot_be_meant_is_refused(wrong):
-    with pytest.raises(ConfigError, match=r"min_margin.*Allowed: 0 to 0\.1 m"):
-        PlacementConfig(min_margin=wrong)
-
-
-@pytest.mark.slow
-def test_a_margin_changes_only_scenes_that_lack_it():
-    """Equal seeds: what had its margin all along is the same to the bit."""
-
-    def scenes(min_margin):
-        problem = trio_problem(min_margin=min_margin)
-        proposer = jax.random.uniform
-
-        def step(episode, key):
-            return problem.rules.attempt(episode, proposer(key, (4,)))[0], None
-
-        def play(key):
-            begun = problem.rules.begin(jax.random.fold_in(key, 1))
-            return scene_of(jax.lax.scan(step, begun, jax.random.split(key, 15))[0])
-
-        return jax.device_get(jax.jit(jax.vmap(play))(jax.random.split(jax.random.key(0), 64)))
-
-    free, asked = scenes(0.0), scenes(MIN_MARGIN)
-    is_same = asked.counts.verdicts[:, Verdict.UNSUPPORTED] == 0
-    assert 0 < is_same.sum() < 64
-    np.testing.assert_array_equal(free.poses[is_same], asked.poses[is_same])
-
-
 @pytest.fixture(scope="module")
 def models():
     objects = [box("cube", (0.03, 0.03, 0.03)), box("tall", (0.02, 0.04, 0.1))]
@@ -194,11 +151,3 @@ def test_tilted_gravity_topples_what_hand_arithmetic_says(models, brink):
     np.testing.assert_allclose(middle, 1.0)
     with pytest.raises(ConfigError, match="ascend"):
         TiltConfig((5.0, 1.0))
-
-
-@pytest.mark.slow
-def test_the_certificate_has_margins_and_tilts(models, brink):
-    (found,) = certificates(models, *brink, seconds=0.1, num_threads=1)
-    np.testing.assert_allclose(found["margins"], [0.03, 0.0028], atol=5e-5)
-    assert found["margin"] == min(found["margins"])
-    assert [found[f"tilt_{by}"] for by in (1, 2, 5)] == [1.0, 7 / 8, 5 / 8]

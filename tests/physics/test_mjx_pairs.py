@@ -8,8 +8,7 @@ import pytest
 import trimesh
 from mujoco import mjx
 
-from cluttergen_jax.physics.mjx_faces import faces_first
-from cluttergen_jax.physics.mjx_pairs import Pairs
+from cluttergen_jax.physics.mjx_pairs import Pairs, faces_first
 
 SHAPES = {
     "cone": trimesh.creation.cone(0.03, 0.06, sections=9),
@@ -68,7 +67,7 @@ def test_the_contacts_are_those_of_mjx(model, on_device):
         theirs = jax.vmap(lambda each: mjx.collision(on_device, mjx.kinematics(on_device, each)))(own)
     assert (depths(theirs) > 0).sum() > 40
     np.testing.assert_allclose(depths(ours), depths(theirs), atol=2e-6)
-    assert not jax.vmap(lambda each: pairs.overflowed(on_device, each))(ours).any()
+    assert not jax.vmap(lambda each: pairs.has_overflowed(on_device, each))(ours).any()
 
 
 @pytest.mark.slow
@@ -84,6 +83,6 @@ def test_more_pairs_than_are_looked_at_are_told(model, on_device, monkeypatch):
         placed = jax.vmap(lambda each: mjx.kinematics(on_device, each))(data.replace(qpos=qpos))
         found = jax.vmap(lambda each: pairs.find_contacts(on_device, each))(placed)
         assert found._impl.contact.dist.shape[1] == 4 * 3
-        told.append(np.asarray(jax.vmap(lambda each: pairs.overflowed(on_device, each))(found)))
+        told.append(np.asarray(jax.vmap(lambda each: pairs.has_overflowed(on_device, each))(found)))
     assert told[0].mean() > 0.9
     assert not told[1].any()

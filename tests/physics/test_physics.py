@@ -8,12 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.config import ENGINES, ContactConfig, StabilityConfig
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.mjx import MjxPhysics
 from cluttergen_jax.physics.mjx_scenes import WarpOptions
-from cluttergen_jax.types import Settling, Verdict
+from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import TOP, box, layout_of, prism, scene, tilted, trio
 
 CONFIG = StabilityConfig()
@@ -286,14 +285,6 @@ def test_cond_while_loop_and_scan_under_vmap(name):
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_unjitted_calls_work_too(name):
-    args = batch(["inactive", "inactive"])
-    report = jax.vmap(engine_of(name).settle)(*args)
-    assert isinstance(report, Settling)
-    np.testing.assert_array_equal(report.verdict, [-1, -1])
-
-
-@pytest.mark.parametrize("name", QUICK)
 def test_a_diverged_scene_leaves_the_others_alone(name):
     names = ["dropped 1 mm", "resting", "overlapping", "pushed"] * 16
     args = batch(names)
@@ -414,13 +405,6 @@ def test_a_trajectory_that_nobody_reads_is_not_in_the_program(is_read):
     assert (rows in text) == is_read
 
 
-@pytest.mark.parametrize(("stops", "rows"), [(True, 61), (False, 241)])
-def test_a_trajectory_has_as_many_rows_as_an_attempt_can_have_steps(stops, rows):
-    physics = make_physics(duo(), dataclasses.replace(CONFIG, stop_when_decided=stops), "native")
-    report = jax.eval_shape(jax.vmap(physics.settle), *batch())
-    assert report.trajectory.shape == (len(SCENES), rows, 13)
-
-
 HALF_HEIGHTS = np.array([0.05, 0.03, 0.1])
 
 
@@ -522,9 +506,3 @@ def test_who_touches_and_who_bears_what_has_come_to_rest(name):
         other = np.arange(2) == 1 - index
         np.testing.assert_array_equal(report.touches[row], other & touches)
         np.testing.assert_array_equal(report.bears[row], other & bears)
-
-
-def test_engines_have_names():
-    assert {"native", "warp", "jax", "auto"} == set(ENGINES)
-    with pytest.raises(ConfigError, match="native"):
-        make_physics(duo(), CONFIG, "bullet")

@@ -10,7 +10,7 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import cross, norm, rotate, turn_between
 from cluttergen_jax.physics import stability
-from cluttergen_jax.physics.report import below_top, kept
+from cluttergen_jax.physics.host import below_top, mask_scenes
 from cluttergen_jax.types import Verdict
 
 CONFIG = StabilityConfig()
@@ -257,7 +257,7 @@ def test_kept_clears_whole_scenes():
     array = np.full((3, 2, 2), np.nan)
     array[1] = 5
     np.testing.assert_array_equal(
-        kept(np, array, np.array([False, True, False])), [np.zeros((2, 2)), array[1], np.zeros((2, 2))]
+        mask_scenes(np, array, np.array([False, True, False])), [np.zeros((2, 2)), array[1], np.zeros((2, 2))]
     )
 
 

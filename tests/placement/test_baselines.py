@@ -16,15 +16,13 @@ from shapely.geometry import box as rectangle
 
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.baselines import BASELINES, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.heightmap import VOID, HeightMapper
+from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose, make_problem
-from cluttergen_jax.placement.region import KeepOut, is_kept_out, pose_of_action
+from cluttergen_jax.placement.region import KeepOut, pose_of_action
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.types import Array
-from tests.helpers.problems import trio_problem
 from tests.helpers.worlds import trio
 
 TOP = 0.7
@@ -124,15 +122,6 @@ def overlap(problem: Problem, proposal: Proposal) -> float:
     mine = footprint(problem, proposal.focus, proposal.proposed)
     others = np.flatnonzero(proposal.is_placed)
     return sum(mine.intersection(footprint(problem, k, proposal.poses[k])).area for k in others)
-
-
-@pytest.mark.slow
-def test_clear_stays_out_of_keep_out_boxes() -> None:
-    keep_out = KeepOut(jnp.array([[-0.05, 0.0]]), jnp.array([[0.15, 0.2]]), jnp.zeros(1))
-    problem, poses, focus = positions(table_with([]), "clear", keep_out)
-    half = problem.rules.geometry.half_extents[focus]
-    assert not jnp.any(jax.vmap(is_kept_out, (0, 0, None))(poses, half, keep_out))
-    assert poses[:, 0].min() > 0.1
 
 
 @pytest.mark.parametrize("method", BASELINES)
@@ -267,19 +256,3 @@ def test_the_bare_top_is_found_between_gaps_and_a_riser(method: str, most_over_g
     gap, narrow = rectangle(-0.2, -0.2, 0.05, 0.2), rectangle(0.12, -0.2, 0.13, 0.2)
     assert max(shadow.intersection(gap).area / shadow.area for shadow in shadows) < most_over_gap
     assert any(shadow.intersects(narrow) for shadow in shadows)
-
-
-def test_off_the_support_the_map_is_void() -> None:
-    problem = compose(trio(), table_with([(-0.1, 0.05)]), ProblemConfig(placement=PlacementConfig(3)))
-    region = problem.rules.region
-    mapper = jax.jit(HeightMapper.of(problem.rules.geometry, region).__call__)
-    heights = mapper(region, jnp.full((3, 7), jnp.nan), jnp.zeros(3, bool))
-    x = jnp.array([-0.15, -0.02, 0.1, 0.3, 0.1])
-    y = jnp.array([0.0, 0.0, 0.0, 0.0, -5.0])
-    found = heights.at(heights.index_of(x, y))
-    np.testing.assert_allclose(found, [0, VOID, 0, VOID, VOID], atol=1e-7)
-
-
-def test_a_method_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(ConfigError, match="clear"):
-        make_proposer("cleer", trio_problem().rules)

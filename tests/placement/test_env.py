@@ -1,12 +1,10 @@
 """The Brax environment: resets by itself, keeps figures, and everything stays in the region."""
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from brax.envs.wrappers.training import AutoResetWrapper, EpisodeWrapper, VmapWrapper, wrap
+from brax.envs.wrappers.training import wrap
 
 from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.clouds import scene_cloud
@@ -37,15 +35,6 @@ def test_resets_itself_with_fresh_keys_and_keeps_figures():
     assert int(state.metrics["num_finished"]) == 5
     assert len({tuple(order) for order in orders}) > 1
     assert float(state.info["truncation"]) == 0
-
-
-def test_an_action_that_is_no_number_is_told_as_zeros():
-    env = PlacementEnv(made_up_rules(max_attempts=2, history_stride=12))
-    asked = BAD.at[0].set(jnp.nan)
-    state = jax.jit(lambda key: env.step(env.reset(key), asked))(jax.random.key(0))
-    assert int(state.pipeline_state.episode.attempt) == 1
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state.obs, state.reward)))
-    np.testing.assert_array_equal(state.obs["history"]["action"][0], BAD.at[0].set(0))
 
 
 @pytest.mark.slow
@@ -82,32 +71,6 @@ def test_regions_change_with_every_episode_and_orders_do_not():
     np.testing.assert_array_equal(asked.region.half_extents, plain.rules.region.half_extents)
 
 
-def test_the_key_of_a_region_is_nobody_elses():
-    drawn = []
-    rules, key = made_up_rules(), jax.random.key(0)
-    replace(rules, draw_region=lambda key: drawn.append(key) or rules.region).begin(key)
-    keys = [key, *jax.random.split(key), *drawn]
-    assert len({np.asarray(jax.random.key_data(each)).tobytes() for each in keys}) == 4
-
-
-def test_success_is_kept_after_the_reset():
-    env = PlacementEnv(made_up_rules())
-    state, step = jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
-    for _ in range(4):
-        state = step(state, GOOD)
-    assert float(state.done) == 1
-    assert float(state.metrics["success"]) == 1
-    assert not bool(state.pipeline_state.episode.is_placed.any())
-
-
-def test_what_is_not_its_own_is_handed_on():
-    env = PlacementEnv(made_up_rules())
-    state = jax.eval_shape(env.reset, jax.random.key(0))
-    foreign = {"steps": state.reward, "nested": {"key": state.done}}
-    state = state.replace(info=state.info | foreign, metrics=state.metrics | {"extra": state.reward})
-    assert jax.tree.structure(jax.eval_shape(env.step, state, GOOD)) == jax.tree.structure(state)
-
-
 def test_an_episode_without_auto_reset_stays_over():
     envs = [PlacementEnv(made_up_rules(max_attempts=1), auto_reset=each) for each in (False, True)]
     reset, (plain, resetting) = jax.jit(envs[0].reset), (jax.jit(env.step) for env in envs)
@@ -127,13 +90,6 @@ def test_an_episode_without_auto_reset_stays_over():
     assert int(state.metrics["num_finished"]) == 1
 
 
-def test_both_kinds_of_keys_begin_the_same_episode():
-    reset = jax.jit(PlacementEnv(made_up_rules()).reset)
-    new, old = (reset(key).pipeline_state for key in (jax.random.key(4), jax.random.PRNGKey(4)))
-    np.testing.assert_array_equal(new.episode.object_index, old.episode.object_index)
-    np.testing.assert_array_equal(jax.random.key_data(new.key), old.key)
-
-
 @pytest.mark.parametrize("auto_reset", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_brax_wrappers_scan_over_it(auto_reset):
     env = wrap(PlacementEnv(made_up_rules(max_attempts=2), auto_reset=auto_reset), episode_length=3)
@@ -150,20 +106,6 @@ def test_brax_wrappers_scan_over_it(auto_reset):
     np.testing.assert_array_equal(steps, [[1, 1], [2, 2], [3, 1], [1, 2]])
     np.testing.assert_array_equal(truncation, [[0, 0], [0, 0], [1, 0], [0, 0]])
     np.testing.assert_array_equal([focus[2, 0], focus[1, 1]], first.obs["focus"])
-
-
-@pytest.mark.slow
-def test_own_resets_draw_new_orders_and_those_of_brax_repeat_the_first():
-    rules = made_up_rules(max_attempts=1)
-
-    def orders(env):
-        state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 4))
-        seen = jax.lax.scan(lambda s, _: (env.step(s, jnp.stack([BAD] * 4)),) * 2, state, length=8)[1]
-        return np.asarray(seen.pipeline_state.episode.object_index)
-
-    assert len(np.unique(orders(VmapWrapper(PlacementEnv(rules)))[:, 0], axis=0)) > 1
-    theirs = AutoResetWrapper(EpisodeWrapper(VmapWrapper(PlacementEnv(rules, auto_reset=False)), 9, 1))
-    assert len(np.unique(orders(theirs)[:, 0], axis=0)) == 1
 
 
 def test_observation_shapes_are_as_promised():

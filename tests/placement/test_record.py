@@ -13,9 +13,8 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.placement.rollout import BlockSampler
-from cluttergen_jax.placement.rollout.record import Recorder, rectangle_of
+from cluttergen_jax.placement.rollout.record import Recorder
 from cluttergen_jax.types import Verdict
-from tests.helpers.problems import region
 from tests.helpers.worlds import trio
 
 WIDTH = 6
@@ -106,17 +105,3 @@ def test_attempts_begin_where_proposed_and_hang_together(problem, recordings):
             there = attempt.is_placed | (attempt.is_stable & (np.arange(len(after)) == attempt.object_index))
             expected = attempt.settled if attempt.is_stable else attempt.poses
             np.testing.assert_array_equal(after[there], expected[there])
-
-
-def test_geometric_methods_do_not_depend_on_the_width(problem, sampler, recordings):
-    alone = Recorder(sampler, problem.world, width=1).record(7, 4)
-    assert [each.verdict for each in alone.attempts] == [each.verdict for each in recordings[4].attempts]
-    np.testing.assert_array_equal(alone.poses, recordings[4].poses)
-
-
-@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.5])
-def test_region_becomes_the_rectangle_that_it_was(yaw):
-    rectangle = rectangle_of(region(yaw))
-    assert rectangle.half_extents == pytest.approx((0.3, 0.2))
-    assert np.cos(rectangle.yaw) == pytest.approx(np.cos(yaw), abs=1e-6)
-    assert np.sin(rectangle.yaw) == pytest.approx(np.sin(yaw), abs=1e-6)

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.placement.changes import REGION_CHANGES, draw_region, find_change
+from cluttergen_jax.placement.region import REGION_CHANGES, draw_region, find_change
 
 
 def draws(name, base, bounds, number=400):
@@ -66,8 +64,3 @@ def test_turned_regions_keep_the_most_area():
         a, b = np.meshgrid(np.linspace(0.001, 0.75, 400), np.linspace(0.001, 0.325, 400))
         fits = (cos[k] * a + sin[k] * b <= 0.75) & (sin[k] * a + cos[k] * b <= 0.325)
         assert half[k].prod() >= 0.99 * (a * b)[fits].max()
-
-
-def test_unknown_change_is_named():
-    with pytest.raises(ConfigError, match="translation"):
-        Trial(change="tilt")

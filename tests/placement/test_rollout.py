@@ -2,23 +2,18 @@
 
 import dataclasses
 import itertools
-from typing import Any
 
 import jax
 import jax.monitoring
 import numpy as np
 import pytest
-from flax import struct
 
-from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.policies.policy import make_policy
 from cluttergen_jax.placement.baselines import make_proposer
-from cluttergen_jax.placement.changes import ChangedRegion, find_change
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
-from cluttergen_jax.placement.rollout import run as run_module
 from tests.helpers.problems import HalfTable, made_up_rules
 from tests.helpers.runs import SMALL
 
@@ -84,29 +79,6 @@ def test_a_world_of_equal_sizes_compiles_nothing(method, compiled):
     np.testing.assert_allclose(alone.poses, theirs.poses, atol=1e-4)
 
 
-@pytest.mark.slow
-def test_worlds_of_other_sizes_or_settings_share_nothing():
-    rollout, key = Rollout(), jax.random.key(0)
-    one = sampler_of("random", 1.0)
-    for changed in (
-        one.rules,
-        made_up_rules(world_size=7, physics=PHYSICS),
-        made_up_rules(physics=PHYSICS, containment="footprint"),
-    ):
-        rollout.compile(BlockSampler(changed, make_proposer("random", changed)), key, PLACE)
-    assert rollout.num_programs == 3
-
-
-@pytest.mark.slow
-def test_programs_are_kept_up_to_a_number(monkeypatch):
-    monkeypatch.setattr(run_module, "MAX_PROGRAMS", 2)
-    rollout, key = Rollout(), jax.random.key(0)
-    for attempts in (1, 2, 3, 4):
-        rules = made_up_rules(physics=PHYSICS, max_attempts=attempts)
-        rollout.compile(BlockSampler(rules, make_proposer("random", rules)), key, PLACE)
-        assert rollout.num_programs <= 2
-
-
 def test_steps_show_what_was_asked_for():
     sampler, key = sampler_of("random", 1.0), jax.random.key(1)
     steps = []
@@ -118,15 +90,6 @@ def test_steps_show_what_was_asked_for():
     assert not scenes.counts.attempts[2].any()
     for (_, (_, after, _)), (_, (before, _, _)) in itertools.pairwise(steps):
         np.testing.assert_array_equal(after, before)
-
-
-def test_region_draws_compare_by_value():
-    one, same, other = (
-        ChangedRegion(find_change(name), Rectangle(), Rectangle(), 0.7) for name in ("all", "all", "rotation")
-    )
-    assert one == same
-    assert hash(one) == hash(same)
-    assert one != other
 
 
 @pytest.mark.parametrize("method", ["random", pytest.param("policy", marks=pytest.mark.slow)])
@@ -170,40 +133,3 @@ def test_native_scenes_are_the_same_to_the_bit_in_any_place(method):
     ours = rollout.run_all(steps, key, 48, 16)
     jax.tree.map(np.testing.assert_array_equal, ours, theirs)
     assert np.ptp(ours.counts.attempts.sum(1)) > 0
-
-
-class Counting(struct.PyTreeNode):
-    """Proposes as another does, and counts for how many episodes it was asked."""
-
-    propose: Any
-    in_parts: bool = struct.field(pytree_node=False, default=True)
-
-    def __call__(self, key, episode):
-        jax.debug.callback(ASKED.append, episode.slot)
-        return self.propose(key, episode)
-
-
-ASKED: list[Any] = []
-
-
-@pytest.mark.slow
-def test_nothing_is_sought_for_a_part_whose_episodes_are_over():
-    """Scenes are the same to the bit, however many were asked for and whether they are sought in parts."""
-    plain = make_sampler(pool="dining", num_objects=2, method="drop").steps
-    key, place = jax.random.key(0), np.arange(3 * run_module.PART)
-    scenes = {}
-    for in_parts, wanted in itertools.product((True, False), (1, len(place))):
-        ASKED.clear()
-        sampler = plain.replace(propose=Counting(plain.propose, in_parts))
-        steps = []
-        scenes[in_parts, wanted] = Rollout().run(
-            sampler, key, place, place < wanted, lambda number, _, steps=steps: steps.append(number)
-        )
-        jax.effects_barrier()
-        parts = 1 if in_parts and wanted == 1 else 3
-        assert len(ASKED) <= len(steps) * parts * run_module.PART
-        assert in_parts or len(ASKED) == len(steps) * len(place)
-    first, *others = (jax.tree.map(lambda leaf: leaf[:1], each) for each in scenes.values())
-    assert first.is_success.all()
-    for each in others:
-        jax.tree.map(np.testing.assert_array_equal, each, first)

@@ -1,6 +1,5 @@
 """Files and folders are whole, old or new, whatever goes wrong while they are written."""
 
-import errno
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -53,18 +52,6 @@ def test_a_file_that_fails_leaves_the_old_one(tmp_path):
         write_until(files.file_whole(path), KeyboardInterrupt())
     assert path.read_bytes() == b"old"
     assert names(tmp_path) == {"file.txt"}
-
-
-def test_a_full_disk_names_what_could_not_be_written(tmp_path):
-    def full(moment, *name):
-        with pytest.raises(OSError, match="No space") as caught:
-            write_until(moment, OSError(errno.ENOSPC, "No space left on device", *name))
-        return caught.value.filename
-
-    assert full(files.file_whole(tmp_path / "film.mp4")) == str(tmp_path / "film.mp4")
-    assert full(files.folder_whole(tmp_path / "export")) == str(tmp_path / "export")
-    assert full(files.folder_whole(tmp_path / "export"), "elsewhere") == "elsewhere"
-    assert names(tmp_path) == set()
 
 
 @pytest.mark.parametrize("is_only_writer", [False, True])

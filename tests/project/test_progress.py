@@ -6,8 +6,7 @@ import threading
 
 import pytest
 
-from cluttergen_jax import progress
-from cluttergen_jax.progress import Progress, interruptible, time_text, tracked
+from cluttergen_jax.progress import Progress, interruptible
 
 
 class Terminal(io.StringIO):
@@ -37,36 +36,6 @@ def test_a_log_gets_a_line_every_ten_seconds_and_one_at_the_end():
     ]
 
 
-def test_what_is_at_work_is_named_while_nothing_gets_done():
-    log, terminal, clock = io.StringIO(), Terminal(), Clock()
-    with Progress("importing", 4, "object", file=log, clock=clock) as shown:
-        for _ in range(25):
-            clock.now += 1.0
-            shown.note("at work: mug")
-    assert log.getvalue().splitlines()[:2] == [
-        "importing: 0 of 4 objects, 10 s passed, at work: mug",
-        "importing: 0 of 4 objects, 20 s passed, at work: mug",
-    ]
-    with Progress("importing", 4, "object", file=terminal) as shown:
-        shown.note("at work: mug")
-    assert "at work: mug" in terminal.getvalue()
-
-
-def test_what_was_done_before_is_counted_but_sets_no_pace():
-    log, clock = io.StringIO(), Clock()
-    with Progress("learning", 100, "step", kept=90, file=log, clock=clock) as shown:
-        clock.now += 20.0
-        shown.update(2)
-        clock.now += 1.0
-        shown.update(8)
-    assert log.getvalue().splitlines()[0] == "learning: 92 of 100 steps, 20 s passed, 80 s left"
-
-
-def test_quick_work_leaves_a_log_alone(capsys):
-    assert list(tracked([1, 2, 3], "drawing", 3, "picture")) == [1, 2, 3]
-    assert capsys.readouterr() == ("", "")
-
-
 def test_a_terminal_gets_a_bar():
     terminal = Terminal()
     with Progress("drawing", 2, "picture", file=terminal) as shown:
@@ -75,16 +44,6 @@ def test_a_terminal_gets_a_bar():
     assert "100%" in terminal.getvalue()
     assert "a line that stays\n" in terminal.getvalue()
     assert "passed" not in terminal.getvalue()
-
-
-def test_lengths_of_time_are_for_people():
-    assert [time_text(each) for each in (5, 150, 9000)] == ["5 s", "2 min", "2.5 h"]
-
-
-def test_nothing_to_do_draws_no_bar():
-    terminal = Terminal()
-    Progress("drawing", 0, "picture", file=terminal).say("a line")
-    assert terminal.getvalue() == "a line\n"
 
 
 # Ctrl-C
@@ -116,13 +75,6 @@ def test_ctrl_c_does_not_wait_for_a_long_call():
         interruptible(long_call)
     striker.join()
     is_over.set()
-
-
-def test_an_interrupt_that_was_swallowed_is_raised_again(monkeypatch):
-    monkeypatch.setattr(progress, "stop_asked", threading.Event())
-    progress.stop_asked.set()
-    with pytest.raises(KeyboardInterrupt):
-        interruptible(divmod, 7, 2)
 
 
 def test_results_and_errors_come_through():

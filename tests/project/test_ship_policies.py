@@ -62,13 +62,6 @@ def test_guided_is_shipped_with_its_card(tmp_path):
     assert read_checkpoint(folder).record["held_out"] == GUIDED["held_out"]
 
 
-def test_weights_that_are_too_large_are_not_shipped(tmp_path):
-    run = run_of_guided(tmp_path / "run", width=150_000)
-    with pytest.raises(SystemExit, match="at most 200,000"):
-        ship_policies.ship(run, tmp_path / "shipped")
-    assert not (tmp_path / "shipped").exists()
-
-
 def test_a_policy_is_shipped_with_its_curve(tmp_path):
     shipped = find_policy("policy", "dining")
     shutil.copytree(shipped, tmp_path / "run" / "policy")

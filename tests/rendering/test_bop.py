@@ -16,8 +16,7 @@ from cluttergen_jax.rendering.bop import SPLIT, BopDataset, model_ply
 from cluttergen_jax.rendering.bop_models import add_models
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera, free
-from tests.helpers.drawing import GREEN, RED, needs_gl
-from tests.helpers.recordings import cubes
+from tests.helpers.drawing import RED, needs_gl
 
 TABLE = cuboid_table()
 SIZE = (160, 120)
@@ -132,54 +131,6 @@ def test_projected_models_cover_their_masks_and_lie_where_depth_says(dataset):
         assert claimed.max() == 1
 
 
-@needs_gl
-def test_the_cameras_place_is_told_in_the_world(dataset, scene):
-    folder, cameras = dataset
-    records = load(folder / SPLIT / "000003" / "scene_camera.json")
-    poses = load(folder / SPLIT / "000003" / "scene_gt.json")
-    for view, camera in enumerate(cameras):
-        turn = np.reshape(records[view]["cam_R_w2c"], (3, 3))
-        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
-        eye = -turn.T @ records[view]["cam_t_w2c"]
-        np.testing.assert_allclose(eye, 1000 * camera.eye, atol=1e-6)
-        for pose, truth in zip(poses[view], scene[1], strict=True):
-            origin = turn.T @ (np.array(pose["cam_t_m2c"]) - records[view]["cam_t_w2c"])
-            np.testing.assert_allclose(origin, 1000 * truth[:3], atol=1e-6)
-
-
-@needs_gl
-def test_colours_are_where_the_masks_are(tmp_path):
-    recording = cubes()
-    camera = Camera.looking([0.3, -0.6, 1.0], [0.0, 0.0, 0.45], *SIZE)
-    scene = (recording.objects, recording.poses, recording.support)
-    BopDataset(tmp_path).add(0, *scene, [camera], PICTURE)
-    images = tmp_path / SPLIT / "000000"
-    rgb = pixels(images / "rgb" / "000000.png").astype(int)
-    for index, channel in ((0, 0), (1, 1)):
-        mask = pixels(images / "mask_visib" / f"000000_{index:06d}.png") > 0
-        others = np.delete(rgb[mask], channel, axis=1)
-        assert mask.sum() > 50
-        assert (rgb[mask][:, channel] > others.max(1) + 30).mean() > 0.97
-
-
-@needs_gl
-def test_a_hidden_object_has_a_visible_share_of_nothing(tmp_path):
-    # The green cube behind the red one, as seen along x.
-    poses = np.array([[0.0, 0, 0.75, 1, 0, 0, 0], [0.12, 0, 0.74, 1, 0, 0, 0]])
-    camera = Camera.looking([-1.0, 0, 0.75], [0, 0, 0.75], *SIZE, 300.0)
-    BopDataset(tmp_path).add(0, [RED, GREEN], poses, TABLE, [camera], PICTURE)
-    red, green = load(tmp_path / SPLIT / "000000" / "scene_gt_info.json")[0]
-    assert red["visib_fract"] == 1.0
-    assert green["px_count_all"] > 300
-    assert (green["px_count_visib"], green["visib_fract"]) == (0, 0.0)
-    assert green["bbox_visib"] == [-1, -1, -1, -1]
-    # Both are seen along the axis, which goes between two pixels: their middles are at whole numbers.
-    K = np.reshape(load(tmp_path / SPLIT / "000000" / "scene_camera.json")[0]["cam_K"], (3, 3))
-    for index in range(2):
-        _, columns = np.nonzero(pixels(tmp_path / SPLIT / "000000" / "mask" / f"000000_{index:06d}.png"))
-        assert columns.mean() == pytest.approx(K[0, 2]) == 79.5
-
-
 # Where (0, 0) is in the first pixel, told apart by a rasteriser that shares nothing with the rays.
 
 
@@ -285,11 +236,3 @@ def test_a_second_scene_keeps_the_models_numbers(dataset, scene, tmp_path):
     with pytest.raises(ConfigError, match="another model of the name 'mug'"):
         both.add(2, [impostor], poses[:1], TABLE, [camera], PICTURE)
     assert not (tmp_path / SPLIT / "000002").exists()
-
-
-@needs_gl
-def test_a_scene_without_objects_is_one_too(tmp_path):
-    camera = free(TABLE, np.random.default_rng(0), *SIZE)
-    BopDataset(tmp_path).add(0, [], np.zeros((0, 7)), TABLE, [camera], PICTURE)
-    assert load(tmp_path / SPLIT / "000000" / "scene_gt.json") == {0: []}
-    assert pixels(tmp_path / SPLIT / "000000" / "depth" / "000000.png").max() > 0

@@ -1,7 +1,6 @@
 """Scenes of banks in a BOP dataset: each once, whole, under a number of its own. All of it without OpenGL."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +9,10 @@ import pytest
 
 from cluttergen_jax.api.render import render
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.locks import FolderLock
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.rendering.bop import BopDataset
 from tests.helpers import banks
-from tests.helpers.drawing import needs_gl
 from tests.helpers.worlds import trio
 
 
@@ -84,12 +81,6 @@ def test_scenes_of_a_second_bank_are_added_and_nothing_is_made_twice(first, seco
     assert numbers(tmp_path) == [0, 1, 2, 4, 5, 6, 7, 8, 9]
 
 
-def test_a_copy_of_a_bank_is_the_same_scenes(first, tmp_path):
-    added(first, tmp_path, "1")
-    shutil.copytree(first, tmp_path / "renamed")
-    assert not added(tmp_path / "renamed", tmp_path, "1").paths
-
-
 def test_a_call_that_was_interrupted_goes_on_where_it_stopped(first, second, tmp_path, monkeypatch):
     for bank in (first, second):
         added(bank, tmp_path / "whole")
@@ -133,19 +124,6 @@ def test_what_contradicts_a_split_is_refused_before_any_work(first, tmp_path):
         assert tree(tmp_path) == before
 
 
-def test_splits_have_numbers_of_their_own(first, second, tmp_path):
-    added(first, tmp_path, "0")
-    added(second, tmp_path, "0", split="test", views=2)
-    assert numbers(tmp_path) == numbers(tmp_path, "test") == [0]
-    depth = tmp_path / "bop" / "test" / "000000" / "depth"
-    assert [each.name for each in sorted(depth.iterdir())] == ["000000.png", "000001.png"]
-    assert sorted(json.loads((tmp_path / "bop" / "models" / "models_info.json").read_text())) == [
-        "1",
-        "2",
-        "3",
-    ]
-
-
 @pytest.mark.parametrize("split", ["models", "", "../train", "trainer", "train_", "val/x", "Test"])
 def test_names_of_no_split_are_refused(first, tmp_path, split):
     with pytest.raises(ConfigError, match="train, val or test"):
@@ -163,33 +141,6 @@ def test_scenes_of_unknown_origin_are_not_mixed_with_others(first, tmp_path):
     origin.unlink()
     with pytest.raises(ConfigError, match="another `split`"):
         added(first, tmp_path)
-
-
-def test_one_call_at_a_time_adds_to_a_dataset(first, tmp_path):
-    (tmp_path / "bop").mkdir()
-    with (
-        FolderLock(tmp_path / "bop" / ".lock", tmp_path / "bop"),
-        pytest.raises(BankError, match="is being written by"),
-    ):
-        added(first, tmp_path, "0")
-    assert len(added(first, tmp_path, "0").paths) == 1
-
-
-@needs_gl
-def test_colours_are_added_where_something_can_draw(first, tmp_path, monkeypatch):
-    report = added(first, tmp_path, "0")
-    assert any("no colours were drawn" in note for note in report.notes)
-    scenes = tmp_path / "bop" / "train_synt"
-    assert not list(scenes.glob("*/rgb"))
-    monkeypatch.delenv("MUJOCO_GL")
-    before = {name: data for name, (data, _) in tree(scenes).items() if not name.endswith("origin.json")}
-    assert len(added(first, tmp_path, "0").paths) == 1
-    after = {name: data for name, (data, _) in tree(scenes).items()}
-    assert {name: after[name] for name in before} == before
-    assert len(list(scenes.glob("*/rgb/000000.png"))) == 1
-    # They stay where nothing can draw.
-    monkeypatch.setenv("MUJOCO_GL", "disable")
-    assert not added(first, tmp_path, "0").paths
 
 
 def test_depth_labels_and_points_need_no_opengl(first, tmp_path):

@@ -9,9 +9,8 @@ import pytest
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import make_region, pose_of_action
-from cluttergen_jax.rendering.assets import close_points
-from cluttergen_jax.rendering.density import density_figure, density_of, heat_image, heat_points
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
+from cluttergen_jax.rendering.density import density_figure, density_of, heat_points
+from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
 
@@ -41,13 +40,6 @@ def test_density_peaks_where_proposals_lie():
         density_of(np.zeros((0, 4)))
 
 
-def test_colours_are_clear_where_nothing_is_proposed():
-    image = heat_image(np.array([[0.0, 0.25, 1.0]]))
-    assert image.shape == (1, 3, 4)
-    alpha = image[0, :, 3].astype(int)
-    assert alpha[0] == 0 < alpha[1] < alpha[2]
-
-
 def test_points_lie_where_poses_are_proposed():
     recording = proposed(0.9, 0.1)
     points, colours, _ = heat_points(recording, recording.attempts[0])
@@ -56,18 +48,6 @@ def test_points_lie_where_poses_are_proposed():
     numbers = map(jnp.asarray, (asked.center, asked.half_extents, asked.yaw, recording.support.top))
     pose = pose_of_action(jnp.array([0.9, 0.1, 0.0, 0.0]), make_region(*numbers), jnp.float32(0.1))
     np.testing.assert_allclose(densest, pose[:3], atol=0.012)
-
-
-@needs_gl
-def test_unprojected_pixels_are_where_their_points_were():
-    recording = cubes()
-    points = close_points(recording.objects, recording.poses, recording.support)
-    with scene_renderer(recording.objects, recording.support, points, PICTURE) as renderer:
-        depth = renderer.measure([RenderStyle(pose) for pose in recording.poses]).depth
-        seen = renderer.camera.points(depth)
-        pixels, _ = renderer.camera.project(seen[40:80, 60:100].reshape(-1, 3))
-    y, x = np.mgrid[40:80, 60:100] + 0.5
-    np.testing.assert_allclose(pixels, np.column_stack([x.ravel(), y.ravel()]), atol=1e-3)
 
 
 @needs_gl

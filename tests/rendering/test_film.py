@@ -13,9 +13,9 @@ from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN as GREEN_RING
 from cluttergen_jax.rendering.figure import closed_loop_figure, closed_loop_slot
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
-from cluttergen_jax.rendering.overlay import Ring, ring_around, with_caption, with_rings
-from cluttergen_jax.rendering.renderer import Trail, thresholds
-from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
+from cluttergen_jax.rendering.overlay import Ring, with_caption, with_rings
+from cluttergen_jax.rendering.renderer import Trail
+from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer
 from cluttergen_jax.rendering.video import save_film
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
@@ -37,15 +37,6 @@ def is_greenish(image):
     )
 
 
-@pytest.mark.parametrize("samples", [1, 2, 7, 8, 32, 33])
-def test_a_share_alpha_of_the_pictures_shows_it(samples):
-    limits = thresholds(samples)
-    for alpha in (0.0, 0.1, 0.5, 0.73, 1.0):
-        assert abs((limits < alpha).mean() - alpha) <= 0.5 / samples + 1e-12
-    assert (limits < 1).all()
-    assert not (limits < 0).any()
-
-
 @pytest.mark.parametrize(("fps", "seconds"), [(20, 12), (10, 4), (25, 2), (12.5, 60)])
 def test_replay_keeps_its_time(fps, seconds):
     config = FilmConfig(fps=fps, seconds=seconds)
@@ -55,13 +46,6 @@ def test_replay_keeps_its_time(fps, seconds):
     hold = min(1.5, 0.2 * seconds)
     expected = min(natural + hold, seconds) * fps
     assert len(frames) == pytest.approx(expected, abs=2)
-
-
-def test_smaller_steps_are_shown_as_fast_as_they_are():
-    config = FilmConfig(fps=50, seconds=60)
-    usual, fine = (len(replay_frames(replace(cubes(), timestep=1 / rate), config)) for rate in (240, 480))
-    # Half the settling time of the cubes' 168 steps.
-    assert usual - fine == pytest.approx(50 * config.slowdown * 168 / 480, abs=2)
 
 
 def test_replay_shows_the_trajectory_and_only_what_stood():
@@ -98,16 +82,6 @@ def test_replay_without_attempts_and_bad_paces_are_refused():
         FilmConfig(fps=50, seconds=1000)
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_rings_hold_all_points_and_not_much_more(seed):
-    rng = np.random.default_rng(seed)
-    points = rng.normal(size=(20, 2)) * rng.uniform(5, 80, 2) + 200
-    ring = ring_around(points, RED, "1", room=0.0)
-    radius = np.linalg.norm((points - ring.center) / ring.radii, axis=1)
-    assert radius.max() == pytest.approx(1.0)
-    assert max(ring.radii) <= 1.5 * np.ptp(points, axis=0).max()
-
-
 def test_rings_and_captions_are_drawn_where_they_belong():
     blank = np.full((120, 160, 3), 255, np.uint8)
     image = with_rings(blank, [Ring((80, 60), (40, 30), RED, "2")])
@@ -140,20 +114,6 @@ def test_closed_loop_figure_rings_failures_red_and_the_end_green():
     assert (np.abs(image.astype(int) - green).max(-1) < 12).sum() > 20
     red = np.round(255 * np.array(RED)).astype(int)
     assert (np.abs(image.astype(int) - red).max(-1) < 12).sum() > 60
-
-
-@needs_gl
-def test_one_picture_is_lit_as_many_are():
-    recording = cubes()
-    points = close_points(recording.objects, recording.poses, recording.support)
-    styles = [RenderStyle(pose) for pose in recording.poses]
-
-    def brightness(samples):
-        picture = replace(SMALL, samples=samples)
-        with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
-            return renderer.picture(styles).mean()
-
-    assert brightness(1) == pytest.approx(brightness(8), rel=0.2)
 
 
 @needs_gl
@@ -204,16 +164,6 @@ def test_replay_draws_failures_red():
     assert counts[0] == 0
     assert counts[-1] > 20
     assert max(is_reddish(image).sum() for image in images) > 1.2 * is_reddish(images[-1]).sum()
-
-
-def test_swept_points_are_the_same_from_all_sides():
-    points = np.random.default_rng(0).normal(size=(20, 3))
-    around = swept(points, 36)
-    center = (points.min(0) + points.max(0))[:2] / 2
-    radius = np.linalg.norm(around[:, :2] - center, axis=1)
-    np.testing.assert_allclose(radius, radius[0])
-    assert np.linalg.norm(points[:, :2] - center, axis=1).max() <= radius[0] + 1e-12
-    assert (around[:, 2].min(), around[:, 2].max()) == (points[:, 2].min(), points[:, 2].max())
 
 
 def moving_square(count=6, size=(48, 64)):

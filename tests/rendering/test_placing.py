@@ -9,9 +9,9 @@ import pytest
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.hand import HandScene
+from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
-from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.rendering.viewer.viewer import open_server
 from tests.helpers.problems import HalfTable, trio_problem
 

@@ -6,9 +6,9 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.generation.hand import HandBank
 from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
-from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.rendering.viewer.viewer import open_server
 from cluttergen_jax.scene.bank import read_bank
 from tests.helpers.browser import Page, browsers

@@ -7,18 +7,16 @@ import sys
 import mujoco
 import numpy as np
 import pytest
-from PIL import Image
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering import gl
-from cluttergen_jax.rendering.assets import object_sheet, render_scene, scene_spec
+from cluttergen_jax.rendering.assets import render_scene, scene_spec
 from cluttergen_jax.rendering.camera import axes, fitted_eye
 from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.gl import RendererError, check_importable, gl_context
+from cluttergen_jax.rendering.gl import RendererError, check_importable
 from cluttergen_jax.rendering.lighting import add_lighting
-from cluttergen_jax.rendering.picture import contact_sheet, render_model, save_png
+from cluttergen_jax.rendering.picture import render_model
 from tests.helpers.drawing import GREEN, RED, needs_gl
 
 
@@ -36,26 +34,6 @@ def test_nonsense_backend_is_named_and_choices_given():
     assert "nonsense" in message
     assert "glfw" in message
     assert "Try:" in message
-
-
-def test_switched_off_backend_is_reported_not_raised():
-    is_ok, message = status_with("off")
-    assert is_ok == "False"
-    assert "MUJOCO_GL=off" in message
-
-
-def test_a_setting_of_pyopengl_that_rules_a_backend_out_is_named():
-    is_ok, message = status_with("egl", PYOPENGL_PLATFORM="osmesa")
-    assert is_ok == "False"
-    assert "egl: PYOPENGL_PLATFORM=osmesa rules it out" in message
-    assert "unsetting PYOPENGL_PLATFORM" in message
-
-
-@pytest.mark.parametrize("value", ["disable", "osmesa", "nonsense"])
-def test_no_internals_of_a_backend_are_told(value):
-    message = status_with(value, PYOPENGL_PLATFORM="osmesa")[1]
-    assert "attribute" not in message
-    assert "Traceback" not in message
 
 
 def test_settings_with_which_mujoco_cannot_be_imported_end_in_a_sentence(monkeypatch):
@@ -144,17 +122,6 @@ def test_hulls_replace_surfaces_and_show_selects_bodies():
         render_model(model, qpos, show=["blue"], samples=1)
 
 
-@needs_gl
-def test_pictures_repeat_exactly_and_shadows_are_cast():
-    pose = np.array([[0, 0, 0.05, 1, 0, 0, 0]])
-    first = render_scene([RED], pose, None, samples=3, width=160, height=120)
-    np.testing.assert_array_equal(first, render_scene([RED], pose, None, samples=3, width=160, height=120))
-    grey = first.astype(int)
-    is_floor = np.ptp(grey, axis=-1) < 12
-    brightness = grey.mean(-1)[is_floor]
-    assert brightness.max() - brightness.min() > 30
-
-
 def test_lighting_changes_no_physics():
     def spec_of():
         spec = mujoco.MjSpec()
@@ -174,38 +141,6 @@ def test_lighting_changes_no_physics():
 
 
 @needs_gl
-def test_object_sheet_draws_surface_and_parts():
-    sheet = object_sheet([RED, GREEN, RED], columns=2, samples=2)
-    assert sheet.shape == (2 * (240 + 8 + 24) + 8, 2 * (480 + 8) + 8, 3)
-    left, right = sheet[8:248, 8:188].astype(int), sheet[8:248, 308:488].astype(int)
-    assert not np.array_equal(right, np.broadcast_to(right[0, 0], right.shape))
-    assert ((left[..., 0] > 3 * left[..., 1]) & (left[..., 0] > 100)).any()
-    assert not ((right[..., 0] > 3 * right[..., 1]) & (right[..., 0] > 100)).any()
-
-
-def test_contact_sheet_places_every_image():
-    images = [np.full((30, 40, 3), 10 * i, np.uint8) for i in range(1, 6)]
-    sheet = contact_sheet(images, [str(i) for i in range(5)], columns=3)
-    assert sheet.shape == (2 * (30 + 8 + 24) + 8, 3 * 48 + 8, 3)
-    for i in range(5):
-        row, column = divmod(i, 3)
-        assert (sheet[8 + 62 * row + 15, 8 + 48 * column + 20] == 10 * (i + 1)).all()
-    with pytest.raises(ConfigError, match="caption"):
-        contact_sheet(images, ["one"])
-    with pytest.raises(ConfigError):
-        contact_sheet([])
-
-
-def test_save_png_keeps_pixels_and_leaves_nothing_else(tmp_path):
-    image = np.random.default_rng(0).integers(0, 255, (20, 30, 3), np.uint8)
-    path = save_png(image, tmp_path / "new" / "a.png")
-    np.testing.assert_array_equal(np.asarray(Image.open(path)), image)
-    with pytest.raises(TypeError):
-        save_png(np.zeros((4, 4, 3), np.complex64), tmp_path / "new" / "b.png")
-    assert [p.name for p in path.parent.iterdir()] == ["a.png"]
-
-
-@needs_gl
 def test_close_view_shows_the_objects_larger_and_whole():
     poses = np.array([[0, 0, 0.75, 1, 0, 0, 0]])
     table = cuboid_table(0.3, 0.3, 0.7)
@@ -219,13 +154,3 @@ def test_close_view_shows_the_objects_larger_and_whole():
         )
     assert counts[1] > 1.5 * counts[0] > 0
     assert all(is_whole)
-
-
-@needs_gl
-def test_contexts_within_another_are_that_one():
-    with gl_context(64, 64):
-        outer = list(gl._OPEN)
-        with gl_context(480, 240):
-            assert outer == gl._OPEN
-        assert outer == gl._OPEN
-    assert gl._OPEN == []

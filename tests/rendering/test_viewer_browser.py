@@ -1,7 +1,5 @@
 """The web viewer in a real browser without a screen: it loads, and its buttons do what they say."""
 
-import threading
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -30,10 +28,10 @@ class Scenes:
         self.recorder = Recorder(sampler, problem.world, width=1)
         self.failing = next(seed for seed in range(50) if self.recorder.record(seed, 0).failures)
 
-    def recorded(self, number, num_proposals=0):
+    def replay(self, number, num_proposals=0):
         return self.recorder.record(self.failing + number, 0, f"scene {number}", num_proposals)
 
-    still = recorded
+    still = replay
 
     def notice(self, method=None):
         return ""
@@ -107,11 +105,6 @@ def changed(before, after):
     return (np.abs(before.astype(int) - after).max(-1) > 40).sum() > 60
 
 
-def num_red(image):
-    image = image.astype(int)
-    return int(((image[..., 0] > 1.6 * image[..., 1]) & (image[..., 0] > 1.6 * image[..., 2])).sum())
-
-
 def test_page_loads_and_draws_the_scene(page):
     assert "objects placed: 3" in page.text()
     image = page.picture()
@@ -135,41 +128,6 @@ def test_next_previous_and_number_change_the_scene(page):
     assert page.session.number == 0
 
 
-def test_hulls_clouds_and_region_appear_and_go(page):
-    page.until(lambda: page.session.number == 0)
-    for label in ("Hulls", "Scene cloud", "Object cloud", "Queried region"):
-        plain = page.picture()
-        page.tick(label)
-        ticked = page.changes(plain)
-        page.tick(label)
-        page.changes(ticked)
-    shown = page.session.nodes.shown
-    assert (shown.hulls, shown.region, shown.scene_cloud, shown.object_cloud) == (False, True, False, False)
-
-
-def test_heat_of_proposals_appears_when_it_is_asked_for(page):
-    page.until(lambda: page.session.number == 0)
-    assert all(attempt.proposals is None for attempt in page.session.recording.attempts)
-    plain = page.picture()
-    page.tick("Where it may be proposed")
-    page.until(lambda: page.session.recording.attempts[0].proposals is not None)
-    heated = page.changes(plain)
-    # Light blue to violet.
-    cool = [(each[..., 2].astype(int) > each[..., 0].astype(int) + 40).sum() for each in (plain, heated)]
-    assert cool[1] > cool[0] + 200
-    page.tick("Where it may be proposed")
-    page.changes(heated)
-
-
-def test_failed_attempts_are_shown_in_red(page):
-    page.until(lambda: page.session.number == 0)
-    plain = page.picture()
-    page.tick("All failed attempts")
-    assert num_red(page.changes(plain)) > num_red(plain) + 30
-    page.tick("All failed attempts")
-    page.until(lambda: not page.session.nodes.shown.failures)
-
-
 def test_attempts_are_played_to_the_end(page):
     recording = page.session.recording
     last = len(recording.attempts)
@@ -177,82 +135,3 @@ def test_attempts_are_played_to_the_end(page):
     page.until(lambda: f"attempt 1 of {last}" in page.text() or page.session._slider.value > 1)
     page.until(lambda: page.session._slider.value == last and "Play" in page.text())
     page.until(lambda: f"attempt {last} of {last}" in page.text())
-
-
-def test_sample_changes_the_objects(page):
-    before, image = page.session.recording, page.picture()
-    page.press("Sample")
-    page.until(lambda: "random, seed 1" in page.text() and "sampling" not in page.text())
-    assert np.abs(page.session.recording.poses - before.poses).max() > 0.01
-    page.changes(image)
-
-
-def test_screenshot_is_saved(page):
-    page.press("Screenshot")
-    page.until(lambda: "saved as" in page.text())
-    (path,) = page.session.folder.iterdir()
-    image = np.asarray(Image.open(path))
-    assert image.shape[0] > 300
-    assert image.shape[1] > 300
-    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 200
-
-
-def test_reset_brings_the_camera_back(page):
-    client = page.session.client
-    home, near = np.array(client.camera.position), page.picture()
-    client.camera.position = home * 1.8
-    far = page.changes(near)
-    page.press("Reset")
-    page.until(lambda: np.allclose(client.camera.position, home, atol=1e-3))
-    page.changes(far)
-
-
-def test_what_goes_wrong_is_said(page, monkeypatch):
-    from cluttergen_jax.errors import BankError
-
-    def broken(number):
-        raise BankError("the bank is gone", hint="another")
-
-    monkeypatch.setattr(page.session.source, "still", broken)
-    page.press("Next")
-    page.until(lambda: "the bank is gone. Try: another." in page.text())
-
-
-@pytest.mark.slow
-def test_two_browsers_look_at_different_scenes(page, open_page):
-    page.enter("Number", 0)
-    page.until(lambda: page.session.recording.title == "scene 0" and "objects placed" in page.text())
-    other = open_page()
-    before = page.picture()
-    other.press("Next")
-    other.until(lambda: "scene 1" in other.text())
-    other.tick("Hulls")
-    other.until(lambda: other.session.nodes.shown.hulls)
-    other.until(lambda: changed(before, other.picture()))
-    # The first browser has noticed nothing of it.
-    assert "scene 0" in page.text()
-    assert "scene 1" not in page.text()
-    assert not page.session.nodes.shown.hulls
-    assert not changed(before, page.picture())
-    assert (page.session.number, other.session.number) == (0, 1)
-    other.browser.close()
-    page.until(lambda: list(page.viewer.sessions.values()) == [page.session])
-
-
-@pytest.mark.slow
-def test_a_page_says_that_it_compiles_and_then_shows_the_scene(page, open_page, monkeypatch):
-    source, go = page.session.source, threading.Event()
-    made = source.still
-
-    def slow(number):
-        assert go.wait(PATIENCE)
-        return made(number)
-
-    monkeypatch.setattr(source, "notice", lambda method=None: "compiling, wait a minute")
-    monkeypatch.setattr(source, "still", slow)
-    other = open_page(waits_for="scene 0: compiling, wait a minute")
-    assert "objects placed" not in other.text()
-    empty = other.picture()
-    go.set()
-    other.until(lambda: "objects placed: 3" in other.text())
-    other.changes(empty)

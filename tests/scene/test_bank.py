@@ -1,20 +1,16 @@
 """Banks: resumed, verified, refused; through the command line, as a user would."""
 
 import errno
-import json
 import re
 
 import mujoco
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.progress import COMPILING
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene.bank import read_bank, verify
 from cluttergen_jax.scene.bank.verify import verify_scene
@@ -65,14 +61,6 @@ def test_another_seed_makes_other_scenes_but_not_in_the_same_bank(bank, pool, tm
     assert one != two
 
 
-def test_overwrite_begins_anew(pool, tmp_path):
-    assert generate(pool, tmp_path / "b", "-n", "3") == 0
-    (tmp_path / "b" / "notes.txt").write_text("mine")
-    assert generate(pool, tmp_path / "b", "-n", "2", "--seed", "5", "--overwrite") == 0
-    assert read_bank(tmp_path / "b").table.num_rows == 2
-    assert (tmp_path / "b" / "notes.txt").read_text() == "mine"
-
-
 def test_what_is_overwritten_by_the_same_bank_is_continued(tmp_path):
     path = tmp_path / "bank"
     with banks.writer(path, 3) as writer:
@@ -81,32 +69,6 @@ def test_what_is_overwritten_by_the_same_bank_is_continued(tmp_path):
         assert writer.has_block(0, 3)
     with banks.writer(path, 300, {"seed": 5}, overwrite=True) as writer:
         assert not writer.has_block(0, 3)
-
-
-@pytest.mark.slow
-def test_few_successes_bring_advice(pool, tmp_path, capsys):
-    tight = ["--support", "table-0.12x0.12", "--region", "0.11x0.11", "-n", "4", "--min-margin", "0"]
-    assert generate(pool, tmp_path / "tight", *tight, "--method", "random") == 0
-    assert "try --method guided" in capsys.readouterr().out
-    assert generate(pool, tmp_path / "wide", "--method", "drop", "-n", "4") == 0
-    assert "advice" not in capsys.readouterr().out
-
-
-def test_what_is_to_be_known_is_said_before_the_first_scene_is_made(pool, tmp_path, capsys):
-    tight = {"support": "table-0.12x0.12", "region": "0.05x0.05", "num_scenes": 2, "method": "random"}
-    bank = cg.generate(tmp_path / "tight", pool=pool, max_files=0, **tight)
-    said = capsys.readouterr().err
-    (note,) = bank.notes
-    assert "it is tight" in note
-    assert said.index(note) < said.index(COMPILING)
-    assert note not in str(bank)
-
-
-def test_nothing_is_overwritten_unasked(pool, tmp_path, capsys):
-    (tmp_path / "thesis.txt").write_text("important")
-    assert generate(pool, tmp_path, "-n", "2", "--overwrite") == 2
-    assert "not a bank" in capsys.readouterr().err
-    assert (tmp_path / "thesis.txt").read_text() == "important"
 
 
 def test_files_hold_the_poses_twice_and_stand(bank):
@@ -119,14 +81,6 @@ def test_files_hold_the_poses_twice_and_stand(bank):
         np.testing.assert_allclose(model.qpos0, scene.poses.ravel(), atol=1e-6)
         assert model.opt.timestep == 1 / 240
         assert verify_scene(path).stands
-
-
-def test_verify_command_counts_and_exits(bank, capsys):
-    assert main(["verify", str(bank), "--seconds", "1"]) == 0
-    num_files = len(list((bank / "scenes").glob("*.xml")))
-    assert f"{num_files} of {num_files} scenes stand" in capsys.readouterr().out
-    record = json.loads((bank / "verification.json").read_text())
-    assert len(record) == num_files
 
 
 def test_verify_tells_what_it_saw_where_nothing_can_be_written(bank, capsys, monkeypatch):
@@ -216,14 +170,3 @@ def test_repeat_start_and_keep_out(pool, bank, tmp_path):
         np.testing.assert_allclose(scene.poses[:3], first.poses, atol=0.003)
         assert (scene.poses[3:, 0] < 0.1).all()
     assert verify_scene(path / "scenes" / f"{scenes[0].index:06d}.xml").stands
-
-
-def test_damaged_block_is_named(pool, tmp_path):
-    generate(pool, tmp_path / "bank", "-n", "2", "--max-files", "0")
-    block = tmp_path / "bank" / "scenes-000000.parquet"
-    block.write_bytes(block.read_bytes()[:100])
-    with pytest.raises(BankError, match="damaged"):
-        _ = read_bank(tmp_path / "bank").table
-    # The same command mends it.
-    assert generate(pool, tmp_path / "bank", "-n", "2", "--max-files", "0") == 0
-    assert pq.read_table(block).num_rows == 2

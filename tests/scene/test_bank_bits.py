@@ -5,7 +5,6 @@ import json
 import pytest
 
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.numerics import bits_of_here
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import INDEX
 from tests.helpers import banks
@@ -19,11 +18,6 @@ def begun(path, bits, num_scenes=300):
     with banks.writer(path, num_scenes, bits=bits) as writer:
         writer.write_block(0, banks.rows(0))
     return path
-
-
-def test_bits_are_told(tmp_path):
-    with banks.writer(begun(tmp_path / "bank", HERE), 300, bits=HERE):
-        assert read_bank(tmp_path / "bank").record["bits"] == [HERE]
 
 
 def test_a_bank_is_not_continued_with_other_bits(tmp_path):
@@ -47,31 +41,8 @@ def test_a_mixture_is_one_by_leave(tmp_path):
     assert read_bank(path).record["bits"] == [HERE, THERE]
 
 
-def test_where_nothing_is_missing_bits_do_not_matter(tmp_path):
-    path = begun(tmp_path / "bank", HERE)
-    banks.writer(path, 256, bits=THERE).close()
-    banks.writer(path, 300).close()
-    assert read_bank(path).record["bits"] == [HERE]
-
-
 def test_old_banks_are_continued_as_before(tmp_path):
     path = begun(tmp_path / "bank", None)
     assert "bits" not in json.loads((path / INDEX).read_text())
     banks.writer(path, 600, bits=HERE).close()
     assert "bits" not in read_bank(path).record
-
-
-def test_overwrite_begins_a_bank_of_other_bits_anew(tmp_path):
-    path = begun(tmp_path / "bank", HERE)
-    with banks.writer(path, 300, bits=THERE, overwrite=True) as writer:
-        assert not writer.has_block(0, 256)
-    assert read_bank(path).record["bits"] == [THERE]
-
-
-def test_flags_that_change_nothing_are_left_out(monkeypatch):
-    told = bits_of_here()
-    assert all(told[name] for name in ("jaxlib", "device", "instructions"))
-    # XLA has read its own by now, and refuses those it does not know.
-    ours = "--xla_a=1 --xla_dump_to=x --xla_force_host_platform_device_count=2 --xla_a=2"
-    monkeypatch.setenv("XLA_FLAGS", ours)
-    assert bits_of_here() == told | {"xla_flags": "--xla_a=2"}

@@ -12,7 +12,7 @@ from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import index_bytes
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
-from cluttergen_jax.scene.bank.digests import Change, changes_of, touched
+from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import check_whole
 from tests.helpers import banks
 
@@ -74,12 +74,6 @@ def test_what_was_changed_is_named_does_not_count_and_is_mended(bank, whole, cap
     banks.with_files(bank)
     assert all_bytes(bank) == all_bytes(whole)
     assert verify(bank) == 0
-
-
-def test_every_scene_is_made_of_what_no_object_owns():
-    changes = [Change(name, "gone") for name in (PART, "assets/objects", "assets", SCENE)]
-    assert touched(changes, "000001.xml", ["tall"]) == ["assets/objects", "assets"]
-    assert touched(changes, "000000.xml", ["prism"]) == [each.name for each in changes]
 
 
 def test_what_is_missing_or_was_added_is_named(bank, whole, capsys):
@@ -159,12 +153,6 @@ def test_files_that_do_not_have_what_their_rows_have_are_named(bank, capsys, cha
         check_whole(read_bank(bank))
 
 
-def test_digests_survive_a_run_without_files(bank, whole):
-    with banks.writer(bank, 3):
-        pass
-    assert all_bytes(bank) == all_bytes(whole)
-
-
 @pytest.mark.parametrize(
     "name", ["../outside.txt", "/etc/hostname", "scenes/../../outside.txt", "assets/link"]
 )
@@ -185,11 +173,3 @@ def test_a_list_that_is_none_is_damage(bank, files):
     (bank / "bank.json").write_bytes(index_bytes(read_bank(bank).record | {"files": files}))
     with pytest.raises(BankError, match="digests of files"):
         read_bank(bank)
-
-
-def test_a_relative_name_with_a_colon_is_a_folder(bank, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    bank.rename("run:3")
-    assert main(["stats", "run:3"]) == 0
-    banks.write(Path("run:4"))
-    assert read_bank("run:4").table.num_rows == 512

@@ -4,7 +4,6 @@ import os
 import shutil
 import socket
 import subprocess
-import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +17,7 @@ from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.remote import MARK, RemoteFolder, mirror_of, mirrored, publish_all, url_of
+from cluttergen_jax.scene.bank.remote import RemoteFolder, mirrored, publish_all
 from tests.helpers import banks
 from tests.helpers.worlds import trio
 
@@ -125,37 +124,6 @@ def test_many_read_a_bank_at_once_that_nobody_has_read_before(home, tmp_path):
         with ThreadPoolExecutor(8) as readers:
             assert set(readers.map(read, range(8))) == {NUM_BLOCKS * BLOCK_SIZE}
         assert not list(home.rglob(".*.partial"))
-
-
-@pytest.mark.slow
-def test_many_processes_read_a_bank_at_once_that_nobody_has_read_before(home, tmp_path):
-    place = f"file://{tmp_path / 'there'}"
-    write(place)
-    shutil.rmtree(home)
-    code = f"import cluttergen_jax as cg; print(cg.read_bank({place!r}).num_scenes)"
-    readers = [
-        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(8)
-    ]
-    assert [each.communicate(timeout=300)[0].strip() for each in readers] == [
-        str(NUM_BLOCKS * BLOCK_SIZE)
-    ] * 8
-
-
-def test_other_things_there_are_left_alone(url):
-    fsspec.filesystem("memory").pipe(f"{url}/notes.txt", b"mine")
-    with pytest.raises(BankError, match="no bank"):
-        write(url)
-    assert contents(url) == {"notes.txt": b"mine"}
-
-
-def test_only_mirrors_lead_elsewhere(url, tmp_path):
-    """A folder from somebody else cannot make this machine open what it names."""
-    write(url)
-    banks.write(tmp_path / "bank", 1)
-    (tmp_path / "bank" / MARK).write_text(url)
-    assert url_of(tmp_path / "bank") is None
-    assert url_of(mirror_of(url)) == url
-    assert read_bank(tmp_path / "bank").table.num_rows == BLOCK_SIZE
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import random
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 import pytest
 
@@ -15,7 +14,6 @@ from cluttergen_jax.scene.bank import index as module_index
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import index_bytes, recovered_record
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, with_record, write_shard
-from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import check_whole
 from cluttergen_jax.scene.bank.index import BankIndex
@@ -67,15 +65,6 @@ def test_shards_hold_what_block_files_hold(plain, sharded):
     check_whole(two)
     assert pq.ParquetFile(sharded / names[0]).metadata.num_row_groups == IN_A_SHARD
     assert recovered_record(sharded) == recovered_record(plain)
-
-
-def test_a_small_bank_and_a_last_block_alone_have_files_of_single_blocks(tmp_path):
-    write(tmp_path / "four", num_blocks=4)
-    found = {each.name for each in (tmp_path / "four").glob("*.parquet")}
-    assert found == {"scenes-000000-000002.parquet", "scenes-000003.parquet"}
-    write(tmp_path / "two", num_blocks=2)
-    found = {each.name for each in (tmp_path / "two").glob("*.parquet")}
-    assert found == {"scenes-000000.parquet", "scenes-000001.parquet"}
 
 
 def test_any_order_and_any_interruption_make_the_same_files(sharded, tmp_path):
@@ -130,19 +119,6 @@ def test_a_damaged_row_group_is_named_and_mended_alone(sharded, tmp_path):
     assert not write_shard(path, range(3, 6), read_bank(path).record)
     write(path)
     assert files(path) == files(sharded)
-
-
-def test_blocks_that_are_not_wanted_are_not_read(sharded, tmp_path):
-    path = tmp_path / "bank"
-    write(path)
-    file = shard_path(path, range(3, 6))
-    file.write_bytes(file.read_bytes()[:100])
-    wanted, stored = [0, 2, 6, 7, 99], StoredBlocks.of(path)
-    found = pa.concat_tables(stored.tables(blocks=wanted))
-    whole = [StoredBlocks.of(sharded).read(block) for block in (0, 2, 6, 7)]
-    assert found.equals(pa.concat_tables(whole))
-    with pytest.raises(BankError, match="damaged"):
-        list(stored.tables(blocks=[5]))
 
 
 def test_a_block_that_was_written_again_wins_over_its_shard(tmp_path):
@@ -208,12 +184,3 @@ def test_files_of_an_older_version_get_the_columns_that_they_lack(tmp_path, shar
     write(tmp_path)
     assert len({pq.read_schema(file) for file in tmp_path.glob("*.parquet")}) == 1
     assert files(tmp_path) == files(sharded)
-
-
-def test_other_programs_read_all_files_as_one_table(sharded):
-    """As the card's `data_files` has it: one schema, every row once."""
-    write_card(read_bank(sharded))
-    assert "data_files: 'scenes-*.parquet'" in (sharded / "README.md").read_text()
-    rows = ds.dataset(sorted(map(str, sharded.glob("scenes-*.parquet"))), format="parquet").to_table()
-    assert rows["index"].to_pylist() == list(range(NUM_BLOCKS * BLOCK_SIZE))
-    (sharded / "README.md").unlink()

@@ -11,9 +11,8 @@ import pytest
 import trimesh
 
 from cluttergen_jax.api.text import parse_numbers
-from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.shading import linear, shaded
+from cluttergen_jax.assets.shading import linear
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
@@ -22,9 +21,7 @@ from cluttergen_jax.scene.bank.reference import parse_reference
 from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.export import FORMATS, export_scenes
 from cluttergen_jax.scene.export.frames import euler_of, principal_of
-from cluttergen_jax.scene.export.scene_json import scene_bounds
 from tests.helpers.exports import CLOSE, assert_same_pose, dining_scene, exporter, matrix, spread
-from tests.helpers.shapes import slab
 from tests.helpers.worlds import trio
 
 
@@ -205,35 +202,6 @@ def test_adapters_carry_poses_and_files(folder_of, scene, format):
             assert row[7:] == [0.0] * 6
 
 
-def test_bounds_hold_the_support_and_what_overhangs():
-    # The table is so small that objects hang over its edges.
-    scene = spread(trio(), cuboid_table(0.2, 0.2))
-    points = [
-        trimesh.transform_points(part.vertices, matrix(pose))
-        for asset, pose in zip(scene.objects, scene.poses, strict=True)
-        for part in asset.parts
-    ]
-    points = np.concatenate([*points, [[-0.1, -0.1, 0.0], [0.1, 0.1, scene.support.top]]])
-    assert points[:, 0].min() < -0.1
-    np.testing.assert_allclose(scene_bounds(scene), [points.min(0), points.max(0)], atol=CLOSE)
-
-
-def test_boxes_without_surfaces_are_exported_too(tmp_path):
-    bare = spread(trio(), cuboid_table(), turn=1.0)
-    for format in sorted(set(FORMATS) - {"usd"}):
-        folder = export_scenes([bare], tmp_path / format, format)
-        assert json.loads((folder / "MANIFEST.json").read_text())["support"]["name"] == "table"
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "mjcf" / "scenes" / "000000.xml"))
-    np.testing.assert_allclose(model.qpos0, bare.poses.ravel(), atol=CLOSE)
-
-
-def test_many_scenes_share_assets(tmp_path):
-    one, two = (spread(trio(), cuboid_table(), index=index, turn=0.3 + index) for index in (4, 9))
-    folder = export_scenes([one, two], tmp_path / "out", "urdf")
-    assert sorted(path.name for path in (folder / "scenes").iterdir()) == ["000004.json", "000009.json"]
-    assert len(list((folder / "assets" / "objects").iterdir())) == 3
-
-
 def test_scenes_that_do_not_go_together_are_refused_and_leave_nothing(tmp_path):
     one = spread(trio(), cuboid_table())
     with pytest.raises(ConfigError, match="supports"):
@@ -258,11 +226,6 @@ def test_existing_folders_are_left_alone(tmp_path):
     export_scenes([scene], tmp_path / "new", "sdf", overwrite=True)
     assert (tmp_path / "new" / "scenes" / "000000.sdf").is_file()
     assert not (tmp_path / "new" / "scenes" / "000000.xml").exists()
-
-
-def test_unknown_format_names_the_others(tmp_path):
-    with pytest.raises(ConfigError, match="mjcf, mjcf-old, urdf, sdf, usd, glb"):
-        export_scenes([spread(trio(), cuboid_table())], tmp_path / "out", "blend")
 
 
 def test_numbers_and_sources_are_parsed(tmp_path, capsys):
@@ -298,18 +261,3 @@ def test_principal_frames_and_angles_turn_back():
         quaternion /= np.linalg.norm(quaternion)
         turn = trimesh.transformations.euler_matrix(*euler_of(quaternion), "sxyz")[:3, :3]
         np.testing.assert_allclose(turn, rotate(np, quaternion, np.eye(3)).T, atol=1e-12)
-
-
-def test_shading_keeps_the_surface_and_its_edges():
-    box = slab((0.1, 0.2, 0.3))
-    vertices, normals, faces, _ = shaded(box)
-    # A box has a normal for each face at each corner, and the normals are the faces' own.
-    assert len(vertices) == 24
-    np.testing.assert_allclose(np.abs(normals).max(1), 1.0, atol=1e-6)
-    corners = vertices[faces].astype(float)
-    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert (np.einsum("fi,fci->fc", facing, normals[faces]) > 0).all()
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
-    points, smooth, triangles, _ = shaded(Mesh(ball.vertices, ball.faces))
-    assert (len(points), len(triangles)) == (len(ball.vertices), len(ball.faces))
-    np.testing.assert_allclose(smooth, points / 0.1, atol=0.02)

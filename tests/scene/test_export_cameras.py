@@ -10,13 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.scene import CAMERAS, Camera, scene_cameras
-from cluttergen_jax.scene.export import FORMATS, export_scenes
 from tests.helpers.drawing import needs_gl
-from tests.helpers.exports import exporter, fourteen_scenes, spread
+from tests.helpers.exports import exporter, spread
 
 NAMES = ("mug", "bottle", "soup_can", "bowl")
 
@@ -30,11 +28,6 @@ def scene():
 @pytest.fixture(scope="module")
 def folder_of(scene, tmp_path_factory):
     return exporter(scene, tmp_path_factory, cameras=CAMERAS)
-
-
-@pytest.fixture(scope="module")
-def bank(tmp_path_factory):
-    return fourteen_scenes(tmp_path_factory.mktemp("export") / "bank")
 
 
 def turn_of(w, x, y, z):
@@ -203,17 +196,3 @@ def test_cameras_go_with_the_region_and_with_an_attached_scene(scene):
     with pytest.raises(ConfigError, match="overhead, front, side, wrist"):
         scene_cameras(turned, ("overhead", "above"))
     assert scene.to_mjspec().compile().ncam == 0
-
-
-@pytest.mark.parametrize("format", sorted(set(FORMATS) - {"usd"}))
-def test_without_being_asked_for_there_are_none(scene, tmp_path, format):
-    folder = export_scenes([scene], tmp_path / "out", format)
-    for path in (*folder.glob("scenes/*"), folder / "MANIFEST.json", folder / "README.txt"):
-        assert b"camera" not in path.read_bytes().lower()
-
-
-def test_command_line(bank, tmp_path, capsys):
-    out = str(tmp_path / "out")
-    assert main(["export", f"{bank}:0", "--cameras", "wrist", "overhead", "--out", out]) == 0
-    model = mujoco.MjModel.from_xml_path(f"{out}/scenes/000000.xml")
-    assert [model.camera(k).name for k in range(model.ncam)] == ["wrist", "overhead"]

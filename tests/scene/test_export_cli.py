@@ -9,7 +9,6 @@ import pytest
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.scene import collect
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.reference import numbers_text
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.bank.verify import verify_scene
 from tests.helpers.exports import fourteen_scenes
@@ -85,16 +84,6 @@ def test_what_cannot_be_done_is_explained_and_leaves_nothing(bank, numbers, tmp_
         assert main(["export", *more, "--out", str(tmp_path / "out")]) == 2
         assert says in capsys.readouterr().err
         assert list(tmp_path.iterdir()) == []
-
-
-def test_many_scenes_that_are_not_there_are_one_sentence(bank, tmp_path, capsys):
-    assert main(["export", str(bank), "--scenes", "0-99", "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
-    assert "86 of the 100 scenes asked for (14-99) are not in it, which holds 0-13" in said
-    assert "2 scenes failed: 4, 9 (crept)" in said
-    assert len(said) < 350
-    assert numbers_text([7, 3, 0, 1, 2, 9, 8]) == "0-3, 7-9"
-    assert numbers_text(range(0, 40, 2)) == "0, 2, 4, 6, 8, 10, 12, 14, ..."
 
 
 def test_a_whole_bank_is_one_model(bank, numbers):

@@ -5,10 +5,8 @@ import pytest
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import linear
-from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.scene.export import export_scenes
-from tests.helpers.exports import CLOSE, dining_scene, matrix, spread
-from tests.helpers.worlds import trio
+from tests.helpers.exports import CLOSE, dining_scene, matrix
 
 pytest.importorskip("pxr", reason="needs the extra usd")
 
@@ -104,13 +102,3 @@ def test_colours_and_support_are_where_they_belong(stage, scene):
     bound = box.ComputeWorldBound(stage.GetPrimAtPath("/World/support")).ComputeAlignedRange()
     assert bound.GetMin()[2] == pytest.approx(0, abs=1e-3)
     assert bound.GetMax()[2] == pytest.approx(scene.support.top, abs=1e-3)
-
-
-def test_a_table_of_boxes_is_drawn_and_collides(tmp_path):
-    bare = spread(trio(), cuboid_table())
-    folder = export_scenes([bare], tmp_path / "bare", "usd")
-    stage = Usd.Stage.Open(str(folder / "scenes" / "000000.usda"))
-    (cube,) = [p for p in Usd.PrimRange(stage.GetPrimAtPath("/World/support")) if p.IsA(UsdGeom.Cube)]
-    assert UsdGeom.Imageable(cube).ComputePurpose() == "default"
-    extent = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default"]).ComputeWorldBound(cube)
-    np.testing.assert_allclose(extent.ComputeAlignedRange().GetMax(), (0.3, 0.35, 0.7), atol=1e-6)

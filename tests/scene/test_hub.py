@@ -5,10 +5,6 @@ The Hugging Face library is the real one; the server that it speaks to is `tests
 
 import json
 import shutil
-import sys
-import threading
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 
@@ -17,10 +13,8 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import index_bytes
-from cluttergen_jax.scene.bank.card import write_card
-from cluttergen_jax.scene.bank.hub import find_bank, hub_of, local_paths, pulled_path
-from cluttergen_jax.scene.bank.hubs import FolderHub
-from tests.helpers.hub_server import TOKEN, hub_server, sha_of
+from cluttergen_jax.scene.bank.hub import find_bank, local_paths, pulled_path
+from tests.helpers.hub_server import TOKEN, hub_server
 
 NAME = "me/few-scenes"
 
@@ -74,16 +68,6 @@ def test_what_is_pushed_is_pulled_to_the_bit(bank, tmp_path, hub, capsys):
     assert [each.name for each in tmp_path.glob(".*")] == []
 
 
-def test_the_card_says_what_a_hub_wants_to_know(bank):
-    card = pytest.importorskip("huggingface_hub", reason="needs the extra hub").DatasetCard.load(
-        write_card(read_bank(bank))
-    )
-    assert card.data.license == "apache-2.0"
-    assert "robotics" in card.data.tags
-    (config,) = card.data.to_dict()["configs"]
-    assert [path.name for path in bank.glob(config["data_files"])] == ["scenes-000000.parquet"]
-
-
 def test_a_bank_is_loaded_by_its_name_and_pulled_once(bank, folder, monkeypatch):
     cg.push_bank(bank, NAME, hub=str(folder))
     monkeypatch.setenv("CLUTTERGEN_HUB", str(folder))
@@ -98,13 +82,6 @@ def test_a_bank_is_loaded_by_its_name_and_pulled_once(bank, folder, monkeypatch)
     assert (
         len({pulled_path(NAME, *asked) for asked in ((), (None, "v1"), ("here", None), ("here", "v1"))}) == 4
     )
-
-
-def test_a_folder_goes_before_a_name(bank, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "me").mkdir()
-    bank.rename(tmp_path / NAME)
-    assert find_bank(NAME) == Path(NAME)
 
 
 def test_an_interrupted_pull_goes_on(bank, tmp_path, server):
@@ -131,20 +108,6 @@ def test_a_link_where_a_pull_would_work_is_not_followed(bank, tmp_path, folder):
     assert contents(precious) == {"deep/letter": b"mine"}
 
 
-def test_many_pull_a_bank_at_once_on_first_use(bank, folder):
-    cg.push_bank(bank, NAME, hub=str(folder))
-    together = threading.Barrier(6)
-
-    def read(_):
-        together.wait()
-        return read_bank(find_bank(NAME, hub=str(folder))).table.num_rows
-
-    with ThreadPoolExecutor(6) as readers:
-        assert set(readers.map(read, range(6))) == {read_bank(bank).table.num_rows}
-    place = pulled_path(NAME, str(folder))
-    assert [each.name for each in place.parent.iterdir()] == [place.name]
-
-
 def test_large_files_that_are_there_are_not_sent_again_and_a_push_is_one_commit(bank, server):
     cg.push_bank(bank, NAME, hub=server.url)
     (bank / "README.md").write_text("my own words")
@@ -160,17 +123,6 @@ def test_large_files_that_are_there_are_not_sent_again_and_a_push_is_one_commit(
     ]
     assert list(server.put.values()) == [1]
     assert server.files(NAME)["README.md"] == b"my own words"
-
-
-def test_an_earlier_revision_can_be_had(bank, tmp_path, server):
-    cg.push_bank(bank, NAME, hub=server.url)
-    first = server.files(NAME)["README.md"]
-    (bank / "README.md").write_text("my own words")
-    cg.push_bank(bank, NAME, hub=server.url)
-    cg.pull_bank(NAME, tmp_path / "here", hub=server.url, revision=sha_of(NAME, 1))
-    assert (tmp_path / "here" / "README.md").read_bytes() == first
-    with pytest.raises(BankError, match="no such revision"):
-        cg.pull_bank(NAME, tmp_path / "there", hub=server.url, revision="v9")
 
 
 def test_a_private_bank_needs_a_token(bank, tmp_path, server, monkeypatch):
@@ -209,14 +161,6 @@ def test_without_a_network_it_is_said(bank, tmp_path, monkeypatch):
     monkeypatch.setenv("CLUTTERGEN_HUB", url)
     with pytest.raises(BankError, match=r"no such folder, and as a name on a hub: .*does not answer"):
         cg.load_bank("runs/bank")
-
-
-def test_without_the_extra_it_is_named(bank, tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    assert main(["pull", NAME, "--out", str(tmp_path / "x")]) == 2
-    assert "cluttergen_jax[hub]" in capsys.readouterr().err
-    with pytest.raises(BankError, match=r"no such folder.*optional extra 'hub'"):
-        cg.load_bank(NAME)
 
 
 def test_only_what_is_whole_is_pushed(bank, folder):
@@ -307,16 +251,6 @@ def test_names_are_plain(bank, tmp_path, folder, name):
         cg.push_bank(bank, name, hub=str(folder))
     with pytest.raises(BankError, match="OWNER/NAME"):
         cg.pull_bank(name, tmp_path / "x", hub=str(folder))
-
-
-def test_a_hub_is_named_by_argument_or_variable(folder, tmp_path, monkeypatch):
-    assert isinstance(hub_of(str(folder)), FolderHub)
-    monkeypatch.setenv("CLUTTERGEN_HUB", f"file://{folder}")
-    assert isinstance(hub_of(None), FolderHub)
-    with pytest.raises(BankError, match="no hub in"):
-        hub_of(str(tmp_path / "nowhere"))
-    with pytest.raises(BankError, match="none yet"):
-        cg.pull_bank(NAME, tmp_path / "x")
 
 
 def test_paths_of_this_machine_are_told_before_they_are_shown(bank, folder, capsys):

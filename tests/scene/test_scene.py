@@ -108,11 +108,6 @@ def test_a_name_that_is_taken_and_a_bad_turn_are_refused(scene):
         scene.attach_to(spec, "other/", quaternion=(2, 0, 0, 0))
 
 
-def test_without_its_support(scene):
-    names = [body.name for body in scene.to_mjspec(support=False).bodies]
-    assert "support" not in names
-
-
 @pytest.mark.parametrize(
     ("names", "poses"),
     [

@@ -32,21 +32,6 @@ def test_half_an_object_is_seen_beside_what_stands_before_it():
     assert behind.visible_share == pytest.approx(0.5, abs=0.02)
 
 
-def test_what_is_cut_off_by_the_picture_counts_as_not_seen():
-    one = [box("one", (0.001, 0.1, 0.05))]
-    sensor = InstanceSensor(one, TABLE, surfaces=False)
-    # The right edge of the picture is half a metre to the right at a distance of one.
-    _, (cut,) = sensor.sense(standing(0.0, -0.5, 0.05)[None], AHEAD)
-    assert cut.visible_share == pytest.approx(0.5, abs=0.02)
-    assert cut.box[1] > 160
-    assert (cut.mask == cut.visible).all()
-    _, (gone,) = sensor.sense(standing(-2.0, 0.0, 0.05)[None], AHEAD)
-    assert (gone.num_pixels, gone.box, gone.visible_share) == (0, None, 0.0)
-    # Beside the camera and beyond: neither before it nor behind.
-    _, (near,) = sensor.sense(standing(-1.0, 0.3, 0.05)[None], AHEAD)
-    assert near.visible.sum() == 0
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_masks_and_labels_go_together(seed):
     objects, poses, _ = random_boxes(np.random.default_rng(seed), 6)

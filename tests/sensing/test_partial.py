@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.ground import VOID
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
@@ -86,31 +85,6 @@ def test_a_tall_box_hides_what_is_behind_it():
     np.testing.assert_allclose(found.ceiling[before], 0.0, atol=0.004)
 
 
-def test_an_empty_table_is_seen_to_be_empty():
-    rng = np.random.default_rng(0)
-    objects, poses, _ = random_boxes(rng, 1)
-    is_placed = np.zeros(1, bool)
-    sensor = RaySensor(model_of(objects), surfaces=False)
-    data = sensor.make_data()
-    sensor.pose(data, poses, is_placed)
-    for camera in (overhead(TABLE), side(TABLE), free(TABLE, rng)):
-        found = PartialMap.of(sensor.sense(data, camera).depth, camera, GRID)
-        pixels, _ = camera.project(GRID.columns[INNER])
-        in_view = ((pixels > 2) & (pixels < np.array([camera.width, camera.height]) - 2)).all(-1)
-        assert in_view.mean() > 0.5
-        assert found.is_seen[INNER][in_view].all()
-        np.testing.assert_allclose(found.height[INNER], 0.0, atol=1e-6)
-
-
-def test_what_is_out_of_the_picture_may_hold_anything():
-    camera = Camera.looking([0.6, 0, 1.3], [0.25, 0, 0.7], 40, 30, 60)
-    found = PartialMap.of(np.full((30, 40), np.inf), camera, GRID, max_height=0.3)
-    far = np.abs(GRID.columns[..., 1]) > 0.3
-    far[[0, -1]], far[:, [0, -1]] = False, False
-    np.testing.assert_allclose(found.ceiling[far], 0.3, atol=1e-6)
-    assert found.is_seen[INNER].any()
-
-
 def test_what_was_not_measured_hides_everything_unless_it_is_a_speck():
     camera = overhead(TABLE)
     depth = seen([box("one", (0.02, 0.02, 0.02))], standing(0.2, 0.2, 0.02)[None], camera)
@@ -126,19 +100,6 @@ def test_what_was_not_measured_hides_everything_unless_it_is_a_speck():
     assert within.sum() > 50
     assert not found.is_seen[within].any()
     assert (found.count[within] == 0).all()
-
-
-def test_more_views_leave_less_hidden():
-    rng = np.random.default_rng(3)
-    objects, poses, boxes = random_boxes(rng, 7)
-    cameras = [free(TABLE, rng) for _ in range(4)]
-    maps = [PartialMap.of(seen(objects, poses, camera), camera, GRID) for camera in cameras]
-    both = merged(maps)
-    for one in maps:
-        assert (both.height >= one.height).all()
-        assert (both.ceiling <= np.maximum(one.ceiling, both.height)).all()
-    assert both.is_seen.mean() > max(one.is_seen.mean() for one in maps)
-    assert (both.ceiling[INNER] >= minimum_filter(true_heights(GRID, boxes)[INNER], 3) - 0.004).all()
 
 
 def test_two_cameras_see_what_either_sees():
@@ -175,15 +136,6 @@ def test_the_height_of_a_cell_is_that_which_so_many_points_reach(rank):
         assert found[cell] == (here[min(rank, len(here)) - 1] if here else VOID)
 
 
-def test_one_stray_pixel_makes_no_surface_where_several_are_asked_for():
-    camera = overhead(TABLE, 320, 240, 615 / 2)
-    depth = np.full((240, 320), camera.eye[2] - 0.7, np.float32)
-    depth[120, 160] -= 0.1
-    assert PartialMap.of(depth, camera, GRID).height.max() == pytest.approx(0.1, abs=1e-4)
-    assert PartialMap.of(depth, camera, GRID, least_pixels=2).height.max() < 1e-4
-    assert PartialMap.of(depth, camera, GRID, median=3).height.max() < 1e-4
-
-
 def test_the_known_top_mends_the_stated_pose():
     errors = []
     for seed in range(8):
@@ -206,13 +158,6 @@ def test_the_known_top_mends_the_stated_pose():
     assert mended.max() < 0.003
 
 
-def test_an_exact_camera_over_a_bare_top_is_left_alone():
-    camera = side(TABLE)
-    depth = seen([box("one", (0.05, 0.05, 0.05))], standing(0, 0, 0.05)[None], camera)
-    assert levelled(depth, camera, GRID) is camera
-    assert levelled(np.full_like(depth, np.nan), camera, GRID) is camera
-
-
 @pytest.mark.parametrize("rectangle", [None, Rectangle((0.05, -0.02), (0.15, 0.2), 0.4)])
 def test_the_grid_is_laid_out_as_the_true_map_is(rectangle):
     support = cuboid_table(0.8, 0.7, 0.5)
@@ -230,35 +175,8 @@ def test_the_grid_is_laid_out_as_the_true_map_is(rectangle):
     np.testing.assert_allclose(grid.bare[grid.bare > VOID], 0.0, atol=1e-6)
 
 
-def test_cells_off_the_support_are_void():
-    grid = Grid.of(TABLE, 0.1, Rectangle((0.3, 0.0), (0.1, 0.1)))
-    camera = overhead(TABLE)
-    found = PartialMap.of(
-        seen([box("one", (0.05, 0.05, 0.05))], standing(0, 0, 0.05)[None], camera), camera, grid
-    )
-    off = grid.columns[..., 0] > 0.31
-    assert off.sum() > 50
-    assert (found.height[off] <= VOID).all()
-    assert (found.ceiling[off] <= VOID).all()
-
-
 def test_bad_grids_and_images_are_refused():
     with pytest.raises(ConfigError, match="cells of"):
         Grid.of(TABLE, 0.1, cell=0.0)
     with pytest.raises(ConfigError, match="the camera's"):
         PartialMap.of(np.ones((3, 3)), overhead(TABLE), GRID)
-
-
-@pytest.mark.parametrize(("degrees", "is_mended"), [(1.5, True), (4.0, False)])
-def test_so_far_a_stated_orientation_may_be_wrong(degrees, is_mended):
-    camera = overhead(TABLE, 320, 240, 615 / 2)
-    depth = seen([box("one", (0.05, 0.05, 0.05))], standing(0.1, 0, 0.05)[None], camera)
-    turn = Rotation.from_euler("x", degrees, degrees=True).as_matrix()
-    T = camera.T_world_camera.copy()
-    T[:3, :3] = T[:3, :3] @ turn
-    stated = replace(camera, T_world_camera=T)
-    found = levelled(depth, stated, GRID)
-    assert (found is not stated) == is_mended
-    height = found.points(depth)[..., 2] - 0.7
-    on_table = camera.points(depth)[..., 2] < 0.701
-    assert (np.abs(height[on_table]).max() < 0.001) == is_mended

@@ -147,7 +147,7 @@ class FitRun(ABC):
                 if interrupt.is_asked:
                     break
                 index = self._batch(number, num_examples(examples), batches)
-                call = partial(interrupt.compiled, _step) if number == first else _step
+                call = partial(interrupt.run_compiling, _step) if number == first else _step
                 state, parts = call(fit, state, taken(examples, index))
                 seen.append(parts)
                 if (number + 1) % batches == 0:

@@ -21,7 +21,7 @@ from cluttergen_jax.downstream.placer.query import (
     without_scores,
 )
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.learning.methods import checkpoint_of, proposer_of, suited
+from cluttergen_jax.learning.methods import checkpoint_of, proposer_of, with_history_of
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.placement.rules import Proposer, Rules
@@ -76,7 +76,7 @@ class FullState:
           PoolError: no checkpoint of it is embedded for the pool.
         """
         checkpoint = checkpoint_of(self.method, problem.config.pool)
-        rules = replace(problem.rules, config=suited(problem.rules.config, checkpoint))
+        rules = replace(problem.rules, config=with_history_of(problem.rules.config, checkpoint))
         return rules, proposer_of(self.method, checkpoint, rules)
 
 

@@ -26,8 +26,8 @@ from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
-from cluttergen_jax.generation.make import make_sampler
-from cluttergen_jax.geometry import transformed
+from cluttergen_jax.generation.sampler import make_sampler
+from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.types import Array
@@ -171,7 +171,7 @@ def clearance_of(objects: Sequence[ObjectAsset], poses: np.ndarray, num_moved: i
 
 
 def _outline(asset: ObjectAsset, pose: np.ndarray) -> np.ndarray:
-    corners = transformed(pose, np.concatenate([part.vertices for part in asset.parts]))[:, :2]
+    corners = transform_points(pose, np.concatenate([part.vertices for part in asset.parts]))[:, :2]
     ring = corners[ConvexHull(corners).vertices]
     ahead = np.roll(ring, -1, axis=0)
     number = int(np.linalg.norm(ahead - ring, axis=1).max() / 0.005) + 1

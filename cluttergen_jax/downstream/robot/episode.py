@@ -21,7 +21,7 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.sensed import SeeingArm
-from cluttergen_jax.geometry import product, turned, yaw_quaternion
+from cluttergen_jax.geometry import product, rotate_in_plane, yaw_quaternion
 from cluttergen_jax.scene import Scene
 
 STAND_SIDE = 0.26
@@ -73,7 +73,7 @@ def stand_beside(support: SupportAsset) -> Box:
     region = support.region
     low = min(_low_side(box, region.yaw, np.asarray(region.center)) for box in support.boxes)
     middle = np.array([-_STAND_BEFORE, low - _STAND_GAP - STAND_SIDE / 2])
-    x, y = np.asarray(region.center) + turned(middle, region.yaw)
+    x, y = np.asarray(region.center) + rotate_in_plane(middle, region.yaw)
     half = STAND_SIDE / 2
     center = (float(x), float(y), support.top - _STAND_HALF_HEIGHT)
     return Box(center, (half, half, _STAND_HALF_HEIGHT), region.yaw)
@@ -82,8 +82,8 @@ def stand_beside(support: SupportAsset) -> Box:
 def _low_side(box: Box, yaw: float, center: np.ndarray) -> float:
     """The least y of a box in the region's frame."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    corners = np.asarray(box.center[:2]) + turned(signs * box.half_extents[:2], box.yaw) - center
-    return float(turned(corners, -yaw)[:, 1].min())
+    corners = np.asarray(box.center[:2]) + rotate_in_plane(signs * box.half_extents[:2], box.yaw) - center
+    return float(rotate_in_plane(corners, -yaw)[:, 1].min())
 
 
 class Referee:
@@ -155,7 +155,7 @@ class Referee:
           Failed: it does not.
         """
         region, pose = self.scene.support.region, self.execution.pose(self.target)
-        place = turned(pose[:2, 3] - np.asarray(region.center), -region.yaw)
+        place = rotate_in_plane(pose[:2, 3] - np.asarray(region.center), -region.yaw)
         if (np.abs(place) > np.asarray(region.half_extents)).any():
             raise Failed(Outcome.OUTSIDE, self.scene.names[self.target])
 

@@ -13,7 +13,7 @@ import numpy as np
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, check_positive
 from cluttergen_jax.errors import ConfigError, MissingExtraError
-from cluttergen_jax.geometry import turned, yaw_quaternion
+from cluttergen_jax.geometry import rotate_in_plane, yaw_quaternion
 from cluttergen_jax.scene import Scene
 
 EXTRA = "robot"
@@ -136,7 +136,7 @@ def _for_holding(spec: mujoco.MjSpec, config: PandaConfig) -> None:
 def base_pose(support: SupportAsset, config: PandaConfig | None = None) -> np.ndarray:
     """f64[7]: T_world_base, on the level of the support's top, looking at the region's centre."""
     region, distance = support.region, (config or PandaConfig()).distance
-    xy = region.center + turned(np.array([-distance, 0.0]), region.yaw)
+    xy = region.center + rotate_in_plane(np.array([-distance, 0.0]), region.yaw)
     return np.array([*xy, support.top, *yaw_quaternion(region.yaw)])
 
 

@@ -15,7 +15,7 @@ from cluttergen_jax.downstream.perception.evaluation.evaluate import (
 from cluttergen_jax.downstream.perception.evaluation.judged import MaskFigures
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
 from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
-from cluttergen_jax.proportions import counted, proportion
+from cluttergen_jax.statistics import proportion, share_row
 from cluttergen_jax.tables import Table
 
 POOL = "household"
@@ -76,8 +76,8 @@ def row_of(result: PerceptionResult, row: PerceptionRow) -> Row:
 def _masks(told: MaskFigures) -> dict[str, Any]:
     return {
         "mean_iou": told.mean_iou,
-        "found": counted(told.found, told.visible),
-        "false": counted(told.false, told.masks),
+        "found": share_row(told.found, told.visible),
+        "false": share_row(told.false, told.masks),
     }
 
 

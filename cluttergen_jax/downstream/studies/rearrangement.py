@@ -13,7 +13,7 @@ from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 from cluttergen_jax.downstream.robot.trials import EPISODES
 from cluttergen_jax.downstream.studies.robot import causes_of, told
 from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
-from cluttergen_jax.proportions import proportion
+from cluttergen_jax.statistics import proportion
 from cluttergen_jax.tables import Table
 
 OBSERVERS = ("true", "perception")

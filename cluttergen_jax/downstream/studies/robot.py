@@ -12,7 +12,7 @@ from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interva
 from cluttergen_jax.downstream.robot.api import robot_place
 from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials
 from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
-from cluttergen_jax.proportions import finite, proportion
+from cluttergen_jax.statistics import finite, proportion
 from cluttergen_jax.tables import Table
 
 ASKED: tuple[dict[str, Any], ...] = (

@@ -12,7 +12,7 @@ from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
 from cluttergen_jax.downstream.placer.evaluation.tables import MAIN, NOTES, Row, main_cells
 from cluttergen_jax.downstream.placer.pairs.stored import PairSet
 from cluttergen_jax.downstream.studies.study import SuiteFolder
-from cluttergen_jax.proportions import wilson
+from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
 
 SEEDS_NOTE = (

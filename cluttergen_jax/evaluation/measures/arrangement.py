@@ -6,7 +6,7 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import turned
+from cluttergen_jax.geometry import rotate_in_plane
 
 
 def by_object(
@@ -58,4 +58,4 @@ def check_scenes(poses: np.ndarray, is_placed: np.ndarray, num_objects: int | No
 def region_positions(poses: np.ndarray, region: Rectangle) -> np.ndarray:
     """f64[..., 2]: where poses f[..., 7] lie in the region's frame, metres from its centre."""
     offset = np.asarray(poses, np.float64)[..., :2] - np.asarray(region.center)
-    return turned(offset, -region.yaw)
+    return rotate_in_plane(offset, -region.yaw)

@@ -30,7 +30,7 @@ from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.evaluation.measures.contacts import Contacts, contacts_of
 from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
 from cluttergen_jax.evaluation.measures.simulate import each_scene
-from cluttergen_jax.geometry import conjugate, rotate, transformed
+from cluttergen_jax.geometry import conjugate, rotate, transform_points
 
 SURFACE_SHARE = 0.25
 MAX_VESSEL_TILT = float(np.radians(45.0))
@@ -136,7 +136,7 @@ def _inside(objects: Sequence[ObjectAsset], poses: np.ndarray, is_placed: np.nda
         for i in (each for each in placed if each != j):
             if np.linalg.norm(poses[i, :3] - poses[j, :3]) > objects[i].radius + objects[j].radius:
                 continue
-            cloud = transformed(poses[i], objects[i].cloud) - poses[j, :3]
+            cloud = transform_points(poses[i], objects[i].cloud) - poses[j, :3]
             back = conjugate(poses[j, 3:])
             result[i, j] = vessel.holds(rotate(np, back[None], cloud)).mean() >= SURFACE_SHARE
     return result
@@ -149,7 +149,7 @@ def _covered(scene: SceneModel, objects: Sequence[ObjectAsset], poses: np.ndarra
     share = np.zeros((len(objects), len(objects) + 1))
     up = np.array([0.0, 0.0, 1.0])
     for i, body in zip(scene.objects, scene.layout.body_index, strict=True):
-        for point in transformed(poses[i], objects[i].cloud[:_NUM_RAYS]):
+        for point in transform_points(poses[i], objects[i].cloud[:_NUM_RAYS]):
             mujoco.mj_ray(scene.model, data, point, up, None, 1, int(body), geom)
             if geom[0] >= 0:
                 share[i, index[geom[0]]] += 1 / _NUM_RAYS

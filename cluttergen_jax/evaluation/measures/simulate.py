@@ -14,7 +14,7 @@ import numpy as np
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.physics.stability import moved
+from cluttergen_jax.physics.stability import displacement
 
 MAX_SHIFT = 0.005
 MAX_TURN = float(np.radians(5.0))
@@ -168,6 +168,6 @@ def without_sinking(poses: np.ndarray, start: np.ndarray, most: float) -> np.nda
 
 def shift_and_turn(poses: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """f64[n] each: metres and radians between poses f64[n, 7]; infinite for what is not finite any more."""
-    shift, turn = moved(np, poses, start)
+    shift, turn = displacement(np, poses, start)
     is_finite = np.isfinite(poses).all(1)
     return np.where(is_finite, shift, np.inf), np.where(is_finite, turn, np.inf)

@@ -18,7 +18,7 @@ from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, own_rules
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.studies.table1 import ALL_METHODS
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.proportions import finite
+from cluttergen_jax.statistics import finite
 from cluttergen_jax.tables import Table
 
 TIGHT = table_sizes(SIZES[2])[0]

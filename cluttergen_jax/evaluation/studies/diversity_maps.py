@@ -25,7 +25,7 @@ from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.proportions import finite
+from cluttergen_jax.statistics import finite
 from cluttergen_jax.tables import Table
 
 _MAP_SCENES = 500

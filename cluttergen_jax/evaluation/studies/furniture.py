@@ -25,7 +25,7 @@ from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.proportions import wilson
+from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
 
 SUPPORTS = (

@@ -21,7 +21,7 @@ from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid, 
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import MIN_MARGIN
-from cluttergen_jax.proportions import proportion
+from cluttergen_jax.statistics import proportion
 from cluttergen_jax.tables import Table
 from cluttergen_jax.types import Verdict
 

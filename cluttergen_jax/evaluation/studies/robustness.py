@@ -19,7 +19,7 @@ from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.proportions import finite, proportion
+from cluttergen_jax.statistics import finite, proportion
 from cluttergen_jax.tables import Table
 
 

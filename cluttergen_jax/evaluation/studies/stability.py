@@ -31,7 +31,7 @@ from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study
 from cluttergen_jax.evaluation.trial import ROBUST, Trial
-from cluttergen_jax.proportions import proportion
+from cluttergen_jax.statistics import proportion
 from cluttergen_jax.tables import Table
 
 ROWS = tuple(

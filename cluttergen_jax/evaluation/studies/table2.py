@@ -7,7 +7,7 @@ from cluttergen_jax.evaluation.studies.contact_sheets import renders
 from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
 from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN, IMPORTED, TWINS, differences, differs
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.placement.changes import REGION_CHANGES
+from cluttergen_jax.placement.region import REGION_CHANGES
 from cluttergen_jax.tables import Table
 
 POOL = "household"

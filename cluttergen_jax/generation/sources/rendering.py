@@ -17,7 +17,7 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.sources import BankSource, FileSource, open_source
 from cluttergen_jax.generation.sources.bop import BopConfig, BopScenes
 from cluttergen_jax.placement.rollout.replay import Replay
-from cluttergen_jax.progress import tracked
+from cluttergen_jax.progress import track
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.density import NUM_PROPOSALS, density_figure
@@ -103,7 +103,7 @@ class Rendering:
                 work.dataset = stack.enter_context(dataset)
                 work.plan(numbers)
                 notes += dataset.told
-            shown = tracked(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
+            shown = track(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
             for number in shown:
                 failures += self._make(work, number, made)
         if self._makes("sheet"):
@@ -148,7 +148,7 @@ class Rendering:
         attempted = None
         if self._makes("replay", "figure", "density"):
             try:
-                attempted = source.recorded(number, NUM_PROPOSALS if self._makes("density") else 0)
+                attempted = source.replay(number, NUM_PROPOSALS if self._makes("density") else 0)
             except ClutterGenError as error:
                 yield f"{stem.name}, its attempts", error
         try:
@@ -158,7 +158,7 @@ class Rendering:
             return
         for ending, make in self._products(work, recording, number, attempted is not None):
             try:
-                made.extend(make(_named(stem, ending)))
+                made.extend(make(_path_with(stem, ending)))
             except ClutterGenError as error:
                 yield stem.name + ending, error
 
@@ -168,50 +168,50 @@ class Rendering:
         """The endings of the files that are asked for, and how each is made."""
         large, small, dataset = self._picture(_LARGE, _FINE), work.small, work.dataset
         if work.singles:
-            yield ".png", lambda path: [save_png(drawn(recording, large), path)]
+            yield ".png", lambda path: [save_png(draw_scene(recording, large), path)]
         if self._makes("figure") and has_attempts:
             yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, picture=large), path)]
         if self._makes("density") and has_attempts:
             yield "-density.png", lambda path: [save_png(density_figure(recording, picture=large), path)]
         if self._makes("depth", "segmentation"):
-            yield "-sensors.npz", lambda path: self._sensed(recording, path, large, work.is_drawn)
+            yield "-sensors.npz", lambda path: self._write_sensors(recording, path, large, work.is_drawn)
         if dataset is not None:
             yield "-bop", lambda path: dataset.add(recording, number)
         if self._makes("points"):
-            yield "-points.ply", lambda path: [_written(path, _cloud(recording))]
+            yield "-points.ply", lambda path: [_write(path, _cloud(recording))]
         if self._makes("turntable"):
             count = max(2, round(self.pace.fps * self.pace.seconds))
             turns = turntable(recording, self.pace, small)
-            yield f"-turntable.{self.film}", lambda path: [self._filmed(turns, count, path)]
+            yield f"-turntable.{self.film}", lambda path: [self._write_film(turns, count, path)]
         if self._makes("replay") and has_attempts:
             steps = replay(recording, self.pace, small)
             length = len(replay_frames(recording, self.pace))
-            yield f"-replay.{self.film}", lambda path: [self._filmed(steps, length, path)]
+            yield f"-replay.{self.film}", lambda path: [self._write_film(steps, length, path)]
 
-    def _sensed(
+    def _write_sensors(
         self, recording: Replay, path: Path, picture: PictureConfig, is_drawn: bool
     ) -> Iterator[Path]:
         placed = recording.placed
         names = [recording.names[index] for index in placed]
         poses, support = recording.poses[placed], recording.support
-        sensed = sense(_placed(recording), names, poses, support, picture, is_drawn)
+        sensed = sense(_placed_objects(recording), names, poses, support, picture, is_drawn)
         stem = path.with_name(path.name.removesuffix("-sensors.npz"))
         if self._makes("depth"):
-            yield _written(_named(stem, "-depth.png"), depth_png(sensed.depth))
+            yield _write(_path_with(stem, "-depth.png"), depth_png(sensed.depth))
         if self._makes("segmentation"):
-            yield _written(_named(stem, "-segmentation.png"), segmentation_png(sensed.segmentation))
-        yield _written(_named(stem, "-camera.json"), camera_json(sensed))
-        yield _written(path, npz_of(sensed))
+            yield _write(_path_with(stem, "-segmentation.png"), segmentation_png(sensed.segmentation))
+        yield _write(_path_with(stem, "-camera.json"), camera_json(sensed))
+        yield _write(path, npz_of(sensed))
 
-    def _filmed(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Path:
-        shown = tracked(frames, path.name, count, "frame")
+    def _write_film(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Path:
+        shown = track(frames, path.name, count, "frame")
         return save_film(shown, path, self.pace.fps)
 
     def _sheet(self, source: SceneSource, numbers: list[int], title: str) -> np.ndarray:
         picture = self._picture(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
         recordings = [source.still(number) for number in numbers]
-        shown = tracked(recordings, title, len(recordings), "picture")
-        images = [drawn(recording, picture) for recording in shown]
+        shown = track(recordings, title, len(recordings), "picture")
+        images = [draw_scene(recording, picture) for recording in shown]
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")
             for number, recording in zip(numbers, recordings, strict=True)
@@ -283,10 +283,10 @@ def chosen_numbers(
     return list(good if asked == "all" else good[:count])
 
 
-def drawn(recording: Replay, picture: PictureConfig) -> np.ndarray:
+def draw_scene(recording: Replay, picture: PictureConfig) -> np.ndarray:
     """uint8[height, width, 3]: the finished scene."""
     return render_scene(
-        _placed(recording),
+        _placed_objects(recording),
         recording.poses[recording.placed],
         recording.support,
         camera=picture.view,
@@ -298,16 +298,16 @@ def drawn(recording: Replay, picture: PictureConfig) -> np.ndarray:
     )
 
 
-def _placed(recording: Replay) -> list:
+def _placed_objects(recording: Replay) -> list:
     return [recording.objects[index] for index in recording.placed]
 
 
 def _cloud(recording: Replay) -> bytes:
     poses = recording.poses[recording.placed]
-    return ply_of(scene_points(_placed(recording), poses, recording.support))
+    return ply_of(scene_points(_placed_objects(recording), poses, recording.support))
 
 
-def _named(stem: Path, ending: str) -> Path:
+def _path_with(stem: Path, ending: str) -> Path:
     return stem.with_name(stem.name + ending)
 
 
@@ -321,6 +321,6 @@ def _plain(name: str) -> str:
     return re.sub(r"[^\w.+-]+", "-", name)
 
 
-def _written(path: Path, data: bytes) -> Path:
+def _write(path: Path, data: bytes) -> Path:
     write_atomically(path, data)
     return path

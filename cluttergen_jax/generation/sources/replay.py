@@ -15,15 +15,15 @@ from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.problem import ProblemConfig
+from cluttergen_jax.placement.problem import ProblemConfig, Setup, make_setup
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.placement.rollout.record import Recorder
 from cluttergen_jax.placement.rollout.replay import Replay
-from cluttergen_jax.placement.setup import Setup, make_setup
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.reference import read_start
 from cluttergen_jax.scene.bank.scene import config_of
+from cluttergen_jax.schema import Record
 
 COMPILING = "compiling where it was not compiled before, which takes about a minute"
 
@@ -137,7 +137,7 @@ def _equal(recording: Replay, stored: Replay) -> bool:
     return set(ends) == set(kept) and all(np.array_equal(ends[name], kept[name]) for name in kept)
 
 
-def _problem_config(bank: Bank, recipe: dict[str, Any]) -> ProblemConfig:
+def _problem_config(bank: Bank, recipe: Record) -> ProblemConfig:
     return ProblemConfig(
         pool=recipe["pool"],
         repeat=True,

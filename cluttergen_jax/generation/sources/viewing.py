@@ -14,8 +14,7 @@ import numpy as np
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.generate import GeneratedBank
 from cluttergen_jax.generation.hand import HandBank
-from cluttergen_jax.generation.sources.live import LiveConfig
-from cluttergen_jax.generation.sources.opening import open_source
+from cluttergen_jax.generation.sources.scene_sources import LiveConfig, open_source
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.rendering.assets import scene_spec
 from cluttergen_jax.rendering.lighting import FLOOR

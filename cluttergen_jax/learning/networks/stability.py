@@ -8,9 +8,9 @@ import flax.linen as nn
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.placement.baselines.lowest import costs_of_staying
+from cluttergen_jax.placement.baselines import costs_of_staying
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.trusted import CandidateSet
+from cluttergen_jax.placement.search.candidate_sampler import CandidateSet
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -73,7 +73,7 @@ def features_of(rules: Rules, episode: Episode, candidates: CandidateSet) -> Arr
     the objects placed (twenties), the region's height (30 cm) and the logarithm of the object's share of the
     region. Nothing says which object it is, or of which pool.
     """
-    scores, fit, bearers = candidates.found.scores, candidates.found.scores.fit, candidates.bearers
+    scores, fit, supporters = candidates.found.scores, candidates.found.scores.fit, candidates.supporters
     geometry, focus = rules.geometry, rules.focus(episode)
     cost = sum(costs_of_staying(scores))
     of_candidates = jnp.stack(
@@ -87,10 +87,10 @@ def features_of(rules: Rules, episode: Episode, candidates: CandidateSet) -> Arr
             10 * jnp.clip(fit.rest, _DEEPEST, _HIGHEST),
             jnp.clip(cost, 0.0, 2.0),
             jnp.log(jnp.clip(cost, 1e-3, 10.0)) / 4,
-            bearers.is_on.astype(jnp.float32),
-            bearers.level / 3,
-            20 * jnp.clip(bearers.margin, -0.05, 0.1),
-            20 * bearers.offset,
+            supporters.is_on.astype(jnp.float32),
+            supporters.level / 3,
+            20 * jnp.clip(supporters.margin, -0.05, 0.1),
+            20 * supporters.offset,
         ],
         axis=1,
     )

@@ -6,16 +6,39 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.networks.config import KIND, NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.schema import SchemaError, typed
+from cluttergen_jax.schema import Record, SchemaError, convert
 
 _HINT = "a policy that `cluttergen train` of this version left"
+
+
+_Count = Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]
+
+
+class TrainedPlacement(msgspec.Struct):
+    """Of the episodes in which a policy was trained (`PlacementConfig`), what acting needs."""
+
+    max_attempts: _Count
+    history_stride: _Count
+    num_objects: _Count | None = None
+
+
+class Trained(msgspec.Struct):
+    """What a policy's record says of how it was trained; a record without a kind is of poses."""
+
+    network: Record
+    placement: TrainedPlacement
+    kind: str = KIND
+    variant: str | None = None
+    pool: str | None = None
+    support: str | None = None
+    stability: Record = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,26 +47,22 @@ class Checkpoint:
 
     Attributes:
       path: the folder, of `weights.npz` and `record.json`.
-      record: JSON values: at least the `network`, and the `placement` in which it was trained.
+      record: all JSON values of the latter; trained: those that acting needs.
     """
 
     path: Path
-    record: dict[str, Any]
+    record: Record
+    trained: Trained
 
     @property
     def variant(self) -> str | None:
         """The method's name; None where the record does not say it."""
-        return self.record.get("variant")
-
-    @property
-    def placement(self) -> dict[str, Any]:
-        """The settings of the episodes in which it was trained."""
-        return self.record["placement"]
+        return self.trained.variant
 
     @property
     def kind(self) -> str:
-        """Of its network. Records of before kinds were written down are of poses."""
-        return self.record.get("kind", KIND)
+        """Of its network."""
+        return self.trained.kind
 
     @cached_property
     def network(self) -> NetworkConfig:
@@ -57,7 +76,7 @@ class Checkpoint:
                 f"{self.path} holds a network of kind {self.kind!r}, and no policy of poses", hint=_HINT
             )
         try:
-            return NetworkConfig(**self.record["network"])
+            return NetworkConfig(**self.trained.network)
         except TypeError as error:
             raise PoolError(
                 f"{self.path / 'record.json'} does not say what network it holds ({error})", hint=_HINT
@@ -65,20 +84,12 @@ class Checkpoint:
 
     @cached_property
     def hash(self) -> str:
-        """Hex digest of its weights and record.
-
-        Raises:
-          PoolError: there are no weights.
-        """
+        """Hex digest of its weights and record; PoolError where there are no weights."""
         digests = [hashlib.sha256(data).digest() for data in self.files().values()]
         return hashlib.sha256(b"".join(digests)).hexdigest()
 
     def files(self) -> dict[str, bytes]:
-        """All that it consists of, by name within its folder.
-
-        Raises:
-          PoolError: there are no weights.
-        """
+        """All that it consists of, by name within its folder; PoolError where there are no weights."""
         try:
             return {name: (self.path / name).read_bytes() for name in ("record.json", "weights.npz")}
         except OSError as error:
@@ -97,28 +108,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
         path = path / "policy"
     record = read_record(path)
     try:
-        typed(record, _Trained)
+        trained = convert(record, Trained)
     except SchemaError as error:
         told = f"does not say what network it holds, and how that was trained ({error})"
         raise PoolError(f"{path / 'record.json'} {told}", hint=_HINT) from error
-    return Checkpoint(path, record)
-
-
-_Count = Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]
-
-
-class _Placement(msgspec.Struct):
-    """Of the settings of the episodes in which a policy was trained, what acting needs."""
-
-    max_attempts: _Count
-    history_stride: _Count
-
-
-class _Trained(msgspec.Struct):
-    """What the record of a policy says."""
-
-    network: dict[str, Any]
-    placement: _Placement
-    kind: str = KIND
-    variant: str | None = None
-    stability: dict[str, Any] = {}
+    return Checkpoint(path, record, trained)

@@ -30,11 +30,7 @@ def list_policies() -> dict[str, Path]:
 
 
 def find_policy(variant: str, pool: str) -> Path:
-    """The embedded checkpoint of a variant for a pool.
-
-    Raises:
-      PoolError: there is none; the message lists those that exist.
-    """
+    """The embedded checkpoint of a variant for a pool; PoolError where there is none."""
     policies = list_policies()
     name = variant if variant in FOR_ANY_POOL else f"{pool}-{variant}"
     if name in policies:

@@ -22,7 +22,7 @@ from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.trusted import CandidateSet, TrustedConfig, TrustedSearch
+from cluttergen_jax.placement.search.candidate_sampler import CandidateConfig, CandidateSampler, CandidateSet
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -30,7 +30,7 @@ KIND = "stability"
 """Of its network, as a checkpoint's record names it."""
 
 
-class Guided(TrustedSearch, eq=False):
+class Guided(CandidateSampler, eq=False):
     """A `TrustedSearch` by a network that was fitted to attempts; it knows no objects and no pool.
 
     Attributes:
@@ -61,17 +61,13 @@ def make_guided(rules: Rules, network: StabilityNetConfig, params: Any = None, *
     Args:
       config: fields of `TrustedConfig`.
     """
-    return Guided(LowestFit(rules), TrustedConfig(**config), params=params, network=network)
+    return Guided(LowestFit(rules), CandidateConfig(**config), params=params, network=network)
 
 
 def load_guided(checkpoint: Checkpoint, rules: Rules) -> Guided:
-    """The placer with the weights of a checkpoint.
-
-    Raises:
-      PoolError: the checkpoint is damaged.
-    """
+    """The placer with the weights of a checkpoint; PoolError where the checkpoint is damaged."""
     try:
-        network = StabilityNetConfig(**checkpoint.record["network"])
+        network = StabilityNetConfig(**checkpoint.trained.network)
     except TypeError as error:
         raise PoolError(
             f"{checkpoint.path / 'record.json'} does not say what network it holds ({error})",

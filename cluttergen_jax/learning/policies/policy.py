@@ -13,10 +13,10 @@ from flax import struct
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.agents import Agent, make_agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
-from cluttergen_jax.learning.policies.checkpoint import Checkpoint
+from cluttergen_jax.learning.policies.checkpoint import Checkpoint, TrainedPlacement
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.observation import observe
+from cluttergen_jax.placement.observation import Observation, observe
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
@@ -47,16 +47,16 @@ class TrainedPolicy(struct.PyTreeNode, eq=False):
         dist = jax.tree.map(lambda leaf: leaf[0], self.agent.apply(self.params, seen)[0])
         return dist.sample(key) if self.is_sampled else dist.mean()
 
-    def observe(self, episode: Episode) -> dict[str, Any]:
+    def observe(self, episode: Episode) -> Observation:
         """What the agent sees of an episode."""
         seen = observe(self.rules, episode, self.agent.observation)
         missing = self.num_attempts - self.rules.config.max_attempts
         if missing == 0:
             return seen
-        return seen | {"history": jax.tree.map(lambda rows: _padded(rows, missing), seen["history"])}
+        return seen | {"history": jax.tree.map(lambda rows: _pad_rows(rows, missing), seen["history"])}
 
 
-def _padded(rows: Array, missing: int) -> Array:
+def _pad_rows(rows: Array, missing: int) -> Array:
     return jnp.pad(rows, [(0, missing)] + [(0, 0)] * (rows.ndim - 1))
 
 
@@ -84,8 +84,9 @@ def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool = True) -
       ConfigError: the world's history is not what the policy reads. Fewer attempts are; more are not.
     """
     policy = make_policy(rules, checkpoint.network, None, is_sampled)
-    _check_history(checkpoint.placement, rules)
-    policy = replace(policy, num_attempts=checkpoint.placement["max_attempts"])
+    trained = checkpoint.trained.placement
+    _check_history(trained, rules)
+    policy = replace(policy, num_attempts=trained.max_attempts)
     # Only shapes are needed: drawing fresh parameters would take longer to compile than acting does.
     seen = jax.eval_shape(lambda: policy.observe(rules.begin(new_key(0))))
     shapes = jax.eval_shape(policy.agent.init, new_key(0), seen)
@@ -93,9 +94,9 @@ def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool = True) -
     return replace(policy, params=read_policy(checkpoint.path, blank))
 
 
-def _check_history(trained: dict[str, Any], rules: Rules) -> None:
+def _check_history(trained: TrainedPlacement, rules: Rules) -> None:
     """Refuses rules whose history a policy cannot read; fewer attempts than it knows it can."""
-    most, stride = trained["max_attempts"], trained["history_stride"]
+    most, stride = trained.max_attempts, trained.history_stride
     if rules.config.max_attempts > most:
         raise ConfigError(
             f"max_attempts = {rules.config.max_attempts} with a policy trained with {most}",

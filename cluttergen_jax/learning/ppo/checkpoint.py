@@ -19,7 +19,8 @@ import numpy as np
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
 from cluttergen_jax.learning.ppo.sharding import with_keys, without_keys
-from cluttergen_jax.schema import SchemaError, checked_record, digest_of, with_checksum
+from cluttergen_jax.schema import Record, SchemaError, checked_record, digest_of, with_checksum
+from cluttergen_jax.types import Array
 
 FORMAT = 1
 _CRITIC = ("params/critic/", "params/value/")
@@ -44,7 +45,7 @@ def _checkpointer() -> Any:
     return ocp.StandardCheckpointer(multiprocessing_options=alone)
 
 
-def _stored(tree: Any) -> dict[str, Any]:
+def _numbered_leaves(tree: Any) -> dict[str, Array]:
     """The leaves that can be stored, by number: PRNG keys as plain arrays, empty arrays left out."""
     leaves = jax.tree.leaves(without_keys(tree))
     if jax.process_count() > 1:
@@ -53,8 +54,8 @@ def _stored(tree: Any) -> dict[str, Any]:
     return {f"{number:05d}": leaf for number, leaf in enumerate(leaves) if leaf.size}
 
 
-def _restored(stored: dict[str, Any], like: Any) -> Any:
-    """The inverse of `_stored`, guided by a tree of the same structure."""
+def _from_numbered_leaves(stored: dict[str, Array], like: Any) -> Any:
+    """The inverse of `_numbered_leaves`, guided by a tree of the same structure."""
     leaves, structure = jax.tree.flatten(without_keys(like))
     for number, leaf in enumerate(leaves):
         if leaf.size:
@@ -62,11 +63,11 @@ def _restored(stored: dict[str, Any], like: Any) -> Any:
     return with_keys(jax.tree.unflatten(structure, leaves), like)
 
 
-def save_state(path: Path, state: Any, record: dict[str, Any]) -> None:
+def save_state(path: Path, state: Any, record: Record) -> None:
     """Stores a pytree of arrays and a JSON record as one folder, whole or not at all."""
     with folder_whole(path.absolute(), is_only_writer=True) as fresh:
         with _checkpointer() as checkpointer:
-            checkpointer.save(fresh / "state", _stored(state))
+            checkpointer.save(fresh / "state", _numbered_leaves(state))
         (fresh / "record.json").write_bytes(_record_bytes(record))
 
 
@@ -76,7 +77,7 @@ def has_state(path: Path) -> bool:
     return path.exists()
 
 
-def read_record(path: Path) -> dict[str, Any]:
+def read_record(path: Path) -> Record:
     """The record stored beside a state or a policy.
 
     Raises:
@@ -102,7 +103,7 @@ def folder_hash(folder: Path, names: Sequence[str] | None = None) -> str:
     return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 
-def check_folder(folder: Path, recipe: dict[str, Any]) -> None:
+def check_folder(folder: Path, recipe: Record) -> None:
     """Refuses to continue a run that was made with other settings, and a place that holds no run.
 
     Raises:
@@ -141,13 +142,13 @@ def read_state(path: Path, like: Any) -> Any:
     """The pytree that `save_state` stored; `like` has its structure, shapes and types."""
     with _checkpointer() as checkpointer:
         try:
-            stored = checkpointer.restore((path / "state").absolute(), _stored(like))
+            stored = checkpointer.restore((path / "state").absolute(), _numbered_leaves(like))
         except (ValueError, OSError, KeyError) as error:
             raise PoolError(f"{path} does not hold what this run needs ({error})") from error
-    return _restored(stored, like)
+    return _from_numbered_leaves(stored, like)
 
 
-def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:
+def save_policy(path: Path, params: Any, record: Record) -> None:
     """Stores the weights that acting needs, at half precision, and a JSON record.
 
     Of arrays that are equal, as in two frozen encoders that began alike, the first is stored; in place of
@@ -168,7 +169,7 @@ def save_policy(path: Path, params: Any, record: dict[str, Any]) -> None:
     write_atomically(path / "record.json", _record_bytes({**record, _WEIGHTS: digest_of(buffer.getvalue())}))
 
 
-def _record_bytes(record: dict[str, Any]) -> bytes:
+def _record_bytes(record: Record) -> bytes:
     return (json.dumps(with_checksum({"format": FORMAT, **record}, allow_nan=True), indent=1) + "\n").encode()
 
 
@@ -221,7 +222,7 @@ def check_weights(path: Path) -> None:
         raise PoolError(f"{file}: damaged, or not the weights that record.json beside it is of", hint=_FRESH)
 
 
-def _stored_weights(file: Path, flat: dict[str, Any]) -> dict[str, np.ndarray]:
+def _stored_weights(file: Path, flat: dict[str, Array]) -> dict[str, np.ndarray]:
     """The arrays of a file of weights, f32, after a look at each; `flat` has the network's, by name."""
     try:
         with np.load(file, allow_pickle=False) as stored:
@@ -253,7 +254,7 @@ def _stored_weights(file: Path, flat: dict[str, Any]) -> dict[str, np.ndarray]:
     return {name: value.astype(np.float32) for name, value in weights.items()}
 
 
-def _wrong_names(names: set[str], flat: dict[str, Any]) -> list[str]:
+def _wrong_names(names: set[str], flat: dict[str, Array]) -> list[str]:
     required = {name for name in flat if not name.startswith(_CRITIC)}
     return [f"array {name!r} is missing" for name in sorted(required - names)] + [
         f"array {name!r} is none of the network's" for name in sorted(names - set(flat))

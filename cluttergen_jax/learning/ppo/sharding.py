@@ -38,20 +38,20 @@ def make_mesh(num_envs: int) -> Mesh | None:
     return Mesh(np.array(devices), (AXIS,), axis_types=(AxisType.Auto,))
 
 
-def divided(mesh: Mesh) -> NamedSharding:
+def env_sharding(mesh: Mesh) -> NamedSharding:
     """Of arrays whose leading axis is the environments'."""
     return NamedSharding(mesh, PartitionSpec(AXIS))
 
 
-def replicated(mesh: Mesh) -> NamedSharding:
+def whole_sharding(mesh: Mesh) -> NamedSharding:
     """Of arrays that every device holds whole."""
     return NamedSharding(mesh, PartitionSpec())
 
 
 def state_sharding(mesh: Mesh, state: Any) -> Any:
     """The sharding of each leaf of a `TrainState`."""
-    whole = jax.tree.map(lambda _: replicated(mesh), state)
-    return whole.replace(env=jax.tree.map(lambda _: divided(mesh), state.env))
+    whole = jax.tree.map(lambda _: whole_sharding(mesh), state)
+    return whole.replace(env=jax.tree.map(lambda _: env_sharding(mesh), state.env))
 
 
 def each(function: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
@@ -64,7 +64,7 @@ def each(function: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
 
 def spread(tree: Any, mesh: Mesh | None) -> Any:
     """The same values, divided among the devices along the leading axis."""
-    return tree if mesh is None else jax.lax.with_sharding_constraint(tree, divided(mesh))
+    return tree if mesh is None else jax.lax.with_sharding_constraint(tree, env_sharding(mesh))
 
 
 def is_key(leaf: Any) -> bool:
@@ -80,9 +80,9 @@ def without_keys(tree: Any) -> Any:
 def with_keys(tree: Any, like: Any) -> Any:
     """The inverse of `without_keys`; `like` has the keys' places."""
 
-    def wrapped(leaf: Any, other: Any) -> Any:
+    def wrap(leaf: Any, other: Any) -> Any:
         if not is_key(other):
             return leaf
         return jax.random.wrap_key_data(jnp.asarray(leaf), impl=jax.random.key_impl(other))
 
-    return jax.tree.map(wrapped, tree, like)
+    return jax.tree.map(wrap, tree, like)

@@ -63,7 +63,7 @@ def agree(*values: float) -> np.ndarray:
     return np.asarray(process_allgather(mine.astype(np.float32))).astype(np.float64)
 
 
-def gathered(tree: Any) -> Any:
+def gather(tree: Any) -> Any:
     """The whole of arrays that are divided among processes, on each of them. With one process, as it is."""
     if jax.process_count() == 1:
         return tree
@@ -72,7 +72,7 @@ def gathered(tree: Any) -> Any:
     return with_keys(process_allgather(without_keys(tree), tiled=True), tree)
 
 
-def shared(tree: Any) -> Any:
+def broadcast(tree: Any) -> Any:
     """The first process's tree of arrays, on all of them."""
     if jax.process_count() == 1:
         return tree
@@ -95,7 +95,7 @@ def fresh_state(ppo: PPO, key: Any, params: Any) -> TrainState:
     return jax.jit(start, out_shardings=sharding)(data, params)
 
 
-def placed(ppo: PPO, state: TrainState) -> TrainState:
+def put_state(ppo: PPO, state: TrainState) -> TrainState:
     """A state that every process holds whole, put where it belongs."""
     if ppo.mesh is None:
         return state

@@ -21,11 +21,14 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.networks.stability import NUM_FEATURES, StabilityNetConfig
 from cluttergen_jax.learning.policies.guided import KIND, blank_params
 from cluttergen_jax.learning.ppo import checkpoint
-from cluttergen_jax.learning.training.attempts import Examples, Explorer, begin, collect_step
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.stability import (
+    Examples,
+    Explorer,
     FitConfig,
+    begin,
     calibration,
+    collect_step,
     draw_calibration,
     fit,
     predictions_of,
@@ -154,13 +157,13 @@ class GuidedTraining:
                 exploration = config.exploration if number else 1.0
                 name = f"{number:02d}"
                 examples += self._see(crowds, number, name, params, exploration, config.num_steps, interrupt)
-                params, loss = fit(config.network, config.fit, _joined(examples), config.seed)
-                self._show(f"round {number + 1}    {_told(examples)}, loss {loss:.3f}")
+                params, loss = fit(config.network, config.fit, _concatenate(examples), config.seed)
+                self._show(f"round {number + 1}    {_summary(examples)}, loss {loss:.3f}")
             families = (HELD_OUT_FAMILIES, config.num_held_out, HELD_OUT_SEED)
             held_out = _Crowds(config, families, 1, config.seed + 1)
             num_steps = -(-config.num_steps // _TEST_SHARE)
             seen = self._see(held_out, 0, "held-out", params, config.exploration, num_steps, interrupt)
-        self._save(params, examples, _joined(seen))
+        self._save(params, examples, _concatenate(seen))
         self._show(
             f"time       {(time.monotonic() - started) / 60:.1f} minutes; policy in {self.folder / 'policy'}"
         )
@@ -206,10 +209,10 @@ class GuidedTraining:
         for _ in range(num_steps):
             if interrupt.is_asked:
                 raise KeyboardInterrupt
-            episodes, row = interrupt.compiled(self._step, explorer, episodes)
+            episodes, row = interrupt.run_compiling(self._step, explorer, episodes)
             rows.append(jax.device_get(row))
             progress.update(self.config.num_episodes)
-        return _joined(rows)
+        return _concatenate(rows)
 
     def _save(self, params: Any, examples: list[Examples], tested: Examples) -> None:
         config, folder = self.config, self.folder / "policy"
@@ -225,7 +228,7 @@ class GuidedTraining:
             "config": asdict(config),
             "network": asdict(config.network),
             "placement": placement_record(PLACEMENT),
-            "num_attempts": len(_joined(examples).features),
+            "num_attempts": len(_concatenate(examples).features),
             "families": TRAINING_FAMILIES,
             "held_out_families": HELD_OUT_FAMILIES,
             "held_out": {"stands": asdict(found), "robust": asdict(robust)},
@@ -266,12 +269,12 @@ class _Crowds:
         return world
 
 
-def _joined(examples: Sequence[Examples]) -> Examples:
+def _concatenate(examples: Sequence[Examples]) -> Examples:
     return jax.tree.map(lambda *parts: np.concatenate(parts), *examples)
 
 
-def _told(examples: Sequence[Examples]) -> str:
-    every = _joined(examples)
+def _summary(examples: Sequence[Examples]) -> str:
+    every = _concatenate(examples)
     on = every.stands[every.is_on].mean() if every.is_on.any() else float("nan")
     return f"{len(every.features):,} attempts, {every.stands.mean():.3f} stood, {on:.3f} of those on objects"
 
@@ -295,11 +298,7 @@ _NUMBERS = {
 
 
 def _read(file: Path) -> Examples:
-    """The attempts in a file.
-
-    Raises:
-      PoolError: it is damaged.
-    """
+    """The attempts in a file; PoolError where it is damaged."""
     try:
         with np.load(file, allow_pickle=False) as stored:
             found = {each.name: stored[each.name] for each in dataclasses.fields(Examples)}

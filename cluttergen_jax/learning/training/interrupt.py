@@ -37,7 +37,7 @@ class Interrupt:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def compiled(self, function: Callable[..., T], *args: Any) -> T:
+    def run_compiling(self, function: Callable[..., T], *args: Any) -> T:
         """The result of a call that compiles, and before which there is nothing to save.
 
         Raises:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.schema import Record
 
 Row = dict[str, float]
 
@@ -95,7 +96,7 @@ def read_rows(path: Path) -> list[Row]:
     return [row for row in found if row is not None]
 
 
-def _numbers(row: dict[str, Any]) -> Row | None:
+def _numbers(row: Mapping[str, str]) -> Row | None:
     try:
         return {name: float(value) for name, value in row.items()}
     except (TypeError, ValueError):
@@ -158,7 +159,7 @@ class WandbLog:
       MissingExtraError: wandb is not installed.
     """
 
-    def __init__(self, folder: Path, recipe: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, recipe: Record) -> None:
         try:
             import wandb
         except ImportError as error:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from cluttergen_jax.config import StabilityConfig, no_such
 from cluttergen_jax.errors import ConfigError
@@ -45,12 +45,8 @@ def cpu() -> Settings:
 
 def gpu() -> Settings:
     """For an accelerator: many environments, larger minibatches."""
-    return Settings(
-        ppo=PPOConfig(num_envs=1024, num_steps=8, num_minibatches=8, num_attempts=2_500_000),
-        network=_TUNED,
-        placement=PlacementConfig(reward="compressed", history_stride=12),
-        stability=_training_stability(True),
-    )
+    ppo = PPOConfig(num_envs=1024, num_steps=8, num_minibatches=8, num_attempts=2_500_000)
+    return replace(cpu(), ppo=ppo)
 
 
 def paper() -> Settings:
@@ -156,13 +152,13 @@ def paper_cpu() -> Settings:
 
 PRESETS = {"cpu": cpu, "gpu": gpu, "paper": paper, "paper_code": paper_code, "paper_cpu": paper_cpu}
 
-_CHANGES: dict[str, dict[str, Any]] = {
-    "policy": {},
-    "beta": {"head": "beta"},
-    "beta_free": {"head": "beta_free", "height_precision": 0.0},
-    "normal": {"head": "normal"},
-    "open_loop": {"history_width": 0},
-    "short_memory": {"history_length": 1},
+_CHANGES: dict[str, Callable[[NetworkConfig], NetworkConfig]] = {
+    "policy": lambda network: network,
+    "beta": lambda network: replace(network, head="beta"),
+    "beta_free": lambda network: replace(network, head="beta_free", height_precision=0.0),
+    "normal": lambda network: replace(network, head="normal"),
+    "open_loop": lambda network: replace(network, history_width=0),
+    "short_memory": lambda network: replace(network, history_length=1),
 }
 
 
@@ -177,10 +173,10 @@ def make_settings(preset: str, variant: str) -> Settings:
     if variant not in _CHANGES:
         raise no_such("variant", variant, _CHANGES)
     settings = PRESETS[preset]()
-    return replace(settings, network=replace(settings.network, **_CHANGES[variant]))
+    return replace(settings, network=_CHANGES[variant](settings.network))
 
 
-def fitted(network: NetworkConfig, folder: Path) -> NetworkConfig:
+def fit_to_weights(network: NetworkConfig, folder: Path) -> NetworkConfig:
     """The config with as many features as the weights in `folder` give.
 
     Raises:
@@ -214,7 +210,7 @@ def choose_encoder(
     is_frozen = is_frozen or (network.encoder_frozen and (encoder is None or weights is not None))
     network = replace(network, scene_encoder=encoder or network.scene_encoder, encoder_frozen=is_frozen)
     if weights is not None:
-        return fitted(network, Path(weights))
+        return fit_to_weights(network, Path(weights))
     if is_frozen:
         kind = network.scene_encoder
         raise ConfigError(

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
-from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.learning.agents import ENCODER, make_agent
 from cluttergen_jax.learning.networks.config import KIND, NetworkConfig
+from cluttergen_jax.learning.policies.policy import TrainedPolicy, make_policy
 from cluttergen_jax.learning.ppo.checkpoint import has_state, read_policy, read_state
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig, TrainState
 from cluttergen_jax.learning.ppo.sharding import make_mesh
 from cluttergen_jax.learning.training import distributed
 from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.memory import check_memory
 from cluttergen_jax.learning.training.run_logger import (
     Evaluate,
     Evaluation,
@@ -25,11 +30,18 @@ from cluttergen_jax.learning.training.run_logger import (
     NullLogger,
     RunConfig,
     RunLogger,
+    SuccessRate,
 )
 from cluttergen_jax.learning.training.updates import Updates, num_updates
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.physics import make_physics
+from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.env import PlacementEnv
-from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.problem import Problem
+from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
+from cluttergen_jax.placement.rules import Proposer, Rules
+from cluttergen_jax.schema import Record
+from cluttergen_jax.statistics import wilson
 
 _SET_ENCODER = "PointNet_0"
 
@@ -62,10 +74,10 @@ class Run:
         ppo: PPOConfig,
         config: RunConfig,
         folder: Path,
-        recipe: dict[str, Any],
+        recipe: Record,
         evaluate: Evaluate | None = None,
         encoder_weights: Path | None = None,
-        random: Callable[[], Evaluation] | None = None,
+        random: Callable[[], SuccessRate] | None = None,
     ) -> None:
         self.config, self.folder = config, folder
         self.recipe = recipe | {"kind": KIND}
@@ -83,9 +95,9 @@ class Run:
         last = self.folder / "last"
         if not distributed.agree(has_state(last))[0, 0]:
             return fresh
-        whole = distributed.gathered(fresh)
-        return distributed.placed(
-            self.ppo, distributed.shared(read_state(last, whole) if distributed.is_writer() else whole)
+        whole = distributed.gather(fresh)
+        return distributed.put_state(
+            self.ppo, distributed.broadcast(read_state(last, whole) if distributed.is_writer() else whole)
         )
 
     def _init(self, key: Any) -> Any:
@@ -126,7 +138,7 @@ class Run:
         if number >= total:
             return state
         logger.say("compiling")
-        updates = interrupt.compiled(Updates, self.ppo, state, config.window)
+        updates = interrupt.run_compiling(Updates, self.ppo, state, config.window)
         seconds, saved = None, time.monotonic()
         logger.say(f"memory     {check_memory(updates.compiled, config.memory_limit)}")
         logger.begin()
@@ -137,7 +149,7 @@ class Run:
             if asked[:, 1].any():
                 break
             if asked[0, 2]:
-                logger.save_state(distributed.gathered(state))
+                logger.save_state(distributed.gather(state))
                 saved = time.monotonic()
             started = time.monotonic()
             after, rows, is_finite = updates(state, int(asked[0, 0]))
@@ -145,11 +157,11 @@ class Run:
             if not is_finite:
                 logger.add(rows[:-1], number, seconds)
                 where = updates.where_not_finite(state, len(rows))
-                raise self._diverged(logger, state, number + len(rows) - 1, where)
+                raise self._diverged_error(logger, state, number + len(rows) - 1, where)
             logger.add(rows, number, seconds)
             state, number = after, number + len(rows)
             self._mark(logger, state, number)
-        logger.save_state(distributed.gathered(state))
+        logger.save_state(distributed.gather(state))
         logger.save_policy(state)
         return state
 
@@ -179,13 +191,13 @@ class Run:
         logger.say("evaluating" if self._random is None else "evaluating, beside `random` in the same world")
         evaluation = self._evaluate(jax.device_get(state.params))
         if self._random is not None:
-            evaluation |= {"random": self._random()}
+            evaluation["random"] = self._random()
         logger.add_evaluation(state, evaluation)
         logger.save_policy(state, evaluation)
 
-    def _diverged(self, logger: Logger, state: TrainState, number: int, where: str) -> DivergedError:
+    def _diverged_error(self, logger: Logger, state: TrainState, number: int, where: str) -> DivergedError:
         """Saves the state before the call in which numbers stopped being finite; the error to raise."""
-        logger.save_state(distributed.gathered(state))
+        logger.save_state(distributed.gather(state))
         logger.save_policy(state)
         return DivergedError(
             f"update {number}: numbers are not finite" + (f", first in {where}" if where else ""),
@@ -206,3 +218,137 @@ def with_encoder(params: Any, folder: Path) -> Any:
     else:
         inner[_SET_ENCODER] = read_policy(folder, inner[_SET_ENCODER])
     return params | {"params": inner}
+
+
+def check_memory(compiled: Any, limit: int | None = None) -> str:
+    """A sentence on what a compiled program needs on each device and what there is.
+
+    Simulations of the native engine come on top: they lie outside of the program.
+
+    Args:
+      compiled: from `jax.jit(...).lower(...).compile()`; its arguments lie in memory already.
+      limit: bytes that it may need; None asks the device, or the host where the device is its processor.
+
+    Raises:
+      ConfigError: it will not fit.
+    """
+    sizes = compiled.memory_analysis()
+    if sizes is None:
+        return "not reported by this device"
+    arguments = sizes.argument_size_in_bytes
+    results = sizes.output_size_in_bytes - sizes.alias_size_in_bytes
+    needed = arguments + results + sizes.temp_size_in_bytes
+    limit = free_bytes() + arguments if limit is None else limit
+    text = (
+        f"{_amount(needed)}: state {_amount(arguments)} before and {_amount(results)} after an update, "
+        f"{_amount(sizes.temp_size_in_bytes)} within it"
+    )
+    if needed > limit:
+        raise ConfigError(
+            f"a run that needs {text}",
+            f"{_amount(limit)} of memory",
+            "fewer environments (`num_envs`), a smaller network, or a higher `memory_limit` where one is set",
+        )
+    return f"{text} (of {_amount(limit)})"
+
+
+def free_bytes() -> int:
+    """Bytes that a run may take: of the accelerator, or of this machine (and its control group)."""
+    stats = jax.local_devices()[0].memory_stats()
+    if stats and "bytes_limit" in stats:
+        return int(stats["bytes_limit"] - stats.get("bytes_in_use", 0))
+    return min(_available(), _left_in_group())
+
+
+def _available() -> int:
+    """What the kernel says can be had without swapping; all there is, where it does not say."""
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def _left_in_group() -> int:
+    """What a container's limit leaves."""
+    folder = Path("/sys/fs/cgroup")
+    try:
+        return int((folder / "memory.max").read_text()) - int((folder / "memory.current").read_text())
+    except (OSError, ValueError):
+        return 1 << 62
+
+
+def _amount(num_bytes: float) -> str:
+    return f"{num_bytes / 1e9:.1f} GB" if num_bytes >= 1e9 else f"{num_bytes / 1e6:.1f} MB"
+
+
+_FRESH = 0x5EED
+"""Folded into the seed's key, so that no episode of training comes back."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluator:
+    """Success of weights, judged as sampling and saving judge: with the whole last check.
+
+    Attributes:
+      problem: the one that is trained on; its last check may be shorter.
+      network: the network's sizes.
+      num_episodes: how many fresh episodes.
+      is_sampled: draw actions, as `generate` does; else take the mean.
+      seed: of the episodes.
+    """
+
+    problem: Problem
+    network: NetworkConfig
+    num_episodes: int = 256
+    is_sampled: bool = True
+    seed: int = 0
+
+    @cached_property
+    def rules(self) -> Rules:
+        """Those of training with an engine that makes the whole last check."""
+        config = self.problem.config
+        whole = replace(config.stability, stand_full_steps=StabilityConfig().stand_full_steps)
+        physics = make_physics(self.problem.world.layout, whole, config.engine, config.num_threads)
+        return replace(self.problem.rules, physics=physics)
+
+    @cached_property
+    def _policy(self) -> TrainedPolicy:
+        return make_policy(self.rules, self.network, None, self.is_sampled)
+
+    @cached_property
+    def _rollout(self) -> Rollout:
+        return Rollout()
+
+    def __call__(self, params: Any) -> Evaluation:
+        """Success with its 95 % interval, and how it was found: JSON values.
+
+        Args:
+          params: the weights; they are evaluated at half precision, as they are stored.
+        """
+        params = jax.tree.map(lambda leaf: np.float32(np.float16(leaf)), params)
+        return {
+            **self._success(replace(self._policy, params=params)),
+            "action": "sampled" if self.is_sampled else "mean",
+            "last_check_steps": self.rules.physics.config.stand_full_steps,
+        }
+
+    def random(self) -> SuccessRate:
+        """The success of `random` in as many episodes of the same world: what a policy has to beat."""
+        return self._success(make_proposer("random", self.rules))
+
+    def _success(self, proposer: Proposer) -> SuccessRate:
+        key = jax.random.fold_in(new_key(self.seed), _FRESH)
+        width = min(BLOCK_SIZE, self.num_episodes)
+        scenes = self._rollout.run_all(BlockSampler(self.rules, proposer), key, self.num_episodes, width)
+        found = scenes.is_success
+        low, high = wilson(int(found.sum()), len(found))
+        return {
+            "success": float(found.mean()),
+            "low95": low,
+            "high95": high,
+            "filled": float(scenes.is_filled.mean()),
+            "episodes": len(found),
+        }

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import jax
 import numpy as np
@@ -14,13 +15,32 @@ from tqdm import tqdm
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
 from cluttergen_jax.learning.ppo.ppo import PPOConfig, TrainState
 from cluttergen_jax.learning.training import metrics_log
-from cluttergen_jax.learning.training.random_comparison import comparison_lines
 from cluttergen_jax.learning.training.updates import Figures
 from cluttergen_jax.progress import Progress
+from cluttergen_jax.schema import Record
 
-Evaluation = dict[str, Any]
+
+class SuccessRate(TypedDict):
+    """The success over fresh episodes with its 95 % interval, and the share whose every slot was filled."""
+
+    success: float
+    low95: float
+    high95: float
+    filled: float
+    episodes: int
+
+
+class Evaluation(SuccessRate, total=False):
+    """The success of weights by the whole last check, how it was found, and what stands beside it."""
+
+    action: str
+    last_check_steps: int
+    random: SuccessRate
+    training_success: float
+    training_updates: int
+
+
 Evaluate = Callable[[Any], Evaluation]
-"""From weights to JSON values, `success`, `low95`, `high95`, `episodes` and `action` among them."""
 
 _SHOWN = (
     ("success", "success", ".2f"),
@@ -71,7 +91,7 @@ class RunLogger:
     def __init__(
         self,
         folder: Path,
-        recipe: dict[str, Any],
+        recipe: Record,
         config: RunConfig,
         ppo: PPOConfig,
         first: int,
@@ -167,7 +187,7 @@ class RunLogger:
         window = min(self._window, len(self._updates.rows))
         return {**evaluation, "training_success": self._success, "training_updates": window}
 
-    def _save(self, name: str, state: TrainState, known: dict[str, Any]) -> None:
+    def _save(self, name: str, state: TrainState, known: Record) -> None:
         attempts = int(state.num_updates) * self._batch
         record = self._recipe | {"attempts": attempts} | known
         save_policy(self._folder / name, jax.device_get(state.params), record)
@@ -178,21 +198,8 @@ class NullLogger:
 
     is_evaluated = False
 
-    def begin(self) -> None: ...
-
-    def say(self, text: str) -> None: ...
-
-    def add(self, rows: list[Figures], first: int, seconds: float) -> None: ...
-
-    def keep_best(self, state: TrainState) -> None: ...
-
-    def save_state(self, state: TrainState) -> None: ...
-
-    def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None: ...
-
-    def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None: ...
-
-    def close(self) -> None: ...
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda *_, **__: None
 
 
 Logger = RunLogger | NullLogger
@@ -207,3 +214,63 @@ def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> metr
 def _note(row: metrics_log.Row) -> str:
     """The figures that stand beside the bar."""
     return "  ".join(f"{label} {row[name]:{form}}" for label, name, form in _SHOWN if name in row)
+
+
+_RISE = 0.03
+"""How much higher the last quarter's success is than the one before where a curve still rises."""
+_EASY = 0.95
+_FALLS_LATE, _FEWEST = 0.15, 8
+
+
+def difference_interval(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[float, float]:
+    """The 95 % interval of the difference of two rates (Newcombe, 1998, method 10).
+
+    Args:
+      one, other: `success` with its Wilson interval, `low95` and `high95`.
+    """
+    between = one["success"] - other["success"]
+    below = math.hypot(one["success"] - one["low95"], other["high95"] - other["success"])
+    above = math.hypot(one["high95"] - one["success"], other["success"] - other["low95"])
+    return between - below, between + above
+
+
+def comparison_lines(evaluation: Mapping[str, Any], rows: Sequence[Mapping[str, float]]) -> list[str]:
+    """Lines: the success of `random`, and where the policy is not better, that, and what may be missing.
+
+    Args:
+      evaluation: of the policy; its `random` is that of `random`.
+      rows: figures of the run's updates.
+    """
+    random = evaluation["random"]
+    rate = f"{random['success']:.3f} [{random['low95']:.3f}, {random['high95']:.3f}]"
+    found = f"random     {rate} in the same world ({random['episodes']} episodes): the policy is"
+    low, high = difference_interval(evaluation, random)
+    if low > 0:
+        return [f"{found} better by {low:.3f} to {high:.3f}"]
+    verdict = "worse" if high < 0 else "not better"
+    return [
+        f"{found} {verdict}; the difference lies between {low:.3f} and {high:.3f}",
+        f"advice     {_advice(evaluation, rows)}",
+    ]
+
+
+def _advice(evaluation: Mapping[str, Any], rows: Sequence[Mapping[str, float]]) -> str:
+    """What the run most likely lacks."""
+    if evaluation["random"]["success"] > _EASY:
+        return "nothing: `random` fills this world. More objects or a smaller support make it harder"
+    number = f"{int(rows[-1]['attempts']):,}"
+    if len(rows) < _FEWEST:
+        return f"attempts: {number} make {len(rows)} updates, of which nothing can be said"
+    success = np.array([row["success"] for row in rows])
+    before, last = (float(part.mean()) for part in np.array_split(success, 4)[-2:])
+    if last - before > _RISE:
+        rise = f"training's success still rises, from {before:.2f} to {last:.2f} in its last quarter"
+        return f"attempts: {rise}; give more than {number}"
+    passed = evaluation["training_success"]
+    if passed - evaluation["success"] > _FALLS_LATE:
+        return f"stillness: {passed:.2f} pass training's short check, but move later; try reward 'compressed'"
+    return (
+        f"an easier start: training's success rises no more ({before:.2f}, then {last:.2f}) after {number} "
+        "attempts; fewer objects, a larger support, or variant 'policy' with preset 'cpu' learn sooner, and "
+        "method 'guided' needs no training"
+    )

@@ -27,15 +27,13 @@ class PlannedRun:
     """One training run of a suite.
 
     Attributes:
-      pool, variant, seed, attempts, support, num_objects: as `cluttergen train` takes them.
+      pool, variant, seed, attempts: as `cluttergen train` takes them.
     """
 
     pool: str
     variant: Variant
     seed: int
     attempts: int = DEFAULT_ATTEMPTS
-    support: str = "table"
-    num_objects: int = DEFAULT_OBJECTS
 
     def preset(self, asked: Preset) -> Preset:
         """What it is trained by where a preset is asked for a whole suite."""
@@ -76,7 +74,7 @@ def plan(
     return chosen
 
 
-def _paper(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
+def _paper_runs(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     """Table 1's variants on each pool; of the first seed, other numbers of attempts too."""
     runs = [PlannedRun(pool, variant, seed) for pool in pools for variant in TABLE_VARIANTS]
     if ATTEMPTS_POOL in pools and seed == SEEDS[0]:
@@ -88,7 +86,7 @@ def _paper(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     return runs
 
 
-def _extended(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
+def _extended_runs(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     """The ladder's variants, one seed each."""
     if seed != SEEDS[0]:
         return []
@@ -96,5 +94,4 @@ def _extended(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     return [PlannedRun(pool, variant, seed) for pool in ladder for variant in TABLE_VARIANTS]
 
 
-RUN_SUITES = {"paper": _paper, "extended": _extended, "honest": _extended}
-"""`honest` is the former name of `extended`."""
+RUN_SUITES = {"paper": _paper_runs, "extended": _extended_runs}

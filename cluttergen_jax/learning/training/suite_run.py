@@ -8,7 +8,6 @@ import os
 import statistics
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 from tqdm import tqdm
@@ -22,6 +21,7 @@ from cluttergen_jax.learning.training.pretrain import is_pretrained, pretrain_fo
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS, PlannedRun, plan
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
 from cluttergen_jax.progress import time_text
+from cluttergen_jax.schema import Record
 
 RATE = 450.0
 """Attempts per second until a run of the suite has told its own: preset `cpu`, dining, beside another run."""
@@ -120,8 +120,6 @@ def config_of(base: TrainConfig, run: PlannedRun, root: Path) -> TrainConfig:
         variant=run.variant,
         seed=run.seed,
         max_attempts=run.attempts,
-        support=run.support,
-        num_objects=run.num_objects,
         out=str(root / run.name),
     )
 
@@ -145,11 +143,7 @@ def _with_encoder(
 
 
 def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
-    """Reads how far a run has come.
-
-    Raises:
-      ConfigError: its folder holds a run with other settings.
-    """
+    """Reads how far a run has come; ConfigError where its folder holds a run with other settings."""
     if config.encoder_weights is None or is_pretrained(Path(config.encoder_weights)):
         settings = config.settings()
         check_folder(config.folder, recipe_of(config, settings))
@@ -160,7 +154,7 @@ def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
     batch, total = settings.ppo.batch_size, settings.ppo.num_updates * settings.ppo.batch_size
     last, policy = config.folder / "last", config.folder / "policy"
     attempts = int(read_record(last)["num_updates"]) * batch if has_state(last) else 0
-    record: dict[str, Any] = read_record(policy) if (policy / "record.json").exists() else {}
+    record: Record = read_record(policy) if (policy / "record.json").exists() else {}
     is_evaluated = "evaluation" in record or not config.eval_episodes
     rows = read_rows(config.folder / "progress.csv")
     rate = statistics.median(row["attempts_per_second"] for row in rows[-50:]) if rows else None

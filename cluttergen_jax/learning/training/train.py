@@ -8,13 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from cluttergen_jax.assets.pool import find_pool, public_name
 from cluttergen_jax.config import EvalAction, Preset, stability_record
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import check_folder
 from cluttergen_jax.placement.config import placement_record
+from cluttergen_jax.schema import Record
 
 if TYPE_CHECKING:
     from cluttergen_jax.learning.training.interrupt import Interrupt
@@ -81,9 +82,11 @@ class TrainConfig:
             placement = dataclasses.replace(placement, reward=self.reward)
         network = choose_encoder(settings.network, self.encoder, self.encoder_weights, self.encoder_frozen)
         network = network.with_attempts(self.max_attempts)
-        changes = {"num_attempts": self.num_attempts, "num_envs": self.num_envs}
-        given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
-        ppo = dataclasses.replace(settings.ppo, **given)
+        ppo = dataclasses.replace(
+            settings.ppo,
+            num_attempts=settings.ppo.num_attempts if self.num_attempts is None else self.num_attempts,
+            num_envs=settings.ppo.num_envs if self.num_envs is None else self.num_envs,
+        )
         return dataclasses.replace(settings, placement=placement, network=network, ppo=ppo)
 
 
@@ -135,8 +138,7 @@ def run_training(
     """
     # Brax takes seconds to import, and only who trains needs it.
     from cluttergen_jax.learning.training.distributed import is_writer
-    from cluttergen_jax.learning.training.evaluator import Evaluator
-    from cluttergen_jax.learning.training.run import Run, RunConfig
+    from cluttergen_jax.learning.training.run import Evaluator, Run, RunConfig
     from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 
     settings = settings or config.settings()
@@ -176,7 +178,7 @@ def run_training(
     return config.folder / "policy"
 
 
-def recipe_of(config: TrainConfig, settings: Settings) -> dict[str, Any]:
+def recipe_of(config: TrainConfig, settings: Settings) -> Record:
     """What a checkpoint says of how it was made."""
     # Runs that were begun before regions could change are still runs of the same settings.
     changed = {} if config.change == "none" else {"change": config.change}

@@ -13,7 +13,7 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.learning.ppo.ppo import PPO, TrainState
-from cluttergen_jax.learning.ppo.sharding import replicated, state_sharding
+from cluttergen_jax.learning.ppo.sharding import state_sharding, whole_sharding
 from cluttergen_jax.types import Array
 
 Figures = dict[str, np.ndarray]
@@ -52,8 +52,7 @@ class Updates:
         self._ppo, self.most = ppo, most
         # The state given is not donated, so that the last good one outlives a call that ends in NaN; within
         # a call the loop writes over what it carries, and a state is small beside what an update makes.
-        many = jax.jit(_many(ppo, most), **_shardings(ppo, state))
-        self.compiled = many.lower(state, np.int32(1)).compile()
+        self.compiled = _jit(ppo, state, most).lower(state, np.int32(1)).compile()
 
     def __call__(self, state: TrainState, num: int) -> tuple[TrainState, list[Figures], bool]:
         """`num` updates, or fewer if numbers of one of them were not finite: it is then the last.
@@ -105,15 +104,14 @@ def _many(ppo: PPO, most: int) -> Callable[[TrainState, Array], Carry]:
     return many
 
 
-def _shardings(ppo: PPO, state: TrainState) -> dict[str, Any]:
-    """Of arguments and results of the program; nothing to say of one device."""
+def _jit(ppo: PPO, state: TrainState, most: int) -> Any:
+    """The program, its arguments and results divided among the devices if there are several."""
+    many = _many(ppo, most)
     if ppo.mesh is None:
-        return {}
-    of_state, whole = state_sharding(ppo.mesh, state), replicated(ppo.mesh)
-    return {
-        "in_shardings": (of_state, whole),
-        "out_shardings": Carry(of_state, whole, whole, whole),  # type: ignore[arg-type]
-    }
+        return jax.jit(many)
+    of_state, whole = state_sharding(ppo.mesh, state), whole_sharding(ppo.mesh)
+    results = Carry(of_state, whole, whole, whole)  # type: ignore[arg-type]
+    return jax.jit(many, in_shardings=(of_state, whole), out_shardings=results)
 
 
 def num_updates(seconds: float | None, most: int, longest: float) -> int:

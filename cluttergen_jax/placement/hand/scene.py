@@ -14,19 +14,50 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.geometry import yaw_quaternion
-from cluttergen_jax.placement.hand.clock import ActiveClock
+from cluttergen_jax.geometry import rotate_in_plane, yaw_quaternion
 from cluttergen_jax.placement.hand.types import Check, Drop, Held, Lowered
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
+from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.placement.rollout.replay import Attempt
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
 from cluttergen_jax.placement.search.fit import Candidates, lower_onto
 from cluttergen_jax.placement.search.search import CLEARANCE, under_side
-from cluttergen_jax.placement.setup import Setup
-from cluttergen_jax.placement.types import Bearing, Episode
+from cluttergen_jax.placement.types import Episode, SupportGraph
 from cluttergen_jax.types import Array, Settling, Verdict
+
+IDLE = 60.0
+"""Seconds without any input after which nobody is taken to be at work."""
+
+
+class ActiveClock:
+    """Seconds of work: it runs from the first input on, and stands still `idle` seconds after the latest.
+
+    Args:
+      now: seconds, from any beginning.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic, idle: float = IDLE) -> None:
+        self._now, self._idle = now, idle
+        self._before, self._latest = 0.0, None
+
+    _latest: float | None
+
+    def touch(self) -> None:
+        """There was an input."""
+        self._before, self._latest = self.seconds, self._now()
+
+    def stop(self) -> None:
+        """Nothing more counts until the next input."""
+        self._before, self._latest = self.seconds, None
+
+    @property
+    def seconds(self) -> float:
+        """So far."""
+        since = 0.0 if self._latest is None else self._now() - self._latest
+        return self._before + min(since, self._idle)
+
 
 _CLEAR = 0.03
 
@@ -41,7 +72,7 @@ class _Before:
 
     poses: Array
     is_placed: Array
-    bearing: Bearing
+    support_graph: SupportGraph
     held: Held
 
 
@@ -136,7 +167,7 @@ class HandScene:
     def held_pose(self) -> np.ndarray:
         """f32[7]: where the current object is held, world frame."""
         region, held = self.setup.problem.region, self.held
-        xy = np.array(region.center) + _turned(region.yaw, held.x, held.y)
+        xy = np.array(region.center) + rotate_in_plane((held.x, held.y), region.yaw)
         position = (*xy, self.setup.problem.world.support.top + held.z)
         return np.array([*position, *yaw_quaternion(region.yaw + held.yaw)], np.float32)
 
@@ -148,11 +179,7 @@ class HandScene:
             self.clock.touch()
 
     def choose(self, object_index: int) -> None:
-        """Makes another of the objects left the current one.
-
-        Raises:
-          HandError: it is none of them.
-        """
+        """Makes another of the objects left the current one; HandError where it is none of them."""
         if object_index not in self.left:
             raise HandError(f"{self.names[object_index]} is not among the objects left")
         self.skip(self.left.index(object_index))
@@ -189,7 +216,7 @@ class HandScene:
     def hold_at(self, position: np.ndarray, wxyz: np.ndarray) -> None:
         """`hold` at a world pose; its height and whatever leans do not count."""
         region = self.setup.problem.region
-        x, y = _turned(-region.yaw, *(np.asarray(position)[:2] - region.center))
+        x, y = rotate_in_plane(np.asarray(position)[:2] - region.center, -region.yaw)
         self.hold(x, y, 2.0 * float(np.arctan2(wxyz[3], wxyz[0])) - region.yaw)
 
     def lower(self) -> Lowered:
@@ -215,11 +242,7 @@ class HandScene:
         return Lowered(lift, float(fit.hanging[0]))
 
     def drop(self) -> Drop:
-        """Lets go of the current object where it is held: one attempt.
-
-        Raises:
-          HandError: no object is left.
-        """
+        """Lets go of the current object where it is held: one attempt; HandError where no object is left."""
         self._check_current()
         held, before = self.held, self._episode
         position = jnp.array([held.x, held.y, held.z])
@@ -230,11 +253,11 @@ class HandScene:
         # A person may go on for as long as they like.
         self._episode = after.replace(is_over=jnp.bool_(False))
         if verdict == Verdict.STABLE:
-            self._before.append(_Before(before.poses, before.is_placed, before.bearing, held))
+            self._before.append(_Before(before.poses, before.is_placed, before.support_graph, held))
             self.hold(0.0, 0.0, 0.0)
         else:
             self._failure = verdict
-        return self._told(before, transition, jax.device_get(settling), verdict)
+        return self._drop_report(before, transition, jax.device_get(settling), verdict)
 
     def undo(self) -> int:
         """Takes the object that was placed last back into the hand, and moves all others back; which it was.
@@ -252,7 +275,7 @@ class HandScene:
             attempt=jnp.int32(0),
             poses=before.poses,
             is_placed=before.is_placed,
-            bearing=before.bearing,
+            support_graph=before.support_graph,
             counts=now.counts.replace(rest_steps=now.counts.rest_steps.at[slot].set(0)),
             is_success=jnp.bool_(False),
             drift=jnp.float32(0),
@@ -261,11 +284,7 @@ class HandScene:
         return self.left[0]
 
     def check(self) -> Check:
-        """The last check: whether all objects stand together.
-
-        Raises:
-          HandError: not all are placed.
-        """
+        """The last check: whether all objects stand together; HandError where not all are placed."""
         self._check_open()
         if self.left:
             raise HandError(
@@ -320,7 +339,7 @@ class HandScene:
     def _half_height(self) -> float:
         return float(self._rules.geometry.half_extents[self.left[0], 2])
 
-    def _told(self, before: Episode, transition: Any, settling: Settling, verdict: Verdict) -> Drop:
+    def _drop_report(self, before: Episode, transition: Any, settling: Settling, verdict: Verdict) -> Drop:
         focus, is_placed = int(transition.object_index), np.asarray(before.is_placed)
         config = self._rules.physics.config
         moved = np.maximum(settling.shift / config.max_shift, settling.turn / config.max_turn)
@@ -371,8 +390,3 @@ def _judge(rules: Rules, episode: Episode, action: Array, settling: Settling) ->
 @jax.jit
 def _conclude(rules: Rules, episode: Episode, standing: Any) -> Episode:
     return rules.conclude(episode, standing, jnp.bool_(True))
-
-
-def _turned(yaw: float, x: float, y: float) -> np.ndarray:
-    """f64[2]: a vector of a plane, turned."""
-    return np.array([np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y])

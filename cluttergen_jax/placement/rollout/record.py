@@ -12,9 +12,8 @@ import numpy as np
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.numerics import new_key, with_own_settings
 from cluttergen_jax.placement.region import Region
-from cluttergen_jax.placement.rollout.blocks import BlockSampler
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
-from cluttergen_jax.placement.rollout.run import Rollout
+from cluttergen_jax.placement.rollout.run import BlockSampler, Rollout
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.placement.world import World
@@ -95,19 +94,19 @@ class Recorder:
 
     @cached_property
     def _rollout(self) -> Rollout:
-        return Rollout(_shown, is_constant=True)
+        return Rollout(_picture_parts, is_constant=True)
 
     @cached_property
     def _rollout_with_history(self) -> Rollout:
-        return Rollout(_all, is_constant=True)
+        return Rollout(_all_parts, is_constant=True)
 
 
-def _all(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
+def _all_parts(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
     """Whole steps, but for keys."""
     return before.replace(key=None), after.replace(key=None, history=None), transition
 
 
-def _shown(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
+def _picture_parts(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
     """Whole steps, but for what pictures do not show."""
     return before.replace(key=None, history=None), after.replace(key=None, history=None), transition
 

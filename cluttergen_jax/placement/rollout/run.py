@@ -3,19 +3,102 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics.host import HostPhysics
-from cluttergen_jax.placement.rollout.blocks import BlockSampler
-from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch
-from cluttergen_jax.placement.types import Episode, Transition
+from cluttergen_jax.placement.region import KeepOut
+from cluttergen_jax.placement.rules import Proposer, Rules
+from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch, scene_of
+from cluttergen_jax.placement.types import Episode, Start, Transition
 from cluttergen_jax.progress import Progress, interruptible
 from cluttergen_jax.types import Array
+
+T = TypeVar("T")
+
+
+def varying_alike(tree: T) -> T:
+    """A pytree whose arrays all vary over the axes of a mesh over which any of them does.
+
+    An episode begins with constants, which are the same on every device, and with a key that is not. Outside
+    of `jax.shard_map`, and where that does not ask (`check_vma=False`), it is the tree as it is.
+    """
+    axes = frozenset[str]().union(*map(_axes_of, jax.tree.leaves(tree)))
+
+    def vary(leaf: Any) -> Any:
+        missing = tuple(sorted(axes - _axes_of(leaf)))
+        return jax.lax.pcast(leaf, missing, to="varying") if missing else leaf
+
+    return jax.tree.map(vary, tree)
+
+
+def _axes_of(leaf: Any) -> frozenset[str]:
+    """The manual axes over which an array varies."""
+    kind: Any = jax.typeof(leaf)
+    # JAX 0.10.2 moved it.
+    return kind.mat.varying if hasattr(kind, "mat") else kind.vma
+
+
+class BlockSampler(struct.PyTreeNode, eq=False):
+    """Episodes side by side until the last one is over; those that are over cost no physics.
+
+    `sample` is the whole as one function to compile; `begin`, `step` and `finish` are its pieces, for drivers
+    that do something between steps (`placement.rollout.run.Rollout`).
+
+    Attributes:
+      rules: the decision process.
+      propose: who chooses the poses; a pytree, where `Rollout` runs it. One whose attribute `in_parts` is
+        false is asked for all episodes together.
+      keep_out, start: how every episode begins; None for nothing.
+    """
+
+    rules: Rules
+    propose: Proposer
+    keep_out: KeepOut | None = None
+    start: Start | None = None
+
+    @property
+    def in_parts(self) -> bool:
+        """`Rollout` asks the proposer for some episodes at a time, and for none that are over."""
+        return getattr(self.propose, "in_parts", True)
+
+    def begin(self, key: Array, indices: Array, is_wanted: Array) -> Episode:
+        """Episodes for scene indices i32[N]; those not wanted (bool[N]) are over before they start."""
+        keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
+        episodes = jax.vmap(lambda key: self.rules.begin(key, None, self.keep_out, self.start))(keys)
+        return episodes.replace(is_over=~is_wanted)
+
+    def step(self, episodes: Episode) -> tuple[Episode, Transition]:
+        """One attempt in every episode that is not over."""
+        return jax.vmap(self.step_one)(episodes)
+
+    def step_one(self, episode: Episode) -> tuple[Episode, Transition]:
+        """One attempt, unless the episode is over."""
+        return self.rules.attempt(*self.draw_action(episode))
+
+    def draw_action(self, episode: Episode) -> tuple[Episode, Array]:
+        """The episode with its next key, and the action that is proposed."""
+        key_propose, key_next = jax.random.split(episode.key)
+        action = self.propose(key_propose, episode)
+        return episode.replace(key=key_next), action
+
+    def finish(self, episodes: Episode) -> SceneBatch:
+        """The scenes of finished episodes."""
+        return jax.vmap(scene_of)(episodes)
+
+    def sample(self, key: Array, indices: Array, is_wanted: Array) -> SceneBatch:
+        """All three: a SceneBatch with leading axis N."""
+        episodes = varying_alike(self.begin(key, indices, is_wanted))
+        episodes = jax.lax.while_loop(
+            lambda e: ~jnp.all(e.is_over), lambda e: varying_alike(self.step(e)[0]), episodes
+        )
+        return self.finish(episodes)
+
 
 MAX_PROGRAMS = 16
 """Compiled steps that are kept: a program takes a few hundred of the 65,530 mappings of memory that Linux
@@ -56,7 +139,7 @@ class Rollout:
 
         # Functions of this rollout alone: JAX counts and clears programs by the function.
         def propose(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
-            return _by_parts(lambda part: _proposed(sampler, part), episodes, sampler.in_parts)
+            return _by_parts(lambda part: _propose_batch(sampler, part), episodes, sampler.in_parts)
 
         def judge(sampler: BlockSampler, *settled: Any) -> tuple[Episode, Transition, Array]:
             after, transition, is_filled = jax.vmap(sampler.rules.judge)(*settled)
@@ -66,7 +149,7 @@ class Rollout:
         def refill(
             sampler: BlockSampler, key: Array, episodes: Episode, indices: Array, is_new: Array
         ) -> Episode:
-            return _chosen(is_new, sampler.begin(key, indices, is_new), episodes)
+            return _where_new(is_new, sampler.begin(key, indices, is_new), episodes)
 
         def conclude(
             sampler: BlockSampler, before: Episode, after: Episode, transition: Transition, *checked: Any
@@ -95,11 +178,11 @@ class Rollout:
             for function in (self._begin, *pieces, self._finish):
                 function.clear_cache()
         episodes = interruptible(self._begin, sampler, key, indices, np.zeros(len(indices), bool))
-        episodes, *_ = interruptible(self._stepped, sampler, episodes)
+        episodes, *_ = interruptible(self._step_all, sampler, episodes)
         episodes = interruptible(self._refill, sampler, key, episodes, indices, np.zeros(len(indices), bool))
         jax.block_until_ready(interruptible(self._finish, sampler, episodes))
 
-    def _stepped(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, Array, Any]:
+    def _step_all(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, Array, Any]:
         """One attempt in every episode; which are over, bool[N]; and what `look` sees.
 
         An engine on the host is called between compiled pieces. As one program with calls back into Python
@@ -133,17 +216,17 @@ class Rollout:
         left = int(is_wanted.sum())
         while left:
             before = left
-            episodes, is_over, seen = interruptible(self._told, sampler, episodes)
+            episodes, is_over, seen = interruptible(self._step_to_host, sampler, episodes)
             left = int((~is_over).sum())
             on_step(before - left, seen)
-        return interruptible(self._finished, sampler, episodes)
+        return interruptible(self._finish_to_host, sampler, episodes)
 
-    def _told(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, np.ndarray, Any]:
-        """`_stepped`, all but the episodes on the host."""
-        episodes, is_over, seen = self._stepped(sampler, episodes)
+    def _step_to_host(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, np.ndarray, Any]:
+        """`_step_all`, all but the episodes on the host."""
+        episodes, is_over, seen = self._step_all(sampler, episodes)
         return episodes, *jax.device_get((is_over, seen))
 
-    def _finished(self, sampler: BlockSampler, episodes: Episode) -> SceneBatch:
+    def _finish_to_host(self, sampler: BlockSampler, episodes: Episode) -> SceneBatch:
         return jax.device_get(self._finish(sampler, episodes))
 
     def run_all(
@@ -169,13 +252,13 @@ class Rollout:
         episodes = interruptible(self._begin, sampler, key, indices, is_held)
         was_over = ~is_held
         while is_held.any():
-            episodes, is_over, seen = interruptible(self._told, sampler, episodes)
+            episodes, is_over, seen = interruptible(self._step_to_host, sampler, episodes)
             on_step(indices, int((is_over & ~was_over).sum()), seen)
             was_over, is_done = is_over, is_over & is_held
             if not is_done.any() or (is_done.sum() < REFILL * width and (is_held & ~is_done).any()):
                 continue
             rows = np.flatnonzero(is_done)
-            scenes = interruptible(self._finished, sampler, episodes)
+            scenes = interruptible(self._finish_to_host, sampler, episodes)
             parts.append(jax.tree.map(lambda leaf, rows=rows: leaf[rows], scenes))
             order.append(indices[rows])
             rows = rows[: num_scenes - following] if following < num_scenes else rows[:0]
@@ -191,8 +274,8 @@ class Rollout:
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[by_scene], *parts)
 
 
-def _proposed(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
-    episodes, action = jax.vmap(sampler.proposed)(episodes)
+def _propose_batch(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
+    episodes, action = jax.vmap(sampler.draw_action)(episodes)
     return episodes, action, *jax.vmap(sampler.rules.release)(episodes, action)
 
 
@@ -213,7 +296,7 @@ def _by_parts(
     return jax.tree.map(lambda leaf: leaf.reshape(number, *leaf.shape[2:]), found)
 
 
-def _chosen(is_new: Array, new: Episode, old: Episode) -> Episode:
+def _where_new(is_new: Array, new: Episode, old: Episode) -> Episode:
     """Episode by episode, the new one or the old one."""
     return jax.vmap(lambda new_one, *both: jax.tree.map(lambda a, b: jnp.where(new_one, a, b), *both))(
         is_new, new, old
@@ -240,14 +323,14 @@ def sample_blocks(
     """
     rollout = Rollout(is_constant=True)
 
-    def told(number: int, _: Any) -> None:
+    def count(number: int, _: Any) -> None:
         progress.rename(title)
         progress.update(number)
 
     with Progress("compiling", sum(rows for _, rows in blocks), "scene") as progress:
         progress.say(sampler.rules.physics.compiling)
         for block, rows in blocks:
-            yield block, *sample_block(rollout, sampler, block, rows, seed, told)
+            yield block, *sample_block(rollout, sampler, block, rows, seed, count)
 
 
 def sample_block(

@@ -11,8 +11,8 @@ from flax import struct
 from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, nearest_gaps, seen_shares
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.scenes import num_touching
-from cluttergen_jax.placement.search.bearers import Bearers
 from cluttergen_jax.placement.search.fit import Candidates
+from cluttergen_jax.placement.search.support_graph import Supporters
 from cluttergen_jax.placement.types import Episode, Geometry
 from cluttergen_jax.types import Array
 
@@ -27,13 +27,13 @@ class Placing(struct.PyTreeNode):
       episode: before the attempt.
       placed: the boxes of all objects.
       proposed: those of the current object at the candidates.
-      bearers: what would carry it there.
+      supporters: what would carry it there.
     """
 
     episode: Episode
     placed: Boxes
     proposed: Boxes
-    bearers: Bearers
+    supporters: Supporters
 
     @staticmethod
     def of(
@@ -42,7 +42,7 @@ class Placing(struct.PyTreeNode):
         focus: Array,
         candidates: Candidates,
         rest: Array,
-        bearers: Bearers,
+        supporters: Supporters,
     ) -> Placing:
         """Args: focus: i32, the current object; rest: f32[N], from `lower_onto`, metres."""
         T_world_region = episode.region.T_world_region
@@ -62,7 +62,7 @@ class Placing(struct.PyTreeNode):
             episode=episode,
             placed=Boxes.of(geometry.half_extents, _safe_poses(episode.poses, episode.is_placed)),
             proposed=Boxes(center @ turn.T + shift, axes @ turn.T * geometry.half_extents[focus][:, None]),
-            bearers=bearers,
+            supporters=supporters,
         )
 
 
@@ -89,11 +89,11 @@ def _depth(at: Placing) -> Array:
 
 
 def _levels(at: Placing) -> Array:
-    return jnp.where(at.episode.is_placed, at.episode.bearing.level, 0)
+    return jnp.where(at.episode.is_placed, at.episode.support_graph.level, 0)
 
 
 def _num_touching(at: Placing) -> Array:
-    return num_touching(at.episode.bearing.leans_on, at.episode.is_placed).astype(jnp.float32)
+    return num_touching(at.episode.support_graph.leans_on, at.episode.is_placed).astype(jnp.float32)
 
 
 def _sum_of_gaps(at: Placing) -> Array:
@@ -128,9 +128,9 @@ def _hidden_added(at: Placing) -> Array:
 
 
 FEATURES: dict[str, Feature] = {
-    "stack": Feature(_num_on, lambda at: at.bearers.is_on.astype(jnp.float32)),
-    "depth": Feature(_depth, lambda at: at.bearers.level),
-    "contacts": Feature(_num_touching, lambda at: at.bearers.touched.sum(1).astype(jnp.float32)),
+    "stack": Feature(_num_on, lambda at: at.supporters.is_on.astype(jnp.float32)),
+    "depth": Feature(_depth, lambda at: at.supporters.level),
+    "contacts": Feature(_num_touching, lambda at: at.supporters.touched.sum(1).astype(jnp.float32)),
     "near": Feature(_sum_of_gaps, _gaps_added, is_mean=True),
     "occlusion": Feature(_sum_of_hidden, _hidden_added, is_mean=True),
 }

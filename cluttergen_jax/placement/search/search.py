@@ -10,7 +10,6 @@ import jaxlie
 from flax import struct
 
 from cluttergen_jax.placement.heightmap import HeightMap, HeightMapper
-from cluttergen_jax.placement.overhang import most_beyond, share_beyond
 from cluttergen_jax.placement.region import Region, action_of_pose, is_inside, is_kept_out, to_pose
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.fit import (
@@ -21,6 +20,7 @@ from cluttergen_jax.placement.search.fit import (
     mean_under,
     support_share,
 )
+from cluttergen_jax.placement.support_map import most_beyond, share_beyond
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -181,14 +181,14 @@ class Search(struct.PyTreeNode, eq=False):
         is_in_region = self._is_in_region(episode, focus, candidates)
         if self.rules.config.overhang == "any":
             return is_in_region
-        assert self.rules.ground is not None
+        assert self.rules.support_map is not None
         under = under_side(self.rules, focus)
         cos, sin = jnp.cos(candidates.yaw)[:, None], jnp.sin(candidates.yaw)[:, None]
         x, y = under.xy[:, 0], under.xy[:, 1]
         xy = jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + candidates.xy[:, None]
         T_world_region = episode.region.T_world_region
         turn, shift = T_world_region.rotation().as_matrix()[:2, :2], T_world_region.translation()[:2]
-        share = share_beyond(self.rules.ground, xy @ turn.T + shift, under.is_column)
+        share = share_beyond(self.rules.support_map, xy @ turn.T + shift, under.is_column)
         return is_in_region & (share <= most_beyond(self.rules.config.overhang))
 
     def _is_in_region(self, episode: Episode, focus: Array, candidates: Candidates) -> Array:

@@ -92,7 +92,7 @@ class Session:
             return self.source.still(number)
 
         def attempted() -> Replay:
-            return self.source.recorded(number, self._num_proposals)
+            return self.source.replay(number, self._num_proposals)
 
         with self._lock:
             self.number = number

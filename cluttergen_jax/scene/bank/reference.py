@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.placement.setup import Standing
+from cluttergen_jax.placement.problem import Standing
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import INDEX, read_bank
 

@@ -23,7 +23,7 @@ from cluttergen_jax.files import check_utf8, inside, write_atomically
 from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.simulations import disabled_flags
-from cluttergen_jax.progress import tracked
+from cluttergen_jax.progress import track
 from cluttergen_jax.scene.bank.bank import INDEX, read_bank
 from cluttergen_jax.scene.bank.blocks import AGAIN
 from cluttergen_jax.scene.bank.digests import Change, changes_of, touched, without_digests
@@ -174,7 +174,7 @@ def verify_files(
     else:
         checks = each_on(cluster, partial(_checker, check), files, "file")
     with closing(checks):
-        found = dict(tracked(checks, "verifying", len(files), "scene"))
+        found = dict(track(checks, "verifying", len(files), "scene"))
     scenes = tuple(found[place] for place in range(len(files)))
     changed = tuple(tuple(touched(changes or [], each.path.name, each.objects)) for each in scenes)
     kept = None if changes is None else tuple(changes)

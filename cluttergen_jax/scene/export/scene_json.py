@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.shading import box_mesh
-from cluttergen_jax.geometry import transformed
+from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER, object_folder
 
@@ -21,7 +21,7 @@ def scene_bounds(scene: Scene) -> np.ndarray:
     """
     points = [box_mesh(box).vertices for box in scene.support.boxes]
     for asset, pose in zip(scene.objects, scene.poses, strict=True):
-        points += [transformed(pose, part.vertices) for part in asset.parts]
+        points += [transform_points(pose, part.vertices) for part in asset.parts]
     corners = np.concatenate(points)
     return np.stack([corners.min(0), corners.max(0)])
 

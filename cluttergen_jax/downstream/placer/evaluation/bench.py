@@ -16,11 +16,11 @@ from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, Proposals
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.heightmap import HeightMapper
+from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import KeepOut, from_pose, to_pose
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.fit import Candidates, lower_onto
 from cluttergen_jax.placement.search.search import CLEARANCE, under_side
-from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import interruptible
 from cluttergen_jax.types import Array, Verdict

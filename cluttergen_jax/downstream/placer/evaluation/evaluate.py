@@ -30,9 +30,9 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.ppo.checkpoint import folder_hash
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.proportions import proportion
 from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig
+from cluttergen_jax.statistics import proportion
 from cluttergen_jax.tables import Table
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.bench import Outcome
 from cluttergen_jax.downstream.placer.pairs.stored import PairLabels
-from cluttergen_jax.proportions import finite, proportion
+from cluttergen_jax.statistics import finite, proportion
 from cluttergen_jax.types import Verdict
 
 UNSEEN = (0.0, 0.1, 0.2, 0.3, 1.0)

@@ -26,8 +26,7 @@ from cluttergen_jax.downstream.splits import SPLITS, SplitFormat
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix
-from cluttergen_jax.placement.problem import Problem
-from cluttergen_jax.placement.setup import Setup
+from cluttergen_jax.placement.problem import Problem, Setup
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.sensing.camera import Camera

@@ -17,7 +17,7 @@ def footprint_area(geometry: Geometry) -> Array:
     return 4 * geometry.half_extents[:, 0] * geometry.half_extents[:, 1]
 
 
-def choose_ruin(episode: Episode, geometry: Geometry, is_started: Array) -> Array:
+def choose_removal(episode: Episode, geometry: Geometry, is_started: Array) -> Array:
     """The placed objects nearest to a random one, until enough footprint is free: bool[K].
 
     Drawn with the episode's key, anew after every attempt. What leans on them is for `Rules.remove` to find.

@@ -1,4 +1,4 @@
-"""`cluttergen pull`: a bank, or checkpoints of policies, from a hub."""
+"""`cluttergen push` and `cluttergen pull`: a bank to and from a hub, and checkpoints of policies from one."""
 
 from __future__ import annotations
 
@@ -6,8 +6,28 @@ from pathlib import PurePosixPath
 
 from tyro.conf import Positional
 
-from cluttergen_jax.api.hub import holds_policies, pull_bank, pull_policies
+from cluttergen_jax.api.hub import holds_policies, pull_bank, pull_policies, push_bank
 from cluttergen_jax.cli.options import Options, options_from
+
+
+@options_from(push_bank, path=Positional[str], name=Positional[str])
+class Push(Options):
+    """Publish a bank as a data set on the Hugging Face Hub (extra `hub`), with its card.
+
+    The bank is checked first, and replaces an earlier one of that name in one commit.
+
+    Example: `cluttergen push out me/breakfast`
+    """
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        from cluttergen_jax.scene.bank import read_bank
+        from cluttergen_jax.scene.bank.hub import local_paths
+
+        for path in local_paths(read_bank(self.path)):
+            print(f"note: the bank's record names a path of this machine, and will show it: {path}")
+        print(f"pushed     {self.call(push_bank)}")
+        return 0
 
 
 @options_from(pull_bank, name=Positional[str])

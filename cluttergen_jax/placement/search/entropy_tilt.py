@@ -13,7 +13,7 @@ _STEEPEST = 12.0
 _DAMPING = (1.0, 0.5, 0.25, 0.06)
 
 
-def tilted(logits: Array, values: Array, asked: Array, is_allowed: Array) -> Array:
+def tilt_logits(logits: Array, values: Array, asked: Array, is_allowed: Array) -> Array:
     """f32[N]: logits of weights w of those allowed, nearest to softmax(logits), with w . values = asked.
 
     w is proportional to exp(logits + values . lambda), lambda the minimum of the convex

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.placement.ruin import footprint_area
+from cluttergen_jax.placement.removal import footprint_area
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.bearers import Bearers, bearers
+from cluttergen_jax.placement.search.entropy_tilt import shortfall, tilt_logits
 from cluttergen_jax.placement.search.features import Placing, owed_and_added
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.search import (
@@ -20,7 +20,7 @@ from cluttergen_jax.placement.search.search import (
     TopCandidates,
     draw_candidates,
 )
-from cluttergen_jax.placement.search.tilting import shortfall, tilted
+from cluttergen_jax.placement.search.support_graph import Supporters, find_supporters
 from cluttergen_jax.placement.types import Episode, Geometry
 from cluttergen_jax.types import Array
 
@@ -39,7 +39,7 @@ _HIGHEST_COST = 10.0
 
 
 @dataclass(frozen=True)
-class TrustedConfig:
+class CandidateConfig:
     """How many candidates are looked at, and which are trusted.
 
     Attributes:
@@ -63,16 +63,16 @@ class CandidateSet(struct.PyTreeNode):
 
     Attributes:
       found: where they are and how they would lie.
-      bearers: what would carry them.
+      supporters: what would carry them.
       is_allowed: bool[N], those that would count.
     """
 
     found: TopCandidates
-    bearers: Bearers
+    supporters: Supporters
     is_allowed: Array
 
 
-class TrustedSearch(struct.PyTreeNode, eq=False):
+class CandidateSampler(struct.PyTreeNode, eq=False):
     """A proposer: candidates from three sources, a uniform draw among those that a subclass trusts.
 
     With poses drawn uniformly, an exact judge of what stands, and what stands as the only condition, scenes
@@ -84,7 +84,7 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
     """
 
     search: Search
-    config: TrustedConfig = struct.field(pytree_node=False, default=TrustedConfig())
+    config: CandidateConfig = struct.field(pytree_node=False, default=CandidateConfig())
 
     def trust(self, episode: Episode, candidates: CandidateSet) -> Array:
         """f32[N], 0 to 1: how likely each candidate is to stand and to disturb nothing."""
@@ -126,16 +126,16 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
         focus, found = rules.focus(episode), candidates.found
         logits = jnp.zeros(trust.shape)
         if rules.config.natural:
-            logits = natural_logits(rules.geometry, focus, candidates.bearers)
+            logits = natural_logits(rules.geometry, focus, candidates.supporters)
         if rules.config.clutter is None:
             return logits, asked
         rest = found.scores.fit.rest
-        at = Placing.of(episode, rules.geometry, focus, found.candidates, rest, candidates.bearers)
+        at = Placing.of(episode, rules.geometry, focus, found.candidates, rest, candidates.supporters)
         owed, added = owed_and_added(rules.config.clutter, at)
         least = self.config.least_trust
         is_nearer = shortfall(owed, added, trust >= least) < shortfall(owed, added, trust >= asked) - _CLOSER
         asked = jnp.where(jnp.any(is_nearer), jnp.minimum(asked, least), asked)
-        return tilted(logits, added, owed, trust >= asked), asked
+        return tilt_logits(logits, added, owed, trust >= asked), asked
 
     @property
     def num_above(self) -> int:
@@ -169,7 +169,7 @@ class TrustedSearch(struct.PyTreeNode, eq=False):
         found = search.closely(scene, candidates)
         return CandidateSet(
             found=found,
-            bearers=bearers(scene, search.rules.geometry, candidates, found.scores.fit.rest),
+            supporters=find_supporters(scene, search.rules.geometry, candidates, found.scores.fit.rest),
             is_allowed=found.cost < FORBIDDEN / 2,
         )
 
@@ -196,14 +196,14 @@ def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> 
     return Candidates(jnp.clip(xy, -limit, limit), yaw)
 
 
-def natural_logits(geometry: Geometry, focus: Array, bearers: Bearers) -> Array:
+def natural_logits(geometry: Geometry, focus: Array, supporters: Supporters) -> Array:
     """f32[N]: log weights of candidates, 0 on the support alone and at most 0 elsewhere.
 
     The weight of what lies on objects is min(1, A / a)^2 s, with a the footprint of the current object's box,
     A that of the largest object that would carry it, and s the share of its base that would touch.
     """
     area = footprint_area(geometry)
-    widest = jnp.max(jnp.where(bearers.touched, area, 0.0), axis=1)
+    widest = jnp.max(jnp.where(supporters.touched, area, 0.0), axis=1)
     width = jnp.minimum(jnp.log(jnp.maximum(widest, 1e-8) / area[focus]), 0.0)
-    base = jnp.log(jnp.clip(bearers.base, _LEAST_BASE, 1.0))
-    return jnp.where(bearers.is_on, _AREA_POWER * width + _BASE_POWER * base, 0.0)
+    base = jnp.log(jnp.clip(supporters.base, _LEAST_BASE, 1.0))
+    return jnp.where(supporters.is_on, _AREA_POWER * width + _BASE_POWER * base, 0.0)

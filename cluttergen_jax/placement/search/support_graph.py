@@ -14,7 +14,7 @@ from cluttergen_jax.types import Array
 _SAFE = 0.1
 
 
-class Bearers(struct.PyTreeNode):
+class Supporters(struct.PyTreeNode):
     """The placed objects that would carry the current one at N candidates.
 
     Attributes:
@@ -35,14 +35,16 @@ class Bearers(struct.PyTreeNode):
     base: Array
 
 
-def bearers(scene: SearchScene, geometry: Geometry, candidates: Candidates, rest: Array) -> Bearers:
+def find_supporters(
+    scene: SearchScene, geometry: Geometry, candidates: Candidates, rest: Array
+) -> Supporters:
     """Who would carry the current object at each candidate.
 
     Args:
       scene: with owners.
       rest: f32[N], from `lower_onto`, metres.
     """
-    bearing, under, heights = scene.episode.bearing, scene.under, scene.heights
+    support_graph, under, heights = scene.episode.support_graph, scene.under, scene.heights
     touches = touching(under, heights, candidates, rest)
     owner = heights.owner_at(cells_under(under, heights, candidates))
     is_by_object = touches & (owner < geometry.num_objects)
@@ -54,22 +56,22 @@ def bearers(scene: SearchScene, geometry: Geometry, candidates: Candidates, rest
         return jnp.max(values.at[place].get(mode="clip"), axis=1)
 
     # The lowest margin decides, so their negatives are compared.
-    margin = -most(-jnp.minimum(bearing.margin, _SAFE), -_SAFE)
+    margin = -most(-jnp.minimum(support_graph.margin, _SAFE), -_SAFE)
     center = from_pose(scene.episode.poses).apply(geometry.center_of_mass)[:, :2]
     distance = jnp.linalg.norm(_in_world(scene, candidates)[:, None] - center, axis=-1)
-    beyond = jnp.append(distance - bearing.margin, jnp.full((len(rest), 1), -_SAFE), axis=1)
+    beyond = jnp.append(distance - support_graph.margin, jnp.full((len(rest), 1), -_SAFE), axis=1)
     offset = jnp.max(jnp.take_along_axis(beyond, place, axis=1), axis=1)
-    return Bearers(
+    return Supporters(
         is_on=jnp.any(is_by_object, axis=1),
-        level=most(bearing.level + 1.0, 0.0),
+        level=most(support_graph.level + 1.0, 0.0),
         margin=margin,
         offset=jnp.clip(offset, -_SAFE, _SAFE),
-        touched=_touched(place, geometry.num_objects),
+        touched=_touch_mask(place, geometry.num_objects),
         base=base_share(under, touches),
     )
 
 
-def _touched(place: Array, number: int) -> Array:
+def _touch_mask(place: Array, number: int) -> Array:
     """bool[N, K]: which objects are among i32[N, C], where K stands for none."""
     rows = jnp.arange(len(place))[:, None]
     return jnp.zeros((len(place), number), bool).at[rows, place].set(True, mode="drop")

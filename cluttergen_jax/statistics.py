@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from scipy.stats import binomtest
@@ -17,15 +17,15 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
-def counted(good: int, number: int) -> dict[str, float]:
+def share_row(good: int, number: int) -> dict[str, float]:
     """A share with its interval, as a row of results has it; 0 of nothing."""
     low, high = wilson(good, number)
     return {"share": good / max(number, 1), "low95": low, "high95": high}
 
 
 def proportion(is_good: np.ndarray) -> dict[str, float]:
-    """The share of bool[N] that is true (`counted`)."""
-    return counted(int(is_good.sum()), len(is_good))
+    """The share of bool[N] that is true (`share_row`)."""
+    return share_row(int(is_good.sum()), len(is_good))
 
 
 def finite(value: float) -> float | None:
@@ -33,8 +33,17 @@ def finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def spread_of(values: np.ndarray) -> dict[str, Any]:
-    """Count, mean, standard deviation and quartiles of f[N]; None instead of figures of nothing."""
+class SpreadRow(TypedDict):
+    """Count, mean, standard deviation and quartiles; None instead of figures of nothing."""
+
+    count: int
+    mean: float | None
+    std: float | None
+    quartiles: list[float] | None
+
+
+def spread_of(values: np.ndarray) -> SpreadRow:
+    """Of f[N]."""
     if len(values) == 0:
         return {"count": 0, "mean": None, "std": None, "quartiles": None}
     return {

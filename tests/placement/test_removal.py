@@ -15,14 +15,14 @@ import pytest
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.baselines import make_proposer
-from cluttergen_jax.placement.bearing import carried_by
 from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig, placement_record
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, compose
+from cluttergen_jax.placement.removal import choose_removal
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.record import Recorder
-from cluttergen_jax.placement.ruin import choose_ruin
 from cluttergen_jax.placement.scenes import scene_of
+from cluttergen_jax.placement.support_graph import supported_by
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
 from tests.helpers.problems import HalfTable, made_up_rules
@@ -245,21 +245,21 @@ def test_what_leans_on_the_removed_goes_too_and_comes_again_after_the_current_ob
 
 def test_by_way_of_others_and_through_rings():
     leans_on = jnp.zeros((6, 6), bool).at[jnp.array([1, 2, 3, 4]), jnp.array([0, 1, 2, 3])].set(True)
-    assert np.flatnonzero(carried_by(some(0), leans_on)).tolist() == [0, 1, 2, 3, 4]
-    assert np.flatnonzero(carried_by(some(3), leans_on)).tolist() == [3, 4]
-    assert np.flatnonzero(carried_by(some(5), leans_on)).tolist() == [5]
-    assert not carried_by(some(), leans_on).any()
+    assert np.flatnonzero(supported_by(some(0), leans_on)).tolist() == [0, 1, 2, 3, 4]
+    assert np.flatnonzero(supported_by(some(3), leans_on)).tolist() == [3, 4]
+    assert np.flatnonzero(supported_by(some(5), leans_on)).tolist() == [5]
+    assert not supported_by(some(), leans_on).any()
     ring = leans_on.at[1, 4].set(True)
-    assert np.flatnonzero(carried_by(some(2), ring)).tolist() == [1, 2, 3, 4]
+    assert np.flatnonzero(supported_by(some(2), ring)).tolist() == [1, 2, 3, 4]
 
 
 def test_what_carries_what_is_known_from_contacts():
     rules = leaning(PILE)
-    bearing = play(rules, [GOOD] * 5)[-1].bearing
+    bearing = play(rules, [GOOD] * 5)[-1].support_graph
     assert bearing.level.tolist() == [0, 1, 2, 0, 1, 0]
     assert sorted(map(tuple, np.argwhere(bearing.leans_on).tolist())) == sorted(PILE)
     np.testing.assert_allclose(bearing.margin, [0.001, 0.002, 0.003, 0.004, 0.005, 0.02])
-    after = rules.remove(play(rules, [GOOD] * 5)[-1], some(0)).bearing
+    after = rules.remove(play(rules, [GOOD] * 5)[-1], some(0)).support_graph
     assert np.argwhere(after.leans_on).tolist() == [[4, 3]]
     assert after.level.tolist() == [0, 0, 0, 0, 1, 0]
     np.testing.assert_allclose(after.margin, [0.02, 0.02, 0.02, 0.004, 0.005, 0.02])
@@ -268,7 +268,7 @@ def test_what_carries_what_is_known_from_contacts():
 def test_a_neighbour_that_is_moved_comes_to_lean_on_what_moved_it():
     rules = leaning(((2, 0), (2, 1)), moved=(1,))
     episode = play(rules, [GOOD] * 3)[-1]
-    assert np.argwhere(episode.bearing.leans_on).tolist() == [[1, 2], [2, 0], [2, 1]]
+    assert np.argwhere(episode.support_graph.leans_on).tolist() == [[1, 2], [2, 0], [2, 1]]
     # 0 did not move and stays, 1 did.
     assert np.flatnonzero(rules.remove(episode, some(2)).is_placed).tolist() == [0]
 
@@ -281,7 +281,7 @@ def test_what_nothing_carries_has_the_least_margin():
             return super().settle(poses, is_placed, focus, is_active).replace(margin=margin)
 
     rules = made_up_rules(physics=Wedged(), order="fixed", ruin_after=3)
-    np.testing.assert_allclose(play(rules, [GOOD])[-1].bearing.margin[0], -MAX_MARGIN)
+    np.testing.assert_allclose(play(rules, [GOOD])[-1].support_graph.margin[0], -MAX_MARGIN)
 
 
 def test_what_stood_there_from_the_beginning_stays_with_all_that_leans_on_it():
@@ -295,7 +295,7 @@ def test_what_stood_there_from_the_beginning_stays_with_all_that_leans_on_it():
     np.testing.assert_array_equal(after.is_placed, some(0))
     assert int(after.slot) == 1 == int(after.first_slot)
     for seed in range(20):
-        chosen = choose_ruin(episode.replace(key=jax.random.key(seed)), rules.geometry, some(0))
+        chosen = choose_removal(episode.replace(key=jax.random.key(seed)), rules.geometry, some(0))
         assert chosen.any()
         assert not (chosen & ~some(1, 2)).any()
 
@@ -325,7 +325,7 @@ def test_every_failure_draws_another_ruin_even_where_nobody_changes_the_key():
     episode = play(rules, [GOOD] * 5)[-1]
     for extra in range(20):
         counts = episode.counts.replace(attempts=episode.counts.attempts.at[0].add(extra))
-        found = choose_ruin(episode.replace(counts=counts), rules.geometry, some())
+        found = choose_removal(episode.replace(counts=counts), rules.geometry, some())
         chosen.add(tuple(np.flatnonzero(found).tolist()))
     assert len(chosen) > 3
 
@@ -395,7 +395,9 @@ def test_sums_stay_and_slots_hold_what_is_placed(wild):
     is_ruined = (after.slot < before.slot) & made.is_made
     assert is_ruined.any()
     assert (after.attempt[is_ruined] == 0).all()
-    assert not (after.bearing.leans_on & ~(after.is_placed[..., None] & after.is_placed[..., None, :])).any()
+    assert not (
+        after.support_graph.leans_on & ~(after.is_placed[..., None] & after.is_placed[..., None, :])
+    ).any()
 
 
 def test_attempts_of_a_slot_may_exceed_those_of_an_object(wild):
