@@ -23,8 +23,8 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.files import folder_whole, is_partial, write_atomically, writing
+from cluttergen_jax.kept_folder import LOCK
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.lock import LOCK
 from cluttergen_jax.schema import (
     SEAL,
     SchemaError,

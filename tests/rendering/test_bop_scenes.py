@@ -11,7 +11,7 @@ import pytest
 from cluttergen_jax.api.render import render
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.locks import FolderLock
+from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.rendering.bop import BopDataset
 from tests.helpers import banks
@@ -168,7 +168,7 @@ def test_scenes_of_unknown_origin_are_not_mixed_with_others(first, tmp_path):
 def test_one_call_at_a_time_adds_to_a_dataset(first, tmp_path):
     (tmp_path / "bop").mkdir()
     with (
-        FolderLock(tmp_path / "bop" / ".lock", tmp_path / "bop"),
+        FolderLock(tmp_path / "bop"),
         pytest.raises(BankError, match="is being written by"),
     ):
         added(first, tmp_path, "0")

@@ -12,12 +12,12 @@ import pyarrow.compute as pc
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
 from cluttergen_jax.files import begun_folder, inside, remove, swap_in, writing
+from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import INDEX, Bank, NewerBankError, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of, without_digests
 from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
-from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.scene.bank.remote import check_is_here, is_url, mirrored
 
 HUB_VARIABLE = "CLUTTERGEN_HUB"
@@ -33,7 +33,7 @@ def push(path: str | Path, name: str, hub: str | None, is_private: bool) -> str:
     bank = read_bank(path)
     check_is_here(bank.path)
     with writing(bank.path):
-        lock = BankLock(bank.path)
+        lock = FolderLock(bank.path)
     try:
         check_whole(bank)
         with writing(bank.path):

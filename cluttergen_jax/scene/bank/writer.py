@@ -16,7 +16,8 @@ from cluttergen_jax.assets.object_files import object_hash, read_object, write_o
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.files import check_utf8, folder_whole, inside, is_partial, remove, remove_partial, writing
+from cluttergen_jax.files import check_utf8, folder_whole, inside, remove, remove_partial, writing
+from cluttergen_jax.kept_folder import LOCK, KeptFolder, check_recipe, check_unlocked
 from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.bank import (
@@ -39,7 +40,6 @@ from cluttergen_jax.scene.bank.blocks import (
 from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.hubs import is_of_a_bank
 from cluttergen_jax.scene.bank.index import BankIndex
-from cluttergen_jax.scene.bank.lock import LOCK, BankLock, check_free
 from cluttergen_jax.scene.bank.remote import MARK, is_url, mirrored, publish_all, remote_of
 from cluttergen_jax.scene.bank.table import with_columns_of
 
@@ -87,9 +87,7 @@ class BankWriter:
         }
         self._record = json.loads(json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes}))
         with writing(self.path):
-            self._check_place()
-            self.path.mkdir(parents=True, exist_ok=True)
-            self._lock = BankLock(self.path)
+            self._lock = self._free_folder().lock()
         try:
             with writing(self.path):
                 self._begin(num_scenes, overwrite)
@@ -191,25 +189,20 @@ class BankWriter:
         """
         self._index.add(files)
 
-    def _check_place(self) -> None:
-        """Refuses a place that holds something which is not a bank."""
-        if self._is_bank_or_new():
-            return
-        # Between two looks at it another process may have begun one here, or have made it whole.
-        check_free(self.path)
-        if not self._is_bank_or_new():
-            raise BankError(f"{self.path} exists and is not a bank", "a new or empty folder", "another `out`")
-
-    def _is_bank_or_new(self) -> bool:
-        if not self.path.exists() or (self.path / INDEX).exists() or block_numbers(self.path):
-            return True
-        if (remote := remote_of(self.path)) is not None and remote.sizes():
+    def _free_folder(self) -> KeptFolder:
+        """The bank's folder; where it is not free, nobody has just begun another bank there."""
+        remote = remote_of(self.path)
+        if remote is not None and not _is_bank(self.path) and remote.sizes():
             raise BankError(f"{remote.url} holds something that is no bank", "a new place", "another `out`")
         # A writer that was killed before anything was finished leaves no more than these.
-        ours = (LOCK, MARK)
-        return self.path.is_dir() and all(
-            each.name in ours or is_partial(each.name) for each in self.path.iterdir()
+        names = (LOCK, MARK)
+        folder = KeptFolder(
+            self.path, _is_bank, "{path} exists and is not a bank", lambda path: path.name in names
         )
+        if not folder.is_free:
+            # Between two looks at it another process may have begun one here, or have made it whole.
+            check_unlocked(self.path)
+        return folder
 
     def _begin(self, num_scenes: int, overwrite: bool) -> None:
         remove_partial(self.path)
@@ -347,6 +340,10 @@ class BankWriter:
         return bool(known) and digests_in(self.path, folder) == known
 
 
+def _is_bank(path: Path) -> bool:
+    return (path / INDEX).exists() or bool(block_numbers(path))
+
+
 def _is_json(path: Path) -> bool:
     try:
         return isinstance(json.loads(path.read_bytes()), dict)
@@ -356,13 +353,8 @@ def _is_json(path: Path) -> bool:
 
 def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> None:
     """Refuses to continue a bank of another recipe, or of other assets."""
-    changed = sorted(_changed(ours["recipe"], theirs["recipe"]))
-    if changed:
-        raise BankError(
-            f"{path} holds a bank made with another {', '.join(changed)}",
-            "the same settings, which continue it",
-            "another `out`, or `overwrite` to begin anew",
-        )
+    hint = "another `out`, or `overwrite` to begin anew"
+    check_recipe(path, "a bank made", ours["recipe"], theirs["recipe"], hint)
     known = theirs.get("assets", ours["assets"])
     other = sorted(n for n, digest in ours["assets"]["objects"].items() if known["objects"].get(n) != digest)
     other += ["its support"] * (known["support"] != ours["assets"]["support"])
@@ -370,20 +362,8 @@ def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> Non
         raise BankError(
             f"{path} holds a bank made with other assets of the same name: {', '.join(other)}",
             "the assets that it was made with",
-            "another `out`, or `overwrite` to begin anew; the bank's own copies are in its folder `assets`",
+            f"{hint}; the bank's own copies are in its folder `assets`",
         )
-
-
-def _changed(ours: dict[str, Any], theirs: dict[str, Any]) -> list[str]:
-    """Which settings differ, such as placement.min_margin."""
-    names = []
-    for name in {*ours, *theirs}:
-        one, other = ours.get(name), theirs.get(name)
-        if isinstance(one, dict) and isinstance(other, dict):
-            names += [f"{name}.{inner}" for inner in _changed(one, other)]
-        elif one != other:
-            names.append(name)
-    return names
 
 
 def _write_object(asset: ObjectAsset, folder: Path, images: Path) -> None:

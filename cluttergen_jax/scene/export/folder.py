@@ -19,7 +19,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import folder_whole, inside
-from cluttergen_jax.locks import lock_beside
+from cluttergen_jax.kept_folder import lock_beside
 from cluttergen_jax.scene import Scene, scene_cameras
 from cluttergen_jax.scene.collection import check_alike
 from cluttergen_jax.scene.export.formats import Format, find_format
