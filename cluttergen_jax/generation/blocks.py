@@ -29,7 +29,7 @@ from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_block
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank.bits import differences
+from cluttergen_jax.scene.bank.record import differences
 from cluttergen_jax.scene.bank.table import table_of
 
 Block = tuple[int, int]

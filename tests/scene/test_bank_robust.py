@@ -28,9 +28,9 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import index_bytes
 from cluttergen_jax.scene.bank.blocks import block_path
 from cluttergen_jax.scene.bank.card import CARD, write_card
+from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 from cluttergen_jax.scene.bank.table import SCHEMA
 from tests.helpers import banks

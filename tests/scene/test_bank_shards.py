@@ -13,12 +13,13 @@ from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import blocks as module
 from cluttergen_jax.scene.bank import index as module_index
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import index_bytes, recovered_record
+from cluttergen_jax.scene.bank.bank import recovered_record
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, with_record, write_shard
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import check_whole
 from cluttergen_jax.scene.bank.index import BankIndex
+from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.scene.bank.table import SCHEMA
 from tests.helpers import banks

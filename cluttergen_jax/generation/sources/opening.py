@@ -8,7 +8,7 @@ from cluttergen_jax.errors import PoolError
 from cluttergen_jax.generation.sources.live import LiveConfig, LiveSource
 from cluttergen_jax.generation.sources.stored import BankSource, FileSource
 from cluttergen_jax.rendering.viewer.source import SceneSource
-from cluttergen_jax.scene.bank.bank import INDEX
+from cluttergen_jax.scene.bank.record import INDEX
 from cluttergen_jax.scene.bank.reference import parse_reference
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
@@ -14,7 +13,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import HAND
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.bits import Bits
+from cluttergen_jax.scene.bank.record import Bits, Recipe
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
 from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, CLUTTER, COUNTED, SCHEMA
 from cluttergen_jax.tables import markdown_table
@@ -96,7 +95,7 @@ def write_unless_own(folder: Path, text: Callable[[], str]) -> Path | None:
 
 def card_text(bank: Bank, stats: BankStats) -> str:
     """The card of a bank as Markdown."""
-    names = sorted(bank.record.get("assets", {}).get("objects", {})) or [each.name for each in stats.objects]
+    names = sorted(bank.assets["objects"]) or [each.name for each in stats.objects]
     assets = [bank.object(name) for name in names]
     sections = [
         front_matter(
@@ -107,9 +106,9 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         ),
         _about(bank, stats),
         _figures(stats),
-        _files(BY_HAND if _is_by_hand(bank.record["recipe"]) else ()),
-        _made(bank.record["recipe"], bank.record.get("bits", [])),
-        _stability(bank.record["recipe"]),
+        _files(BY_HAND if _is_by_hand(bank.recipe) else ()),
+        _made(bank.recipe, bank.record.get("bits", [])),
+        _stability(bank.recipe),
         assets_section(assets, bank.support),
     ]
     return "\n\n".join(sections) + "\n"
@@ -163,7 +162,7 @@ def _figures(stats: BankStats) -> str:
     return "\n".join(["## Figures", "", markdown_table(("", ""), rows)])
 
 
-def _is_by_hand(recipe: dict[str, Any]) -> bool:
+def _is_by_hand(recipe: Recipe) -> bool:
     return recipe.get("method") == HAND
 
 
@@ -191,7 +190,7 @@ def _files(added: Iterable[pa.Field]) -> str:
     return "\n".join([*lines, markdown_table(("column", "type", "meaning"), fields)])
 
 
-def _made(recipe: dict[str, Any], bits: list[Bits]) -> str:
+def _made(recipe: Recipe, bits: list[Bits]) -> str:
     placement = recipe.get("placement", {})
     rows = {
         "pool": public_name(str(recipe.get("pool"))),
@@ -226,7 +225,7 @@ def _made(recipe: dict[str, Any], bits: list[Bits]) -> str:
     return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])
 
 
-def _stability(recipe: dict[str, Any]) -> str:
+def _stability(recipe: Recipe) -> str:
     limits = {
         **recipe.get("stability", {}),
         **{f"contact {k}": v for k, v in recipe.get("contact", {}).items()},

@@ -10,7 +10,8 @@ import pyarrow.compute as pc
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.clutter import NAMES, Clutter
-from cluttergen_jax.scene.bank.bank import Bank, damaged_record
+from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.record import damaged_record
 
 _NEAR_ENOUGH = 0.1
 _WORDS = {
@@ -91,7 +92,7 @@ def _values(rows: pa.Table, name: str) -> np.ndarray:
 
 def _targets(bank: Bank) -> dict[str, float]:
     try:
-        asked = bank.record["recipe"].get("placement", {}).get("clutter")
+        asked = bank.recipe.get("placement", {}).get("clutter")
         return Clutter.of(asked).targets if asked else {}
     except (AttributeError, ConfigError) as error:
         raise damaged_record(bank.path, error) from error

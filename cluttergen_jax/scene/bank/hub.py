@@ -14,10 +14,11 @@ from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
 from cluttergen_jax.files import begun_folder, inside, remove, swap_in, writing
 from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.scene.bank.bank import INDEX, Bank, NewerBankError, read_bank
+from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of, without_digests
 from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
+from cluttergen_jax.scene.bank.record import INDEX, NewerBankError
 from cluttergen_jax.scene.bank.remote import check_is_here, is_url, mirrored
 
 HUB_VARIABLE = "CLUTTERGEN_HUB"
@@ -137,7 +138,7 @@ def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
         does not say how it was made.
       UnsafePathError: it names a path outside of its folder.
     """
-    if not bank.record["recipe"]:
+    if not bank.recipe:
         raise BankError(f"{bank.path}: its record does not say how it was made", "a bank with its recipe")
     if (unchecked := without_digests(bank)) and not allow_unchecked:
         raise BankError(
@@ -152,7 +153,7 @@ def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
         names |= {base_name(name) for name in pc.unique(pc.list_flatten(rows["objects"])).to_pylist()}
     if num_rows < bank.num_scenes:
         raise BankError(f"{bank.path} holds {num_rows} of {bank.num_scenes} scenes", hint=_MENDED)
-    for name in sorted(names | set(bank.record.get("assets", {}).get("objects", {}))):
+    for name in sorted(names | set(bank.assets["objects"])):
         bank.object(name)
     _ = bank.support
     if changes := changes_of(bank):
@@ -166,7 +167,7 @@ _MENDED = "the same `cluttergen generate` again"
 
 def local_paths(bank: Bank) -> list[str]:
     """The paths of this machine that the record of a bank names: who pushes it, publishes them."""
-    recipe = bank.record["recipe"]
+    recipe = bank.recipe
     texts = [recipe.get(name) for name in _NAMES_PATHS]
     return [text for text in texts if isinstance(text, str) and ("/" in text or os.sep in text)]
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
 from cluttergen_jax.files import write_atomically, writing
-from cluttergen_jax.scene.bank.bank import INDEX, Bank, index_bytes
+from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.blocks import (
     block_files,
     block_path,
@@ -22,6 +21,7 @@ from cluttergen_jax.scene.bank.blocks import (
     write_shard,
 )
 from cluttergen_jax.scene.bank.digests import digest_of
+from cluttergen_jax.scene.bank.record import INDEX, Record, block_record, index_bytes
 
 
 class BankIndex:
@@ -37,7 +37,7 @@ class BankIndex:
       files: digests by path within the bank.
     """
 
-    def __init__(self, path: Path, record: dict[str, Any], num_scenes: int, files: dict[str, str]) -> None:
+    def __init__(self, path: Path, record: Record, num_scenes: int, files: dict[str, str]) -> None:
         self.path, self.record, self.num_scenes, self.files = path, record, num_scenes, files
         self.has_digests = True
 
@@ -47,8 +47,7 @@ class BankIndex:
 
         A bank that has no digests at all stays without.
         """
-        record = {name: value for name, value in bank.record.items() if name not in ("num_scenes", "files")}
-        index = cls(bank.path, record, bank.num_scenes, dict(bank.files or {}))
+        index = cls(bank.path, block_record(bank.record), bank.num_scenes, dict(bank.files or {}))
         index.has_digests = bank.files is not None
         index.add_unknown_rows()
         return index

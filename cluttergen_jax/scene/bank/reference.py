@@ -8,7 +8,8 @@ from pathlib import Path
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.setup import Standing
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.scene.bank.bank import INDEX, read_bank
+from cluttergen_jax.scene.bank.bank import read_bank
+from cluttergen_jax.scene.bank.record import INDEX
 
 REFERENCES = "BANK, BANK:INDEX or BANK/scenes/NUMBER.xml"
 _SAID = 8

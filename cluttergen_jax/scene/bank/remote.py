@@ -21,11 +21,11 @@ import pyarrow.fs as pafs
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, MissingExtraError
 from cluttergen_jax.files import inside, is_partial, write_atomically
+from cluttergen_jax.scene.bank.record import INDEX
 
 MARK = ".url"
 """The file of a mirror that says what it stands for."""
-_INDEX = "bank.json"
-_SMALL = ("bank.json", "README.md", "assets/")
+_SMALL = (INDEX, "README.md", "assets/")
 _NOT_OF_THE_BANK = (".lock", MARK)
 _BUFFER = 8 * 2**20
 
@@ -148,9 +148,9 @@ def mirrored(url: str) -> Path:
     """
     folder, remote = mirror_of(url), RemoteFolder.of(url)
     names = remote.sizes()
-    if _INDEX not in names:
+    if INDEX not in names:
         # Of a bank that was removed there.
-        (folder / _INDEX).unlink(missing_ok=True)
+        (folder / INDEX).unlink(missing_ok=True)
     small = sorted(name for name in names if name.startswith(_SMALL))
     assets = [name for name in small if name.startswith("assets/")]
     for name in small:
@@ -166,7 +166,7 @@ def mirrored(url: str) -> Path:
 def _listed(folder: Path) -> dict[str, str]:
     """The digests of files in the index of a mirror; none if it is damaged."""
     try:
-        files = json.loads((folder / _INDEX).read_bytes())["files"]
+        files = json.loads((folder / INDEX).read_bytes())["files"]
     except (OSError, ValueError, LookupError, TypeError):
         return {}
     return files if isinstance(files, dict) else {}
@@ -204,7 +204,7 @@ def publish_all(path: Path, is_begun: bool = False) -> None:
     files = [each.as_posix() for each in found if not any(map(is_partial, each.parts))]
     files = [name for name in files if name not in _NOT_OF_THE_BANK]
     there = remote.sizes()
-    for name in sorted(files, key=lambda name: (name == _INDEX, name)):
+    for name in sorted(files, key=lambda name: (name == INDEX, name)):
         is_block, is_same = name.startswith("scenes-"), there.get(name) == (path / name).stat().st_size
         # Assets and scenes' files do not change while their size does not; what does is small.
         if (is_block and is_begun) or (is_same and "/" in name):

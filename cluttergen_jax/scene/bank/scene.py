@@ -16,7 +16,8 @@ from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene import Origin, Scene
-from cluttergen_jax.scene.bank.bank import Bank, damaged_record
+from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.record import damaged_record
 from cluttergen_jax.scene.bank.reference import missing_text, numbers_text
 from cluttergen_jax.scene.bank.table import BankRow
 
@@ -72,7 +73,7 @@ def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Sc
 
 
 def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
-    recipe = bank.record.get("recipe", {})
+    recipe, checkpoint = bank.recipe, bank.recipe.get("checkpoint")
     return Scene(
         names=row.objects,
         objects=tuple(objects),
@@ -86,7 +87,7 @@ def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
             pool=public_name(recipe.get("pool", "")),
             method=recipe.get("method", ""),
             # The name alone: a path would tell where its owner keeps files.
-            checkpoint=None if recipe.get("checkpoint") is None else Path(recipe["checkpoint"]).name,
+            checkpoint=None if checkpoint is None else Path(checkpoint).name,
             seed=recipe.get("seed"),
             verdict=row.verdict,
             drift=row.drift,
@@ -119,7 +120,7 @@ def region_of(bank: Bank) -> Rectangle:
       BankError: the recipe is damaged.
     """
     try:
-        asked = bank.record["recipe"]["region"]
+        asked = bank.recipe["region"]
         return Rectangle(tuple(asked["center"]), tuple(asked["half_extents"]), asked["yaw"])
     except (KeyError, TypeError, ValueError) as error:
         raise damaged_record(bank.path, error) from error

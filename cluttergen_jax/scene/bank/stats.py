@@ -330,5 +330,5 @@ def _duplicates_text(stats: BankStats) -> str:
 
 
 def _made_by(bank: Bank) -> str:
-    recipe = bank.record["recipe"]
+    recipe = bank.recipe
     return f"made by {recipe.get('method')} with seed {recipe.get('seed')} of pool {recipe.get('pool')}"

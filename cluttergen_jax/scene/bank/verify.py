@@ -24,9 +24,9 @@ from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.simulations import disabled_flags
 from cluttergen_jax.progress import tracked
-from cluttergen_jax.scene.bank.bank import INDEX, read_bank
-from cluttergen_jax.scene.bank.blocks import AGAIN
+from cluttergen_jax.scene.bank.bank import read_bank
 from cluttergen_jax.scene.bank.digests import Change, changes_of, touched, without_digests
+from cluttergen_jax.scene.bank.record import AGAIN, INDEX
 from cluttergen_jax.scene.bank.remote import fetch_scenes
 from cluttergen_jax.types import small_length
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -20,15 +20,7 @@ from cluttergen_jax.files import check_utf8, folder_whole, inside, remove, remov
 from cluttergen_jax.kept_folder import LOCK, KeptFolder, check_recipe, check_unlocked
 from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.scene.bank.bank import (
-    FORMAT,
-    INDEX,
-    NewerBankError,
-    block_numbers,
-    read_bank,
-    recovered_record,
-)
-from cluttergen_jax.scene.bank.bits import Bits, check_bits
+from cluttergen_jax.scene.bank.bank import block_numbers, read_bank, recovered_record
 from cluttergen_jax.scene.bank.blocks import (
     SHARD_BLOCKS,
     StoredBlocks,
@@ -40,6 +32,7 @@ from cluttergen_jax.scene.bank.blocks import (
 from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.hubs import is_of_a_bank
 from cluttergen_jax.scene.bank.index import BankIndex
+from cluttergen_jax.scene.bank.record import FORMAT, INDEX, Bits, NewerBankError, Record, check_bits
 from cluttergen_jax.scene.bank.remote import MARK, is_url, mirrored, publish_all, remote_of
 from cluttergen_jax.scene.bank.table import with_columns_of
 
@@ -69,7 +62,7 @@ class BankWriter:
     def __init__(
         self,
         path: str | Path,
-        recipe: dict[str, Any],
+        recipe: Mapping[str, Any],
         num_scenes: int,
         objects: dict[str, ObjectAsset],
         support: SupportAsset,
@@ -85,7 +78,7 @@ class BankWriter:
             "objects": {name: object_hash(asset) for name, asset in objects.items()},
             "support": support_hash(support),
         }
-        self._record = json.loads(json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes}))
+        self._record: Record = json.loads(json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes}))
         with writing(self.path):
             self._lock = self._free_folder().lock()
         try:
@@ -257,7 +250,7 @@ class BankWriter:
             return False
         return True
 
-    def _look(self, theirs: dict[str, Any] | None) -> None:
+    def _look(self, theirs: Record | None) -> None:
         """Finds the blocks that are there, and those that somebody has changed."""
         self._stored = StoredBlocks.of(self.path)
         self._edited = self._edited_files((theirs or {}).get("files", {}))
@@ -267,20 +260,20 @@ class BankWriter:
         """Whether scenes have to be made, for the first time or again."""
         return not all(self.has_block(block, rows) for block, rows in blocks_of(num_scenes))
 
-    def _check_continued(self, theirs: dict[str, Any], num_scenes: int) -> None:
+    def _check_continued(self, theirs: Record, num_scenes: int) -> None:
         """Refuses to continue another bank than this one, or one that would get scenes of other bits."""
         _check_same(self.path, self._record, theirs)
         if self._brings_other_bits(theirs, num_scenes) and not self._allows_other_bits:
             assert self._bits is not None
             check_bits(self.path, self._bits, theirs["bits"])
 
-    def _brings_other_bits(self, theirs: dict[str, Any], num_scenes: int) -> bool:
+    def _brings_other_bits(self, theirs: Record, num_scenes: int) -> bool:
         """Whether the bank tells by what it was made, and scenes are missing that would be made otherwise."""
         known = theirs.get("bits")
         is_other = self._bits is not None and known is not None and self._bits not in known
         return is_other and self._lacks_scenes(num_scenes)
 
-    def _enter_bits(self, theirs: dict[str, Any] | None, num_scenes: int) -> None:
+    def _enter_bits(self, theirs: Record | None, num_scenes: int) -> None:
         """Tells in the record by what the scenes are made, where that is known of all of them."""
         known = [] if theirs is None else theirs.get("bits")
         if self._bits and (theirs is None or self._brings_other_bits(theirs, num_scenes)):
@@ -299,7 +292,7 @@ class BankWriter:
             return False
         return theirs is not None
 
-    def _stored_record(self) -> dict[str, Any] | None:
+    def _stored_record(self) -> Record | None:
         """What the folder says it holds: `bank.json`, or a block in its stead if that is damaged or lost."""
         try:
             return read_bank(self.path).record
@@ -351,7 +344,7 @@ def _is_json(path: Path) -> bool:
         return False
 
 
-def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> None:
+def _check_same(path: Path, ours: Record, theirs: Record) -> None:
     """Refuses to continue a bank of another recipe, or of other assets."""
     hint = "another `out`, or `overwrite` to begin anew"
     check_recipe(path, "a bank made", ours["recipe"], theirs["recipe"], hint)
