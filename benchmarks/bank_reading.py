@@ -24,7 +24,7 @@ import cluttergen_jax as cg
 from benchmarks.section import ROOT, report, table
 from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.progress import tracked
+from cluttergen_jax.progress import track
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 
 _BATCH = 1024
@@ -69,7 +69,7 @@ def repeat(block: Bank, out: Path, num_scenes: int) -> None:
     with BankWriter(out, block.record["recipe"], num_scenes, objects, block.support) as writer:
         missing = [each for each in blocks_of(num_scenes) if not writer.has_block(*each)]
         place = rows.schema.get_field_index("index")
-        for number, wanted in tracked(missing, "writing", len(missing), "block"):
+        for number, wanted in track(missing, "writing", len(missing), "block"):
             index = pa.array(np.arange(wanted) + number * BLOCK_SIZE, pa.int32())
             writer.write_block(
                 number, rows.slice(0, wanted).set_column(place, rows.schema.field(place), index)

@@ -117,7 +117,7 @@ class Progress:
             self._bar.write(text, file=self._file)
 
 
-def tracked(items: Iterable[T], title: str, total: int, unit: str) -> Iterator[T]:
+def track(items: Iterable[T], title: str, total: int, unit: str) -> Iterator[T]:
     """The items, with progress."""
     with Progress(title, total, unit) as progress:
         for item in items:

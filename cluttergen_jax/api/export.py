@@ -43,7 +43,7 @@ def export(
       ConfigError: there is no such format or camera, or two answers to one question.
       MissingExtraError: the format needs an extra that is not installed.
     """
-    from cluttergen_jax.progress import tracked
+    from cluttergen_jax.progress import track
     from cluttergen_jax.scene.bank import read_bank
     from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
     from cluttergen_jax.scene.bank.scene import chosen_rows, read_scenes
@@ -61,5 +61,5 @@ def export(
     bank = read_bank(path)
     total = len(chosen_rows(bank, numbers))
     read = read_scenes(bank, numbers)
-    shown = read if total <= _MANY else tracked(read, "exporting", total, "scene")
+    shown = read if total <= _MANY else track(read, "exporting", total, "scene")
     return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras))

@@ -12,7 +12,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.files import inside, write_atomically
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.progress import tracked
+from cluttergen_jax.progress import track
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
@@ -51,7 +51,7 @@ def write_files(
     scenes = [scene for scene in first if scene.is_success]
     assets = {name: bank.object(name) for name in {base_name(n) for scene in scenes for n in scene.objects}}
     digests: dict[str, str] = {}
-    for scene in tracked(scenes, "writing", len(scenes), "file"):
+    for scene in track(scenes, "writing", len(scenes), "file"):
         digests |= write_model(bank, scene, [assets[base_name(name)] for name in scene.objects], config)
     keep_digests(digests)
     written = f"files      {len(scenes)} scenes in {bank.path / 'scenes'}"
@@ -83,7 +83,7 @@ def _is_whole_png(path: Path) -> bool:
 def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
     images: list[np.ndarray] = []
     samples = _FINE if len(scenes) <= _MANY else _QUICK
-    for scene in tracked(scenes, "drawing", len(scenes), "picture"):
+    for scene in track(scenes, "drawing", len(scenes), "picture"):
         path = scene_path(bank, scene.index, "png")
         if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):
             continue

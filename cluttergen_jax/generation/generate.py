@@ -27,9 +27,8 @@ from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
-from cluttergen_jax.scene.bank.clutter_stats import ClutterTally
 from cluttergen_jax.scene.bank.remote import publish_all, url_of
-from cluttergen_jax.scene.bank.totals import Totals
+from cluttergen_jax.scene.bank.totals import ClutterTally, Totals
 from cluttergen_jax.scene.bank.writer import names_of
 
 _FEW = 0.5

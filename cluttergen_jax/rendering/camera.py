@@ -63,12 +63,12 @@ def fitted_eye(points: np.ndarray, view: CameraView, aspect: float) -> np.ndarra
     depth = np.min(-(low + high) / (2 * tangents))
     ahead = seen[:, 2] - depth
     sides = [
-        _centred(seen[:, k], ahead, high[k] + t * depth, -low[k] - t * depth) for k, t in enumerate(tangents)
+        _center(seen[:, k], ahead, high[k] + t * depth, -low[k] - t * depth) for k, t in enumerate(tangents)
     ]
     return np.array([*sides, depth]) @ turn
 
 
-def _centred(side: np.ndarray, ahead: np.ndarray, least: float, most: float) -> float:
+def _center(side: np.ndarray, ahead: np.ndarray, least: float, most: float) -> float:
     """Where between two bounds the eye sees points as far to one side as to the other, by bisection.
 
     Args:

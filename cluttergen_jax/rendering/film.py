@@ -15,7 +15,13 @@ from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN, trails_of
 from cluttergen_jax.rendering.overlay import with_caption
 from cluttergen_jax.rendering.renderer import Trail
-from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
+from cluttergen_jax.rendering.scene_renderer import (
+    RED,
+    PictureConfig,
+    RenderStyle,
+    scene_renderer,
+    turntable_points,
+)
 
 _TINT = 0.72
 
@@ -149,7 +155,7 @@ def turntable(
     styles = _standing(recording, recording.poses, recording.is_placed)
     points = _end_points(recording)
     with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
-        around = swept(renderer.content if picture.whole else points)
+        around = turntable_points(renderer.content if picture.whole else points)
         for number in range(count):
             turn = 360.0 * number / count
             renderer.aim(around, replace(picture.view, azimuth=picture.view.azimuth + turn))

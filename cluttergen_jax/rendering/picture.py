@@ -29,7 +29,7 @@ def distinct_colour(index: int) -> tuple[float, float, float, float]:
     return red, green, blue, 1.0
 
 
-def prepared(
+def prepare_model(
     model: mujoco.MjModel, hulls: bool, show: Sequence[str] | None
 ) -> tuple[mujoco.MjModel, np.ndarray]:
     """A copy whose drawn geoms are in the visual group and the others hidden; bool[ngeom] says which."""
@@ -101,7 +101,7 @@ def render_model(
       ConfigError: a size, a body or a camera that cannot be.
     """
     check_size(width, height, samples)
-    model, is_drawn = prepared(model, hulls, show)
+    model, is_drawn = prepare_model(model, hulls, show)
     data = mujoco.MjData(model)
     if qpos is not None:
         data.qpos[:] = qpos

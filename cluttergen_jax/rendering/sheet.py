@@ -18,7 +18,7 @@ _PAPER = (255, 255, 255)
 _INK = (40, 44, 52)
 
 
-def _shortened(
+def _shorten(
     draw: ImageDraw.ImageDraw, text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: int
 ) -> str:
     while len(text) > 1 and draw.textlength(text, font=font) > width:
@@ -62,7 +62,7 @@ def contact_sheet(
         inset = ((width - image.shape[1]) // 2, (height - image.shape[0]) // 2)
         sheet.paste(Image.fromarray(np.asarray(image, np.uint8)), (left + inset[0], upper + inset[1]))
         if captions is not None:
-            text = _shortened(draw, captions[index], font, width)
+            text = _shorten(draw, captions[index], font, width)
             middle = (left + width // 2, upper + height + _CAPTION_HEIGHT // 2)
             draw.text(middle, text, fill=_INK, font=font, anchor="mm")
     return np.asarray(sheet)

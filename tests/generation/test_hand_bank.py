@@ -131,7 +131,7 @@ def test_it_can_be_looked_at_but_its_attempts_are_nobodys(made):
     still = source.still(0)
     np.testing.assert_array_equal(still.poses, kept[0][2])
     with pytest.raises(BankError, match="made by hand: its attempts cannot be made again"):
-        source.recorded(0)
+        source.replay(0)
     # Others may place the same objects.
     assert source.methods == ("random", "clear", "drop", "spread")
 

@@ -120,7 +120,7 @@ def test_a_bank_with_ruin_is_replayed_and_verified(ruined):
     source, _ = open_source(str(ruined.path))
     attempts = np.array(read_bank(ruined.path).table["attempts"].to_pylist())
     row = int(attempts.sum(1).argmax())
-    recording = source.recorded(row)
+    recording = source.replay(row)
     assert len(recording.attempts) == attempts[row].sum()
     assert any(len(recording.taken_away(number)) for number in range(len(recording.attempts)))
     assert all(found.stands for found in cg.verify(ruined.path, VerifyConfig(seconds=1.0)).scenes)

@@ -94,4 +94,4 @@ def test_a_bank_by_a_removed_method_is_read_checked_and_exported(method, tmp_pat
     assert source.still(0).is_success
     assert source.methods == ()
     with pytest.raises(ConfigError, match=rf"'{method}', which was removed\..*guided"):
-        source.recorded(0)
+        source.replay(0)

@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from cluttergen_jax import progress
-from cluttergen_jax.progress import Progress, interruptible, time_text, tracked
+from cluttergen_jax.progress import Progress, interruptible, time_text, track
 
 
 class Terminal(io.StringIO):
@@ -63,7 +63,7 @@ def test_what_was_done_before_is_counted_but_sets_no_pace():
 
 
 def test_quick_work_leaves_a_log_alone(capsys):
-    assert list(tracked([1, 2, 3], "drawing", 3, "picture")) == [1, 2, 3]
+    assert list(track([1, 2, 3], "drawing", 3, "picture")) == [1, 2, 3]
     assert capsys.readouterr() == ("", "")
 
 

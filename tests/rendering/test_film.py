@@ -15,7 +15,13 @@ from cluttergen_jax.rendering.figure import closed_loop_figure, closed_loop_slot
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
 from cluttergen_jax.rendering.overlay import Ring, ring_around, with_caption, with_rings
 from cluttergen_jax.rendering.renderer import Trail, thresholds
-from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
+from cluttergen_jax.rendering.scene_renderer import (
+    RED,
+    PictureConfig,
+    RenderStyle,
+    scene_renderer,
+    turntable_points,
+)
 from cluttergen_jax.rendering.video import save_film
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
@@ -208,7 +214,7 @@ def test_replay_draws_failures_red():
 
 def test_swept_points_are_the_same_from_all_sides():
     points = np.random.default_rng(0).normal(size=(20, 3))
-    around = swept(points, 36)
+    around = turntable_points(points, 36)
     center = (points.min(0) + points.max(0))[:2] / 2
     radius = np.linalg.norm(around[:, :2] - center, axis=1)
     np.testing.assert_allclose(radius, radius[0])

@@ -45,7 +45,7 @@ def source(bank):
 def test_attempts_are_made_again_and_end_in_the_stored_scene(source):
     assert source.numbers == (0, 1, 2, 3)
     for number in source.numbers:
-        stored, recording = source.still(number), source.recorded(number)
+        stored, recording = source.still(number), source.replay(number)
         assert not stored.attempts
         assert recording.attempts
         assert (stored.is_success, stored.verdict) == (recording.is_success, recording.verdict)
@@ -58,7 +58,7 @@ def test_attempts_are_made_again_and_end_in_the_stored_scene(source):
 
 
 def test_proposals_are_drawn_beside_the_attempt_and_change_nothing(source):
-    plain, drawn = source.recorded(0), source.recorded(0, 16)
+    plain, drawn = source.replay(0), source.replay(0, 16)
     assert all(attempt.proposals is None for attempt in plain.attempts)
     for one, other in zip(plain.attempts, drawn.attempts, strict=True):
         np.testing.assert_array_equal(one.trajectory, other.trajectory)
@@ -76,7 +76,7 @@ def test_a_scene_that_ends_elsewhere_is_not_passed_off(bank, source, monkeypatch
 
     monkeypatch.setattr(BankSource, "still", moved)
     with pytest.raises(BankError, match="ends elsewhere"):
-        source.recorded(int(source.successes[0]))
+        source.replay(int(source.successes[0]))
 
 
 def test_new_scenes_are_sampled_by_any_method_and_differ_by_seed(source):
@@ -308,5 +308,5 @@ def test_a_bank_from_before_regions_were_recorded_can_be_looked_at(bank):
     found.bank.record["recipe"].pop("region")
     assert found.still(0).region == read_bank(bank).support.region
     with pytest.raises(BankError, match="not recorded whole"):
-        found.recorded(0)
+        found.replay(0)
     assert found.methods == ()

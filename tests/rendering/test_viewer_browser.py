@@ -30,10 +30,10 @@ class Scenes:
         self.recorder = Recorder(sampler, problem.world, width=1)
         self.failing = next(seed for seed in range(50) if self.recorder.record(seed, 0).failures)
 
-    def recorded(self, number, num_proposals=0):
+    def replay(self, number, num_proposals=0):
         return self.recorder.record(self.failing + number, 0, f"scene {number}", num_proposals)
 
-    still = recorded
+    still = replay
 
     def notice(self, method=None):
         return ""

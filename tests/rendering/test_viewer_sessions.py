@@ -44,7 +44,7 @@ class Scenes:
         assert self.go.wait(PATIENCE)
         return replace(cubes(), title=f"scene {number}")
 
-    def recorded(self, number, num_proposals=0):
+    def replay(self, number, num_proposals=0):
         return self.still(number)
 
     def sample(self, method, seed, num_proposals=0):

@@ -11,7 +11,7 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
-from cluttergen_jax.scene.bank.digests import Change, changes_of, touched
+from cluttergen_jax.scene.bank.digests import Change, changes_of, changes_to_scene
 from cluttergen_jax.scene.bank.hub import check_whole
 from cluttergen_jax.scene.bank.record import index_bytes
 from tests.helpers import banks
@@ -78,8 +78,8 @@ def test_what_was_changed_is_named_does_not_count_and_is_mended(bank, whole, cap
 
 def test_every_scene_is_made_of_what_no_object_owns():
     changes = [Change(name, "gone") for name in (PART, "assets/objects", "assets", SCENE)]
-    assert touched(changes, "000001.xml", ["tall"]) == ["assets/objects", "assets"]
-    assert touched(changes, "000000.xml", ["prism"]) == [each.name for each in changes]
+    assert changes_to_scene(changes, "000001.xml", ["tall"]) == ["assets/objects", "assets"]
+    assert changes_to_scene(changes, "000000.xml", ["prism"]) == [each.name for each in changes]
 
 
 def test_what_is_missing_or_was_added_is_named(bank, whole, capsys):

@@ -17,7 +17,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import conjugate, product, rotate
-from cluttergen_jax.scene.export.friction import factor_of, friction_of
+from cluttergen_jax.scene.export.frames import factor_of, friction_of
 
 
 def load_pybullet(purpose: str) -> ModuleType:

@@ -12,7 +12,7 @@ import numpy as np
 from cluttergen_jax.assets.obj import mesh_text
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.scene.export.friction import friction_of, harmonic_of
+from cluttergen_jax.scene.export.frames import friction_of, harmonic_of
 from cluttergen_jax.scene.export.sdf import HYDROELASTIC_MODULUS
 
 

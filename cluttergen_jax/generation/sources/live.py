@@ -70,9 +70,9 @@ class LiveSource:
 
     def still(self, number: int) -> Replay:
         """Scene 0 of seed `number`, by the method asked for."""
-        return self.recorded(number)
+        return self.replay(number)
 
-    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0) -> Replay:
         """See `still`."""
         return self.sample(self.methods[0], number, num_proposals)
 

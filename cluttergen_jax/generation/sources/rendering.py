@@ -17,7 +17,7 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.sources import BankSource, FileSource, open_source
 from cluttergen_jax.generation.sources.bop import BopConfig, BopScenes
 from cluttergen_jax.placement.rollout.replay import Replay
-from cluttergen_jax.progress import tracked
+from cluttergen_jax.progress import track
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.density import NUM_PROPOSALS, density_figure
@@ -103,7 +103,7 @@ class Rendering:
                 work.dataset = stack.enter_context(dataset)
                 work.plan(numbers)
                 notes += dataset.told
-            shown = tracked(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
+            shown = track(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
             for number in shown:
                 failures += self._make(work, number, made)
         if self._makes("sheet"):
@@ -148,7 +148,7 @@ class Rendering:
         attempted = None
         if self._makes("replay", "figure", "density"):
             try:
-                attempted = source.recorded(number, NUM_PROPOSALS if self._makes("density") else 0)
+                attempted = source.replay(number, NUM_PROPOSALS if self._makes("density") else 0)
             except ClutterGenError as error:
                 yield f"{stem.name}, its attempts", error
         try:
@@ -204,13 +204,13 @@ class Rendering:
         yield _written(path, npz_of(sensed))
 
     def _filmed(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Path:
-        shown = tracked(frames, path.name, count, "frame")
+        shown = track(frames, path.name, count, "frame")
         return save_film(shown, path, self.pace.fps)
 
     def _sheet(self, source: SceneSource, numbers: list[int], title: str) -> np.ndarray:
         picture = self._picture(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
         recordings = [source.still(number) for number in numbers]
-        shown = tracked(recordings, title, len(recordings), "picture")
+        shown = track(recordings, title, len(recordings), "picture")
         images = [drawn(recording, picture) for recording in shown]
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")

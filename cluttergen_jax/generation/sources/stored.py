@@ -74,7 +74,7 @@ class BankSource:
             drift=row.drift,
         )
 
-    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0) -> Replay:
         """See `SceneSource`.
 
         Raises:
@@ -131,7 +131,7 @@ class FileSource:
         """See `SceneSource`."""
         return self._still
 
-    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0) -> Replay:
         """Refused: a scene file does not tell how it was made.
 
         Raises:
@@ -143,5 +143,5 @@ class FileSource:
         )
 
     def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
-        """See `recorded`."""
-        return self.recorded(seed)
+        """See `replay`."""
+        return self.replay(seed)

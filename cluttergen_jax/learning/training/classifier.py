@@ -19,7 +19,7 @@ from cluttergen_jax.assets.modeller.catalog import make_shape
 from cluttergen_jax.learning.networks.cloud_encoder import CloudNet, first_centroids
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.networks.encoders import PointNet
-from cluttergen_jax.progress import tracked
+from cluttergen_jax.progress import track
 from cluttergen_jax.types import Array
 
 
@@ -164,6 +164,6 @@ def shape_cloud(family: str, seed: int, num_points: int) -> np.ndarray:
 def make_clouds(families: Sequence[str], seeds: Sequence[int], num_points: int, title: str) -> ShapeClouds:
     """One cloud of each family for each seed, with a progress bar."""
     wanted = [(label, seed) for label in range(len(families)) for seed in seeds]
-    bar = tracked(wanted, title, len(wanted), "shape")
+    bar = track(wanted, title, len(wanted), "shape")
     cloud = np.stack([shape_cloud(families[label], seed, num_points) for label, seed in bar])
     return ShapeClouds(cloud, np.array([label for label, _ in wanted], np.int32))

@@ -22,7 +22,7 @@ from cluttergen_jax.placement.problem import check_number, geometry_of, num_runs
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.placement.world import NUM_COLUMN_SAMPLES, World, columns_of, make_world
-from cluttergen_jax.progress import tracked
+from cluttergen_jax.progress import track
 
 SET_SIZE = 50
 """Objects of a world; episodes place some of them."""
@@ -112,7 +112,7 @@ class WorldMaker:
         objects = list(dict.fromkeys(asset for each in self.sets for asset in each))
         self.radius = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects)
         self._columns = {
-            asset: columns_of(asset) for asset in tracked(objects, "cutting columns", len(objects), "object")
+            asset: columns_of(asset) for asset in track(objects, "cutting columns", len(objects), "object")
         }
         self.num_runs = max(sum(num_runs_of(self._columns[asset]) for asset in each) for each in self.sets)
 

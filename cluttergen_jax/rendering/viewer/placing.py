@@ -130,7 +130,7 @@ class PlacingPanel:
             for label, act in (("Give up", lambda: self.give_up(scene)), ("Go on with it", lambda: "")):
                 button = self.server.gui.add_button(label)
                 button.on_click(lambda _: modal.close())
-                button.on_click(self._ordered(act))
+                button.on_click(self._make_callback(act))
         return ""
 
     def give_up(self, scene: HandScene) -> str:
@@ -169,7 +169,7 @@ class PlacingPanel:
         )
         self._show(_HELP)
 
-    def _ordered(self, act: Callable[[], str]) -> Callable[[Any], Any]:
+    def _make_callback(self, act: Callable[[], str]) -> Callable[[Any], Any]:
         """A callback of viser's that does `act` after whatever was asked for before."""
 
         # Functions that are not async run in many threads, in any order.
@@ -255,8 +255,8 @@ class PlacingPanel:
             (self._undo, self.undo),
             (self._skip, self.skip),
         ):
-            button.on_click(self._ordered(act))
-        chosen = self._ordered(self.choose)
+            button.on_click(self._make_callback(act))
+        chosen = self._make_callback(self.choose)
 
         async def on_choice(event: Any) -> None:
             # Only what a person chose: the panel's own changes have no client.

@@ -88,16 +88,16 @@ class Session:
     def show(self, number: int) -> None:
         """Shows a scene by number; first as it is stored, then with its attempts."""
 
-        def stored() -> Replay:
+        def read_stored() -> Replay:
             return self.source.still(number)
 
-        def attempted() -> Replay:
-            return self.source.recorded(number, self._num_proposals)
+        def make_attempts() -> Replay:
+            return self.source.replay(number, self._num_proposals)
 
         with self._lock:
             self.number = number
         self._ask_again = partial(self.show, number)
-        self._ask(stored, attempted, f"scene {number}", self.source.notice())
+        self._ask(read_stored, make_attempts, f"scene {number}", self.source.notice())
 
     def step(self, places: int) -> None:
         """The scene so many places further on, round and round."""
@@ -133,7 +133,9 @@ class Session:
         buffer = io.BytesIO()
         image.save(buffer, format="PNG")
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = _unused(self.folder, _file_name(self.recording.title if self.recording else self.source.name))
+        path = _new_file(
+            self.folder, _file_name(self.recording.title if self.recording else self.source.name)
+        )
         path.write_bytes(buffer.getvalue())
         client.send_file_download(path.name, buffer.getvalue(), save_immediately=True)
         return path
@@ -327,7 +329,7 @@ def _file_name(title: str) -> str:
     return "".join(c if c.isalnum() or c in "-_" else "-" for c in title).replace("--", "-")
 
 
-def _unused(folder: Path, name: str) -> Path:
+def _new_file(folder: Path, name: str) -> Path:
     """A file that is not there yet: NAME-001.png and so on."""
     return next(
         path for number in range(1, 100_000) if not (path := folder / f"{name}-{number:03d}.png").exists()

@@ -36,7 +36,7 @@ class SceneSource(Protocol):
         """A scene as it is stored, perhaps without its attempts. Quick."""
         ...
 
-    def recorded(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0) -> Replay:
         """A scene with its attempts, and with so many other proposals at each of them.
 
         Raises:
@@ -45,7 +45,7 @@ class SceneSource(Protocol):
         ...
 
     def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
-        """A new scene by one of `methods`; see `recorded`."""
+        """A new scene by one of `methods`; see `replay`."""
         ...
 
 

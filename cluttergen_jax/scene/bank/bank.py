@@ -42,7 +42,7 @@ from cluttergen_jax.scene.bank.record import (
     fault_of,
     parse_record,
 )
-from cluttergen_jax.scene.bank.remote import is_url, mirrored
+from cluttergen_jax.scene.bank.remote import fetch_mirror, is_url
 from cluttergen_jax.scene.bank.table import BankRow, rows_of, schema_of
 from cluttergen_jax.spec import SceneSpec
 
@@ -193,7 +193,7 @@ def read_bank(path: str | Path) -> Bank:
       BankError: there is none, or `bank.json` is damaged or of another format.
       ConfigError: its path is not UTF-8.
     """
-    path = mirrored(str(path)) if is_url(path) else path
+    path = fetch_mirror(str(path)) if is_url(path) else path
     check_utf8(path)
     index = Path(path) / INDEX
     try:

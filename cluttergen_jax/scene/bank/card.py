@@ -107,7 +107,7 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         _about(bank, stats),
         _figures(stats),
         _files(BY_HAND if _is_by_hand(bank.recipe) else ()),
-        _made(bank.recipe, bank.record.get("bits", [])),
+        _recipe_section(bank.recipe, bank.record.get("bits", [])),
         _stability(bank.recipe),
         assets_section(assets, bank.support),
     ]
@@ -190,7 +190,7 @@ def _files(added: Iterable[pa.Field]) -> str:
     return "\n".join([*lines, markdown_table(("column", "type", "meaning"), fields)])
 
 
-def _made(recipe: Recipe, bits: list[Bits]) -> str:
+def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
     placement = recipe.get("placement", {})
     rows = {
         "pool": public_name(str(recipe.get("pool"))),

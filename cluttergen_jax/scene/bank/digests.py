@@ -132,7 +132,7 @@ def _is_scene_of(row: BankRow, file: Path) -> bool:
     return row.is_success and names == [*map(base_name, row.objects)] and np.array_equal(numbers, wanted)
 
 
-def touched(changes: Iterable[Change], file: str, objects: Iterable[str]) -> list[str]:
+def changes_to_scene(changes: Iterable[Change], file: str, objects: Iterable[str]) -> list[str]:
     """Those of the changed files that a scene is made of: its own, its objects', and what all scenes share.
 
     Args:

@@ -19,7 +19,7 @@ from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of, without_digests
 from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
 from cluttergen_jax.scene.bank.record import INDEX, NewerBankError
-from cluttergen_jax.scene.bank.remote import check_is_here, is_url, mirrored
+from cluttergen_jax.scene.bank.remote import check_is_here, fetch_mirror, is_url
 
 HUB_VARIABLE = "CLUTTERGEN_HUB"
 _DATASET = re.compile(r"\w[\w-]*(\.[\w-]+)*/\w[\w-]*(\.[\w-]+)*", re.ASCII)
@@ -100,7 +100,7 @@ def find_bank(path: str | Path, *, hub: str | None = None, revision: str | None 
       MissingExtraError: the extra `hub` is not installed.
     """
     if is_url(path):
-        return mirrored(str(path))
+        return fetch_mirror(str(path))
     if Path(path).exists() or not isinstance(path, str) or not _DATASET.fullmatch(path):
         return Path(path)
     stored = pulled_path(path, hub)

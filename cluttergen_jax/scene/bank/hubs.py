@@ -129,13 +129,13 @@ class HuggingFaceHub:
 
     def listing(self, dataset: str, revision: str | None) -> tuple[str | None, list[str]]:
         """See `Hub`: a commit, which stays what it is even if somebody pushes meanwhile."""
-        with self._explained(dataset):
+        with self._explain_errors(dataset):
             info = self._api.dataset_info(dataset, revision=revision)
             return info.sha, [each.rfilename for each in info.siblings or []]
 
     def fetch(self, dataset: str, revision: str | None, folder: Path) -> None:
         """See `Hub`. What an interrupted call has fetched is not fetched again."""
-        with self._explained(dataset):
+        with self._explain_errors(dataset):
             self._api.snapshot_download(
                 dataset, repo_type=_KIND, revision=revision, local_dir=folder, allow_patterns=list(PATTERNS)
             )
@@ -146,7 +146,7 @@ class HuggingFaceHub:
             raise BankError(
                 f"pushing to {self._api.endpoint} without a token", hint="hf auth login, or HF_TOKEN=..."
             )
-        with self._explained(dataset):
+        with self._explain_errors(dataset):
             # None leaves a data set that is there as it is, and a new one as its owner's default says.
             url = self._api.create_repo(dataset, repo_type=_KIND, private=is_private or None, exist_ok=True)
             self._api.upload_folder(
@@ -160,7 +160,7 @@ class HuggingFaceHub:
         return str(url)
 
     @contextmanager
-    def _explained(self, dataset: str) -> Iterator[None]:
+    def _explain_errors(self, dataset: str) -> Iterator[None]:
         """What the library raises becomes a BankError that says what to do."""
         errors, where = self._hub.errors, f"{dataset} on {self._api.endpoint}"
         try:
@@ -176,15 +176,15 @@ class HuggingFaceHub:
         except errors.HfHubHTTPError as error:
             status = getattr(error.response, "status_code", None)
             hint = "a token that may do that: hf auth login" if status in (401, 403) else "again later"
-            raise BankError(f"{where}: {_told(error)}", hint=hint) from error
+            raise BankError(f"{where}: {_one_line(error)}", hint=hint) from error
         except errors.HFValidationError as error:
-            raise BankError(f"{dataset}: {_told(error)}", "OWNER/NAME") from error
+            raise BankError(f"{dataset}: {_one_line(error)}", "OWNER/NAME") from error
         except Exception as error:
             if isinstance(error, OSError) and error.filename:
                 # The disk's trouble, not the hub's.
                 raise
             # The library has changed its HTTP client twice, and what that raises without a network with it.
-            told = f"{type(error).__name__}: {_told(error)}"
+            told = f"{type(error).__name__}: {_one_line(error)}"
             hint = "the same command when the network is back: it goes on where it stopped"
             raise BankError(f"{where} does not answer as it should ({told})", hint=hint) from error
 
@@ -198,7 +198,7 @@ def _library() -> ModuleType:
     return huggingface_hub
 
 
-def _told(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     """What an error says, on one line."""
     words = " ".join(str(error).split()) or "no reason given"
     return words if len(words) <= _LONGEST else f"{words[:_LONGEST]}..."

@@ -92,7 +92,7 @@ class RemoteFolder:
           BankError: no file system of that kind is known, or it does not answer.
           MissingExtraError: fsspec, or its package for this kind of URL, is not installed.
         """
-        with _explained(url):
+        with _explain_errors(url):
             try:
                 system, root = pafs.FileSystem.from_uri(url)
             except pa.ArrowInvalid:
@@ -102,24 +102,24 @@ class RemoteFolder:
     def sizes(self) -> dict[str, int]:
         """The files in it, at any depth, and their bytes; none where there is no such folder."""
         selector = pafs.FileSelector(self.root, allow_not_found=True, recursive=True)
-        with _explained(self.url):
+        with _explain_errors(self.url):
             found = self.system.get_file_info(selector)
         prefix = len(self.root) + 1
         return {each.path[prefix:]: each.size for each in found if each.type == pafs.FileType.File}
 
     def open(self, name: str) -> pa.NativeFile:
         """A file of it, of which parts may be read."""
-        with _explained(self.url):
+        with _explain_errors(self.url):
             return self.system.open_input_file(f"{self.root}/{name}")
 
     def fetch(self, name: str, folder: Path) -> None:
         """Copies a file into a folder of this machine, where it appears whole."""
-        with _explained(self.url), self.system.open_input_stream(f"{self.root}/{name}") as stream:
+        with _explain_errors(self.url), self.system.open_input_stream(f"{self.root}/{name}") as stream:
             write_atomically(inside(folder, name), stream.read())
 
     def put(self, name: str, folder: Path) -> None:
         """Copies a file of a folder of this machine here; object stores show it once it is whole."""
-        with _explained(self.url):
+        with _explain_errors(self.url):
             self.system.create_dir(f"{self.root}/{name}".rpartition("/")[0], recursive=True)
             with (
                 (folder / name).open("rb") as source,
@@ -129,7 +129,7 @@ class RemoteFolder:
 
     def remove(self, name: str) -> None:
         """Removes a file."""
-        with _explained(self.url):
+        with _explain_errors(self.url):
             self.system.delete_file(f"{self.root}/{name}")
 
 
@@ -139,7 +139,7 @@ def remote_of(path: Path) -> RemoteFolder | None:
     return None if url is None else RemoteFolder.of(url)
 
 
-def mirrored(url: str) -> Path:
+def fetch_mirror(url: str) -> Path:
     """The mirror of a bank, with all that is small in it as it is now: the index, the card, the assets.
 
     Raises:
@@ -156,14 +156,14 @@ def mirrored(url: str) -> Path:
     for name in small:
         if name not in assets:
             remote.fetch(name, folder)
-    listed = _listed(folder)
+    listed = _read_digests(folder)
     for name in assets:
         if not (listed and _digest(inside(folder, name)) == listed.get(name)):
             remote.fetch(name, folder)
     return folder
 
 
-def _listed(folder: Path) -> dict[str, str]:
+def _read_digests(folder: Path) -> dict[str, str]:
     """The digests of files in the index of a mirror; none if it is damaged."""
     try:
         files = json.loads((folder / INDEX).read_bytes())["files"]
@@ -229,7 +229,7 @@ def _by_fsspec(url: str) -> tuple[pafs.FileSystem, str]:
 
 
 @contextmanager
-def _explained(url: str) -> Iterator[None]:
+def _explain_errors(url: str) -> Iterator[None]:
     """What file systems raise becomes a BankError that says what to do."""
     try:
         yield

@@ -14,9 +14,8 @@ import pyarrow.compute as pc
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import time_text
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.clutter_stats import ClutterTally, FeatureStats
 from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE
-from cluttergen_jax.scene.bank.totals import Totals, totals_of
+from cluttergen_jax.scene.bank.totals import ClutterTally, FeatureStats, Totals, totals_of
 from cluttergen_jax.types import small_length
 
 _SHOWN_GROUPS = 5

@@ -23,9 +23,9 @@ from cluttergen_jax.files import check_utf8, inside, write_atomically
 from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.simulations import disabled_flags
-from cluttergen_jax.progress import tracked
+from cluttergen_jax.progress import track
 from cluttergen_jax.scene.bank.bank import read_bank
-from cluttergen_jax.scene.bank.digests import Change, changes_of, touched, without_digests
+from cluttergen_jax.scene.bank.digests import Change, changes_of, changes_to_scene, without_digests
 from cluttergen_jax.scene.bank.record import AGAIN, INDEX
 from cluttergen_jax.scene.bank.remote import fetch_scenes
 from cluttergen_jax.types import small_length
@@ -170,19 +170,19 @@ def verify_files(
         )
     changes = [] if bank is None else changes_of(bank)
     if cluster is None:
-        checks = _checked_here(files, check, jobs)
+        checks = _check_here(files, check, jobs)
     else:
         checks = each_on(cluster, partial(_checker, check), files, "file")
     with closing(checks):
-        found = dict(tracked(checks, "verifying", len(files), "scene"))
+        found = dict(track(checks, "verifying", len(files), "scene"))
     scenes = tuple(found[place] for place in range(len(files)))
-    changed = tuple(tuple(touched(changes or [], each.path.name, each.objects)) for each in scenes)
+    changed = tuple(tuple(changes_to_scene(changes or [], each.path.name, each.objects)) for each in scenes)
     kept = None if changes is None else tuple(changes)
     report = VerificationReport(path, check, scenes, kept, changed, unchecked)
     return replace(report, unwritten=_keep(report)) if path.is_dir() else report
 
 
-def _checked_here(
+def _check_here(
     files: Sequence[Path], check: VerifyConfig, jobs: int
 ) -> Generator[tuple[int, Verification], None, None]:
     """Each file's place and how it behaves, in threads of this process."""
@@ -224,7 +224,7 @@ def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verifi
         _check_links(path, path.parent.parent)
     try:
         with silent_log():
-            model, key = _loaded(path)
+            model, key = _load_model(path)
             found = [verify_model(path, model, key, config, detector) for detector in DETECTORS]
     except mujoco.FatalError as error:
         raise BankError(f"{path} cannot be simulated: {error}", _OURS) from error
@@ -250,7 +250,7 @@ def _check_links(path: Path, bank: Path) -> None:
                     inside(folder, element.get(attribute))
 
 
-def _loaded(path: Path) -> tuple[mujoco.MjModel, int]:
+def _load_model(path: Path) -> tuple[mujoco.MjModel, int]:
     """The model of a scene file, and its keyframe `scene`."""
     try:
         model = mujoco.MjModel.from_xml_path(str(path))

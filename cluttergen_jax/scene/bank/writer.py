@@ -33,7 +33,7 @@ from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.hubs import is_of_a_bank
 from cluttergen_jax.scene.bank.index import BankIndex
 from cluttergen_jax.scene.bank.record import FORMAT, INDEX, Bits, NewerBankError, Record, check_bits
-from cluttergen_jax.scene.bank.remote import MARK, is_url, mirrored, publish_all, remote_of
+from cluttergen_jax.scene.bank.remote import MARK, fetch_mirror, is_url, publish_all, remote_of
 from cluttergen_jax.scene.bank.table import with_columns_of
 
 
@@ -71,7 +71,7 @@ class BankWriter:
         bits: Bits | None = None,
         allow_other_bits: bool = False,
     ) -> None:
-        self.path = mirrored(str(path)) if is_url(path) else Path(path)
+        self.path = fetch_mirror(str(path)) if is_url(path) else Path(path)
         check_utf8(self.path)
         self._shard_blocks, self._bits, self._allows_other_bits = shard_blocks, bits, allow_other_bits
         hashes = {

@@ -19,7 +19,7 @@ from cluttergen_jax.assets.shading import box_mesh, linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.scene import Camera, Scene
-from cluttergen_jax.scene.export.friction import friction_of
+from cluttergen_jax.scene.export.frames import friction_of
 from cluttergen_jax.scene.export.meshes import drawn_pieces
 
 _ARRAY, _ELEMENT = 34962, 34963
@@ -58,7 +58,7 @@ class _Builder:
             self._world("world", scene, self._mesh("support", supports), drawn),
             self._world("world/collision", scene, self._mesh("support/collision", boxes), hulls),
         ]
-        return self._packed(roots)
+        return self._pack(roots)
 
     def _world(self, name: str, scene: Scene, support: int, meshes: dict[str, int]) -> int:
         suffix = "" if name == "world" else "/collision"
@@ -155,7 +155,7 @@ class _Builder:
         self._doc.setdefault(key, []).append(value)
         return len(self._doc[key]) - 1
 
-    def _packed(self, roots: list[int]) -> bytes:
+    def _pack(self, roots: list[int]) -> bytes:
         names = ("scene", "collision")
         document = {
             "asset": {"version": "2.0", "generator": "cluttergen_jax"},

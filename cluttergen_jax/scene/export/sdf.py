@@ -20,8 +20,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
-from cluttergen_jax.scene.export.frames import text, xml_bytes
-from cluttergen_jax.scene.export.friction import friction_of, harmonic_of
+from cluttergen_jax.scene.export.frames import friction_of, harmonic_of, text, xml_bytes
 from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
 
 VERSION = "1.9"

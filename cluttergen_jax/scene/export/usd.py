@@ -21,8 +21,7 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
-from cluttergen_jax.scene.export.frames import principal_of
-from cluttergen_jax.scene.export.friction import friction_of
+from cluttergen_jax.scene.export.frames import friction_of, principal_of
 from cluttergen_jax.scene.export.meshes import (
     SUPPORT_FOLDER,
     drawn_pieces,
