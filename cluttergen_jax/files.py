@@ -153,7 +153,7 @@ def own_folder(path: Path, is_only_writer: bool = False) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove_left(path.parent.absolute())
     if is_only_writer:
-        _remove_stale(path.parent, _beginning(path), is_only_writer)
+        remove_partial(path.parent, _beginning(path))
     scratch = _new_folder(path, PARTIAL)
     try:
         yield scratch
@@ -235,37 +235,32 @@ def _machine() -> str:
 def _stale(
     folder: Path, beginning: str, endings: tuple[str, ...], is_only_writer: bool = False
 ) -> Iterator[Path]:
-    """What was being written in a folder by processes that are no more.
-
-    Args:
-      beginning: of its name.
-      is_only_writer: what other machines and older versions were writing counts, too.
-    """
+    """What was being written in a folder by processes that are no more; see `remove_partial`."""
     for path in list(folder.absolute().iterdir()):
         name = path.name
         is_meant = name.startswith(beginning) and any(ending in name for ending in endings)
-        if is_meant and is_partial(name) and _is_left(name, is_only_writer):
+        if not (is_meant and is_partial(name)):
+            continue
+        known = _TEMPORARY.fullmatch(name)
+        if known is None or known["machine"] != _machine():
+            is_left = is_only_writer
+        elif (process := int(known["process"])) == os.getpid():
+            is_left = name not in _in_use
+        else:
+            is_left = not _is_running(process)
+        if is_left:
             yield path
 
 
-def _is_left(name: str, is_only_writer: bool) -> bool:
-    known = _TEMPORARY.fullmatch(name)
-    if known is None or known["machine"] != _machine():
-        return is_only_writer
-    process = int(known["process"])
-    return name not in _in_use if process == os.getpid() else not _is_running(process)
-
-
 def _is_running(process: int) -> bool:
-    if os.name == "nt":
-        # There, asking would end it.
-        return True
     try:
-        os.kill(process, 0)
+        # On Windows, asking would end it.
+        if os.name != "nt":
+            os.kill(process, 0)
     except ProcessLookupError:
         return False
     except (OSError, OverflowError):
-        return True
+        pass
     return True
 
 
@@ -285,10 +280,16 @@ def _is_plain(folder: Path) -> bool:
 def _remove_left(folder: Path) -> None:
     """Once in a process for a folder, which may have many files."""
     with suppress(OSError):
-        _remove_stale(folder, ".")
+        remove_partial(folder, is_only_writer=False)
 
 
-def _remove_stale(folder: Path, beginning: str, is_only_writer: bool = False) -> None:
+def remove_partial(folder: Path, beginning: str = ".", is_only_writer: bool = True) -> None:
+    """Removes what writers that were killed left half written in `folder`.
+
+    Args:
+      beginning: of its name.
+      is_only_writer: nobody else may write there, so that what other machines and older versions left counts.
+    """
     for path in _stale(folder, beginning, (PARTIAL, _OLD), is_only_writer):
         _put_back_from(path)
         remove(path)
@@ -347,11 +348,6 @@ def _put_back_from(aside: Path) -> None:
 def advice_on(error: OSError) -> str:
     """What to try about what the operating system refused."""
     return _ADVICE.get(error.errno or 0, "removing its cause")
-
-
-def remove_partial(folder: Path) -> None:
-    """Removes what writers that were killed left half written in `folder`; for who alone may write in it."""
-    _remove_stale(folder, ".", is_only_writer=True)
 
 
 @contextmanager

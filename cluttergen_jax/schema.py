@@ -31,24 +31,16 @@ class SchemaError(ValueError):
     """A file does not say what its reader expects; the text says where and what."""
 
 
-def parse_json(data: bytes) -> Any:
-    """What JSON says; numbers that are none (NaN, Infinity), and text behind it, are not JSON.
+def parse_json(data: bytes, allow_nan: bool = False) -> Any:
+    """What JSON says; text behind it, and unless they are allowed numbers that are none (NaN), are not JSON.
 
     Raises:
       SchemaError: it is none.
     """
     try:
-        return msgspec.json.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise SchemaError(f"not JSON: {error or 'nested too deeply'}") from error
-
-
-def _lenient(data: bytes) -> Any:
-    """`parsed`, with NaN and Infinity."""
-    try:
-        return json.loads(data)
+        return json.loads(data) if allow_nan else msgspec.json.decode(data)
     except (ValueError, RecursionError) as error:
-        raise SchemaError(f"not JSON: {error}") from error
+        raise SchemaError(f"not JSON: {error or 'nested too deeply'}") from error
 
 
 def typed(value: Any, kind: type[T]) -> T:
@@ -85,7 +77,7 @@ def checked_record(data: bytes, allow_nan: bool = False) -> dict[str, Any]:
     Raises:
       SchemaError: it is no record, or not the one whose checksum it has.
     """
-    record = _lenient(data) if allow_nan else parse_json(data)
+    record = parse_json(data, allow_nan)
     if not isinstance(record, dict):
         raise SchemaError(f"not a record but {type(record).__name__}")
     if CHECKSUM in record and record.pop(CHECKSUM) != _digest(record):
@@ -103,7 +95,9 @@ SEAL = {_SEAL.decode(): _BLANK.decode()}
 
 def with_seal(data: bytes) -> bytes:
     """A file that has `SEAL`, with its checksum in it."""
-    start = _blank_at(data)
+    found = _SEALED.search(data)
+    assert found is not None, "a file without a place for its checksum"
+    start = found.start(1)
     return data[:start] + digest_of(data).encode() + data[start + len(_BLANK) :]
 
 
@@ -119,12 +113,6 @@ def check_seal(data: bytes) -> None:
     start, end = found.span(1)
     if digest_of(data[:start] + _BLANK + data[end:]).encode() != found[1]:
         raise SchemaError("its content does not match its checksum")
-
-
-def _blank_at(data: bytes) -> int:
-    found = _SEALED.search(data)
-    assert found is not None, "a file without a place for its checksum"
-    return found.start(1)
 
 
 @dataclass(frozen=True)

@@ -36,20 +36,10 @@ class Frame:
     dot: tuple[float, float, float] | None = None
 
 
-@dataclass(frozen=True)
-class _Segment:
-    """A stretch of an attempt: its kind and how long it lasts, in seconds."""
-
-    kind: str
-    seconds: float
-
-
-def _segments(attempt: Attempt, timestep: float, config: FilmConfig) -> list[_Segment]:
-    settling = config.slowdown * attempt.num_steps * timestep
-    begin = [_Segment("approach", 0.3), _Segment("settle", settling)]
-    if attempt.is_stable:
-        return [*begin, _Segment("rest", 0.15)]
-    return [*begin, _Segment("shown", 0.3), _Segment("fade", 0.35)]
+def _segments(attempt: Attempt, timestep: float, config: FilmConfig) -> dict[str, float]:
+    """The stretches of an attempt by kind, and how long they last, in seconds."""
+    begin = {"approach": 0.3, "settle": config.slowdown * attempt.num_steps * timestep}
+    return begin | ({"rest": 0.15} if attempt.is_stable else {"shown": 0.3, "fade": 0.35})
 
 
 def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[Frame]:
@@ -68,18 +58,18 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
             "the bank's folder instead of a single file",
         )
     segments = [_segments(each, recording.timestep, config) for each in recording.attempts]
-    natural = sum(segment.seconds for each in segments for segment in each)
+    natural = sum(sum(each.values()) for each in segments)
     hold = min(1.5, 0.2 * config.seconds)
     speedup = max(1.0, natural / max(config.seconds - hold, 1e-6))
     frames: list[Frame] = []
     clock = 0.0
     for place, of_attempt in enumerate(segments):
-        for segment in of_attempt:
+        for kind, seconds in of_attempt.items():
             # Rounding the clock, not each segment, keeps the film as long as it was meant to be.
-            first, clock = round(clock * config.fps), clock + segment.seconds / speedup
+            first, clock = round(clock * config.fps), clock + seconds / speedup
             count = round(clock * config.fps) - first
             for number in range(count):
-                frames.append(_frame(recording, place, segment.kind, (number + 1) / count, config))
+                frames.append(_frame(recording, place, kind, (number + 1) / count, config))
     last = _standing(recording, recording.poses, recording.is_placed)
     end = Frame(last, (), *(_ending(recording) if config.captions else ("", None)))
     return [*frames, *[end] * max(1, round(hold * config.fps))]

@@ -130,7 +130,11 @@ class PartialMap:
             )
         closed = _close_holes(depth)
         if median > 1:
-            closed = np.where(np.isnan(closed), np.nan, median_filter(_far(closed), median, mode="nearest"))
+            closed = np.where(
+                np.isnan(closed),
+                np.nan,
+                median_filter(np.where(np.isnan(closed), np.inf, closed), median, mode="nearest"),
+            )
         measured = np.where(np.isnan(depth), np.nan, closed)
         height, count = _surface_heights(measured, camera, grid, max_height, least_pixels)
         ceiling = np.maximum(_carve_space(closed, camera, grid, max_height), height)
@@ -184,11 +188,6 @@ def levelled(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
     correction = np.eye(4)
     correction[:3, :3], correction[2, 3] = turn, -plane[2]
     return replace(camera, T_world_camera=T @ correction @ np.linalg.inv(T) @ camera.T_world_camera)
-
-
-def _far(depth: np.ndarray) -> np.ndarray:
-    """f[H, W]: depths, infinite where nothing was measured."""
-    return np.where(np.isnan(depth), np.inf, depth)
 
 
 def _close_holes(depth: np.ndarray) -> np.ndarray:

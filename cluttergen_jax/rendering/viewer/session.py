@@ -87,17 +87,15 @@ class Session:
 
     def show(self, number: int) -> None:
         """Shows a scene by number; first as it is stored, then with its attempts."""
-
-        def read_stored() -> Replay:
-            return self.source.still(number)
-
-        def make_attempts() -> Replay:
-            return self.source.replay(number, self._num_proposals)
-
         with self._lock:
             self.number = number
         self._ask_again = partial(self.show, number)
-        self._ask(read_stored, make_attempts, f"scene {number}", self.source.notice())
+        self._ask(
+            lambda: self.source.still(number),
+            lambda: self.source.replay(number, self._num_proposals),
+            f"scene {number}",
+            self.source.notice(),
+        )
 
     def step(self, places: int) -> None:
         """The scene so many places further on, round and round."""
@@ -134,7 +132,7 @@ class Session:
         image.save(buffer, format="PNG")
         self.folder.mkdir(parents=True, exist_ok=True)
         path = _new_file(
-            self.folder, _file_name(self.recording.title if self.recording else self.source.name)
+            self.folder, self.recording.title if self.recording else self.source.name
         )
         path.write_bytes(buffer.getvalue())
         client.send_file_download(path.name, buffer.getvalue(), save_immediately=True)
@@ -325,12 +323,9 @@ def _has_proposals(recording: Replay | None) -> bool:
     return recording is not None and any(attempt.proposals is not None for attempt in recording.attempts)
 
 
-def _file_name(title: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_" else "-" for c in title).replace("--", "-")
-
-
-def _new_file(folder: Path, name: str) -> Path:
-    """A file that is not there yet: NAME-001.png and so on."""
+def _new_file(folder: Path, title: str) -> Path:
+    """A file that is not there yet: TITLE-001.png and so on."""
+    name = "".join(c if c.isalnum() or c in "-_" else "-" for c in title).replace("--", "-")
     return next(
         path for number in range(1, 100_000) if not (path := folder / f"{name}-{number:03d}.png").exists()
     )

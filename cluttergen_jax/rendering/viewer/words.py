@@ -8,7 +8,7 @@ import numpy as np
 
 from cluttergen_jax.placement.hand import HandScene
 from cluttergen_jax.placement.hand.types import Check, Drop, Lowered
-from cluttergen_jax.placement.rollout.replay import Attempt, Replay
+from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.types import Verdict, small_length
 
 
@@ -39,22 +39,16 @@ def attempt_words(recording: Replay, number: int) -> str:
     if number == 0:
         return f"before the first of {len(recording.attempts)} attempts"
     attempt = recording.attempts[number - 1]
-    lines = [f"attempt {number} of {len(recording.attempts)}: {_object_words(recording, attempt)}"]
+    asset = recording.objects[attempt.object_index]
+    name = f"**{asset.label or asset.name}**, its attempt {attempt.ordinal}"
+    lines = [f"attempt {number} of {len(recording.attempts)}: {name}"]
     taken = [recording.objects[index] for index in recording.taken_away(number - 1)]
     if taken:
         lines.append(f"taken away before it: {', '.join(each.label or each.name for each in taken)}")
-    return "\n\n".join([*lines, _end(attempt)])
-
-
-def _object_words(recording: Replay, attempt: Attempt) -> str:
-    asset = recording.objects[attempt.object_index]
-    return f"**{asset.label or asset.name}**, its attempt {attempt.ordinal}"
-
-
-def _end(attempt: Attempt) -> str:
+    end = f"failed, {attempt.verdict.label}: {attempt.verdict.sentence} ({attempt.num_steps} steps)"
     if attempt.is_stable:
-        return f"stable after {attempt.num_steps} steps"
-    return f"failed, {attempt.verdict.label}: {attempt.verdict.sentence} ({attempt.num_steps} steps)"
+        end = f"stable after {attempt.num_steps} steps"
+    return "\n\n".join([*lines, end])
 
 
 def progress_words(scene: HandScene) -> str:
@@ -63,13 +57,13 @@ def progress_words(scene: HandScene) -> str:
     placed = f"{scene.num_placed} of {len(scene.all)} objects placed"
     tries = f"{scene.num_attempts} attempt{'' if scene.num_attempts == 1 else 's'}"
     said = f"**scene {scene.number}**: {placed}, {tries}, {minutes}:{seconds:02d}"
-    return f"{said}\n\nleft: {', '.join(_name(scene, index) for index in scene.left) or 'nothing'}"
+    return f"{said}\n\nleft: {', '.join(scene.names[index] for index in scene.left) or 'nothing'}"
 
 
 def lowered_words(scene: HandScene, lowered: Lowered) -> str:
     """What the current object touches."""
     assert scene.current is not None
-    name = _name(scene, scene.current)
+    name = scene.names[scene.current]
     if lowered.is_on_top:
         said = f"{name} touches the bare top"
     else:
@@ -80,13 +74,13 @@ def lowered_words(scene: HandScene, lowered: Lowered) -> str:
 def drop_words(scene: HandScene, drop: Drop) -> str:
     """What came of an attempt, by which verdict, and why."""
     attempt = drop.attempt
-    verdict, name = attempt.verdict, _name(scene, attempt.object_index)
+    verdict, name = attempt.verdict, scene.names[attempt.object_index]
     if verdict == Verdict.STABLE:
         return f"**{name}: stable** after {attempt.num_steps} steps"
     said = f"**{name}: {verdict.label}**: {verdict.sentence}"
     if verdict == Verdict.DISPLACED and drop.mover is not None:
         moved = f"{small_length(drop.shift)} and {np.degrees(drop.turn):.1f} degrees"
-        said += f" ({_name(scene, drop.mover)}: by {moved} at most)"
+        said += f" ({scene.names[drop.mover]}: by {moved} at most)"
     elif verdict == Verdict.PENETRATING:
         said += f" (by {small_length(drop.penetration)})"
     elif verdict == Verdict.UNSUPPORTED and np.isfinite(drop.margin):
@@ -100,12 +94,8 @@ def check_words(scene: HandScene, check: Check) -> str:
         return (
             f"all {len(scene.all)} objects stand together (none moved more than {small_length(check.drift)})"
         )
-    name, moved = _name(scene, check.mover), small_length(check.drift)
+    name, moved = scene.names[check.mover], small_length(check.drift)
     return (
         f"**not saved: {check.verdict.label}**: {check.verdict.sentence} ({name}: by {moved}). Take objects "
         "back and place them better, or give the scene up"
     )
-
-
-def _name(scene: HandScene, index: int) -> str:
-    return scene.names[index]

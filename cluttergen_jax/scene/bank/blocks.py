@@ -128,13 +128,11 @@ class StoredBlocks:
         if name not in self._open:
             # One at a time: blocks are read in order, and each open file costs memory.
             self._open.clear()
-            self._open[name] = pq.ParquetFile(self._source(name), page_checksum_verification=True)
+            # pyarrow takes a relative path with a colon in it for a URL.
+            path = (self.path / name).absolute()
+            source = path if self.remote is None or path.exists() else self.remote.open(name)
+            self._open[name] = pq.ParquetFile(source, page_checksum_verification=True)
         return self._open[name]
-
-    def _source(self, name: str) -> Path | pa.NativeFile:
-        # pyarrow takes a relative path with a colon in it for a URL.
-        path = (self.path / name).absolute()
-        return path if self.remote is None or path.exists() else self.remote.open(name)
 
     @property
     def file_names(self) -> list[str]:

@@ -15,7 +15,7 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import Bits, Recipe
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
-from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, CLUTTER, COUNTED, SCHEMA
+from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, CLUTTER, COUNTED, SCHEMA, count_column
 from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.types import Verdict, small_length
 
@@ -68,7 +68,7 @@ _COLUMNS = {
     "tilted by 3 degrees in each of four directions, nothing slides by 5 mm or turns by 5 degrees within 2 s",
     "detectors": "after `certify`: with which of MuJoCo's detectors of convex collisions (native, libccd) "
     "nothing moves by 5 mm or 5 degrees within the horizon; drift is the larger of both, the rest native's",
-} | {f"num_{v.label.replace('-', '_')}": f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
+} | {count_column(v): f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
 
 
 def write_card(bank: Bank) -> Path | None:
@@ -106,7 +106,7 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         ),
         _about(bank, stats),
         _figures(stats),
-        _files(BY_HAND if _is_by_hand(bank.recipe) else ()),
+        _files(BY_HAND if bank.recipe.get("method") == HAND else ()),
         _recipe_section(bank.recipe, bank.record.get("bits", [])),
         _stability(bank.recipe),
         assets_section(assets, bank.support),
@@ -162,10 +162,6 @@ def _figures(stats: BankStats) -> str:
     return "\n".join(["## Figures", "", markdown_table(("", ""), rows)])
 
 
-def _is_by_hand(recipe: Recipe) -> bool:
-    return recipe.get("method") == HAND
-
-
 def _files(added: Iterable[pa.Field]) -> str:
     """The files and the columns, with those that only some banks have."""
     lines = [
@@ -191,15 +187,13 @@ def _files(added: Iterable[pa.Field]) -> str:
 
 
 def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
-    placement = recipe.get("placement", {})
+    placement, is_by_hand = recipe.get("placement", {}), recipe.get("method") == HAND
     rows = {
         "pool": public_name(str(recipe.get("pool"))),
         "support": Path(str(recipe.get("support"))).name,
         "objects per scene": placement.get("num_objects"),
         "order of objects": placement.get("order"),
-        "attempts per object": "as many as were wanted"
-        if _is_by_hand(recipe)
-        else placement.get("max_attempts"),
+        "attempts per object": "as many as were wanted" if is_by_hand else placement.get("max_attempts"),
         "attempts per scene": placement.get("budget") or "so many for each object",
         "failed attempts after which objects are taken away": placement.get("ruin_after") or "none are",
         "method": recipe.get("method"),

@@ -7,7 +7,6 @@ the same poses.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, digest_of_file, file_blocks
 from cluttergen_jax.scene.bank.table import BankRow
+from cluttergen_jax.schema import digest_of
 
 _ASSETS, _SCENES = "assets", "scenes"
 _SCENE_FILE = re.compile(rf"{_SCENES}/(\d+)\.xml")
@@ -39,11 +39,6 @@ class Change:
 
     name: str
     what: str
-
-
-def digest_of(data: bytes) -> str:
-    """The digest of a file's content."""
-    return hashlib.sha256(data).hexdigest()
 
 
 def digests_in(path: Path, folder: str) -> dict[str, str]:
@@ -73,32 +68,22 @@ def changes_of(bank: Bank) -> list[Change] | None:
     if known is None:
         return None
     stored = StoredBlocks.of(bank.path)
-    digests = _digests_now(bank.path, stored, known)
-    found = [
-        Change(name, "missing" if digest is None else "changed")
-        for name, digest in digests
-        if digest != known[name]
-    ]
-    there = [*_names_in(bank.path), *(stored.file_names if without_digests(bank) == "" else ())]
+    found = []
+    for name in known:
+        if file_blocks(name):
+            now = stored.digest(name)
+        else:
+            file = inside(bank.path, name)
+            now = digest_of_file(file) if file.is_file() else None
+        if now != known[name]:
+            found.append(Change(name, "missing" if now is None else "changed"))
+    files = [*(bank.path / _ASSETS).rglob("*"), *(bank.path / _SCENES).glob("*.xml")]
+    there = [each.relative_to(bank.path).as_posix() for each in files if each.is_file()]
+    there += stored.file_names if without_digests(bank) == "" else []
     found += [Change(name, "not in bank.json") for name in there if name not in known]
     if not any(file_blocks(change.name) for change in found):
         found += _unlike_rows(bank, known.keys() - {change.name for change in found})
     return sorted(found, key=lambda change: change.name)
-
-
-def _digests_now(path: Path, stored: StoredBlocks, names: Iterable[str]) -> Iterator[tuple[str, str | None]]:
-    """Each name with the digest that its file has now; None where there is no such file."""
-    for name in names:
-        if file_blocks(name):
-            yield name, stored.digest(name)
-        else:
-            file = inside(path, name)
-            yield name, digest_of_file(file) if file.is_file() else None
-
-
-def _names_in(path: Path) -> list[str]:
-    files = [*(path / _ASSETS).rglob("*"), *(path / _SCENES).glob("*.xml")]
-    return [each.relative_to(path).as_posix() for each in files if each.is_file()]
 
 
 def _unlike_rows(bank: Bank, names: Iterable[str]) -> Iterator[Change]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 from pathlib import Path
@@ -20,6 +19,7 @@ from cluttergen_jax.scene.bank.digests import changes_of, without_digests
 from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
 from cluttergen_jax.scene.bank.record import INDEX, NewerBankError
 from cluttergen_jax.scene.bank.remote import check_is_here, fetch_mirror, is_url
+from cluttergen_jax.schema import digest_of
 
 HUB_VARIABLE = "CLUTTERGEN_HUB"
 _DATASET = re.compile(r"\w[\w-]*(\.[\w-]+)*/\w[\w-]*(\.[\w-]+)*", re.ASCII)
@@ -35,14 +35,12 @@ def push(path: str | Path, name: str, hub: str | None, is_private: bool) -> str:
     check_is_here(bank.path)
     with writing(bank.path):
         lock = FolderLock(bank.path)
-    try:
+    with lock:
         check_whole(bank)
         with writing(bank.path):
             write_card(bank)
         _check_free(place, name)
         return place.store(name, bank.path, is_private)
-    finally:
-        lock.release()
 
 
 def pull(
@@ -69,26 +67,22 @@ def pull(
         fresh.mkdir(exist_ok=True)
         _fetch(place, name, revision, fresh, allow_unchecked)
         if is_shared and not was_there:
-            _put_first(fresh, out)
+            try:
+                os.rename(fresh, out)
+            except OSError:
+                # Another process was first.
+                if not (out / INDEX).is_file():
+                    raise
         else:
             _check_place(out, overwrite)
             swap_in(fresh, out)
     return out
 
 
-def _put_first(fresh: Path, out: Path) -> None:
-    """Puts a bank where there was none, unless another process was first."""
-    try:
-        os.rename(fresh, out)
-    except OSError:
-        if not (out / INDEX).is_file():
-            raise
-
-
 def pulled_path(name: str, hub: str | None = None, revision: str | None = None) -> Path:
     """Where `load_bank` keeps a bank that it has pulled; each hub and revision has a folder of its own."""
     asked = (hub or os.environ.get(HUB_VARIABLE) or "", revision or "")
-    other = f"@{hashlib.sha256(repr(asked).encode()).hexdigest()[:12]}" if any(asked) else ""
+    other = f"@{digest_of(repr(asked).encode())[:12]}" if any(asked) else ""
     return inside(user_root().parent / "banks", name + other)
 
 

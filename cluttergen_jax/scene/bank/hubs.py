@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
-from types import ModuleType
 from typing import Protocol
 
 from cluttergen_jax.errors import BankError, MissingExtraError
@@ -77,8 +76,9 @@ class FolderHub:
         if revision is not None:
             raise BankError(f"revision {revision!r} of {dataset} in a folder", "no revision")
         if not folder.is_dir():
+            known = sorted(each.parent.relative_to(self._root) for each in self._root.glob("*/*/bank.json"))
             raise BankError(
-                f"no data set {dataset} in {self._root}", ", ".join(self._datasets()) or "none yet"
+                f"no data set {dataset} in {self._root}", ", ".join(map(str, known)) or "none yet"
             )
         return None, _names_in(folder)
 
@@ -97,11 +97,6 @@ class FolderHub:
             for name in filter(is_of_a_bank, _names_in(folder)):
                 _copy(inside(folder, name), fresh / name)
         return str(place)
-
-    def _datasets(self) -> list[str]:
-        return sorted(
-            each.parent.relative_to(self._root).as_posix() for each in self._root.glob("*/*/bank.json")
-        )
 
 
 def _names_in(folder: Path) -> list[str]:
@@ -124,7 +119,12 @@ class HuggingFaceHub:
     """
 
     def __init__(self, endpoint: str | None = None) -> None:
-        self._hub = _library()
+        try:
+            import huggingface_hub
+            import huggingface_hub.errors
+        except ImportError as error:
+            raise MissingExtraError("hub", "a bank on the Hugging Face Hub") from error
+        self._hub = huggingface_hub
         self._api = self._hub.HfApi(endpoint=endpoint, library_name="cluttergen_jax")
 
     def listing(self, dataset: str, revision: str | None) -> tuple[str | None, list[str]]:
@@ -187,15 +187,6 @@ class HuggingFaceHub:
             told = f"{type(error).__name__}: {_one_line(error)}"
             hint = "the same command when the network is back: it goes on where it stopped"
             raise BankError(f"{where} does not answer as it should ({told})", hint=hint) from error
-
-
-def _library() -> ModuleType:
-    try:
-        import huggingface_hub
-        import huggingface_hub.errors
-    except ImportError as error:
-        raise MissingExtraError("hub", "a bank on the Hugging Face Hub") from error
-    return huggingface_hub
 
 
 def _one_line(error: Exception) -> str:

@@ -20,8 +20,8 @@ from cluttergen_jax.scene.bank.blocks import (
     write_block,
     write_shard,
 )
-from cluttergen_jax.scene.bank.digests import digest_of
 from cluttergen_jax.scene.bank.record import INDEX, Record, block_record, index_bytes
+from cluttergen_jax.schema import digest_of
 
 
 class BankIndex:

@@ -7,7 +7,6 @@ none, and are continued anywhere.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any, TypedDict
 
 from cluttergen_jax.assets.object_files import NAME_PATTERN
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.schema import digest_of
 
 FORMAT = 1
 INDEX = "bank.json"
@@ -128,7 +128,7 @@ def index_bytes(record: Mapping[str, Any]) -> bytes:
 
 
 def _digest(record: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+    return digest_of(json.dumps(record, sort_keys=True).encode())
 
 
 def fault_of(record: Mapping[str, Any]) -> str | None:
@@ -147,13 +147,15 @@ def fault_of(record: Mapping[str, Any]) -> str | None:
     if not isinstance(files, dict) or not all(isinstance(digest, str) for digest in files.values()):
         return "its digests of files are not understood"
     bits = record.get("bits", [{}])
-    if not isinstance(bits, list) or not bits or not all(map(_are_bits, bits)):
+    if (
+        not isinstance(bits, list)
+        or not bits
+        or not all(
+            isinstance(each, dict) and all(isinstance(text, str) for text in each.values()) for each in bits
+        )
+    ):
         return "by what its scenes were computed is not understood"
     return None
-
-
-def _are_bits(value: object) -> bool:
-    return isinstance(value, dict) and all(isinstance(each, str) for each in value.values())
 
 
 def damaged_record(path: Path, error: Exception) -> BankError:

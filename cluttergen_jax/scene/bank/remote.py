@@ -7,7 +7,6 @@ Losing it loses those alone. S3 and Google Cloud Storage are spoken by pyarrow, 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from collections.abc import Iterator
@@ -22,6 +21,7 @@ from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, MissingExtraError
 from cluttergen_jax.files import inside, is_partial, write_atomically
 from cluttergen_jax.scene.bank.record import INDEX
+from cluttergen_jax.schema import digest_of
 
 MARK = ".url"
 """The file of a mirror that says what it stands for."""
@@ -38,7 +38,7 @@ def is_url(path: object) -> bool:
 def mirror_of(url: str) -> Path:
     """The folder of this machine that stands for the bank at a URL; made if need be."""
     url = url.rstrip("/")
-    digest = hashlib.sha256(url.encode()).hexdigest()[:16]
+    digest = digest_of(url.encode())[:16]
     folder = _root() / digest / (url.partition("?")[0].rpartition("/")[2] or "bank")
     write_atomically(folder / MARK, url.encode())
     return folder
@@ -156,24 +156,16 @@ def fetch_mirror(url: str) -> Path:
     for name in small:
         if name not in assets:
             remote.fetch(name, folder)
-    listed = _read_digests(folder)
+    try:
+        listed = dict(json.loads((folder / INDEX).read_bytes())["files"])
+    except (OSError, ValueError, LookupError, TypeError):
+        # There is no index, or it is damaged.
+        listed = {}
     for name in assets:
-        if not (listed and _digest(inside(folder, name)) == listed.get(name)):
+        file = inside(folder, name)
+        if not (file.is_file() and digest_of(file.read_bytes()) == listed.get(name)):
             remote.fetch(name, folder)
     return folder
-
-
-def _read_digests(folder: Path) -> dict[str, str]:
-    """The digests of files in the index of a mirror; none if it is damaged."""
-    try:
-        files = json.loads((folder / INDEX).read_bytes())["files"]
-    except (OSError, ValueError, LookupError, TypeError):
-        return {}
-    return files if isinstance(files, dict) else {}
-
-
-def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
 
 def fetch_scenes(path: Path) -> None:

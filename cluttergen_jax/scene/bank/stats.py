@@ -297,7 +297,9 @@ def _duplicates(bank: Bank, index: np.ndarray, digest: np.ndarray) -> tuple[tupl
 
 def stats_text(bank: Bank, stats: BankStats) -> str:
     """The same for people."""
-    lines = [f"bank       {bank.path}, {_made_by(bank)}", totals_of(bank.tables()).text()]
+    recipe = bank.recipe
+    made_by = f"made by {recipe.get('method')} with seed {recipe.get('seed')} of pool {recipe.get('pool')}"
+    lines = [f"bank       {bank.path}, {made_by}", totals_of(bank.tables()).text()]
     lines.append(f"verdicts   {', '.join(f'{number} {name}' for name, number in stats.verdicts.items())}")
     lines.append(
         f"movement   in the last check of scenes that stand: median {small_length(stats.drift_median)}, "
@@ -326,8 +328,3 @@ def _duplicates_text(stats: BankStats) -> str:
     shown = "; ".join(" = ".join(map(str, group)) for group in stats.duplicates[:_SHOWN_GROUPS])
     more = ", and others" if len(stats.duplicates) > _SHOWN_GROUPS else ""
     return f"{sum(len(group) - 1 for group in stats.duplicates)} scenes repeat another: {shown}{more}"
-
-
-def _made_by(bank: Bank) -> str:
-    recipe = bank.recipe
-    return f"made by {recipe.get('method')} with seed {recipe.get('seed')} of pool {recipe.get('pool')}"

@@ -20,7 +20,7 @@ COUNTED = (*(Verdict(code) for code in range(int(Verdict.NON_FINITE) + 1)), *_AD
 """Verdicts of attempts."""
 
 
-def _count_column(verdict: Verdict) -> str:
+def count_column(verdict: Verdict) -> str:
     """The column that counts a scene's attempts of this verdict."""
     return f"num_{verdict.label.replace('-', '_')}"
 
@@ -41,7 +41,7 @@ SCHEMA = pa.schema(
         ("steps", pa.list_(pa.int32())),
         ("rest_steps", pa.list_(pa.int32())),
         ("simulated_steps", pa.int32()),
-        *((_count_column(verdict), pa.int32()) for verdict in COUNTED),
+        *((count_column(verdict), pa.int32()) for verdict in COUNTED),
     ]
 )
 """Slots are lists; `poses` are T_world_object, metres and wxyz; `drift` is in metres; `num_stable` and so on
@@ -137,14 +137,14 @@ def with_added(rows: pa.Table) -> pa.Table:
     """
     for field in COLUMNS:
         if field.name not in rows.schema.names:
-            is_count = field.name in map(_count_column, _ADDED)
-            values = pa.array(np.zeros(rows.num_rows, np.int32)) if is_count else _nulls(rows, field)
+            is_count = field.name in map(count_column, _ADDED)
+            values = (
+                pa.array(np.zeros(rows.num_rows, np.int32))
+                if is_count
+                else pa.nulls(rows.num_rows, field.type)
+            )
             rows = rows.append_column(field, values)
     return rows
-
-
-def _nulls(rows: pa.Table, field: pa.Field) -> pa.Array:
-    return pa.nulls(rows.num_rows, field.type)
 
 
 def with_columns_of(before: pa.Table, rows: pa.Table) -> pa.Table:
@@ -231,7 +231,7 @@ def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> di
         "simulated_steps": int(scenes.counts.simulated_steps[place]),
         **_stacking(scenes, place, slots),
         # What is not asked for, such as a margin, is not counted.
-        **{_count_column(v): int(counts[v]) if v < len(counts) else 0 for v in COUNTED},
+        **{count_column(v): int(counts[v]) if v < len(counts) else 0 for v in COUNTED},
     }
 
 

@@ -13,7 +13,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.clutter import NAMES, Clutter
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import damaged_record
-from cluttergen_jax.scene.bank.table import COUNTED
+from cluttergen_jax.scene.bank.table import COUNTED, count_column
 from cluttergen_jax.types import Verdict
 
 _NEAR_ENOUGH = 0.1
@@ -65,7 +65,7 @@ class Totals:
         self.own_attempts += int(attempts[placed].sum())
         self.rest_steps += int(steps[placed].sum())
         for verdict in COUNTED:
-            self.verdicts[verdict] += _sum(rows, f"num_{verdict.label.replace('-', '_')}")
+            self.verdicts[verdict] += _sum(rows, count_column(verdict))
 
     def text(self, num_new: int = 0, seconds: float = 0.0) -> str:
         """Success, attempts, steps to rest and rejections by verdict.
@@ -153,12 +153,15 @@ class ClutterTally:
     def features(self) -> tuple[FeatureStats, ...]:
         """Those that some row knows."""
         known = [name for name in NAMES if self._number[name]]
-        return tuple(self._feature(name, self._targets.get(name)) for name in known)
-
-    def _feature(self, name: str, asked: float | None) -> FeatureStats:
-        number = self._number[name]
-        within = None if asked is None else self._num_near[name] / number
-        return FeatureStats(name, self._sum[name] / number, asked, within)
+        return tuple(
+            FeatureStats(
+                name,
+                self._sum[name] / self._number[name],
+                self._targets.get(name),
+                self._num_near[name] / self._number[name] if name in self._targets else None,
+            )
+            for name in known
+        )
 
 
 def _values(rows: pa.Table, name: str) -> np.ndarray:

@@ -287,7 +287,9 @@ def verify_model(
     data.qvel[:] = 0
     start = data.qpos.reshape(-1, 7).copy()
     shift, turn = np.zeros(len(start)), np.zeros(len(start))
-    for num_steps in _strides(round(config.seconds / model.opt.timestep)):
+    whole, rest = divmod(round(config.seconds / model.opt.timestep), _STRIDE)
+    # In strides after each of which the scene is looked at.
+    for num_steps in [_STRIDE] * whole + [rest] * (rest > 0):
         mujoco.mj_step(model, data, num_steps)
         poses = data.qpos.reshape(-1, 7)
         shift = np.maximum(shift, np.linalg.norm(poses[:, :3] - start[:, :3], axis=1))
@@ -295,12 +297,6 @@ def verify_model(
     names = tuple(model.body(int(body)).name for body in model.jnt_bodyid)
     stands = bool((shift <= config.max_shift).all() and (turn <= np.radians(config.max_turn_deg)).all())
     return Verification(path, names, shift, turn, stands, detector)
-
-
-def _strides(num_steps: int) -> list[int]:
-    """`num_steps` in strides after each of which the scene is looked at."""
-    whole, rest = divmod(num_steps, _STRIDE)
-    return [_STRIDE] * whole + [rest] * (rest > 0)
 
 
 def scene_files(path: str | Path) -> list[Path]:
