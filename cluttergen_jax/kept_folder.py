@@ -86,11 +86,7 @@ class KeptFolder:
         return self._other() is None
 
     def check_place(self) -> None:
-        """Refuses a folder that holds something else, or a file.
-
-        Raises:
-          ClutterGenError: of the kind `error`.
-        """
+        """Refuses a folder that holds something else, or a file (ClutterGenError: of the kind `error`)."""
         if (other := self._other()) is not None:
             given = self.refusal.format(path=self.path, other=other)
             raise self.error(given, "a new or empty folder, or one of that kind", "another `out`")
@@ -172,11 +168,7 @@ def lock_beside(folder: Path) -> FolderLock:
 
 
 def check_unlocked(folder: Path) -> None:
-    """Refuses a folder that another process is writing to; takes no lock.
-
-    Raises:
-      BankError: one holds it.
-    """
+    """Refuses a folder that another process is writing to; takes no lock (BankError: one holds it)."""
     if (folder / LOCK).exists():
         os.close(_open_locked(folder / LOCK, folder))
 

@@ -102,11 +102,7 @@ def with_seal(data: bytes) -> bytes:
 
 
 def check_seal(data: bytes) -> None:
-    """Refuses a file that is not the one whose checksum it has; files without one pass.
-
-    Raises:
-      SchemaError: it is not.
-    """
+    """Refuses a file that is not the one whose checksum it has; files without one pass (SchemaError)."""
     found = _SEALED.search(data)
     if found is None:
         return

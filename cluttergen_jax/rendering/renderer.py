@@ -46,11 +46,7 @@ class Trail:
 
 
 def check_size(width: int, height: int, samples: int) -> None:
-    """Refuses a picture that cannot be.
-
-    Raises:
-      ConfigError: a side or the number of samples is out of range.
-    """
+    """Refuses a picture that cannot be (ConfigError: a side or the number of samples is out of range)."""
     if not (16 <= width <= MAX_SIDE and 16 <= height <= MAX_SIDE and 1 <= samples <= MAX_SAMPLES):
         raise ConfigError(
             f"a picture of {width} x {height}, {samples} samples",

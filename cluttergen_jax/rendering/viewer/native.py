@@ -16,11 +16,7 @@ class DisplayError(ClutterGenError):
 
 
 def check_display() -> None:
-    """Refuses to open a window where there is no screen.
-
-    Raises:
-      DisplayError: there is none.
-    """
+    """Refuses to open a window where there is no screen (DisplayError: there is none)."""
     if platform.system() == "Linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise DisplayError(
             "MuJoCo's viewer needs a screen, and there is none (DISPLAY is not set)",

@@ -131,9 +131,7 @@ class Session:
         buffer = io.BytesIO()
         image.save(buffer, format="PNG")
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = _new_file(
-            self.folder, self.recording.title if self.recording else self.source.name
-        )
+        path = _new_file(self.folder, self.recording.title if self.recording else self.source.name)
         path.write_bytes(buffer.getvalue())
         client.send_file_download(path.name, buffer.getvalue(), save_immediately=True)
         return path

@@ -257,11 +257,7 @@ def rows_bytes(table: pa.Table, record: Record) -> bytes:
 
 
 def write_block(path: Path, block: int, data: bytes) -> None:
-    """Stores the file of a block, `rows_bytes`, as a whole. For who holds the bank's lock.
-
-    Raises:
-      BankError: it cannot be written, for instance because the disk is full.
-    """
+    """Stores the file of a block, `rows_bytes`, as a whole. For who holds the bank's lock (BankError)."""
     file = block_path(path, block)
     with writing(file):
         write_atomically(file, data, is_durable=True)

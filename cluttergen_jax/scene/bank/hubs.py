@@ -36,11 +36,7 @@ class Hub(Protocol):
     """Keeps data sets called OWNER/NAME."""
 
     def listing(self, dataset: str, revision: str | None) -> tuple[str | None, list[str]]:
-        """What `fetch` takes for just this state of a data set, and the paths of its files.
-
-        Raises:
-          BankError: there is none, or it cannot be reached.
-        """
+        """What `fetch` takes for just this state of a data set, and the paths of its files (BankError)."""
 
     def fetch(self, dataset: str, revision: str | None, folder: Path) -> None:
         """Copies the files that belong to a bank into `folder`; those that are there already may stay.

@@ -53,21 +53,13 @@ class BankIndex:
         return index
 
     def write(self) -> None:
-        """Writes `bank.json`.
-
-        Raises:
-          OSError: it cannot be written.
-        """
+        """Writes `bank.json` (OSError: it cannot be written)."""
         files = {"files": dict(sorted(self.files.items()))} if self.has_digests else {}
         record = {"num_scenes": self.num_scenes, **self.record, **files}
         write_atomically(self.path / INDEX, index_bytes(record), is_durable=True)
 
     def add(self, files: dict[str, str]) -> None:
-        """Enters digests.
-
-        Raises:
-          BankError: `bank.json` cannot be written.
-        """
+        """Enters digests (BankError: `bank.json` cannot be written)."""
         self.files |= files
         with writing(self.path):
             self.write()
@@ -78,11 +70,7 @@ class BankIndex:
         self.files |= {name: digest_of_file(self.path / name) for name in unknown}
 
     def write_block(self, block: int, table: pa.Table) -> None:
-        """Stores the rows of a block in a file of their own.
-
-        Raises:
-          BankError: it cannot be written, for instance because the disk is full.
-        """
+        """Stores the rows of a block in a file of their own (BankError)."""
         name, data = block_path(self.path, block).name, rows_bytes(table, self.record)
         with self._replacing([name]):
             write_block(self.path, block, data)
@@ -107,11 +95,7 @@ class BankIndex:
         return True
 
     def merge_shards(self) -> None:
-        """Puts blocks that were written again, and lie beside their shard, back into it.
-
-        Raises:
-          BankError: it cannot be written.
-        """
+        """Puts blocks that were written again, and lie beside their shard, back into it (BankError)."""
         files = block_files(self.path).values()
         loose = {blocks[0] for blocks in files if not is_shard(blocks)}
         for blocks in filter(is_shard, files):

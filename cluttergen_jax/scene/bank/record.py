@@ -79,11 +79,7 @@ class NewerBankError(BankError):
 
 
 def check_format(path: Path, record: Any) -> None:
-    """Refuses the record of a bank that a later version made.
-
-    Raises:
-      NewerBankError: it is one.
-    """
+    """Refuses the record of a bank that a later version made (NewerBankError: it is one)."""
     number = record.get("format") if isinstance(record, dict) else None
     if isinstance(number, int) and number > FORMAT:
         raise NewerBankError(
@@ -168,11 +164,7 @@ def damaged_record(path: Path, error: Exception) -> BankError:
 
 
 def check_bits(path: Path, ours: Bits, known: list[Bits]) -> None:
-    """Refuses to mix scenes that one recipe makes differently.
-
-    Raises:
-      BankError: what differs here from what made the bank.
-    """
+    """Refuses to mix scenes that one recipe makes differently (BankError)."""
     if ours not in known:
         raise BankError(
             f"{path} would get scenes of other bits than those it has, so that equal seeds would not mean "

@@ -53,11 +53,7 @@ def url_of(path: Path) -> str | None:
 
 
 def check_is_here(path: Path) -> None:
-    """Refuses the mirror of a bank at a URL, for what wants all files of a bank.
-
-    Raises:
-      BankError: it names the URL.
-    """
+    """Refuses the mirror of a bank at a URL, for what wants all files of a bank (BankError)."""
     if (url := url_of(path)) is not None:
         if url.startswith("file://"):
             raise BankError(

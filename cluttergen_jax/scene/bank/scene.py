@@ -105,11 +105,7 @@ def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
 
 
 def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:
-    """A config as a bank's recipe has it.
-
-    Raises:
-      BankError: the recipe is damaged.
-    """
+    """A config as a bank's recipe has it (BankError: the recipe is damaged)."""
     known = {field.name for field in fields(kind)}
     try:
         plain: dict[str, Any] = {
@@ -121,11 +117,7 @@ def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Co
 
 
 def region_of(bank: Bank) -> Rectangle:
-    """The region that a bank's recipe asks for.
-
-    Raises:
-      BankError: the recipe is damaged.
-    """
+    """The region that a bank's recipe asks for (BankError: the recipe is damaged)."""
     try:
         asked = bank.recipe["region"]
         return Rectangle(tuple(asked["center"]), tuple(asked["half_extents"]), asked["yaw"])

@@ -300,11 +300,7 @@ def verify_model(
 
 
 def scene_files(path: str | Path) -> list[Path]:
-    """The MJCF files of a bank, or the one that is given.
-
-    Raises:
-      BankError: there is nothing to verify.
-    """
+    """The MJCF files of a bank, or the one that is given (BankError: there is nothing to verify)."""
     path = Path(path)
     if path.suffix in (".parquet", ".json"):
         raise BankError(f"{path} is a part of a bank", _GIVEN, f"cluttergen verify {path.parent}")

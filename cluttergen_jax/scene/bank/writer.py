@@ -166,20 +166,12 @@ class BankWriter:
                 self._index.write_block(blocks[0], stored.read(blocks[0]))
 
     def extend(self, num_scenes: int) -> None:
-        """The bank is asked for at least so many scenes from now on.
-
-        Raises:
-          BankError: it cannot be written.
-        """
+        """The bank is asked for at least so many scenes from now on (BankError: it cannot be written)."""
         self._index.num_scenes = max(self._index.num_scenes, num_scenes)
         self._index.add({})
 
     def keep_digests(self, files: dict[str, str]) -> None:
-        """Enters the digests of scene files, by path within the bank, into `bank.json`.
-
-        Raises:
-          BankError: it cannot be written.
-        """
+        """Enters the digests of scene files, by path within the bank, into `bank.json` (BankError)."""
         self._index.add(files)
 
     def _free_folder(self) -> KeptFolder:
