@@ -102,10 +102,23 @@ class BopDataset:
                 image, instances = sensor.sense(poses, camera)
                 data = depth_png(image.depth, DEPTH_SCALE / 1000)
                 write_atomically(fresh / "depth" / f"{view:06d}.png", data)
-                _write_masks(fresh, view, instances)
-                records["scene_camera"][view] = _camera_record(camera, self._intrinsics(camera))
+                for index, instance in enumerate(instances):
+                    for name, mask in (("mask", instance.mask), ("mask_visib", instance.visible)):
+                        file = fresh / name / f"{view:06d}_{index:06d}.png"
+                        write_atomically(file, png_of(Image.fromarray(mask.astype(np.uint8) * 255)))
+                turn = camera.rotation.T
+                records["scene_camera"][view] = {
+                    "cam_K": self._intrinsics(camera).ravel().tolist(),
+                    "depth_scale": DEPTH_SCALE,
+                    "cam_R_w2c": turn.ravel().tolist(),
+                    "cam_t_w2c": (-1000 * turn @ camera.eye).tolist(),
+                }
                 records["scene_gt"][view] = [
-                    _pose_record(ids[asset.name], pose, camera)
+                    {
+                        "obj_id": ids[asset.name],
+                        "cam_R_m2c": (turn @ rotation_matrix(pose[3:])).ravel().tolist(),
+                        "cam_t_m2c": (1000 * turn @ (pose[:3] - camera.eye)).tolist(),
+                    }
                     for asset, pose in zip(objects, poses, strict=True)
                 ]
                 is_valid = np.isfinite(image.depth)
@@ -129,25 +142,6 @@ class BopDataset:
         return camera.K - _HALF if self.pixel_origin == "center" else camera.K
 
 
-def _camera_record(camera: Camera, K: np.ndarray) -> dict[str, Any]:
-    turn = camera.rotation.T
-    return {
-        "cam_K": K.ravel().tolist(),
-        "depth_scale": DEPTH_SCALE,
-        "cam_R_w2c": turn.ravel().tolist(),
-        "cam_t_w2c": (-1000 * turn @ camera.eye).tolist(),
-    }
-
-
-def _pose_record(number: int, pose: np.ndarray, camera: Camera) -> dict[str, Any]:
-    turn = camera.rotation.T
-    return {
-        "obj_id": number,
-        "cam_R_m2c": (turn @ rotation_matrix(pose[3:])).ravel().tolist(),
-        "cam_t_m2c": (1000 * turn @ (pose[:3] - camera.eye)).tolist(),
-    }
-
-
 def _info_record(instance: Instance, is_valid: np.ndarray) -> dict[str, Any]:
     """As bop_toolkit's calc_gt_info has it: boxes are x, y, width, height; all -1 if nothing is seen."""
     whole = visible = [-1, -1, -1, -1]
@@ -167,13 +161,6 @@ def _info_record(instance: Instance, is_valid: np.ndarray) -> dict[str, Any]:
 
 def _box(left: int, right: int, upper: int, lower: int) -> list[int]:
     return [left, upper, right - left, lower - upper]
-
-
-def _write_masks(folder: Path, view: int, instances: Sequence[Instance]) -> None:
-    for index, instance in enumerate(instances):
-        for name, mask in (("mask", instance.mask), ("mask_visib", instance.visible)):
-            picture = Image.fromarray(mask.astype(np.uint8) * 255)
-            write_atomically(folder / name / f"{view:06d}_{index:06d}.png", png_of(picture))
 
 
 _MEANT = {

@@ -212,13 +212,6 @@ def low_discrepancy(index: int) -> np.ndarray:
     return (0.5 + index * base) % 1.0
 
 
-def _hemisphere(u: float, v: float) -> np.ndarray:
-    """A downward direction, even over the sky down to 30 degrees above the horizon."""
-    height = 0.5 + 0.5 * u
-    ring, turn = math.sqrt(1.0 - height**2), 2 * math.pi * v
-    return -np.array([ring * math.cos(turn), ring * math.sin(turn), height])
-
-
 def _around(direction: np.ndarray, u: float, v: float, spread: float) -> np.ndarray:
     """A direction within `spread` radians of the given one, even over the disc."""
     side = np.cross(direction, [0.0, 0.0, 1.0])
@@ -244,9 +237,12 @@ def shift_lights(
     """
     key = yaw_matrix(yaw) @ KEY_DIRECTION
     key /= np.linalg.norm(key)
+    height, turn = 0.5 + 0.5 * u[2], 2 * math.pi * u[3]
+    ring = math.sqrt(1.0 - height**2)
     directions = {
         KEY_LIGHT: _around(key, u[0], u[1], _KEY_SPREAD),
-        SKY_LIGHT: _hemisphere(u[2], u[3]),
+        # Even over the sky down to 30 degrees above the horizon.
+        SKY_LIGHT: -np.array([ring * math.cos(turn), ring * math.sin(turn), height]),
     }
     for light in scene.lights[: scene.nlight]:
         name = names.get(light.id, "") if not light.headlight else ""

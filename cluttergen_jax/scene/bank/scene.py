@@ -45,26 +45,20 @@ def chosen_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRo
             raise BankError(f"{bank.path}: none of its {len(rows)} scenes succeeded", hint="more scenes")
         return good
     by_index = bank.rows(indices)
-    missing = "" if len(by_index) == len(set(indices)) else missing_text(indices, _scene_numbers(bank))
-    said = [missing, _failed_text([by_index[i] for i in indices if i in by_index])]
-    if any(said):
-        raise BankError(f"{bank.path}: {'; '.join(filter(None, said))}", "scenes that stand", _LEAVE_OUT)
-    return [by_index[index] for index in indices]
-
-
-def _scene_numbers(bank: Bank) -> list[int]:
-    """The numbers of the scenes that are there."""
-    return [int(index) for rows in bank.tables(["index"]) for index in rows["index"].to_numpy()]
-
-
-def _failed_text(rows: Sequence[BankRow]) -> str:
-    """Which of these failed, and how, in one sentence; empty if none did."""
-    failed = [row for row in rows if not row.is_success]
+    faults = []
+    if len(by_index) < len(set(indices)):
+        there = [int(index) for rows in bank.tables(["index"]) for index in rows["index"].to_numpy()]
+        faults.append(missing_text(indices, there))
+    failed = [by_index[i] for i in indices if i in by_index and not by_index[i].is_success]
     if len(failed) == 1:
-        return f"scene {failed[0].index} failed ({failed[0].verdict})"
-    verdicts = sorted({row.verdict for row in failed})
-    numbers = numbers_text(int(row.index) for row in failed)
-    return f"{len(failed)} scenes failed: {numbers} ({', '.join(verdicts)})" if failed else ""
+        faults.append(f"scene {failed[0].index} failed ({failed[0].verdict})")
+    elif failed:
+        numbers = numbers_text(int(row.index) for row in failed)
+        verdicts = ", ".join(sorted({row.verdict for row in failed}))
+        faults.append(f"{len(failed)} scenes failed: {numbers} ({verdicts})")
+    if faults:
+        raise BankError(f"{bank.path}: {'; '.join(faults)}", "scenes that stand", _LEAVE_OUT)
+    return [by_index[index] for index in indices]
 
 
 def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Scene]:

@@ -178,8 +178,16 @@ def verify_files(
     scenes = tuple(found[place] for place in range(len(files)))
     changed = tuple(tuple(changes_to_scene(changes or [], each.path.name, each.objects)) for each in scenes)
     kept = None if changes is None else tuple(changes)
-    report = VerificationReport(path, check, scenes, kept, changed, unchecked)
-    return replace(report, unwritten=_keep(report)) if path.is_dir() else report
+    report, file = (
+        VerificationReport(path, check, scenes, kept, changed, unchecked),
+        path / "verification.json",
+    )
+    try:
+        if path.is_dir():
+            write_atomically(file, (json.dumps(report.as_json(), indent=1) + "\n").encode())
+    except OSError as error:
+        return replace(report, unwritten=f"{file} was not written ({error.strerror})")
+    return report
 
 
 def _check_here(
@@ -198,16 +206,6 @@ def _checker(check: VerifyConfig) -> Callable[[Path], Verification]:
     # MuJoCo keeps meshes that it has read, and takes a file of the same second for the one that it knows.
     mujoco.mj_clearCache(mujoco.mj_getCache())
     return partial(verify_scene, config=check)
-
-
-def _keep(report: VerificationReport) -> str:
-    """Writes the record beside the scenes; where it cannot be written, why: the verdict was still given."""
-    path = report.path / "verification.json"
-    try:
-        write_atomically(path, (json.dumps(report.as_json(), indent=1) + "\n").encode())
-    except OSError as error:
-        return f"{path} was not written ({error.strerror})"
-    return ""
 
 
 def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verification:

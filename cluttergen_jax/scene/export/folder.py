@@ -113,22 +113,16 @@ class _Folder:
                 folder = self._make_folder(SUPPORT_FOLDER)
                 self._kind.write_support(folder, scene.support, scene.contact)
         for asset in scene.assets.values():
-            self._add_asset(asset, scene)
-        file = f"scenes/{self._number(scene):06d}.{self._kind.ending}"
-        self._kind.write_scene(self._path / file, scene)
-        self._records.append(scene_record(scene, file))
-
-    def _number(self, scene: Scene) -> int:
-        """The scene's own number, or the next that is free."""
+            self._assets.setdefault(asset.name, asset)
+            folder = object_folder(asset.name)
+            if self._kind.write_object and not inside(self._path, folder).exists():
+                self._kind.write_object(self._make_folder(folder), asset, scene.contact)
+        # The scene's own number, or the next that is free.
         number = scene.origin.index if scene.origin.index not in self._taken else max(self._taken) + 1
         self._taken.add(number)
-        return number
-
-    def _add_asset(self, asset: ObjectAsset, scene: Scene) -> None:
-        self._assets.setdefault(asset.name, asset)
-        folder = inside(self._path, object_folder(asset.name))
-        if self._kind.write_object and not folder.exists():
-            self._kind.write_object(self._make_folder(object_folder(asset.name)), asset, scene.contact)
+        file = f"scenes/{number:06d}.{self._kind.ending}"
+        self._kind.write_scene(self._path / file, scene)
+        self._records.append({"file": file, **asdict(scene.origin), "objects": objects_record(scene)})
 
     def _make_folder(self, folder: str) -> Path:
         path = inside(self._path, folder)
@@ -137,7 +131,11 @@ class _Folder:
 
     def _add_papers(self, first: Scene) -> None:
         assets = list(self._assets.values())
-        record = manifest(self._kind.name, _version(), assets, first, self._records)
+        try:
+            generator = version("cluttergen_jax")
+        except PackageNotFoundError:
+            generator = "unknown"
+        record = manifest(self._kind.name, generator, assets, first, self._records)
         self._save(MANIFEST, json.dumps(record, indent=1) + "\n")
         self._save(LICENCES, licences_text(first.support, assets, self._kind.script))
         self._save("README.txt", _readme(self._kind, len(self._records), first))
@@ -147,13 +145,6 @@ class _Folder:
 
     def _save(self, name: str, text: str) -> None:
         (self._path / name).write_text(text, encoding="utf-8")
-
-
-def _version() -> str:
-    try:
-        return version("cluttergen_jax")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def _readme(kind: Format, num_scenes: int, first: Scene) -> str:
@@ -172,11 +163,6 @@ def _readme(kind: Format, num_scenes: int, first: Scene) -> str:
     )
 
 
-def scene_record(scene: Scene, file: str) -> dict[str, Any]:
-    """One scene of the manifest: its file, how it came about, and what stands where (metres, wxyz)."""
-    return {"file": file, **asdict(scene.origin), "objects": objects_record(scene)}
-
-
 def manifest(
     format_name: str,
     generator: str,
@@ -184,14 +170,8 @@ def manifest(
     first: Scene,
     scenes: Sequence[dict[str, Any]],
 ) -> dict[str, Any]:
-    """The whole manifest as JSON values.
-
-    Args:
-      generator: version of this package.
-      assets: each once.
-      first: any of the scenes; support and physics are the same for all.
-      scenes: from `scene_record`.
-    """
+    """The whole manifest as JSON values: `generator` is this package's version, `first` any of the scenes."""
+    support = first.support
     return {
         "format": 1,
         "kind": "cluttergen export",
@@ -199,35 +179,30 @@ def manifest(
         "generator": {"cluttergen_jax": generator},
         "conventions": "metres, kilograms, seconds; quaternions wxyz; z up; origin on the floor",
         "physics": {"timestep": first.stability.timestep, **asdict(first.contact)},
-        "support": _support_record(first.support),
-        "assets": [_asset_record(asset) for asset in assets],
+        "support": {
+            "name": support.name,
+            "label": support.label,
+            "folder": SUPPORT_FOLDER,
+            **asdict(support.provenance),
+            "hash": support_hash(support),
+            "top": support.top,
+            "region": asdict(support.region),
+        },
+        "assets": [
+            {
+                "name": asset.name,
+                "label": asset.label,
+                "folder": object_folder(asset.name),
+                **asdict(asset.provenance),
+                "hash": object_hash(asset),
+                "tier": asset.tier,
+                "mass": float(asset.mass),
+                "flags": list(asset.flags),
+            }
+            for asset in assets
+        ],
         **cameras_record(first),
         "scenes": list(scenes),
-    }
-
-
-def _asset_record(asset: ObjectAsset) -> dict[str, Any]:
-    return {
-        "name": asset.name,
-        "label": asset.label,
-        "folder": object_folder(asset.name),
-        **asdict(asset.provenance),
-        "hash": object_hash(asset),
-        "tier": asset.tier,
-        "mass": float(asset.mass),
-        "flags": list(asset.flags),
-    }
-
-
-def _support_record(support: SupportAsset) -> dict[str, Any]:
-    return {
-        "name": support.name,
-        "label": support.label,
-        "folder": SUPPORT_FOLDER,
-        **asdict(support.provenance),
-        "hash": support_hash(support),
-        "top": support.top,
-        "region": asdict(support.region),
     }
 
 

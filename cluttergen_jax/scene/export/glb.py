@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import box_mesh, linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
@@ -71,7 +70,13 @@ class _Builder:
                 "mesh": meshes[asset.name],
                 "translation": pose[:3].tolist(),
                 "rotation": [x, y, z, w],
-                "extras": _body(asset) | {"friction": friction_of(asset, scene.contact)[0]},
+                "extras": {
+                    "asset": asset.name,
+                    "mass": float(asset.mass),
+                    "center_of_mass": np.asarray(asset.center_of_mass).tolist(),
+                    "inertia": np.asarray(asset.inertia).tolist(),
+                    "friction": friction_of(asset, scene.contact)[0],
+                },
             }
             children.append(self._add("nodes", node))
         children += [self._camera(each) for each in scene.cameras if not suffix]
@@ -177,12 +182,3 @@ class _Builder:
                 blob,
             ]
         )
-
-
-def _body(asset: ObjectAsset) -> dict[str, Any]:
-    return {
-        "asset": asset.name,
-        "mass": float(asset.mass),
-        "center_of_mass": np.asarray(asset.center_of_mass).tolist(),
-        "inertia": np.asarray(asset.inertia).tolist(),
-    }

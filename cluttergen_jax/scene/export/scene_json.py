@@ -117,7 +117,7 @@ def maniskill_json(scene: Scene) -> bytes:
     `env_state` is ManiSkill's state dictionary without the robot: each actor's position, quaternion wxyz,
     linear and angular velocity.
     """
-    bodies = {name: _body(asset) | _friction(asset, scene.contact) for name, asset in scene.assets.items()}
+    bodies = {name: _body(asset, scene.contact) for name, asset in scene.assets.items()}
     record = json.loads(scene_json(scene, more=bodies, support=_support(scene.support)))
     rest = [0.0] * 6
     actors = {name: [*pose, *rest] for name, pose in zip(scene.names, scene.poses.tolist(), strict=True)}
@@ -125,8 +125,10 @@ def maniskill_json(scene: Scene) -> bytes:
     return (json.dumps(record, indent=1) + "\n").encode()
 
 
-def _body(asset: ObjectAsset) -> dict[str, Any]:
-    principal = principal_of(asset)
+def _body(asset: ObjectAsset, contact: ContactConfig) -> dict[str, Any]:
+    principal, default = principal_of(asset), contact.friction[0]
+    # What the object's own sliding coefficient has to be in PhysX, if it has one.
+    own = {} if asset.friction is None else {"friction": mean_of(friction_of(asset, contact)[0], default)}
     return {
         "mass": float(asset.mass),
         "center_of_mass": principal.center.tolist(),
@@ -137,13 +139,8 @@ def _body(asset: ObjectAsset) -> dict[str, Any]:
             {"file": visual_name(index), "rgba": list(piece.rgba), "image": object_image(piece)}
             for index, piece in enumerate(drawn_pieces(asset))
         ],
+        **own,
     }
-
-
-def _friction(asset: ObjectAsset, contact: ContactConfig) -> dict[str, float]:
-    """What the object's own sliding coefficient has to be in PhysX, if it has one."""
-    default = contact.friction[0]
-    return {} if asset.friction is None else {"friction": mean_of(friction_of(asset, contact)[0], default)}
 
 
 def _support(support: SupportAsset) -> dict[str, Any]:
