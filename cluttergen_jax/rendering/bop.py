@@ -142,7 +142,7 @@ class BopDataset:
         return camera.K - _HALF if self.pixel_origin == "center" else camera.K
 
 
-def _info_record(instance: Instance, is_valid: np.ndarray) -> dict[str, Any]:
+def _info_record(instance: Instance, is_valid: np.ndarray) -> dict[str, object]:
     """As bop_toolkit's calc_gt_info has it: boxes are x, y, width, height; all -1 if nothing is seen."""
     whole = visible = [-1, -1, -1, -1]
     if instance.visible.any() and instance.box is not None:

@@ -18,8 +18,7 @@ from cluttergen_jax.errors import AssetError, BankError, ConfigError, MissingExt
 from cluttergen_jax.generation.sources import BankSource, LiveConfig, LiveSource, open_source
 from cluttergen_jax.generation.sources.rendering import chosen_numbers
 from cluttergen_jax.generation.sources.viewing import native_model
-from cluttergen_jax.rendering.viewer.native import DisplayError, check_display
-from cluttergen_jax.rendering.viewer.viewer import free_port, open_server
+from cluttergen_jax.rendering.viewer.viewer import DisplayError, check_display, free_port, open_server
 from cluttergen_jax.rendering.viewer.words import attempt_words, scene_words
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress
-from typing import Any
 
 import jax
 import numpy as np
@@ -210,7 +209,7 @@ def table_of(
 _spacing = jax.jit(jax.vmap(spacing_of))
 
 
-def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> dict[str, Any]:
+def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> dict[str, object]:
     slots = np.flatnonzero(scenes.object_index[place] >= 0)
     object_index = scenes.object_index[place][slots]
     counts = scenes.counts.verdicts[place]
@@ -235,7 +234,7 @@ def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> di
     }
 
 
-def _stacking(scenes: SceneBatch, place: int, slots: np.ndarray) -> dict[str, Any]:
+def _stacking(scenes: SceneBatch, place: int, slots: np.ndarray) -> dict[str, object]:
     if scenes.level is None or scenes.num_touching is None:
         return dict.fromkeys(("levels", "num_on", "num_touching"))
     levels = scenes.level[place][slots]

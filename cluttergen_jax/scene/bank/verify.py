@@ -10,7 +10,6 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -97,7 +96,7 @@ class VerificationReport:
         """Whether every scene stands and no file was changed."""
         return bool(self.stands.all()) and not self.changes
 
-    def as_json(self) -> list[dict[str, Any]]:
+    def as_json(self) -> list[dict[str, object]]:
         """A record for each scene, as verification.json holds them."""
         return [
             {

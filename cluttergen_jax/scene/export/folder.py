@@ -14,7 +14,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
@@ -93,7 +92,7 @@ class _Folder:
     def __init__(self, path: Path, kind: Format) -> None:
         self._path, self._kind = path, kind
         self._assets: dict[str, ObjectAsset] = {}
-        self._records: list[dict[str, Any]] = []
+        self._records: list[dict[str, object]] = []
         self._taken: set[int] = set()
         self._first: Scene | None = None
 
@@ -168,8 +167,8 @@ def manifest(
     generator: str,
     assets: Sequence[ObjectAsset],
     first: Scene,
-    scenes: Sequence[dict[str, Any]],
-) -> dict[str, Any]:
+    scenes: Sequence[dict[str, object]],
+) -> dict[str, object]:
     """The whole manifest as JSON values: `generator` is this package's version, `first` any of the scenes."""
     support = first.support
     return {

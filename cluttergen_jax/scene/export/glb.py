@@ -99,7 +99,7 @@ class _Builder:
         primitives = [self._primitive(piece) for piece in pieces]
         return self._add("meshes", {"name": name, "primitives": primitives})
 
-    def _primitive(self, piece: Piece) -> dict[str, Any]:
+    def _primitive(self, piece: Piece) -> dict[str, object]:
         vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
         bounds = {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
         attributes = {
@@ -132,14 +132,14 @@ class _Builder:
     def _material(self, piece: Piece) -> int:
         rgba, key = piece.rgba, (piece.rgba, piece.texture)
         if key not in self._materials:
-            colour: dict[str, Any] = {
+            colour: dict[str, object] = {
                 "baseColorFactor": linear(rgba),
                 "metallicFactor": 0.0,
                 "roughnessFactor": 0.65,
             }
             if piece.texture is not None:
                 colour["baseColorTexture"] = {"index": self._image(piece.texture)}
-            material: dict[str, Any] = {"pbrMetallicRoughness": colour, "doubleSided": True}
+            material: dict[str, object] = {"pbrMetallicRoughness": colour, "doubleSided": True}
             if rgba[3] < 1:
                 material["alphaMode"] = "BLEND"
             self._materials[key] = self._add("materials", material)
@@ -155,7 +155,7 @@ class _Builder:
             self._images[texture] = self._add("textures", {"source": self._add("images", image)})
         return self._images[texture]
 
-    def _add(self, key: str, value: dict[str, Any]) -> int:
+    def _add(self, key: str, value: dict[str, object]) -> int:
         # glTF allows no empty lists: one that nothing is added to is left out.
         self._doc.setdefault(key, []).append(value)
         return len(self._doc[key]) - 1

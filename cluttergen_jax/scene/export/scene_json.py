@@ -38,7 +38,7 @@ def scene_bounds(scene: Scene) -> np.ndarray:
     return np.stack([corners.min(0), corners.max(0)])
 
 
-def objects_record(scene: Scene) -> list[dict[str, Any]]:
+def objects_record(scene: Scene) -> list[dict[str, object]]:
     """What stands where: metres, wxyz."""
     return [
         {
@@ -51,7 +51,7 @@ def objects_record(scene: Scene) -> list[dict[str, Any]]:
     ]
 
 
-def cameras_record(scene: Scene) -> dict[str, Any]:
+def cameras_record(scene: Scene) -> dict[str, object]:
     """The entry `cameras` where there are any: each looks along its own -z, +y is up; degrees and pixels."""
     cameras = [
         {
@@ -125,7 +125,7 @@ def maniskill_json(scene: Scene) -> bytes:
     return (json.dumps(record, indent=1) + "\n").encode()
 
 
-def _body(asset: ObjectAsset, contact: ContactConfig) -> dict[str, Any]:
+def _body(asset: ObjectAsset, contact: ContactConfig) -> dict[str, object]:
     principal, default = principal_of(asset), contact.friction[0]
     # What the object's own sliding coefficient has to be in PhysX, if it has one.
     own = {} if asset.friction is None else {"friction": mean_of(friction_of(asset, contact)[0], default)}
@@ -143,7 +143,7 @@ def _body(asset: ObjectAsset, contact: ContactConfig) -> dict[str, Any]:
     }
 
 
-def _support(support: SupportAsset) -> dict[str, Any]:
+def _support(support: SupportAsset) -> dict[str, object]:
     return {
         "folder": "assets/support",
         "boxes": [
