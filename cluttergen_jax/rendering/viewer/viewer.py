@@ -1,4 +1,4 @@
-"""The web viewer: a server, a session for each browser, one thread that makes scenes for all; MuJoCo's own."""
+"""The web viewer: a server, a session a browser, one thread that makes scenes for all; and MuJoCo's own."""
 
 from __future__ import annotations
 
