@@ -72,7 +72,7 @@ def check_utf8(path: str | os.PathLike[str]) -> None:
 
 
 def inside(folder: str | os.PathLike[str], name: object) -> Path:
-    """`folder / name`, where the name comes from a file, an archive or a server: somebody else's word.
+    """`folder / name`, where the name comes from a file, an archive or a server, and is not trusted.
 
     Args:
       folder: known to be meant.
@@ -130,7 +130,7 @@ def folder_whole(folder: Path, is_only_writer: bool = False) -> Iterator[Path]:
     If the block fails, `folder` is what it was, and nothing else is left behind.
 
     Args:
-      is_only_writer: nobody else writes this folder now, so what any killed writer left is removed.
+      is_only_writer: no other process writes this folder now, so what any killed writer left is removed.
     """
     with own_folder(folder, is_only_writer) as scratch:
         with _naming(folder):
@@ -142,9 +142,9 @@ def folder_whole(folder: Path, is_only_writer: bool = False) -> Iterator[Path]:
 def own_folder(path: Path, is_only_writer: bool = False) -> Iterator[Path]:
     """A new, empty folder beside `path`, in which what is to take its place is made; removed after the block.
 
-    Every temporary name beside something that is kept is made by `_new_folder`: nobody can have laid a link
-    or a file there, nobody else gets the same, and it says which process uses it. What processes of this
-    machine left that are no more is removed on the way.
+    Every temporary name beside something that is kept is made by `_new_folder`: no link or file can lie there
+    yet, no other process gets the same, and it says which process uses it. What processes of this machine
+    left that are no more is removed on the way.
 
     Args:
       path: its folder is made if need be.
@@ -198,7 +198,7 @@ def is_partial(name: str) -> bool:
 
 
 def _new_folder(path: Path, ending: str) -> Path:
-    """A folder beside `path` that was not there, of a name that nobody can guess, for this user alone."""
+    """A folder beside `path` that was not there, of a name that cannot be guessed, for this user alone."""
     while True:
         name = f"{_beginning(path)}{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{ending}"
         # Known before it is there: other threads look for what was left.
@@ -288,7 +288,7 @@ def remove_partial(folder: Path, beginning: str = ".", is_only_writer: bool = Tr
 
     Args:
       beginning: of its name.
-      is_only_writer: nobody else may write there, so that what other machines and older versions left counts.
+      is_only_writer: only this process may write there: what other machines and older versions left counts.
     """
     for path in _stale(folder, beginning, (PARTIAL, _OLD), is_only_writer):
         _put_back_from(path)
@@ -317,7 +317,7 @@ def swap_in(fresh: Path, folder: Path) -> None:
                 os.rename(fresh, folder)
                 return
             except OSError as error:
-                # Somebody else may have put in theirs since.
+                # Another process may have put in its own since.
                 if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                     raise
                 remove(aside / folder.name)

@@ -145,7 +145,7 @@ class FolderLock:
     def release(self) -> None:
         """Lets go; once is enough."""
         if self._file >= 0:
-            # Removed while it is still held: whoever waits for it notices that the file is gone.
+            # Removed while it is still held: a process that waits for it notices that the file is gone.
             with suppress(OSError):
                 self.path.unlink(missing_ok=True)
             os.close(self._file)
@@ -176,7 +176,7 @@ def check_unlocked(folder: Path) -> None:
 def _open_locked(path: Path, folder: Path) -> int:
     """The descriptor of the locked file, made if need be."""
     while True:
-        # A link that somebody put there is not followed: what it leads to would be emptied.
+        # A link is not followed: what it leads to would be emptied.
         file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:
             if fcntl is not None:

@@ -77,7 +77,7 @@ class BopDataset:
           number: the scene's; one of that number is replaced.
           objects, poses: N objects that stand at f[N, 7], T_world_object, metres, wxyz.
           picture: of the cameras' size; its view does not count.
-          origin: which scene it is, to be told beside it.
+          origin: which scene it is, stored beside it.
           is_drawn: draw the colours, which needs OpenGL; all else needs none.
 
         Raises:
@@ -209,8 +209,8 @@ def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
         key = ids.setdefault(asset.name, len(ids) + 1)
         if (known := infos.get(str(key))) is None:
             write_atomically(path.with_name(f"obj_{key:06d}.ply"), model_ply(asset))
-            told = {"name": asset.name, "label": asset.label, **asdict(asset.provenance)}
-            infos[str(key)] = told | extent | _symmetries(pieces)
+            source = {"name": asset.name, "label": asset.label, **asdict(asset.provenance)}
+            infos[str(key)] = source | extent | _symmetries(pieces)
         elif any(abs(known[name] - value) > _SAME for name, value in extent.items()):
             raise ConfigError(
                 f"{folder}: another model of the name {asset.name!r} is there",

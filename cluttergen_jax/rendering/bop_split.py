@@ -55,13 +55,13 @@ class Place:
 
 
 class BopSplit:
-    """What a split holds; it is read once, and knows what it has been told to make room for.
+    """What a split holds; it is read once, and remembers the places that it has given.
 
     Args:
       folder: of the dataset; split: by name.
 
     Raises:
-      ConfigError: no name of a split, or scenes are there of which nobody knows where they are from.
+      ConfigError: no name of a split, or scenes are there that do not say where they are from.
     """
 
     def __init__(self, folder: Path, split: str) -> None:

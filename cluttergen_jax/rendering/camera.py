@@ -1,4 +1,4 @@
-"""Where the camera stands: as close as it can while the content fits the picture; and how OpenGL is told."""
+"""Where the camera stands: as close as it can while the content fits the picture; and as OpenGL takes it."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
     From release to the attempt's end the frames show the simulator's own trajectory.
 
     Raises:
-      ConfigError: nobody knows the recording's attempts.
+      ConfigError: the recording's attempts are not known.
     """
     config = config or FilmConfig()
     if not recording.attempts:

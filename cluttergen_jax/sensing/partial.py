@@ -158,7 +158,7 @@ def merged(maps: Sequence[PartialMap]) -> PartialMap:
 def levelled(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
     """The camera moved a little in height, pitch and roll, so that the bare top that it sees lies level at 0.
 
-    The top is known, so that most of the error of a camera's stated pose can be told from it (least squares
+    The top is known, so most of the error of a camera's stated pose can be computed from it (least squares
     with weights that end at a distance, Tukey's). Returned as it was where too little of the top is seen,
     where more of what is seen lies at 0 as it is, or where it would move by more than 1 cm or turn by more
     than two degrees: then it looks at something else. Large flat things a few millimetres thick are taken for

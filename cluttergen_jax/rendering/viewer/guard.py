@@ -1,4 +1,4 @@
-"""A web server that answers only whoever has its address: not other web pages, not other users.
+"""A web server that answers only requests with its whole address: not other web pages, not other users.
 
 The address has a random token as its path, which the page's own web socket keeps; without it nothing is
 answered, be it a page or a web socket. Two more checks hold even if the token is known: the name in `Host` is

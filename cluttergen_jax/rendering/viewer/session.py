@@ -164,7 +164,7 @@ class Session:
 
     @property
     def _num_proposals(self) -> int:
-        """To be drawn at each attempt: none where nobody looks at them."""
+        """To be drawn at each attempt: none where they are not shown."""
         return _PROPOSALS if self.nodes.shown.density else 0
 
     def _ask(

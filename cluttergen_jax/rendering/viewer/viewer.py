@@ -57,7 +57,7 @@ def free_port(host: str, port: int) -> int:
 
 
 def open_server(host: str, port: int, title: str) -> GuardedServer:
-    """Starts a server that answers whoever has its address, `server.url`, and nobody else.
+    """Starts a server that answers requests with its whole address, `server.url`, and no others.
 
     Raises:
       MissingExtraError: the extra `viewer` is not installed.

@@ -17,10 +17,10 @@ def scene_words(recording: Replay, note: str = "") -> str:
     verdicts = {each.label: each for each in Verdict}
     verdict = verdicts.get(recording.verdict)
     if recording.is_success:
-        said = "stands" if verdict is not None else recording.verdict or "stands"
+        text = "stands" if verdict is not None else recording.verdict or "stands"
     else:
-        said = f"failed: {recording.verdict}" + (f" ({verdict.sentence})" if verdict is not None else "")
-    lines = [f"**{recording.title}** {said}", f"objects placed: {len(recording.placed)}"]
+        text = f"failed: {recording.verdict}" + (f" ({verdict.sentence})" if verdict is not None else "")
+    lines = [f"**{recording.title}** {text}", f"objects placed: {len(recording.placed)}"]
     if recording.drift > 0:
         lines.append(f"largest movement in the last check: {small_length(recording.drift)}")
     if recording.attempts:
@@ -56,8 +56,8 @@ def progress_words(scene: HandScene) -> str:
     minutes, seconds = divmod(int(scene.clock.seconds), 60)
     placed = f"{scene.num_placed} of {len(scene.all)} objects placed"
     tries = f"{scene.num_attempts} attempt{'' if scene.num_attempts == 1 else 's'}"
-    said = f"**scene {scene.number}**: {placed}, {tries}, {minutes}:{seconds:02d}"
-    return f"{said}\n\nleft: {', '.join(scene.names[index] for index in scene.left) or 'nothing'}"
+    text = f"**scene {scene.number}**: {placed}, {tries}, {minutes}:{seconds:02d}"
+    return f"{text}\n\nleft: {', '.join(scene.names[index] for index in scene.left) or 'nothing'}"
 
 
 def lowered_words(scene: HandScene, lowered: Lowered) -> str:
@@ -65,10 +65,10 @@ def lowered_words(scene: HandScene, lowered: Lowered) -> str:
     assert scene.current is not None
     name = scene.names[scene.current]
     if lowered.is_on_top:
-        said = f"{name} touches the bare top"
+        text = f"{name} touches the bare top"
     else:
-        said = f"{name} touches something {100 * lowered.lift:.1f} cm above the bare top"
-    return said + (f"; {lowered.hanging:.0%} of it is over nothing" if lowered.hanging > 0 else "")
+        text = f"{name} touches something {100 * lowered.lift:.1f} cm above the bare top"
+    return text + (f"; {lowered.hanging:.0%} of it is over nothing" if lowered.hanging > 0 else "")
 
 
 def drop_words(scene: HandScene, drop: Drop) -> str:
@@ -77,15 +77,15 @@ def drop_words(scene: HandScene, drop: Drop) -> str:
     verdict, name = attempt.verdict, scene.names[attempt.object_index]
     if verdict == Verdict.STABLE:
         return f"**{name}: stable** after {attempt.num_steps} steps"
-    said = f"**{name}: {verdict.label}**: {verdict.sentence}"
+    text = f"**{name}: {verdict.label}**: {verdict.sentence}"
     if verdict == Verdict.DISPLACED and drop.mover is not None:
         moved = f"{small_length(drop.shift)} and {np.degrees(drop.turn):.1f} degrees"
-        said += f" ({scene.names[drop.mover]}: by {moved} at most)"
+        text += f" ({scene.names[drop.mover]}: by {moved} at most)"
     elif verdict == Verdict.PENETRATING:
-        said += f" (by {small_length(drop.penetration)})"
+        text += f" (by {small_length(drop.penetration)})"
     elif verdict == Verdict.UNSUPPORTED and np.isfinite(drop.margin):
-        said += f" ({1000 * drop.margin:.1f} mm inside it)"
-    return f"{said}. In red, where it ended; the scene is what it was before."
+        text += f" ({1000 * drop.margin:.1f} mm inside it)"
+    return f"{text}. In red, where it ended; the scene is what it was before."
 
 
 def check_words(scene: HandScene, check: Check) -> str:

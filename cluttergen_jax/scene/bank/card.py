@@ -1,4 +1,4 @@
-"""The dataset card: a README in the bank's folder, so that whoever finds the folder knows what it is."""
+"""The dataset card: a README in the bank's folder, which says what the folder is."""
 
 from __future__ import annotations
 
@@ -251,8 +251,8 @@ def assets_section(assets: Sequence[ObjectAsset], support: SupportAsset) -> str:
         )
         for asset in assets
     ]
-    told = support.provenance
-    rows.append((f"{support.label} (support)", "", told.source, told.licence, ""))
+    source = support.provenance
+    rows.append((f"{support.label} (support)", "", source.source, source.licence, ""))
     lines = [
         "## Assets and licences",
         "",

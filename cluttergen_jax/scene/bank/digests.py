@@ -48,7 +48,7 @@ def digests_in(path: Path, folder: str) -> dict[str, str]:
 
 
 def without_digests(bank: Bank) -> str:
-    """What of a bank cannot be checked: an older version wrote no digests of it, or somebody removed them.
+    """What of a bank cannot be checked: an older version wrote no digests of it, or they were removed.
 
     Returns:
       "files", "rows", or "" where there are digests of both.
@@ -95,7 +95,7 @@ def _unlike_rows(bank: Bank, names: Iterable[str]) -> Iterator[Change]:
         try:
             rows = bank.rows(some)
         except BankError:
-            # A file of rows that is damaged is told by whoever reads it.
+            # Reading a file of rows that is damaged is an error elsewhere.
             continue
         for number in some:
             if number not in rows or not _is_scene_of(rows[number], inside(bank.path, files[number])):

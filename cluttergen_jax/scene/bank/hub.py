@@ -151,9 +151,9 @@ def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
         bank.object(name)
     _ = bank.support
     if changes := changes_of(bank):
-        told = ", ".join(f"{change.name} ({change.what})" for change in changes[:3])
+        shown = ", ".join(f"{change.name} ({change.what})" for change in changes[:3])
         more = f", and {len(changes) - 3} more" if len(changes) > 3 else ""
-        raise BankError(f"{bank.path}: files are not what was written: {told}{more}", hint=_MENDED)
+        raise BankError(f"{bank.path}: files are not what was written: {shown}{more}", hint=_MENDED)
 
 
 _MENDED = "the same `cluttergen generate` again"

@@ -124,7 +124,7 @@ class HuggingFaceHub:
         self._api = self._hub.HfApi(endpoint=endpoint, library_name="cluttergen_jax")
 
     def listing(self, dataset: str, revision: str | None) -> tuple[str | None, list[str]]:
-        """See `Hub`: a commit, which stays what it is even if somebody pushes meanwhile."""
+        """See `Hub`: a commit, which stays what it is even if another push comes meanwhile."""
         with self._explain_errors(dataset):
             info = self._api.dataset_info(dataset, revision=revision)
             return info.sha, [each.rfilename for each in info.siblings or []]
@@ -180,9 +180,9 @@ class HuggingFaceHub:
                 # The disk's trouble, not the hub's.
                 raise
             # The library has changed its HTTP client twice, and what that raises without a network with it.
-            told = f"{type(error).__name__}: {_one_line(error)}"
+            reason = f"{type(error).__name__}: {_one_line(error)}"
             hint = "the same command when the network is back: it goes on where it stopped"
-            raise BankError(f"{where} does not answer as it should ({told})", hint=hint) from error
+            raise BankError(f"{where} does not answer as it should ({reason})", hint=hint) from error
 
 
 def _one_line(error: Exception) -> str:

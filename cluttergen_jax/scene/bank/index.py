@@ -27,8 +27,8 @@ from cluttergen_jax.schema import digest_of
 class BankIndex:
     """The record of a bank and the digests of its files, written to `bank.json` at every change.
 
-    For whoever holds the bank's lock. A file of rows that is replaced has no digest meanwhile, so that one
-    that a killed writer left is known to be unknown, and not taken for one that somebody has changed.
+    For the process that holds the bank's lock. A file of rows that is replaced has no digest meanwhile: one
+    that a killed writer left is not taken for one that a user has changed.
 
     Args:
       path: the bank's folder.

@@ -42,8 +42,8 @@ def numbers_text(numbers: Iterable[int]) -> str:
             runs[-1][1] = number
         else:
             runs.append([number, number])
-    said = [str(first) if first == last else f"{first}-{last}" for first, last in runs[:_SAID]]
-    return ", ".join([*said, *(["..."] if len(runs) > _SAID else [])])
+    ranges = [str(first) if first == last else f"{first}-{last}" for first, last in runs[:_SAID]]
+    return ", ".join([*ranges, *(["..."] if len(runs) > _SAID else [])])
 
 
 def missing_text(asked: Collection[int], held: Collection[int]) -> str:

@@ -46,7 +46,7 @@ def mirror_of(url: str) -> Path:
 
 def url_of(path: Path) -> str | None:
     """The URL that a mirror stands for; None for any other folder."""
-    # A folder of somebody else's cannot make this machine open what it names.
+    # A folder from elsewhere cannot make this machine open what it names.
     if path.parent.parent != _root() or not (path / MARK).is_file():
         return None
     return (path / MARK).read_text()

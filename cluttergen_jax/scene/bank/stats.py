@@ -109,7 +109,7 @@ class BankStats:
       duplicates: indices of scenes that stand and are equal to the bit, objects and poses, group by group.
       certificate: of those scenes that have one; None if none has.
       clutter: features of the scenes that stand, as far as they are known.
-      hand_median, hand_total: seconds that a person spent on a scene, and on all; None where nobody did.
+      hand_median, hand_total: seconds that a person spent on a scene, and on all; None where none did.
     """
 
     asked: int

@@ -168,7 +168,7 @@ def with_columns_of(before: pa.Table, rows: pa.Table) -> pa.Table:
 
 
 def schema_of(rows: pa.Table) -> pa.Schema:
-    """The columns that rows of a bank have, without those that nobody knows."""
+    """The columns that rows of a bank have, without unknown ones."""
     by_hand = [BY_HAND] if set(BY_HAND.names) <= set(rows.schema.names) else []
     return pa.unify_schemas([SCHEMA, CLUTTER, *by_hand, CERTIFICATE])
 

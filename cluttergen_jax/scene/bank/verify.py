@@ -253,8 +253,8 @@ def _load_model(path: Path) -> tuple[mujoco.MjModel, int]:
         model = mujoco.MjModel.from_xml_path(str(path))
         model.names.decode()
     except (ValueError, OSError) as error:
-        told = " ".join(str(error).split())
-        raise BankError(f"{path} cannot be loaded: {told}", _OURS, "generating the bank again") from error
+        reason = " ".join(str(error).split())
+        raise BankError(f"{path} cannot be loaded: {reason}", _OURS, "generating the bank again") from error
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")
     if key < 0:
         raise BankError(f"{path} has no keyframe called 'scene'", _OURS)

@@ -55,7 +55,7 @@ class BankWriter:
 
     Raises:
       BankError: the folder holds something else, or a bank of another recipe, of other assets or, where
-        scenes are missing, of other bits; somebody else is writing to it; or it cannot be written.
+        scenes are missing, of other bits; another process is writing to it; or it cannot be written.
       ConfigError: its path is not UTF-8.
     """
 

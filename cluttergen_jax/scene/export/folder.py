@@ -62,7 +62,7 @@ def export_scenes(
     kind, out = find_format(format), Path(out)
     _check_place(out, overwrite)
     with lock_beside(out):
-        # Whoever held the lock may have made it meanwhile.
+        # The process that held the lock may have made it meanwhile.
         _check_place(out, overwrite)
         with folder_whole(out) as fresh:
             if cameras:

@@ -150,7 +150,7 @@ def _add_colour(visual: ET.Element, rgba: tuple[float, ...]) -> None:
 
 def _add_contact(collision: ET.Element, contact: ContactConfig, sliding: float) -> None:
     # Gazebo takes the smaller of two coefficients, Drake their harmonic mean.
-    # Torsional friction is left out: SDFormat's depends on a patch radius that nobody has measured here.
+    # Torsional friction is left out: SDFormat's depends on a patch radius that was not measured.
     friction = ET.SubElement(ET.SubElement(collision, "surface"), "friction")
     ode = ET.SubElement(friction, "ode")
     _leaf(ode, "mu", text([sliding]))
