@@ -105,7 +105,7 @@ def file_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     Folders are made as needed; if the block fails, nothing is left behind.
     """
     path = Path(path)
-    with own_folder(path) as scratch, _naming(path):
+    with scratch_folder(path) as scratch, _naming(path):
         yield scratch / path.name
         os.replace(scratch / path.name, path)
 
@@ -132,14 +132,14 @@ def folder_whole(folder: Path, is_only_writer: bool = False) -> Iterator[Path]:
     Args:
       is_only_writer: no other process writes this folder now, so what any killed writer left is removed.
     """
-    with own_folder(folder, is_only_writer) as scratch:
+    with scratch_folder(folder, is_only_writer) as scratch:
         with _naming(folder):
             yield scratch / folder.name
         swap_in(scratch / folder.name, folder)
 
 
 @contextmanager
-def own_folder(path: Path, is_only_writer: bool = False) -> Iterator[Path]:
+def scratch_folder(path: Path, is_only_writer: bool = False) -> Iterator[Path]:
     """A new, empty folder beside `path`, in which what is to take its place is made; removed after the block.
 
     Every temporary name beside something that is kept is made by `_new_folder`: no link or file can lie there
@@ -163,8 +163,8 @@ def own_folder(path: Path, is_only_writer: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def begun_folder(path: Path) -> Iterator[Path]:
-    """As `own_folder`, but it is kept if the block fails, and has then what was made of `path` before."""
+def resumable_folder(path: Path) -> Iterator[Path]:
+    """As `scratch_folder`, but it is kept if the block fails, and has then what was made of `path` before."""
     path.parent.mkdir(parents=True, exist_ok=True)
     scratch = _new_folder(path, _BEGUN)
     for left in _stale(path.parent, _beginning(path), (_BEGUN,)):

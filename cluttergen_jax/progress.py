@@ -148,10 +148,10 @@ def interruptible(function: Callable[..., T], *args: Any) -> T:
     whole = with_own_settings(function)
     if threading.current_thread() is not threading.main_thread():
         return whole(*args)
-    return abandoned_if(lambda: False, whole, *args)
+    return run_abandonable(lambda: False, whole, *args)
 
 
-def abandoned_if(is_stopped: Callable[[], bool], function: Callable[..., T], *args: Any) -> T:
+def run_abandonable(is_stopped: Callable[[], bool], function: Callable[..., T], *args: Any) -> T:
     """The result of a call that is made in a thread of its own, and abandoned as soon as `is_stopped`.
 
     Raises:

@@ -23,8 +23,8 @@ import msgspec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
-from cluttergen_jax.files import folder_whole, inside, own_folder
-from cluttergen_jax.schema import SchemaError, checked_record, typed, with_checksum
+from cluttergen_jax.files import folder_whole, inside, scratch_folder
+from cluttergen_jax.schema import SchemaError, as_type, checked_record, with_checksum
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
@@ -131,7 +131,7 @@ def read_pool(path: str | Path) -> Pool:
         record = checked_record(index_path.read_bytes())
         if record.get("format") != FORMAT:
             raise SchemaError(f"not a pool of format {FORMAT}")
-        index = typed(record, _Index)
+        index = as_type(record, _Index)
     except OSError as error:
         raise PoolError(f"{path} is not a pool: {index_path} cannot be read ({error.strerror})") from error
     except SchemaError as error:
@@ -244,7 +244,7 @@ def remove_pool(name: str) -> Pool | None:
     except ClutterGenError:
         pool = None
     # Out of sight first: a removal that is stopped halfway leaves no pool of which half is missing.
-    with own_folder(folder) as aside:
+    with scratch_folder(folder) as aside:
         os.rename(folder, aside / folder.name)
     return pool
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.camera import drawn_points, fitted_camera
+from cluttergen_jax.rendering.camera import drawn_points, fit_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, Trail, check_size, open_renderer, set_range
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
@@ -113,9 +113,7 @@ def render_model(
     content = np.concatenate([content, *(trail.points for trail in trails)])
     reach = set_range(model, content, view, width, height)
     if isinstance(camera, CameraView):
-        eye: Camera | mujoco.MjvCamera = fitted_camera(
-            content if focus is None else focus, view, width, height
-        )
+        eye: Camera | mujoco.MjvCamera = fit_camera(content if focus is None else focus, view, width, height)
     else:
         eye = _named_camera(model, camera)
     with open_renderer(model, width, height) as renderer:

@@ -14,7 +14,7 @@ import numpy as np
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import yaw_matrix
-from cluttergen_jax.rendering.camera import orbiting, set_view
+from cluttergen_jax.rendering.camera import orbit_camera, set_view
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.rendering.lighting import KEY_DIRECTION, KEY_LIGHT, SKY_LIGHT
@@ -153,7 +153,7 @@ class Renderer:
         return np.flipud(depth).copy(), np.flipud(geom_of[number]).copy()
 
     def _update(self, data: mujoco.MjData, camera: Camera | mujoco.MjvCamera) -> None:
-        seen = orbiting(camera) if isinstance(camera, Camera) else camera
+        seen = orbit_camera(camera) if isinstance(camera, Camera) else camera
         mujoco.mjv_updateScene(self.model, data, self._option, None, seen, _EVERYTHING, self._scene)
         if isinstance(camera, Camera):
             set_view(self._scene, camera)

@@ -13,7 +13,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import scene_spec
-from cluttergen_jax.rendering.camera import corners, drawn_points, fitted_camera
+from cluttergen_jax.rendering.camera import corners, drawn_points, fit_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.picture import DEFAULT_VIEW, prepare_model
 from cluttergen_jax.rendering.renderer import (
@@ -94,7 +94,7 @@ class SceneRenderer:
 
     def aim(self, points: np.ndarray, view: CameraView) -> None:
         """Puts the camera as near as `points` f64[P, 3] allow."""
-        self.camera = fitted_camera(points, view, self.config.width, self.config.height)
+        self.camera = fit_camera(points, view, self.config.width, self.config.height)
 
     def picture(
         self, styles: Sequence[RenderStyle | None], trails: Sequence[Trail] = (), light_yaw: float = 0.0
@@ -186,7 +186,7 @@ def _make_scene_model(
 
 def _fit_camera(content: np.ndarray, points: np.ndarray, picture: PictureConfig) -> Camera:
     shown = content if picture.whole else points
-    return fitted_camera(shown, picture.view, picture.width, picture.height)
+    return fit_camera(shown, picture.view, picture.width, picture.height)
 
 
 def turntable_points(points: np.ndarray, num_turns: int = 36) -> np.ndarray:

@@ -168,7 +168,7 @@ def test_links_laid_at_temporary_names_lead_nowhere(tmp_path):
     files.write_atomically(place / "file", b"")
     for is_only_writer in (False, True):
         write_folder(place / "folder", "new", is_only_writer=is_only_writer)
-    with files.begun_folder(place / "folder") as scratch:
+    with files.resumable_folder(place / "folder") as scratch:
         assert names(scratch) == set()
     files.remove_partial(place)
     files.remove(place / ".file.old")
@@ -180,14 +180,17 @@ def test_links_laid_at_temporary_names_lead_nowhere(tmp_path):
 
 def test_what_was_begun_is_gone_on_with_by_one(tmp_path):
     def begin(text):
-        with suppress(KeyboardInterrupt), files.begun_folder(tmp_path / "bank") as scratch:
+        with suppress(KeyboardInterrupt), files.resumable_folder(tmp_path / "bank") as scratch:
             (scratch / "half").write_text(text)
             raise KeyboardInterrupt
 
     begin("1")
     files._remove_left.cache_clear()
     files.write_atomically(tmp_path / "other", b"")
-    with files.begun_folder(tmp_path / "bank") as scratch, files.begun_folder(tmp_path / "bank") as second:
+    with (
+        files.resumable_folder(tmp_path / "bank") as scratch,
+        files.resumable_folder(tmp_path / "bank") as second,
+    ):
         assert (scratch / "half").read_text() == "1"
         assert names(second) == set()
     assert names(tmp_path) == {"other"}

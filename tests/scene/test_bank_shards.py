@@ -13,7 +13,7 @@ from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import blocks as module
 from cluttergen_jax.scene.bank import index as module_index
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import recovered_record
+from cluttergen_jax.scene.bank.bank import recover_record
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, with_record, write_shard
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of
@@ -67,7 +67,7 @@ def test_shards_hold_what_block_files_hold(plain, sharded):
     }
     check_whole(two)
     assert pq.ParquetFile(sharded / names[0]).metadata.num_row_groups == IN_A_SHARD
-    assert recovered_record(sharded) == recovered_record(plain)
+    assert recover_record(sharded) == recover_record(plain)
 
 
 def test_a_small_bank_and_a_last_block_alone_have_files_of_single_blocks(tmp_path):

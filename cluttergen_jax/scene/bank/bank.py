@@ -207,7 +207,7 @@ def read_bank(path: str | Path) -> Bank:
     return Bank(Path(path), parse_record(Path(path), data))
 
 
-def recovered_record(path: Path) -> Record | None:
+def recover_record(path: Path) -> Record | None:
     """The bank's record as its first sound block has it, without `num_scenes`; None if no block has it.
 
     Raises:

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
-from cluttergen_jax.files import begun_folder, inside, remove, swap_in, writing
+from cluttergen_jax.files import inside, remove, resumable_folder, swap_in, writing
 from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
@@ -62,7 +62,7 @@ def pull(
     out = pulled_path(name, hub, revision) if out is None else Path(out)
     _check_place(out, overwrite)
     was_there = (out / INDEX).is_file()
-    with writing(out), begun_folder(out) as scratch:
+    with writing(out), resumable_folder(out) as scratch:
         fresh = scratch / out.name
         fresh.mkdir(exist_ok=True)
         _fetch(place, name, revision, fresh, allow_unchecked)

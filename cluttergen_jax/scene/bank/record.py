@@ -154,7 +154,7 @@ def fault_of(record: Mapping[str, Any]) -> str | None:
     return None
 
 
-def damaged_record(path: Path, error: Exception) -> BankError:
+def record_error(path: Path, error: Exception) -> BankError:
     """The error for a bank whose recipe, sound as JSON, cannot be what made it."""
     reason = f"no {error}" if isinstance(error, KeyError) else getattr(error, "given", error)
     return BankError(

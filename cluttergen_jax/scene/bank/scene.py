@@ -21,7 +21,7 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.record import damaged_record
+from cluttergen_jax.scene.bank.record import record_error
 from cluttergen_jax.scene.bank.reference import missing_text, numbers_text
 from cluttergen_jax.scene.bank.table import BankRow
 from cluttergen_jax.scene.collection import most_of
@@ -32,7 +32,7 @@ _LISTS = ("is_success", "is_placed", "objects")
 _COLUMNS = ("index", *_LISTS, "poses")
 
 
-def chosen_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRow]:
+def select_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRow]:
     """The rows of these scenes, or of all that succeeded.
 
     Raises:
@@ -67,7 +67,7 @@ def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Sc
     Raises:
       BankError: one of them is not there or failed, none succeeded, or the bank's record is damaged.
     """
-    rows = chosen_rows(bank, indices)
+    rows = select_rows(bank, indices)
     asset_of = lru_cache(maxsize=None)(bank.object)
     for row in rows:
         yield _scene(bank, row, [asset_of(base_name(name)) for name in row.objects])
@@ -107,7 +107,7 @@ def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Co
         }
         return kind(**plain)
     except (TypeError, AttributeError, ConfigError) as error:
-        raise damaged_record(path, error) from error
+        raise record_error(path, error) from error
 
 
 def region_of(bank: Bank) -> Rectangle:
@@ -116,7 +116,7 @@ def region_of(bank: Bank) -> Rectangle:
         asked = bank.recipe["region"]
         return Rectangle(tuple(asked["center"]), tuple(asked["half_extents"]), asked["yaw"])
     except (KeyError, TypeError, ValueError) as error:
-        raise damaged_record(bank.path, error) from error
+        raise record_error(bank.path, error) from error
 
 
 class SceneArrays(NamedTuple):

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.clutter import NAMES, Clutter
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.record import damaged_record
+from cluttergen_jax.scene.bank.record import record_error
 from cluttergen_jax.scene.bank.table import COUNTED, count_column
 from cluttergen_jax.types import Verdict
 
@@ -179,4 +179,4 @@ def _targets(bank: Bank) -> dict[str, float]:
         asked = bank.recipe.get("placement", {}).get("clutter")
         return Clutter.of(asked).targets if asked else {}
     except (AttributeError, ConfigError) as error:
-        raise damaged_record(bank.path, error) from error
+        raise record_error(bank.path, error) from error

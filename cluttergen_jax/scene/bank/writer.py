@@ -20,7 +20,7 @@ from cluttergen_jax.files import check_utf8, folder_whole, inside, remove, remov
 from cluttergen_jax.kept_folder import LOCK, KeptFolder, check_recipe, check_unlocked
 from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.scene.bank.bank import block_numbers, read_bank, recovered_record
+from cluttergen_jax.scene.bank.bank import block_numbers, read_bank, recover_record
 from cluttergen_jax.scene.bank.blocks import (
     SHARD_BLOCKS,
     StoredBlocks,
@@ -257,7 +257,7 @@ class BankWriter:
         except NewerBankError:
             raise
         except BankError as error:
-            blocks, record = block_numbers(self.path), recovered_record(self.path)
+            blocks, record = block_numbers(self.path), recover_record(self.path)
             if record is not None:
                 return {"num_scenes": blocks[-1] * BLOCK_SIZE + 1, **record}
             if blocks or _is_json(self.path / INDEX):
