@@ -72,7 +72,7 @@ def support_friction(contact: ContactConfig) -> float:
 
 
 def object_friction(asset: ObjectAsset, contact: ContactConfig) -> float:
-    """An object's: on the support its own friction, or the contact's; see `scene.export.friction`."""
+    """An object's: on the support its own friction, or the contact's; see `scene.export.frames`."""
     return factor_of(friction_of(asset, contact)[0], contact.friction[0])
 
 

@@ -103,7 +103,7 @@ class DrakePeer:
         return body
 
     def _friction(self, wanted: float) -> Any:
-        """Of a body that is to have this coefficient with the support; see `scene.export.friction`."""
+        """Of a body that is to have this coefficient with the support; see `scene.export.frames`."""
         own = harmonic_of(wanted, self._models.contact.friction[0])
         return self._drake.CoulombFriction(own, own)
 
