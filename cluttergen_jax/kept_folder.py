@@ -96,8 +96,9 @@ class KeptFolder:
             return self.path if self.path.exists() else None
         if self.is_whole(self.path):
             return None
-        found = sorted(each for each in self.path.iterdir() if not is_partial(each.name))
-        return next((each for each in found if not self.is_begun(each)), None)
+        # A writer that was killed before anything was finished leaves a lock, and what is half written.
+        found = sorted(each for each in self.path.iterdir() if each.name != LOCK)
+        return next((each for each in found if not (is_partial(each.name) or self.is_begun(each))), None)
 
     def lock(self) -> FolderLock:
         """Holds the folder, which is made if need be; `check_place` comes first.

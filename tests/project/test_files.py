@@ -1,14 +1,19 @@
 """Files and folders are whole, old or new, whatever goes wrong while they are written."""
 
 import errno
+import json
+import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
 from cluttergen_jax import files
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.kept_folder import KeptFolder, check_recipe
 
 
 def write_folder(folder, text, **how):
@@ -209,3 +214,24 @@ def test_many_write_the_same_at_once(tmp_path):
     assert (tmp_path / "file").read_text() in written
     assert (tmp_path / "folder" / "text").read_text() in written
     assert names(tmp_path) == {"file", "folder"}
+
+
+def test_a_kept_folder_is_continued_by_the_same_recipe_alone(tmp_path):
+    recipe = {"seed": 1, "rules": {"margin": 0.0, "sides": (1, 2)}}
+    written = json.loads(json.dumps(recipe))
+    check_recipe(tmp_path, "a bank made", recipe, written)
+    other = {"seed": 2, "rules": {"margin": 0.1, "sides": [1, 2]}}
+    with pytest.raises(BankError, match=r"holds a bank made with another rules\.margin, seed.*another `out`"):
+        check_recipe(tmp_path, "a bank made", other, written)
+    folder = KeptFolder(
+        tmp_path / "kept", lambda path: (path / "index").exists(), "{other} is in {path}", Path.is_dir
+    )
+    with folder.lock(), pytest.raises(BankError, match=f"written by process {os.getpid()}"):
+        folder.lock()
+    (folder.path / "begun").mkdir()
+    assert folder.is_free
+    (folder.path / "other").touch()
+    with pytest.raises(BankError, match="other is in"):
+        folder.lock()
+    (folder.path / "index").touch()
+    folder.lock().release()

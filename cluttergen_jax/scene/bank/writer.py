@@ -17,7 +17,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.files import check_utf8, folder_whole, inside, remove, remove_partial, writing
-from cluttergen_jax.kept_folder import LOCK, KeptFolder, check_recipe, check_unlocked
+from cluttergen_jax.kept_folder import KeptFolder, check_recipe, check_unlocked
 from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.bank import block_numbers, read_bank, recover_record
@@ -179,10 +179,8 @@ class BankWriter:
         remote = remote_of(self.path)
         if remote is not None and not _is_bank(self.path) and remote.sizes():
             raise BankError(f"{remote.url} holds something that is no bank", "a new place", "another `out`")
-        # A writer that was killed before anything was finished leaves no more than these.
-        names = (LOCK, MARK)
         folder = KeptFolder(
-            self.path, _is_bank, "{path} exists and is not a bank", lambda path: path.name in names
+            self.path, _is_bank, "{path} exists and is not a bank", lambda path: path.name == MARK
         )
         if not folder.is_free:
             # Between two looks at it another process may have begun one here, or have made it whole.
