@@ -270,13 +270,13 @@ class BankWriter:
         """Writes what is missing, damaged, or of no known digest; the index then tells what is there."""
         hashes, images = self._record["assets"], inside(self.path, "assets/textures")
         for name, asset in objects.items():
-            folder, wanted = f"assets/objects/{name}", hashes["objects"][name]
-            if not self._is_as_written(folder, wanted, lambda path: object_hash(read_object(path, images))):
+            folder, digest = f"assets/objects/{name}", hashes["objects"][name]
+            if not self._is_as_written(folder, digest, lambda path: object_hash(read_object(path, images))):
                 with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
                     write_parts(fresh, asset)
                     write_object(fresh, asset, images)
-        folder, wanted = "assets/support", hashes["support"]
-        if not self._is_as_written(folder, wanted, lambda path: support_hash(read_support(path))):
+        folder, known = "assets/support", hashes["support"]
+        if not self._is_as_written(folder, known, lambda path: support_hash(read_support(path))):
             with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
                 write_support(fresh, support)
         # Digests of rows, and of scenes' files that an earlier run wrote and that are still there.

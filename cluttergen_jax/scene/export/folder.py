@@ -109,8 +109,8 @@ class _Folder:
         if self._first is None:
             self._first = scene
             if self._kind.write_support:
-                folder = self._make_folder(SUPPORT_FOLDER)
-                self._kind.write_support(folder, scene.support, scene.contact)
+                place = self._make_folder(SUPPORT_FOLDER)
+                self._kind.write_support(place, scene.support, scene.contact)
         for asset in scene.assets.values():
             self._assets.setdefault(asset.name, asset)
             folder = object_folder(asset.name)
