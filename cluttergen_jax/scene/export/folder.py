@@ -114,7 +114,8 @@ class _Folder:
         for asset in scene.assets.values():
             self._assets.setdefault(asset.name, asset)
             folder = object_folder(asset.name)
-            if self._kind.write_object and not inside(self._path, folder).exists():
+            is_there = inside(self._path, folder).exists()
+            if self._kind.write_object and not is_there:
                 self._kind.write_object(self._make_folder(folder), asset, scene.contact)
         # The scene's own number, or the next that is free.
         number = scene.origin.index if scene.origin.index not in self._taken else max(self._taken) + 1
