@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from cluttergen_jax import locks
+from cluttergen_jax import kept_folder
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.exports import dining_scene
@@ -50,7 +50,7 @@ def test_a_lock_is_let_go_of_when_an_export_fails(scene, tmp_path):
 
 
 def test_without_locks_the_slower_export_is_refused(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(locks, "fcntl", None)
+    monkeypatch.setattr(kept_folder, "fcntl", None)
     out = tmp_path / "new"
     with pytest.raises(ConfigError, match="exists"):
         export_scenes(meanwhile(scene, lambda: export_scenes([scene], out, "urdf")), out, "mjcf")
