@@ -43,7 +43,7 @@ def parse_json(data: bytes, allow_nan: bool = False) -> Any:
         raise SchemaError(f"not JSON: {error or 'nested too deeply'}") from error
 
 
-def as_type(value: Any, kind: type[T]) -> T:
+def convert(value: Any, kind: type[T]) -> T:
     """A value of JSON as a class that declares its fields: a `msgspec.Struct` or a data class.
 
     Fields that the class does not name are passed over; nothing is converted but whole numbers to floats.

@@ -24,7 +24,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside, scratch_folder
-from cluttergen_jax.schema import SchemaError, as_type, checked_record, with_checksum
+from cluttergen_jax.schema import SchemaError, convert, checked_record, with_checksum
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
@@ -131,7 +131,7 @@ def read_pool(path: str | Path) -> Pool:
         record = checked_record(index_path.read_bytes())
         if record.get("format") != FORMAT:
             raise SchemaError(f"not a pool of format {FORMAT}")
-        index = as_type(record, _Index)
+        index = convert(record, _Index)
     except OSError as error:
         raise PoolError(f"{path} is not a pool: {index_path} cannot be read ({error.strerror})") from error
     except SchemaError as error:

@@ -25,7 +25,7 @@ from cluttergen_jax.errors import PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
 from cluttergen_jax.schema import (
     SchemaError,
-    as_type,
+    convert,
     checked_record,
     digest_of,
     parse_json,
@@ -85,9 +85,9 @@ def read_support(folder: str | Path) -> SupportAsset:
         raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
         # What leads out of the folder is told as that, whatever the checksums say.
-        support = _support(as_type(record, _Stored), Path(folder))
+        support = _support(convert(record, _Stored), Path(folder))
         checked_record(data)
-        for name, digest in as_type(record.get("files", {}), dict[str, str]).items():
+        for name, digest in convert(record.get("files", {}), dict[str, str]).items():
             if digest_of(inside(folder, name).read_bytes()) != digest:
                 raise SchemaError(f"{name} is not what it was")
         return support

@@ -28,7 +28,7 @@ from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.schema import (
     SEAL,
     SchemaError,
-    as_type,
+    convert,
     check_seal,
     checked_record,
     with_checksum,
@@ -48,7 +48,7 @@ class SplitFormat:
       kind: its plural, "views" or "pairs"; column: that numbers the rows of a split.
       command: that makes it, for messages.
       schema: of its rows; block_size: rows of a block.
-      record: the class of its record (`schema.as_type`).
+      record: the class of its record (`schema.convert`).
       check_rows: raises a SchemaError where the rows of a block are none.
     """
 
@@ -112,7 +112,7 @@ class SplitFormat:
             record = checked_record(data)
             if (record.get("kind"), record.get("format")) != (self.kind, FORMAT):
                 raise SchemaError(f"not the record of {self.kind} of format {FORMAT}")
-            as_type(record, self.record)
+            convert(record, self.record)
         except SchemaError as error:
             hint = f"a fresh copy of the folder, or `cluttergen {self.command}` into another"
             raise BankError(f"{file} cannot be read ({error})", hint=hint) from error

@@ -24,7 +24,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions
 from cluttergen_jax.importing.readers.source import label_of
 from cluttergen_jax.importing.settings import did_you_mean
-from cluttergen_jax.schema import as_type
+from cluttergen_jax.schema import convert
 
 AUTO, NONE = "auto", "none"
 _DEFAULTS = ReadOptions()
@@ -100,7 +100,7 @@ class KnownSet:
 def layouts() -> dict[str, Layout]:
     """All layouts by name, in the order in which they are tried."""
     document = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
-    return as_type(document, dict[str, Layout])
+    return convert(document, dict[str, Layout])
 
 
 def known_sets(root: Path, files: Iterable[Path], name: str = AUTO) -> tuple[KnownSet, ...]:

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.schema import SchemaError, as_type, parse_json
+from cluttergen_jax.schema import SchemaError, convert, parse_json
 
 SPLIT = "train_synt"
 """Training images, synthetic."""
@@ -104,7 +104,7 @@ class BopSplit:
 
 def _read_origin(scene: Path) -> SceneOrigin:
     try:
-        return as_type(parse_json((scene / ORIGIN).read_bytes()), SceneOrigin)
+        return convert(parse_json((scene / ORIGIN).read_bytes()), SceneOrigin)
     except (OSError, SchemaError) as error:
         raise ConfigError(
             f"{scene} does not say which scene it is: {ORIGIN} is damaged, or missing as in datasets of "

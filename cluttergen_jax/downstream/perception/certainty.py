@@ -13,7 +13,7 @@ import numpy as np
 from cluttergen_jax.downstream.perception.pose.estimator import PoseEstimate
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.schema import as_type, checked_record, with_checksum
+from cluttergen_jax.schema import convert, checked_record, with_checksum
 
 FILE = "certainty.json"
 FEATURES = ("bias", "score", "gap", "lead", "visible", "pixels", "steady")
@@ -76,7 +76,7 @@ def read_certainty(folder: Path) -> Certainty:
     if not path.is_file():
         return Certainty()
     try:
-        stored = as_type(checked_record(path.read_bytes()), _Stored)
+        stored = convert(checked_record(path.read_bytes()), _Stored)
         return Certainty(tuple(stored.weights[name] for name in FEATURES), stored.number)
     except (OSError, ValueError, KeyError) as error:
         raise PoolError(

@@ -19,7 +19,7 @@ from PIL import Image
 from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.schema import as_type, checked_record, digest_of, refuse, with_checksum
+from cluttergen_jax.schema import convert, checked_record, digest_of, refuse, with_checksum
 from cluttergen_jax.sensing.camera import Camera
 
 _NAMES = ("rgb.png", "depth.npy", "camera.json")
@@ -86,10 +86,10 @@ def read_frame(folder: str | Path) -> Frame:
             rgb = np.asarray(image.convert("RGB"))
         depth = np.load(paths[1], allow_pickle=False)
         told = checked_record(paths[2].read_bytes())
-        files = as_type(told.get("checksums", {}), dict[Literal["rgb.png", "depth.npy"], str])
+        files = convert(told.get("checksums", {}), dict[Literal["rgb.png", "depth.npy"], str])
         changed = [name for name, digest in files.items() if digest_of(_bytes(folder, name)) != digest]
         refuse([f"{name} is not what it was" for name in changed])
-        found = as_type(told, _Camera)
+        found = convert(told, _Camera)
         camera = Camera(found.width, found.height, np.array(found.K), np.array(found.T_world_camera))
     except Exception as error:  # Damaged headers make NumPy and Pillow raise whatever they like.
         raise BankError(

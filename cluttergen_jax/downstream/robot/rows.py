@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.proportions import finite, wilson
-from cluttergen_jax.schema import SchemaError, as_type, checked_record, digest_of, parse_json, with_checksum
+from cluttergen_jax.schema import SchemaError, convert, checked_record, digest_of, parse_json, with_checksum
 
 Row = TypeVar("Row")
 _NONE = object()
@@ -58,7 +58,7 @@ class RowFile(Generic[Row]):
         try:
             first, _, text = self._path.read_bytes().partition(b"\n")
             known = checked_record(first)
-            as_type(known.get(GRASPS, {}), dict[str, str])
+            convert(known.get(GRASPS, {}), dict[str, str])
             if known.pop(_ROWS, digest_of(text)) != digest_of(text):
                 raise SchemaError("its rows do not match their checksum")
             rows = [self._row(line) for line in text.splitlines()]
@@ -116,9 +116,9 @@ class RowFile(Generic[Row]):
             write_atomically(self._path, f"{first}\n".encode() + text)
 
     def _row(self, line: bytes) -> Row:
-        found = as_type(parse_json(line), dict[str, Any])
+        found = convert(parse_json(line), dict[str, Any])
         numbers = {key: math.nan if value is None else value for key, value in found.items()}
-        return as_type(numbers, self._kind)
+        return convert(numbers, self._kind)
 
 
 def _plain(row: Any) -> dict[str, Any]:

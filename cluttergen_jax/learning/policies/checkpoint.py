@@ -13,7 +13,7 @@ import msgspec
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.networks.config import KIND, NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.schema import SchemaError, as_type
+from cluttergen_jax.schema import SchemaError, convert
 
 _HINT = "a policy that `cluttergen train` of this version left"
 
@@ -97,7 +97,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
         path = path / "policy"
     record = read_record(path)
     try:
-        as_type(record, _Trained)
+        convert(record, _Trained)
     except SchemaError as error:
         told = f"does not say what network it holds, and how that was trained ({error})"
         raise PoolError(f"{path / 'record.json'} {told}", hint=_HINT) from error
