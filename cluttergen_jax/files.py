@@ -72,7 +72,7 @@ def check_utf8(path: str | os.PathLike[str]) -> None:
 
 
 def inside(folder: str | os.PathLike[str], name: object) -> Path:
-    """`folder / name`, where the name comes from a file, an archive or a server: somebody else's word.
+    """`folder / name`, where the name comes from a file, an archive or a server, and is not trusted.
 
     Args:
       folder: known to be meant.
@@ -105,7 +105,7 @@ def file_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     Folders are made as needed; if the block fails, nothing is left behind.
     """
     path = Path(path)
-    with own_folder(path) as scratch, _naming(path):
+    with scratch_folder(path) as scratch, _naming(path):
         yield scratch / path.name
         os.replace(scratch / path.name, path)
 
@@ -130,21 +130,21 @@ def folder_whole(folder: Path, is_only_writer: bool = False) -> Iterator[Path]:
     If the block fails, `folder` is what it was, and nothing else is left behind.
 
     Args:
-      is_only_writer: nobody else writes this folder now, so what any killed writer left is removed.
+      is_only_writer: no other process writes this folder now, so what any killed writer left is removed.
     """
-    with own_folder(folder, is_only_writer) as scratch:
+    with scratch_folder(folder, is_only_writer) as scratch:
         with _naming(folder):
             yield scratch / folder.name
         swap_in(scratch / folder.name, folder)
 
 
 @contextmanager
-def own_folder(path: Path, is_only_writer: bool = False) -> Iterator[Path]:
+def scratch_folder(path: Path, is_only_writer: bool = False) -> Iterator[Path]:
     """A new, empty folder beside `path`, in which what is to take its place is made; removed after the block.
 
-    Every temporary name beside something that is kept is made by `_new_folder`: nobody can have laid a link
-    or a file there, nobody else gets the same, and it says which process uses it. What processes of this
-    machine left that are no more is removed on the way.
+    Every temporary name beside something that is kept is made by `_new_folder`: no link or file can lie there
+    yet, no other process gets the same, and it says which process uses it. What processes of this machine
+    left that are no more is removed on the way.
 
     Args:
       path: its folder is made if need be.
@@ -153,7 +153,7 @@ def own_folder(path: Path, is_only_writer: bool = False) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove_left(path.parent.absolute())
     if is_only_writer:
-        _remove_stale(path.parent, _beginning(path), is_only_writer)
+        remove_partial(path.parent, _beginning(path))
     scratch = _new_folder(path, PARTIAL)
     try:
         yield scratch
@@ -163,8 +163,8 @@ def own_folder(path: Path, is_only_writer: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def begun_folder(path: Path) -> Iterator[Path]:
-    """As `own_folder`, but it is kept if the block fails, and has then what was made of `path` before."""
+def resumable_folder(path: Path) -> Iterator[Path]:
+    """As `scratch_folder`, but it is kept if the block fails, and has then what was made of `path` before."""
     path.parent.mkdir(parents=True, exist_ok=True)
     scratch = _new_folder(path, _BEGUN)
     for left in _stale(path.parent, _beginning(path), (_BEGUN,)):
@@ -198,7 +198,7 @@ def is_partial(name: str) -> bool:
 
 
 def _new_folder(path: Path, ending: str) -> Path:
-    """A folder beside `path` that was not there, of a name that nobody can guess, for this user alone."""
+    """A folder beside `path` that was not there, of a name that cannot be guessed, for this user alone."""
     while True:
         name = f"{_beginning(path)}{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{ending}"
         # Known before it is there: other threads look for what was left.
@@ -235,37 +235,32 @@ def _machine() -> str:
 def _stale(
     folder: Path, beginning: str, endings: tuple[str, ...], is_only_writer: bool = False
 ) -> Iterator[Path]:
-    """What was being written in a folder by processes that are no more.
-
-    Args:
-      beginning: of its name.
-      is_only_writer: what other machines and older versions were writing counts, too.
-    """
+    """What was being written in a folder by processes that are no more; see `remove_partial`."""
     for path in list(folder.absolute().iterdir()):
         name = path.name
         is_meant = name.startswith(beginning) and any(ending in name for ending in endings)
-        if is_meant and is_partial(name) and _is_left(name, is_only_writer):
+        if not (is_meant and is_partial(name)):
+            continue
+        known = _TEMPORARY.fullmatch(name)
+        if known is None or known["machine"] != _machine():
+            is_left = is_only_writer
+        elif (process := int(known["process"])) == os.getpid():
+            is_left = name not in _in_use
+        else:
+            is_left = not _is_running(process)
+        if is_left:
             yield path
 
 
-def _is_left(name: str, is_only_writer: bool) -> bool:
-    known = _TEMPORARY.fullmatch(name)
-    if known is None or known["machine"] != _machine():
-        return is_only_writer
-    process = int(known["process"])
-    return name not in _in_use if process == os.getpid() else not _is_running(process)
-
-
 def _is_running(process: int) -> bool:
-    if os.name == "nt":
-        # There, asking would end it.
-        return True
     try:
-        os.kill(process, 0)
+        # On Windows, asking would end it.
+        if os.name != "nt":
+            os.kill(process, 0)
     except ProcessLookupError:
         return False
     except (OSError, OverflowError):
-        return True
+        pass
     return True
 
 
@@ -285,10 +280,16 @@ def _is_plain(folder: Path) -> bool:
 def _remove_left(folder: Path) -> None:
     """Once in a process for a folder, which may have many files."""
     with suppress(OSError):
-        _remove_stale(folder, ".")
+        remove_partial(folder, is_only_writer=False)
 
 
-def _remove_stale(folder: Path, beginning: str, is_only_writer: bool = False) -> None:
+def remove_partial(folder: Path, beginning: str = ".", is_only_writer: bool = True) -> None:
+    """Removes what writers that were killed left half written in `folder`.
+
+    Args:
+      beginning: of its name.
+      is_only_writer: only this process may write there: what other machines and older versions left counts.
+    """
     for path in _stale(folder, beginning, (PARTIAL, _OLD), is_only_writer):
         _put_back_from(path)
         remove(path)
@@ -316,7 +317,7 @@ def swap_in(fresh: Path, folder: Path) -> None:
                 os.rename(fresh, folder)
                 return
             except OSError as error:
-                # Somebody else may have put in theirs since.
+                # Another process may have put in its own since.
                 if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                     raise
                 remove(aside / folder.name)
@@ -347,11 +348,6 @@ def _put_back_from(aside: Path) -> None:
 def advice_on(error: OSError) -> str:
     """What to try about what the operating system refused."""
     return _ADVICE.get(error.errno or 0, "removing its cause")
-
-
-def remove_partial(folder: Path) -> None:
-    """Removes what writers that were killed left half written in `folder`; for who alone may write in it."""
-    _remove_stale(folder, ".", is_only_writer=True)
 
 
 @contextmanager

@@ -53,7 +53,7 @@ class Progress:
             file=self._file,
             disable=self._is_log or not total,
         )
-        self._started = self._told = clock()
+        self._started = self._last_line = clock()
 
     def __enter__(self) -> Progress:
         return self
@@ -66,9 +66,9 @@ class Progress:
             self.close()
 
     def close(self) -> None:
-        """Nothing more is shown; a log that was told something is told that it ends."""
+        """Nothing more is shown; a log that has lines gets a last one."""
         self._bar.close()
-        if self._is_log and self._told > self._started:
+        if self._is_log and self._last_line > self._started:
             passed = time_text(self._clock() - self._started)
             self.say(f"{self.title}: {self.done} of {self.total} {self.unit}s done in {passed}")
 
@@ -78,19 +78,19 @@ class Progress:
         if note:
             self._bar.set_postfix_str(note, refresh=False)
         self._bar.update(number)
-        self._tell(note)
+        self._log(note)
 
     def note(self, text: str) -> None:
         """What is being done: beside the bar; in a log, in lines that come while nothing gets done."""
         if not self._is_log:
             self._bar.set_postfix_str(text)
-        self._tell(text)
+        self._log(text)
 
-    def _tell(self, note: str) -> None:
+    def _log(self, note: str) -> None:
         """A line in a log, where the last is long ago."""
         now = self._clock()
-        if self._is_log and now - self._told >= EVERY:
-            self._told = now
+        if self._is_log and now - self._last_line >= EVERY:
+            self._last_line = now
             text = f"{self.title}: {self.done} of {self.total} {self.unit}s, {self.times()}"
             self.say(f"{text}, {note}" if note else text)
 
@@ -136,7 +136,7 @@ def interruptible(function: Callable[..., T], *args: Any) -> T:
     """The result of a call that would keep Ctrl-C waiting, such as a compilation.
 
     It is made in a thread of its own while this one waits. Where Ctrl-C ends the wait the call is abandoned:
-    it goes on until the process ends, and nobody sees what becomes of it. Outside the main thread, where
+    it goes on until the process ends, and its result is lost. Outside the main thread, where
     Python answers no signals, it is an ordinary call.
 
     Raises:
@@ -148,10 +148,10 @@ def interruptible(function: Callable[..., T], *args: Any) -> T:
     whole = with_own_settings(function)
     if threading.current_thread() is not threading.main_thread():
         return whole(*args)
-    return abandoned_if(lambda: False, whole, *args)
+    return run_abandonable(lambda: False, whole, *args)
 
 
-def abandoned_if(is_stopped: Callable[[], bool], function: Callable[..., T], *args: Any) -> T:
+def run_abandonable(is_stopped: Callable[[], bool], function: Callable[..., T], *args: Any) -> T:
     """The result of a call that is made in a thread of its own, and abandoned as soon as `is_stopped`.
 
     Raises:

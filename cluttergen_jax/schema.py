@@ -33,15 +33,15 @@ class SchemaError(ValueError):
     """A file does not say what its reader expects; the text says where and what."""
 
 
-def parse_json(data: bytes) -> Any:
-    """What JSON says; numbers that are none (NaN, Infinity), and text behind it, are not JSON.
+def parse_json(data: bytes, allow_nan: bool = False) -> Any:
+    """What JSON says; text behind it, and unless they are allowed numbers that are none (NaN), are not JSON.
 
     Raises:
       SchemaError: it is none.
     """
     try:
-        return msgspec.json.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        return json.loads(data) if allow_nan else msgspec.json.decode(data)
+    except (ValueError, RecursionError) as error:
         raise SchemaError(f"not JSON: {error or 'nested too deeply'}") from error
 
 
@@ -87,7 +87,7 @@ def checked_record(data: bytes, allow_nan: bool = False) -> Record:
     Raises:
       SchemaError: it is no record, or not the one whose checksum it has.
     """
-    record = _lenient(data) if allow_nan else parse_json(data)
+    record = parse_json(data, allow_nan)
     if not isinstance(record, dict):
         raise SchemaError(f"not a record but {type(record).__name__}")
     if CHECKSUM in record and record.pop(CHECKSUM) != _digest(record):
@@ -105,7 +105,9 @@ SEAL = {_SEAL.decode(): _BLANK.decode()}
 
 def with_seal(data: bytes) -> bytes:
     """A file that has `SEAL`, with its checksum in it."""
-    start = _blank_at(data)
+    found = _SEALED.search(data)
+    assert found is not None, "a file without a place for its checksum"
+    start = found.start(1)
     return data[:start] + digest_of(data).encode() + data[start + len(_BLANK) :]
 
 
@@ -117,12 +119,6 @@ def check_seal(data: bytes) -> None:
     start, end = found.span(1)
     if digest_of(data[:start] + _BLANK + data[end:]).encode() != found[1]:
         raise SchemaError("its content does not match its checksum")
-
-
-def _blank_at(data: bytes) -> int:
-    found = _SEALED.search(data)
-    assert found is not None, "a file without a place for its checksum"
-    return found.start(1)
 
 
 @dataclass(frozen=True)
@@ -146,8 +142,8 @@ class Numbers:
             return f"is of type {getattr(value, 'dtype', type(value).__name__)}, not {np.dtype(self.dtype)}"
         asked = [lengths.get(each) if isinstance(each, str) else each for each in self.shape]
         if value.ndim != len(asked) or any(each not in (None, n) for each, n in zip(asked, value.shape)):  # noqa: B905
-            told = ", ".join("any" if each is None else str(each) for each in asked)
-            return f"is of shape {value.shape}, not ({told})"
+            wanted = ", ".join("any" if each is None else str(each) for each in asked)
+            return f"is of shape {value.shape}, not ({wanted})"
         lengths |= {each: n for each, n in zip(self.shape, value.shape, strict=True) if isinstance(each, str)}
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             return "holds numbers that are not finite"
@@ -168,7 +164,7 @@ def check_numbers(arrays: Mapping[str, Any], asked: Mapping[str, Numbers]) -> No
     faults = [f"{name!r} is missing" for name in asked if name not in arrays]
     faults += [f"{name!r} is unknown" for name in arrays if name not in asked]
     known = [name for name in asked if name in arrays]
-    faults += [f"{name!r} {told}" for name in known if (told := asked[name].fault(arrays[name], lengths))]
+    faults += [f"{name!r} {fault}" for name in known if (fault := asked[name].fault(arrays[name], lengths))]
     refuse(faults)
 
 

@@ -46,7 +46,7 @@ def export(
     from cluttergen_jax.progress import track
     from cluttergen_jax.scene.bank import read_bank
     from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
-    from cluttergen_jax.scene.bank.scene import chosen_rows, read_scenes
+    from cluttergen_jax.scene.bank.scene import read_scenes, select_rows
     from cluttergen_jax.scene.export import export_scenes
 
     numbers = scene_numbers(scenes)
@@ -59,7 +59,7 @@ def export(
             raise ConfigError(f"`scenes` beside the single scene {source}", "one of the two")
         numbers = [own]
     bank = read_bank(path)
-    total = len(chosen_rows(bank, numbers))
+    total = len(select_rows(bank, numbers))
     read = read_scenes(bank, numbers)
     shown = read if total <= _MANY else track(read, "exporting", total, "scene")
     return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras))

@@ -91,7 +91,7 @@ def pull_policies(
       MissingExtraError: the extra `hub` is not installed.
     """
     from cluttergen_jax.errors import BankError
-    from cluttergen_jax.files import inside, own_folder, swap_in, writing
+    from cluttergen_jax.files import inside, scratch_folder, swap_in, writing
     from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
     from cluttergen_jax.learning.policies.embedded import pulled_root
     from cluttergen_jax.learning.ppo.checkpoint import check_weights
@@ -108,7 +108,7 @@ def pull_policies(
         raise BankError(
             f"{root / there[0]} exists", "checkpoints that are new", "`overwrite` to replace them"
         )
-    with writing(root), own_folder(root / "fetched") as scratch:
+    with writing(root), scratch_folder(root / "fetched") as scratch:
         place.fetch(name, commit, scratch, _OF_POLICIES)
         for each in found:
             check_weights(read_checkpoint(inside(scratch, each)).path)

@@ -23,7 +23,7 @@ import msgspec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
-from cluttergen_jax.files import folder_whole, inside, own_folder
+from cluttergen_jax.files import folder_whole, inside, scratch_folder
 from cluttergen_jax.schema import SchemaError, checked_record, convert, with_checksum
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
@@ -250,7 +250,7 @@ def remove_pool(name: str) -> Pool | None:
     except ClutterGenError:
         pool = None
     # Out of sight first: a removal that is stopped halfway leaves no pool of which half is missing.
-    with own_folder(folder) as aside:
+    with scratch_folder(folder) as aside:
         os.rename(folder, aside / folder.name)
     return pool
 

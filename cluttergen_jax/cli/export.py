@@ -20,7 +20,7 @@ class Export(Options):
     def run(self) -> int:
         """Runs the command; the exit status."""
         from cluttergen_jax.scene.export import FORMATS
-        from cluttergen_jax.scene.export.manifest import MANIFEST
+        from cluttergen_jax.scene.export.folder import MANIFEST
 
         folder = self.call(export)
         scenes = json.loads((folder / MANIFEST).read_text())["scenes"]

@@ -23,8 +23,8 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.files import folder_whole, is_partial, write_atomically, writing
+from cluttergen_jax.kept_folder import LOCK
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.lock import LOCK
 from cluttergen_jax.schema import (
     SEAL,
     SchemaError,
@@ -48,7 +48,7 @@ class SplitFormat:
       kind: its plural, "views" or "pairs"; column: that numbers the rows of a split.
       command: that makes it, for messages.
       schema: of its rows; block_size: rows of a block.
-      record: the class of its record (`schema.typed`).
+      record: the class of its record (`schema.convert`).
       check_rows: raises a SchemaError where the rows of a block are none.
     """
 

@@ -21,13 +21,13 @@ from cluttergen_jax.evaluation.measures.certificate import certificates
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.simulate import horizons_of
 from cluttergen_jax.files import writing
+from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.index import BankIndex
-from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.scene.bank.remote import check_is_here
 from cluttergen_jax.scene.bank.scene import config_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE, is_fully_certified, schema_of
@@ -55,7 +55,7 @@ def certify_bank(
     horizons_of((seconds,))
     check_is_here(bank.path)
     with writing(bank.path):
-        lock = BankLock(bank.path)
+        lock = FolderLock(bank.path)
     try:
         found = _certify(bank, seconds, jobs, force, cluster)
         with writing(bank.path):

@@ -21,8 +21,7 @@ from cluttergen_jax.placement.region import from_pose
 from cluttergen_jax.scene import SceneCollection
 from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.hub import find_bank
-from cluttergen_jax.scene.bank.scene import config_of
-from cluttergen_jax.scene.bank.standing import StandingReader, StandingScenes, joined
+from cluttergen_jax.scene.bank.scene import SceneArrayReader, SceneArrays, config_of, join_scenes
 from cluttergen_jax.scene.collection import SceneModel, compile_scenes
 from cluttergen_jax.types import Array
 
@@ -150,11 +149,11 @@ def load_bank(
         check_range("num_scenes", num_scenes, 1, _MOST, 1000)
         check_range("seed", seed, 0, _MOST, 0)
     bank = read_bank(find_bank(path, hub=hub, revision=revision))
-    reader = StandingReader(bank)
+    reader = SceneArrayReader(bank)
     wanted = None if num_scenes is None else _draw_numbers(bank, num_scenes, seed)
     parts = list(reader.scenes(wanted))
     _check_any(bank, parts)
-    return _arrays(bank, _compile_model(bank, reader), joined(parts))
+    return _arrays(bank, _compile_model(bank, reader), join_scenes(parts))
 
 
 def stream_bank(
@@ -174,13 +173,13 @@ def stream_bank(
     """
     check_range("batch_size", batch_size, 1, _MOST, 1024)
     bank = read_bank(find_bank(path, hub=hub, revision=revision))
-    reader = StandingReader(bank)
+    reader = SceneArrayReader(bank)
     num_slots = reader.look()
     _check_any(bank, reader.names)
     compiled = _compile_model(bank, reader)
-    rest: list[StandingScenes] = []
+    rest: list[SceneArrays] = []
     for part in reader.scenes():
-        scenes = joined([*rest, part.padded(num_slots)])
+        scenes = join_scenes([*rest, part.pad_slots(num_slots)])
         num_whole = len(scenes.number) // batch_size * batch_size
         for first in range(0, num_whole, batch_size):
             yield _arrays(bank, compiled, scenes.part(first, first + batch_size))
@@ -203,7 +202,7 @@ def _check_any(bank: Bank, found: Sized) -> None:
         raise BankError(f"{bank.path}: none of its {number} scenes succeeded", hint="more scenes")
 
 
-def _compile_model(bank: Bank, reader: StandingReader) -> SceneModel:
+def _compile_model(bank: Bank, reader: SceneArrayReader) -> SceneModel:
     """The model of all scenes that a reader has seen."""
     recipe = bank.record.get("recipe", {})
     stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)
@@ -213,7 +212,7 @@ def _compile_model(bank: Bank, reader: StandingReader) -> SceneModel:
 
 
 @with_own_settings
-def _arrays(bank: Bank, compiled: SceneModel, scenes: StandingScenes) -> BankArrays:
+def _arrays(bank: Bank, compiled: SceneModel, scenes: SceneArrays) -> BankArrays:
     object_index = compiled.object_index(scenes.asset_index)
     return BankArrays(
         index=jnp.asarray(scenes.number),

@@ -28,7 +28,7 @@ from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, comp
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_block, sample_blocks
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank.bits import differences
+from cluttergen_jax.scene.bank.record import differences
 from cluttergen_jax.scene.bank.table import table_of
 
 Block = tuple[int, int]

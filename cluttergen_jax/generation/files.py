@@ -17,8 +17,8 @@ from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.scene.bank import Bank, BankRow
-from cluttergen_jax.scene.bank.digests import digest_of
 from cluttergen_jax.scene.xml import scene_xml
+from cluttergen_jax.schema import digest_of
 
 _OVERVIEW = 12
 _PNG_BEGINS, _PNG_ENDS = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"

@@ -25,9 +25,8 @@ from cluttergen_jax.placement.problem import Problem, Setup, crowding
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
-from cluttergen_jax.scene.bank.clutter_stats import ClutterTally
 from cluttergen_jax.scene.bank.remote import publish_all, url_of
-from cluttergen_jax.scene.bank.totals import Totals
+from cluttergen_jax.scene.bank.totals import ClutterTally, Totals
 from cluttergen_jax.scene.bank.writer import names_of
 from cluttergen_jax.schema import Record
 

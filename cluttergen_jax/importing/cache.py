@@ -13,7 +13,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.files import cache_home, own_folder, remove
+from cluttergen_jax.files import cache_home, remove, scratch_folder
 from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.readers.companions import companions
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
@@ -95,7 +95,7 @@ def load(key: str, name: str) -> ObjectAsset | None:
 def store(key: str, asset: ObjectAsset) -> None:
     """Puts a body into the cache: whole or not at all, whoever else is writing the same."""
     root = cache_root()
-    with own_folder(root / key) as scratch:
+    with scratch_folder(root / key) as scratch:
         write_object(scratch / key, asset)
         try:
             os.rename(scratch / key, root / key)

@@ -6,27 +6,34 @@ labels, exactly, and not estimated from depth.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+import json
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
+from scipy.spatial import ConvexHull
+from scipy.spatial.distance import pdist
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shading import shaded
+from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.symmetry import symmetries_of
 from cluttergen_jax.config import PixelOrigin
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import folder_whole, write_atomically
 from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.rendering.assets import close_points
-from cluttergen_jax.rendering.bop_models import add_models, lines, model_ply
 from cluttergen_jax.rendering.bop_split import ORIGIN, SPLIT, SceneOrigin
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
 from cluttergen_jax.rendering.sensors import depth_png, png_of
 from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.instances import Instance, InstanceSensor
+from cluttergen_jax.sensing.rays import Instance, InstanceSensor
 
 __all__ = ["CAMERA", "DEPTH_SCALE", "SPLIT", "BopDataset", "model_ply"]
 
@@ -34,6 +41,8 @@ CAMERA = "camera.json"
 DEPTH_SCALE = 0.1
 """Millimetres of one step of a depth image."""
 _HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+_SAME = 1e-3
+_DIGITS = 6
 
 
 @dataclass(frozen=True)
@@ -68,7 +77,7 @@ class BopDataset:
           number: the scene's; one of that number is replaced.
           objects, poses: N objects that stand at f[N, 7], T_world_object, metres, wxyz.
           picture: of the cameras' size; its view does not count.
-          origin: which scene it is, to be told beside it.
+          origin: which scene it is, stored beside it.
           is_drawn: draw the colours, which needs OpenGL; all else needs none.
 
         Raises:
@@ -93,10 +102,23 @@ class BopDataset:
                 image, instances = sensor.sense(poses, camera)
                 data = depth_png(image.depth, DEPTH_SCALE / 1000)
                 write_atomically(fresh / "depth" / f"{view:06d}.png", data)
-                _write_masks(fresh, view, instances)
-                records["scene_camera"][view] = _camera_record(camera, self._intrinsics(camera))
+                for index, instance in enumerate(instances):
+                    for name, mask in (("mask", instance.mask), ("mask_visib", instance.visible)):
+                        file = fresh / name / f"{view:06d}_{index:06d}.png"
+                        write_atomically(file, png_of(Image.fromarray(mask.astype(np.uint8) * 255)))
+                turn = camera.rotation.T
+                records["scene_camera"][view] = {
+                    "cam_K": self._intrinsics(camera).ravel().tolist(),
+                    "depth_scale": DEPTH_SCALE,
+                    "cam_R_w2c": turn.ravel().tolist(),
+                    "cam_t_w2c": (-1000 * turn @ camera.eye).tolist(),
+                }
                 records["scene_gt"][view] = [
-                    _pose_record(ids[asset.name], pose, camera)
+                    {
+                        "obj_id": ids[asset.name],
+                        "cam_R_m2c": (turn @ rotation_matrix(pose[3:])).ravel().tolist(),
+                        "cam_t_m2c": (1000 * turn @ (pose[:3] - camera.eye)).tolist(),
+                    }
                     for asset, pose in zip(objects, poses, strict=True)
                 ]
                 is_valid = np.isfinite(image.depth)
@@ -120,26 +142,7 @@ class BopDataset:
         return camera.K - _HALF if self.pixel_origin == "center" else camera.K
 
 
-def _camera_record(camera: Camera, K: np.ndarray) -> dict[str, Any]:
-    turn = camera.rotation.T
-    return {
-        "cam_K": K.ravel().tolist(),
-        "depth_scale": DEPTH_SCALE,
-        "cam_R_w2c": turn.ravel().tolist(),
-        "cam_t_w2c": (-1000 * turn @ camera.eye).tolist(),
-    }
-
-
-def _pose_record(number: int, pose: np.ndarray, camera: Camera) -> dict[str, Any]:
-    turn = camera.rotation.T
-    return {
-        "obj_id": number,
-        "cam_R_m2c": (turn @ rotation_matrix(pose[3:])).ravel().tolist(),
-        "cam_t_m2c": (1000 * turn @ (pose[:3] - camera.eye)).tolist(),
-    }
-
-
-def _info_record(instance: Instance, is_valid: np.ndarray) -> dict[str, Any]:
+def _info_record(instance: Instance, is_valid: np.ndarray) -> dict[str, object]:
     """As bop_toolkit's calc_gt_info has it: boxes are x, y, width, height; all -1 if nothing is seen."""
     whole = visible = [-1, -1, -1, -1]
     if instance.visible.any() and instance.box is not None:
@@ -158,13 +161,6 @@ def _info_record(instance: Instance, is_valid: np.ndarray) -> dict[str, Any]:
 
 def _box(left: int, right: int, upper: int, lower: int) -> list[int]:
     return [left, upper, right - left, lower - upper]
-
-
-def _write_masks(folder: Path, view: int, instances: Sequence[Instance]) -> None:
-    for index, instance in enumerate(instances):
-        for name, mask in (("mask", instance.mask), ("mask_visib", instance.visible)):
-            picture = Image.fromarray(mask.astype(np.uint8) * 255)
-            write_atomically(folder / name / f"{view:06d}_{index:06d}.png", png_of(picture))
 
 
 _MEANT = {
@@ -196,3 +192,91 @@ Made by `cluttergen render --bop`. Format: docs/bop_datasets_format.md of bop_to
 - Symmetries: of bodies of revolution (`symmetries_continuous`) and of boxes, prisms and the like
   (`symmetries_discrete`), colours included, to within 5 mm or 4 % of the object's size.
 """
+
+
+def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
+    """The number of each object's model in a dataset, by name; models that are new to it are written.
+
+    Raises:
+      ConfigError: another model of an object's name is there.
+    """
+    path = folder / "models" / "models_info.json"
+    infos = json.loads(path.read_bytes()) if path.exists() else {}
+    ids = {info["name"]: int(key) for key, info in infos.items()}
+    for asset in sorted({each.name: each for each in objects}.values(), key=lambda each: each.name):
+        pieces = drawn_pieces(asset)
+        extent = _extent(np.concatenate([piece.mesh.vertices for piece in pieces]) * 1000)
+        key = ids.setdefault(asset.name, len(ids) + 1)
+        if (known := infos.get(str(key))) is None:
+            write_atomically(path.with_name(f"obj_{key:06d}.ply"), model_ply(asset))
+            source = {"name": asset.name, "label": asset.label, **asdict(asset.provenance)}
+            infos[str(key)] = source | extent | _symmetries(pieces)
+        elif any(abs(known[name] - value) > _SAME for name, value in extent.items()):
+            raise ConfigError(
+                f"{folder}: another model of the name {asset.name!r} is there",
+                "objects of one pool in one dataset",
+                "another folder",
+            )
+    write_atomically(path, lines(infos))
+    return ids
+
+
+def drawn_pieces(asset: ObjectAsset) -> tuple[Piece, ...]:
+    """The asset's coloured surfaces; its collision parts where it has none."""
+    return asset.pieces or tuple(Piece(part.hull()) for part in asset.parts)
+
+
+def model_ply(asset: ObjectAsset) -> bytes:
+    """The surfaces as one ASCII PLY: millimetres, object frame, normals and colours at the vertices."""
+    rows, faces, count = [], [], 0
+    for piece in drawn_pieces(asset):
+        surface = shaded(piece.mesh, piece.uv)
+        colour = np.tile(np.array(piece.rgba[:3]), (len(surface.vertices), 1))
+        if piece.texture is not None and surface.uv is not None:
+            colour = colour * piece.texture.at(surface.uv)
+        rows.append(np.hstack([surface.vertices * 1000.0, surface.normals, np.round(255 * colour)]))
+        faces.append(surface.faces.astype(np.int64) + count)
+        count += len(surface.vertices)
+    buffer = io.StringIO()
+    header = ["ply", "format ascii 1.0", f"element vertex {count}"]
+    header += [f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")]
+    header += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    header += [f"element face {sum(map(len, faces))}", "property list uchar int vertex_indices", "end_header"]
+    buffer.write("\n".join(header) + "\n")
+    np.savetxt(buffer, np.concatenate(rows), fmt=["%.5f"] * 6 + ["%d"] * 3)
+    triangles = np.concatenate(faces)
+    np.savetxt(buffer, np.column_stack([np.full(len(triangles), 3), triangles]), fmt="%d")
+    return buffer.getvalue().encode()
+
+
+def _extent(vertices: np.ndarray) -> dict[str, float]:
+    """Bounding box and diameter, the largest distance between two vertices f[V, 3]; millimetres."""
+    low, high = vertices.min(0), vertices.max(0)
+    corners = vertices[ConvexHull(vertices).vertices]
+    record = {"diameter": float(pdist(corners).max())}
+    record |= {f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)}
+    return record | {f"size_{axis}": float(value) for axis, value in zip("xyz", high - low, strict=True)}
+
+
+def _symmetries(pieces: Sequence[Piece]) -> dict[str, list]:
+    """What BOP states of an object that looks the same in several poses, millimetres; nothing of others."""
+    found = symmetries_of(pieces)
+    record: dict[str, list] = {}
+    if len(found.axes):
+        point = _plain(1000 * found.point)
+        record["symmetries_continuous"] = [{"axis": _plain(axis), "offset": point} for axis in found.axes]
+    if len(found.motions):
+        scaled = found.motions * [[1.0, 1.0, 1.0, 1000.0]]
+        record["symmetries_discrete"] = [_plain(motion) for motion in scaled]
+    return record
+
+
+def _plain(values: np.ndarray) -> list[float]:
+    """Numbers row by row; no zero is negative."""
+    return (np.round(values, _DIGITS) + 0.0).ravel().tolist()
+
+
+def lines(record: Mapping[Any, Any]) -> bytes:
+    """JSON with a line for each entry."""
+    entries = [f"  {json.dumps(str(key))}: {json.dumps(value)}" for key, value in record.items()]
+    return ("{\n" + ",\n".join(entries) + "\n}\n").encode()

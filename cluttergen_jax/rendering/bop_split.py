@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.schema import SchemaError, convert, parse_json
 
 SPLIT = "train_synt"
 """Training images, synthetic."""
@@ -16,7 +17,6 @@ ORIGIN = "origin.json"
 """Beside the files of each scene."""
 _SPLIT_NAME = re.compile(r"(train|val|test)(_[A-Za-z0-9][A-Za-z0-9_-]*)?")
 _NUMBER = re.compile(r"\d{6,}")
-_TYPES = {"source": str, "scene": int, "digest": str, "settings": dict, "has_colour": bool}
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,13 @@ class Place:
 
 
 class BopSplit:
-    """What a split holds; it is read once, and knows what it has been told to make room for.
+    """What a split holds; it is read once, and remembers the places that it has given.
 
     Args:
       folder: of the dataset; split: by name.
 
     Raises:
-      ConfigError: no name of a split, or scenes are there of which nobody knows where they are from.
+      ConfigError: no name of a split, or scenes are there that do not say where they are from.
     """
 
     def __init__(self, folder: Path, split: str) -> None:
@@ -104,12 +104,8 @@ class BopSplit:
 
 def _read_origin(scene: Path) -> SceneOrigin:
     try:
-        record = json.loads((scene / ORIGIN).read_bytes())
-        values = [record[name] for name in _TYPES]
-        if not all(isinstance(each, kind) for each, kind in zip(values, _TYPES.values(), strict=True)):
-            raise TypeError(f"values of other types than {_TYPES}")
-        return SceneOrigin(*values)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        return convert(parse_json((scene / ORIGIN).read_bytes()), SceneOrigin)
+    except (OSError, SchemaError) as error:
         raise ConfigError(
             f"{scene} does not say which scene it is: {ORIGIN} is damaged, or missing as in datasets of "
             "earlier versions",

@@ -1,4 +1,4 @@
-"""Where the camera stands: as close as it can while the content fits the picture; and how OpenGL is told."""
+"""Where the camera stands: as close as it can while the content fits the picture; and as OpenGL takes it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def axes(azimuth: float, elevation: float) -> np.ndarray:
     return np.stack([right, np.cross(right, forward), forward])
 
 
-def fitted_eye(points: np.ndarray, view: CameraView, aspect: float) -> np.ndarray:
+def fit_eye(points: np.ndarray, view: CameraView, aspect: float) -> np.ndarray:
     """The nearest place from which all `points` lie inside the picture, centred.
 
     Seen from (ex, ez), a point (x, z) lies right of the left edge and left of the right edge if
@@ -63,12 +63,12 @@ def fitted_eye(points: np.ndarray, view: CameraView, aspect: float) -> np.ndarra
     depth = np.min(-(low + high) / (2 * tangents))
     ahead = seen[:, 2] - depth
     sides = [
-        _centred(seen[:, k], ahead, high[k] + t * depth, -low[k] - t * depth) for k, t in enumerate(tangents)
+        _center(seen[:, k], ahead, high[k] + t * depth, -low[k] - t * depth) for k, t in enumerate(tangents)
     ]
     return np.array([*sides, depth]) @ turn
 
 
-def _centred(side: np.ndarray, ahead: np.ndarray, least: float, most: float) -> float:
+def _center(side: np.ndarray, ahead: np.ndarray, least: float, most: float) -> float:
     """Where between two bounds the eye sees points as far to one side as to the other, by bisection.
 
     Args:
@@ -81,16 +81,16 @@ def _centred(side: np.ndarray, ahead: np.ndarray, least: float, most: float) -> 
     return (least + most) / 2
 
 
-def fitted_camera(points: np.ndarray, view: CameraView, width: int, height: int) -> Camera:
-    """The camera at the place that `fitted_eye` finds."""
+def fit_camera(points: np.ndarray, view: CameraView, width: int, height: int) -> Camera:
+    """The camera at the place that `fit_eye` finds."""
     T = np.eye(4)
     T[:3, :3] = (axes(view.azimuth, view.elevation) * [[1.0], [-1.0], [1.0]]).T
-    T[:3, 3] = fitted_eye(points, view, width / height)
+    T[:3, 3] = fit_eye(points, view, width / height)
     focal = height / 2 / math.tan(math.radians(view.field_of_view) / 2)
     return Camera(width, height, intrinsics(width, height, focal), T)
 
 
-def orbiting(camera: Camera) -> mujoco.MjvCamera:
+def orbit_camera(camera: Camera) -> mujoco.MjvCamera:
     """MuJoCo's camera at the same place, looking the same way; it knows neither roll nor intrinsics."""
     forward = camera.rotation[:, 2]
     seen = mujoco.MjvCamera()
@@ -101,7 +101,7 @@ def orbiting(camera: Camera) -> mujoco.MjvCamera:
 
 
 def set_view(scene: mujoco.MjvScene, camera: Camera) -> None:
-    """Makes a scene that has been updated for `orbiting` be seen by exactly this camera."""
+    """Makes a scene that has been updated for `orbit_camera` be seen by exactly this camera."""
     K, rotation = camera.K, camera.rotation
     for seen in scene.camera:
         seen.pos, seen.forward, seen.up = camera.eye, rotation[:, 2], -rotation[:, 1]

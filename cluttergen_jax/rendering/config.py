@@ -8,7 +8,12 @@ from dataclasses import dataclass
 from cluttergen_jax.errors import ConfigError
 
 MAX_FRAMES = 5000
-_MOST_AZIMUTH = 3600
+_VIEW_LIMITS = {
+    "azimuth": (-3600, 3600, " degrees"),
+    "elevation": (-90, 90, " degrees"),
+    "field_of_view": (1, 120, " degrees"),
+    "margin": (0, 0.45, ""),
+}
 
 
 @dataclass(frozen=True)
@@ -28,16 +33,11 @@ class CameraView:
     margin: float = 0.06
 
     def __post_init__(self) -> None:
-        if not abs(self.azimuth) <= _MOST_AZIMUTH:
-            raise ConfigError(
-                f"CameraView.azimuth = {self.azimuth}", f"-{_MOST_AZIMUTH} to {_MOST_AZIMUTH} degrees"
-            )
-        if not -90.0 <= self.elevation <= 90.0:
-            raise ConfigError(f"CameraView.elevation = {self.elevation}", "-90 to 90 degrees")
-        if not 1.0 <= self.field_of_view <= 120.0:
-            raise ConfigError(f"CameraView.field_of_view = {self.field_of_view}", "1 to 120 degrees")
-        if not 0.0 <= self.margin <= 0.45:
-            raise ConfigError(f"CameraView.margin = {self.margin}", "0 to 0.45")
+        for name, (least, most, unit) in _VIEW_LIMITS.items():
+            if not least <= getattr(self, name) <= most:
+                raise ConfigError(
+                    f"CameraView.{name} = {getattr(self, name)}", f"{least:g} to {most:g}{unit}"
+                )
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,12 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
-from cluttergen_jax.rendering.overlay import Ring, ring_around, with_rings
+from cluttergen_jax.rendering.overlay import ring_around, with_rings
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.scene_renderer import (
     RED,
     PictureConfig,
     RenderStyle,
-    SceneRenderer,
     scene_renderer,
 )
 
@@ -88,10 +87,12 @@ def closed_loop_figure(
     )
     with scene_renderer(actors, recording.support, points, picture) as renderer:
         image = renderer.picture(styles, trails)
-        rings = [
-            _ring(renderer, recording, index, pose, RED if order < len(failed) else GREEN, order + 1)
-            for order, pose in enumerate([*(ghost.pose for ghost in ghosts), last.settled[index]])
-        ]
+        vertices = np.concatenate([part.vertices for part in recording.objects[index].parts])
+        rings = []
+        for order, pose in enumerate([*(ghost.pose for ghost in ghosts), last.settled[index]]):
+            outline, _ = renderer.camera.project(transform_points(pose, vertices))
+            rgb, room = RED if order < len(failed) else GREEN, renderer.config.height / 90
+            rings.append(ring_around(outline, rgb, str(order + 1), room))
     return with_rings(image, rings)
 
 
@@ -100,16 +101,3 @@ def trails_of(attempt: Attempt, num_steps: int | None = None, alpha: float = 0.9
     points = attempt.trajectory[: None if num_steps is None else num_steps + 1, :3]
     dot = points[:1] + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1e-4]])
     return Trail(points, RED, alpha), Trail(dot, RED, alpha, 0.0045)
-
-
-def _ring(
-    renderer: SceneRenderer,
-    recording: Replay,
-    index: int,
-    pose: np.ndarray,
-    rgb: tuple[float, float, float],
-    number: int,
-) -> Ring:
-    vertices = np.concatenate([part.vertices for part in recording.objects[index].parts])
-    outline, _ = renderer.camera.project(transform_points(pose, vertices))
-    return ring_around(outline, rgb, str(number), renderer.config.height / 90)

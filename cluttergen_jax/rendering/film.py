@@ -15,7 +15,13 @@ from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN, trails_of
 from cluttergen_jax.rendering.overlay import with_caption
 from cluttergen_jax.rendering.renderer import Trail
-from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer, swept
+from cluttergen_jax.rendering.scene_renderer import (
+    RED,
+    PictureConfig,
+    RenderStyle,
+    scene_renderer,
+    turntable_points,
+)
 
 _TINT = 0.72
 
@@ -30,20 +36,10 @@ class Frame:
     dot: tuple[float, float, float] | None = None
 
 
-@dataclass(frozen=True)
-class _Segment:
-    """A stretch of an attempt: its kind and how long it lasts, in seconds."""
-
-    kind: str
-    seconds: float
-
-
-def _segments(attempt: Attempt, timestep: float, config: FilmConfig) -> list[_Segment]:
-    settling = config.slowdown * attempt.num_steps * timestep
-    begin = [_Segment("approach", 0.3), _Segment("settle", settling)]
-    if attempt.is_stable:
-        return [*begin, _Segment("rest", 0.15)]
-    return [*begin, _Segment("shown", 0.3), _Segment("fade", 0.35)]
+def _segments(attempt: Attempt, timestep: float, config: FilmConfig) -> dict[str, float]:
+    """The stretches of an attempt by kind, and how long they last, in seconds."""
+    begin = {"approach": 0.3, "settle": config.slowdown * attempt.num_steps * timestep}
+    return begin | ({"rest": 0.15} if attempt.is_stable else {"shown": 0.3, "fade": 0.35})
 
 
 def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[Frame]:
@@ -52,7 +48,7 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
     From release to the attempt's end the frames show the simulator's own trajectory.
 
     Raises:
-      ConfigError: nobody knows the recording's attempts.
+      ConfigError: the recording's attempts are not known.
     """
     config = config or FilmConfig()
     if not recording.attempts:
@@ -62,18 +58,18 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
             "the bank's folder instead of a single file",
         )
     segments = [_segments(each, recording.timestep, config) for each in recording.attempts]
-    natural = sum(segment.seconds for each in segments for segment in each)
+    natural = sum(sum(each.values()) for each in segments)
     hold = min(1.5, 0.2 * config.seconds)
     speedup = max(1.0, natural / max(config.seconds - hold, 1e-6))
     frames: list[Frame] = []
     clock = 0.0
     for place, of_attempt in enumerate(segments):
-        for segment in of_attempt:
+        for kind, seconds in of_attempt.items():
             # Rounding the clock, not each segment, keeps the film as long as it was meant to be.
-            first, clock = round(clock * config.fps), clock + segment.seconds / speedup
+            first, clock = round(clock * config.fps), clock + seconds / speedup
             count = round(clock * config.fps) - first
             for number in range(count):
-                frames.append(_frame(recording, place, segment.kind, (number + 1) / count, config))
+                frames.append(_frame(recording, place, kind, (number + 1) / count, config))
     last = _standing(recording, recording.poses, recording.is_placed)
     end = Frame(last, (), *(_ending(recording) if config.captions else ("", None)))
     return [*frames, *[end] * max(1, round(hold * config.fps))]
@@ -149,7 +145,7 @@ def turntable(
     styles = _standing(recording, recording.poses, recording.is_placed)
     points = _end_points(recording)
     with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
-        around = swept(renderer.content if picture.whole else points)
+        around = turntable_points(renderer.content if picture.whole else points)
         for number in range(count):
             turn = 360.0 * number / count
             renderer.aim(around, replace(picture.view, azimuth=picture.view.azimuth + turn))

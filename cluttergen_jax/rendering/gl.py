@@ -75,7 +75,7 @@ def _failure(backend: str) -> str | None:
 
 def _plain(message: object) -> str:
     """What MuJoCo or PyOpenGL said, in plain words if it is known."""
-    return next((meant for said, meant in _PLAIN.items() if said in str(message)), str(message))
+    return next((plain for part, plain in _PLAIN.items() if part in str(message)), str(message))
 
 
 @functools.cache
@@ -106,10 +106,10 @@ def find_backend() -> str:
     backend, failures = _trial(given)
     if backend is None:
         settings = {"MUJOCO_GL": given, "PYOPENGL_PLATFORM": os.environ.get("PYOPENGL_PLATFORM", "")}
-        told = " and ".join(f"{name}={value}" for name, value in settings.items() if value)
+        named = " and ".join(f"{name}={value}" for name, value in settings.items() if value)
         unset = "".join(f"unsetting {name}, or " for name, value in settings.items() if value)
         raise RendererError(
-            f"No OpenGL backend can draw here{f' with {told}' if told else ''} ({failures})",
+            f"No OpenGL backend can draw here{f' with {named}' if named else ''} ({failures})",
             ", ".join(_BACKENDS),
             unset + _INSTALL,
         )

@@ -11,7 +11,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.camera import drawn_points, fitted_camera
+from cluttergen_jax.rendering.camera import drawn_points, fit_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, Trail, check_size, open_renderer, set_range
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
@@ -29,7 +29,7 @@ def distinct_colour(index: int) -> tuple[float, float, float, float]:
     return red, green, blue, 1.0
 
 
-def prepared(
+def prepare_model(
     model: mujoco.MjModel, hulls: bool, show: Sequence[str] | None
 ) -> tuple[mujoco.MjModel, np.ndarray]:
     """A copy whose drawn geoms are in the visual group and the others hidden; bool[ngeom] says which."""
@@ -101,7 +101,7 @@ def render_model(
       ConfigError: a size, a body or a camera that cannot be.
     """
     check_size(width, height, samples)
-    model, is_drawn = prepared(model, hulls, show)
+    model, is_drawn = prepare_model(model, hulls, show)
     data = mujoco.MjData(model)
     if qpos is not None:
         data.qpos[:] = qpos
@@ -113,9 +113,7 @@ def render_model(
     content = np.concatenate([content, *(trail.points for trail in trails)])
     reach = set_range(model, content, view, width, height)
     if isinstance(camera, CameraView):
-        eye: Camera | mujoco.MjvCamera = fitted_camera(
-            content if focus is None else focus, view, width, height
-        )
+        eye: Camera | mujoco.MjvCamera = fit_camera(content if focus is None else focus, view, width, height)
     else:
         eye = _named_camera(model, camera)
     with open_renderer(model, width, height) as renderer:

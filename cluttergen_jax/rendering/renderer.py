@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,10 +13,11 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.camera import orbiting, set_view
+from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.rendering.camera import orbit_camera, set_view
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
-from cluttergen_jax.rendering.sampling import low_discrepancy, shift_lights, shift_pixel
+from cluttergen_jax.rendering.lighting import KEY_DIRECTION, KEY_LIGHT, SKY_LIGHT
 from cluttergen_jax.sensing.camera import Camera
 
 HIDDEN_GROUP = 5
@@ -23,6 +25,7 @@ MAX_SIDE, MAX_SAMPLES = 8192, 4096
 _MAX_EXTRA = 4000
 _GOLDEN = 0.6180339887498949
 _EVERYTHING = mujoco.mjtCatBit.mjCAT_ALL.value
+_KEY_SPREAD = 0.10
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +46,7 @@ class Trail:
 
 
 def check_size(width: int, height: int, samples: int) -> None:
-    """Refuses a picture that cannot be.
-
-    Raises:
-      ConfigError: a side or the number of samples is out of range.
-    """
+    """Refuses a picture that cannot be (ConfigError: a side or the number of samples is out of range)."""
     if not (16 <= width <= MAX_SIDE and 16 <= height <= MAX_SIDE and 1 <= samples <= MAX_SAMPLES):
         raise ConfigError(
             f"a picture of {width} x {height}, {samples} samples",
@@ -154,7 +153,7 @@ class Renderer:
         return np.flipud(depth).copy(), np.flipud(geom_of[number]).copy()
 
     def _update(self, data: mujoco.MjData, camera: Camera | mujoco.MjvCamera) -> None:
-        seen = orbiting(camera) if isinstance(camera, Camera) else camera
+        seen = orbit_camera(camera) if isinstance(camera, Camera) else camera
         mujoco.mjv_updateScene(self.model, data, self._option, None, seen, _EVERYTHING, self._scene)
         if isinstance(camera, Camera):
             set_view(self._scene, camera)
@@ -205,3 +204,58 @@ def set_range(model: mujoco.MjModel, points: np.ndarray, view: CameraView, width
     model.vis.global_.fovy = view.field_of_view
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     return reach
+
+
+def low_discrepancy(index: int) -> np.ndarray:
+    """f64[6] in [0, 1): the index-th point of a sequence that fills the cube evenly (Kronecker's)."""
+    base = np.array([0.7548776662, 0.5698402910, 0.8191725134, 0.6710436067, 0.5497004779, 0.4503])
+    return (0.5 + index * base) % 1.0
+
+
+def _around(direction: np.ndarray, u: float, v: float, spread: float) -> np.ndarray:
+    """A direction within `spread` radians of the given one, even over the disc."""
+    side = np.cross(direction, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    other = np.cross(direction, side)
+    radius, turn = spread * math.sqrt(u), 2 * math.pi * v
+    tilted = direction + radius * (math.cos(turn) * side + math.sin(turn) * other)
+    return tilted / np.linalg.norm(tilted)
+
+
+def shift_lights(
+    scene: mujoco.MjvScene,
+    names: dict[int, str],
+    u: np.ndarray,
+    center: np.ndarray,
+    reach: float,
+    yaw: float = 0.0,
+) -> None:
+    """Turns the lights of `lighting` a little: averaged over many pictures, small lights become soft ones.
+
+    Args:
+      yaw: radians by which all of them are turned about the vertical besides, to follow a camera.
+    """
+    key = yaw_matrix(yaw) @ KEY_DIRECTION
+    key /= np.linalg.norm(key)
+    height, turn = 0.5 + 0.5 * u[2], 2 * math.pi * u[3]
+    ring = math.sqrt(1.0 - height**2)
+    directions = {
+        KEY_LIGHT: _around(key, u[0], u[1], _KEY_SPREAD),
+        # Even over the sky down to 30 degrees above the horizon.
+        SKY_LIGHT: -np.array([ring * math.cos(turn), ring * math.sin(turn), height]),
+    }
+    for light in scene.lights[: scene.nlight]:
+        name = names.get(light.id, "") if not light.headlight else ""
+        if name in directions:
+            light.dir = directions[name]
+            light.pos = center - directions[name] * 2 * reach
+
+
+def shift_pixel(scene: mujoco.MjvScene, u: float, v: float, width: int, height: int) -> None:
+    """Moves the picture by a part of a pixel: averaged, edges become smooth."""
+    for camera in scene.camera:
+        span = camera.frustum_top - camera.frustum_bottom
+        half_width = camera.frustum_width or 0.5 * span * width / height
+        camera.frustum_center += (u - 0.5) * 2 * half_width / width
+        camera.frustum_top += (v - 0.5) * span / height
+        camera.frustum_bottom += (v - 0.5) * span / height

@@ -13,9 +13,9 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import scene_spec
-from cluttergen_jax.rendering.camera import corners, drawn_points, fitted_camera
+from cluttergen_jax.rendering.camera import corners, drawn_points, fit_camera
 from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.picture import DEFAULT_VIEW, prepared
+from cluttergen_jax.rendering.picture import DEFAULT_VIEW, prepare_model
 from cluttergen_jax.rendering.renderer import (
     HIDDEN_GROUP,
     Renderer,
@@ -94,7 +94,7 @@ class SceneRenderer:
 
     def aim(self, points: np.ndarray, view: CameraView) -> None:
         """Puts the camera as near as `points` f64[P, 3] allow."""
-        self.camera = fitted_camera(points, view, self.config.width, self.config.height)
+        self.camera = fit_camera(points, view, self.config.width, self.config.height)
 
     def picture(
         self, styles: Sequence[RenderStyle | None], trails: Sequence[Trail] = (), light_yaw: float = 0.0
@@ -156,11 +156,11 @@ def scene_renderer(
     Raises:
       RendererError: nothing here can draw.
     """
-    model, data, content = _prepared_scene(objects, support, points, picture)
+    model, data, content = _make_scene_model(objects, support, points, picture)
     width, height = picture.width, picture.height
     reach = set_range(model, content, picture.view, width, height)
     with open_renderer(model, width, height) as model_renderer:
-        camera = _fitted(content, points, picture)
+        camera = _fit_camera(content, points, picture)
         yield SceneRenderer(model_renderer, data, picture, reach, content, camera)
 
 
@@ -168,28 +168,28 @@ def scene_camera(
     objects: Sequence[ObjectAsset], support: SupportAsset | None, points: np.ndarray, picture: PictureConfig
 ) -> Camera:
     """The camera that `scene_renderer` of these begins with; needs no OpenGL."""
-    return _fitted(_prepared_scene(objects, support, points, picture)[2], points, picture)
+    return _fit_camera(_make_scene_model(objects, support, points, picture)[2], points, picture)
 
 
-def _prepared_scene(
+def _make_scene_model(
     objects: Sequence[ObjectAsset], support: SupportAsset | None, points: np.ndarray, picture: PictureConfig
 ) -> tuple[mujoco.MjModel, mujoco.MjData, np.ndarray]:
     """The model with its objects at the origin, its data, and f64[P, 3], all that the whole view shows."""
     home = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(objects), 1))
     spec, _ = scene_spec(objects, home, support)
-    model, is_drawn = prepared(spec.compile(), picture.hulls, None)
+    model, is_drawn = prepare_model(spec.compile(), picture.hulls, None)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     is_fixed = is_drawn & (model.body_weldid[model.geom_bodyid] == 0)
     return model, data, np.concatenate([drawn_points(model, data, is_fixed), points])
 
 
-def _fitted(content: np.ndarray, points: np.ndarray, picture: PictureConfig) -> Camera:
+def _fit_camera(content: np.ndarray, points: np.ndarray, picture: PictureConfig) -> Camera:
     shown = content if picture.whole else points
-    return fitted_camera(shown, picture.view, picture.width, picture.height)
+    return fit_camera(shown, picture.view, picture.width, picture.height)
 
 
-def swept(points: np.ndarray, num_turns: int = 36) -> np.ndarray:
+def turntable_points(points: np.ndarray, num_turns: int = 36) -> np.ndarray:
     """f64[P', 3]: a box that holds `points` at every turn about the vertical axis through their middle."""
     center = (points.min(0) + points.max(0)) / 2
     radius = np.linalg.norm(points[:, :2] - center[:2], axis=1).max()

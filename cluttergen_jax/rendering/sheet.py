@@ -18,14 +18,6 @@ _PAPER = (255, 255, 255)
 _INK = (40, 44, 52)
 
 
-def _shortened(
-    draw: ImageDraw.ImageDraw, text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: int
-) -> str:
-    while len(text) > 1 and draw.textlength(text, font=font) > width:
-        text = text[:-2].rstrip() + "\N{HORIZONTAL ELLIPSIS}"
-    return text
-
-
 def contact_sheet(
     images: Sequence[np.ndarray], captions: Sequence[str] | None = None, columns: int = 4
 ) -> np.ndarray:
@@ -62,7 +54,9 @@ def contact_sheet(
         inset = ((width - image.shape[1]) // 2, (height - image.shape[0]) // 2)
         sheet.paste(Image.fromarray(np.asarray(image, np.uint8)), (left + inset[0], upper + inset[1]))
         if captions is not None:
-            text = _shortened(draw, captions[index], font, width)
+            text = captions[index]
+            while len(text) > 1 and draw.textlength(text, font=font) > width:
+                text = text[:-2].rstrip() + "\N{HORIZONTAL ELLIPSIS}"
             middle = (left + width // 2, upper + height + _CAPTION_HEIGHT // 2)
             draw.text(middle, text, fill=_INK, font=font, anchor="mm")
     return np.asarray(sheet)

@@ -107,12 +107,12 @@ def _write_mp4(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
                 encoder.stdin.write(np.ascontiguousarray(frame[:height, :width]).tobytes())
             encoder.stdin.close()
         except BrokenPipeError:
-            # It has said why on its own; that is read below.
+            # Its own message, which is read below, says why.
             pass
         except BaseException:
             encoder.kill()
             raise
-        said = encoder.stderr.read().decode(errors="replace").strip()
+        message = encoder.stderr.read().decode(errors="replace").strip()
     if encoder.returncode:
-        reason = said.splitlines()[-1] if said else f"code {encoder.returncode}"
+        reason = message.splitlines()[-1] if message else f"code {encoder.returncode}"
         raise ClutterGenError(f"{path.name} could not be encoded: {reason}", hint="film='gif'")

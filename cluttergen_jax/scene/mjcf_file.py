@@ -1,7 +1,7 @@
-"""A whole scene from somebody's MJCF file: free bodies as objects, all that is fixed as the support.
+"""A whole scene from an MJCF file: free bodies as objects, all that is fixed as the support.
 
 For looking and drawing. What a scene file does not say is left open: resting poses, licences. What is seen is
-decided as for imports (`readers.mjcf_roles`); planes are left to whoever draws, who has a floor of his own.
+decided as for imports (`readers.mjcf_roles`); planes are left out: who draws adds a floor.
 """
 
 from __future__ import annotations

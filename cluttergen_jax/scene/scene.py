@@ -25,7 +25,7 @@ _OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_ite
 
 @dataclass(frozen=True)
 class Origin:
-    """How a scene came about; empty or None where nobody knows.
+    """How a scene came about; empty or None where it is not known.
 
     Attributes:
       bank: the name of the bank's folder.
@@ -102,9 +102,9 @@ class Scene:
     cameras: tuple[Camera, ...] = ()
 
     def __repr__(self) -> str:
-        names, told = ", ".join(self.names[:_NAMED]), self.origin.verdict or "unknown"
+        names, verdict = ", ".join(self.names[:_NAMED]), self.origin.verdict or "unknown"
         rest = f" and {len(self.names) - _NAMED} more" if len(self.names) > _NAMED else ""
-        return f"Scene({names}{rest} on {self.support.name!r}; {told})"
+        return f"Scene({names}{rest} on {self.support.name!r}; {verdict})"
 
     def __post_init__(self) -> None:
         poses = np.array(self.poses, np.float64)
@@ -134,7 +134,7 @@ class Scene:
 
         Poses stand in each body's pos and quat and in the keyframe `prefix + "scene"`; time step, solver and
         contact parameters are those with which the scene was checked. Surfaces are drawn, parts collide.
-        Images are files among `spec.assets`: whoever saves the specification as XML saves these beside it.
+        Images are files among `spec.assets`: save these beside it if you save the specification as XML.
 
         Args:
           support: leave the support away if the user's own model has it.

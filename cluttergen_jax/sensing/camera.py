@@ -210,11 +210,7 @@ PRESETS: dict[str, Callable[[SupportAsset, np.random.Generator], Camera]] = {
 
 
 def find_preset(name: str) -> Callable[[SupportAsset, np.random.Generator], Camera]:
-    """The preset of that name.
-
-    Raises:
-      ConfigError: there is none.
-    """
+    """The preset of that name (ConfigError: there is none)."""
     if name not in PRESETS:
         raise ConfigError(f"camera {name!r}", ", ".join(PRESETS))
     return PRESETS[name]

@@ -105,8 +105,8 @@ def noisy(
         raise ConfigError(f"a depth image of {depth.shape}", f"{(camera.height, camera.width)}, the camera's")
     streams = rng.spawn(5)
     exact = np.asarray(depth, np.float64)
-    is_missing = _lost(exact, camera, config, streams[0])
-    measured = _bled(_shifted(exact, camera, config, streams[1]), config, streams[2])
+    is_missing = _lost_mask(exact, camera, config, streams[0])
+    measured = _bleed_edges(_jitter(exact, camera, config, streams[1]), config, streams[2])
     is_there = np.isfinite(measured)
     metres = np.where(is_there, measured, 0.0)
     sigma = config.axial + config.axial_growth * (metres - config.axial_reference) ** 2
@@ -115,10 +115,10 @@ def noisy(
     if config.quantum:
         measured = np.where(is_there, np.round(measured / config.quantum) * config.quantum, measured)
     measured = np.where(is_missing | (measured <= 0), np.nan, measured)
-    return measured.astype(np.float32), _believed(camera, config, streams[4])
+    return measured.astype(np.float32), _perturb_pose(camera, config, streams[4])
 
 
-def _shifted(depth: np.ndarray, camera: Camera, config: NoiseConfig, rng: np.random.Generator) -> np.ndarray:
+def _jitter(depth: np.ndarray, camera: Camera, config: NoiseConfig, rng: np.random.Generator) -> np.ndarray:
     """Every pixel shows the depth of where it really looks."""
     focal = np.array([camera.K[1, 1], camera.K[0, 0]])
     offset = (
@@ -130,7 +130,7 @@ def _shifted(depth: np.ndarray, camera: Camera, config: NoiseConfig, rng: np.ran
     return depth[rows, columns]
 
 
-def _bled(depth: np.ndarray, config: NoiseConfig, rng: np.random.Generator) -> np.ndarray:
+def _bleed_edges(depth: np.ndarray, config: NoiseConfig, rng: np.random.Generator) -> np.ndarray:
     """What is in front grows by a pixel, at a share of the pixels beside it."""
     nearest = minimum_filter(depth, 3, mode="nearest")
     bleeds = (rng.uniform(size=depth.shape) < config.bleeding) & _is_jump(depth, config)
@@ -138,7 +138,9 @@ def _bled(depth: np.ndarray, config: NoiseConfig, rng: np.random.Generator) -> n
     return np.where(bleeds, nearest, depth)
 
 
-def _lost(depth: np.ndarray, camera: Camera, config: NoiseConfig, rng: np.random.Generator) -> np.ndarray:
+def _lost_mask(
+    depth: np.ndarray, camera: Camera, config: NoiseConfig, rng: np.random.Generator
+) -> np.ndarray:
     """bool[H, W]: pixels without a measurement."""
     draw, edge_draw = rng.uniform(size=(2, *depth.shape))
     is_lost = np.zeros(depth.shape, bool)
@@ -178,7 +180,7 @@ def _facing(depth: np.ndarray, camera: Camera) -> np.ndarray:
     return np.clip(along / np.maximum(length, 1e-12), 0.0, 1.0)
 
 
-def _believed(camera: Camera, config: NoiseConfig, rng: np.random.Generator) -> Camera:
+def _perturb_pose(camera: Camera, config: NoiseConfig, rng: np.random.Generator) -> Camera:
     """The camera where it is stated to stand."""
     T = camera.T_world_camera.copy()
     turn = Rotation.from_rotvec(np.radians(config.orientation) * rng.standard_normal(3))

@@ -128,12 +128,16 @@ class PartialMap:
             raise ConfigError(
                 f"a depth image of {depth.shape}", f"{(camera.height, camera.width)}, the camera's"
             )
-        closed = _closed(depth)
+        closed = _close_holes(depth)
         if median > 1:
-            closed = np.where(np.isnan(closed), np.nan, median_filter(_far(closed), median, mode="nearest"))
+            closed = np.where(
+                np.isnan(closed),
+                np.nan,
+                median_filter(np.where(np.isnan(closed), np.inf, closed), median, mode="nearest"),
+            )
         measured = np.where(np.isnan(depth), np.nan, closed)
-        height, count = _seen(measured, camera, grid, max_height, least_pixels)
-        ceiling = np.maximum(_carved(closed, camera, grid, max_height), height)
+        height, count = _surface_heights(measured, camera, grid, max_height, least_pixels)
+        ceiling = np.maximum(_carve_space(closed, camera, grid, max_height), height)
         ceiling = np.where(grid.bare <= VOID, height, ceiling)
         return PartialMap(grid, height, ceiling.astype(np.float32), count)
 
@@ -154,7 +158,7 @@ def merged(maps: Sequence[PartialMap]) -> PartialMap:
 def levelled(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
     """The camera moved a little in height, pitch and roll, so that the bare top that it sees lies level at 0.
 
-    The top is known, so that most of the error of a camera's stated pose can be told from it (least squares
+    The top is known, so most of the error of a camera's stated pose can be computed from it (least squares
     with weights that end at a distance, Tukey's). Returned as it was where too little of the top is seen,
     where more of what is seen lies at 0 as it is, or where it would move by more than 1 cm or turn by more
     than two degrees: then it looks at something else. Large flat things a few millimetres thick are taken for
@@ -186,12 +190,7 @@ def levelled(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
     return replace(camera, T_world_camera=T @ correction @ np.linalg.inv(T) @ camera.T_world_camera)
 
 
-def _far(depth: np.ndarray) -> np.ndarray:
-    """f[H, W]: depths, infinite where nothing was measured."""
-    return np.where(np.isnan(depth), np.inf, depth)
-
-
-def _closed(depth: np.ndarray) -> np.ndarray:
+def _close_holes(depth: np.ndarray) -> np.ndarray:
     """f[H, W]: holes up to two pixels from something measured show the nearest of what is around them."""
     for _ in range(_HOLE):
         hole = np.isnan(depth)
@@ -203,7 +202,7 @@ def _closed(depth: np.ndarray) -> np.ndarray:
     return depth
 
 
-def _seen(
+def _surface_heights(
     depth: np.ndarray, camera: Camera, grid: Grid, max_height: float, least_pixels: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """f32[W, H], the highest surface seen in each cell; i32[W, H], how many pixels show one."""
@@ -217,11 +216,11 @@ def _seen(
     cells = np.ravel_multi_index(tuple(index[is_here].T), shape)
     z = local[is_here, 2].astype(np.float32)
     count = np.bincount(cells, minlength=grid.bare.size)
-    highest = _ranked(cells, z, count, least_pixels)
+    highest = _height_of_rank(cells, z, count, least_pixels)
     return np.maximum(grid.bare, highest.reshape(shape)), count.reshape(shape).astype(np.int32)
 
 
-def _ranked(cells: np.ndarray, z: np.ndarray, count: np.ndarray, rank: int) -> np.ndarray:
+def _height_of_rank(cells: np.ndarray, z: np.ndarray, count: np.ndarray, rank: int) -> np.ndarray:
     """f32[C]: the `rank`-th highest of each cell's points, the lowest where there are fewer, VOID of none.
 
     Args:
@@ -243,7 +242,7 @@ def _ranked(cells: np.ndarray, z: np.ndarray, count: np.ndarray, rank: int) -> n
     return found
 
 
-def _carved(depth: np.ndarray, camera: Camera, grid: Grid, max_height: float) -> np.ndarray:
+def _carve_space(depth: np.ndarray, camera: Camera, grid: Grid, max_height: float) -> np.ndarray:
     """f32[W, H]: the lowest height above each cell's middle from which on everything is seen to be empty.
 
     Points above the cell's middle are projected into the picture; one is empty if it is nearer than what the
@@ -263,7 +262,7 @@ def _carved(depth: np.ndarray, camera: Camera, grid: Grid, max_height: float) ->
 
 
 def _lowest_empty(depth: np.ndarray, base: np.ndarray, rise: np.ndarray, heights: np.ndarray) -> np.ndarray:
-    """f32[C]: `_carved` of some columns.
+    """f32[C]: `_carve_space` of some columns.
 
     Args:
       base: f32[C, 3], their feet in homogeneous pixels; rise: f32[3], what a metre upwards adds.
@@ -271,7 +270,7 @@ def _lowest_empty(depth: np.ndarray, base: np.ndarray, rise: np.ndarray, heights
     """
     x, y, near = (base[:, k] + rise[k] * heights[:, None] for k in range(3))
     ahead = 1 / np.maximum(near, 1e-6)
-    shown, is_in_view = _interpolated(depth, x * ahead, y * ahead)
+    shown, is_in_view = _interpolate_depth(depth, x * ahead, y * ahead)
     is_in_view &= near > 1e-6
     # What was not measured hides; nan compares as False.
     room = shown - near
@@ -297,7 +296,7 @@ def _crossing(room: np.ndarray, shown: np.ndarray, first: np.ndarray, heights: n
     return heights[above] - np.where(is_between, _STEP * np.clip(share, 0.0, 1.0), 0.0).astype(np.float32)
 
 
-def _interpolated(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _interpolate_depth(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Depths at places in the picture, pixels; where neighbours differ much, the nearest of them.
 
     Returns:

@@ -24,7 +24,7 @@ from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import index_bytes
+from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.types import Verdict
 from tests.helpers import banks

@@ -1,13 +1,18 @@
 """Files and folders are whole, old or new, whatever goes wrong while they are written."""
 
+import json
+import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
 from cluttergen_jax import files
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.kept_folder import KeptFolder, check_recipe
 
 
 def write_folder(folder, text, **how):
@@ -155,7 +160,7 @@ def test_links_laid_at_temporary_names_lead_nowhere(tmp_path):
     files.write_atomically(place / "file", b"")
     for is_only_writer in (False, True):
         write_folder(place / "folder", "new", is_only_writer=is_only_writer)
-    with files.begun_folder(place / "folder") as scratch:
+    with files.resumable_folder(place / "folder") as scratch:
         assert names(scratch) == set()
     files.remove_partial(place)
     files.remove(place / ".file.old")
@@ -167,14 +172,17 @@ def test_links_laid_at_temporary_names_lead_nowhere(tmp_path):
 
 def test_what_was_begun_is_gone_on_with_by_one(tmp_path):
     def begin(text):
-        with suppress(KeyboardInterrupt), files.begun_folder(tmp_path / "bank") as scratch:
+        with suppress(KeyboardInterrupt), files.resumable_folder(tmp_path / "bank") as scratch:
             (scratch / "half").write_text(text)
             raise KeyboardInterrupt
 
     begin("1")
     files._remove_left.cache_clear()
     files.write_atomically(tmp_path / "other", b"")
-    with files.begun_folder(tmp_path / "bank") as scratch, files.begun_folder(tmp_path / "bank") as second:
+    with (
+        files.resumable_folder(tmp_path / "bank") as scratch,
+        files.resumable_folder(tmp_path / "bank") as second,
+    ):
         assert (scratch / "half").read_text() == "1"
         assert names(second) == set()
     assert names(tmp_path) == {"other"}
@@ -193,3 +201,24 @@ def test_many_write_the_same_at_once(tmp_path):
     assert (tmp_path / "file").read_text() in written
     assert (tmp_path / "folder" / "text").read_text() in written
     assert names(tmp_path) == {"file", "folder"}
+
+
+def test_a_kept_folder_is_continued_by_the_same_recipe_alone(tmp_path):
+    recipe = {"seed": 1, "rules": {"margin": 0.0, "sides": (1, 2)}}
+    written = json.loads(json.dumps(recipe))
+    check_recipe(tmp_path, "a bank made", recipe, written)
+    other = {"seed": 2, "rules": {"margin": 0.1, "sides": [1, 2]}}
+    with pytest.raises(BankError, match=r"holds a bank made with another rules\.margin, seed.*another `out`"):
+        check_recipe(tmp_path, "a bank made", other, written)
+    folder = KeptFolder(
+        tmp_path / "kept", lambda path: (path / "index").exists(), "{other} is in {path}", Path.is_dir
+    )
+    with folder.lock(), pytest.raises(BankError, match=f"written by process {os.getpid()}"):
+        folder.lock()
+    (folder.path / "begun").mkdir()
+    assert folder.is_free
+    (folder.path / "other").touch()
+    with pytest.raises(BankError, match="other is in"):
+        folder.lock()
+    (folder.path / "index").touch()
+    folder.lock().release()

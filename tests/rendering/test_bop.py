@@ -12,8 +12,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.bop import SPLIT, BopDataset, model_ply
-from cluttergen_jax.rendering.bop_models import add_models
+from cluttergen_jax.rendering.bop import SPLIT, BopDataset, add_models, model_ply
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera, free
 from tests.helpers.drawing import RED, needs_gl

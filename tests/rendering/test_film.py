@@ -15,7 +15,12 @@ from cluttergen_jax.rendering.figure import closed_loop_figure, closed_loop_slot
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
 from cluttergen_jax.rendering.overlay import Ring, with_caption, with_rings
 from cluttergen_jax.rendering.renderer import Trail
-from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig, RenderStyle, scene_renderer
+from cluttergen_jax.rendering.scene_renderer import (
+    RED,
+    PictureConfig,
+    RenderStyle,
+    scene_renderer,
+)
 from cluttergen_jax.rendering.video import save_film
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes

@@ -12,7 +12,7 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import render_scene, scene_spec
-from cluttergen_jax.rendering.camera import axes, fitted_eye
+from cluttergen_jax.rendering.camera import axes, fit_eye
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import RendererError, check_importable
 from cluttergen_jax.rendering.lighting import add_lighting
@@ -71,7 +71,7 @@ def test_fitted_eye_sees_all_points_and_stands_as_near_as_it_can(seed):
     margin = rng.uniform(0, 0.3)
     view = CameraView(rng.uniform(0, 360), rng.uniform(-85, 30), rng.uniform(10, 80), margin)
     aspect = rng.uniform(0.5, 2.0)
-    seen = (points - fitted_eye(points, view, aspect)) @ axes(view.azimuth, view.elevation).T
+    seen = (points - fit_eye(points, view, aspect)) @ axes(view.azimuth, view.elevation).T
     assert seen[:, 2].min() > 0
     tangent = np.tan(np.radians(view.field_of_view) / 2)
     on_screen = seen[:, :2] / seen[:, 2:] / [tangent * aspect, tangent]

@@ -6,7 +6,7 @@ import pytest
 
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import INDEX
+from cluttergen_jax.scene.bank.record import INDEX
 from tests.helpers import banks
 
 HERE = {"jaxlib": "1", "instructions": "x86_64 avx avx2 fma", "xla_flags": ""}

@@ -17,7 +17,11 @@ from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.remote import RemoteFolder, mirrored, publish_all
+from cluttergen_jax.scene.bank.remote import (
+    RemoteFolder,
+    fetch_mirror,
+    publish_all,
+)
 from tests.helpers import banks
 from tests.helpers.worlds import trio
 
@@ -102,10 +106,10 @@ def test_a_bank_grows_there(url, tmp_path):
 def test_a_mirror_follows_what_was_made_anew_there(url, home):
     write(url)
     name = next(name for name in contents(url) if name.endswith("object.json"))
-    remote, kept = RemoteFolder.of(url), mirrored(url) / name
+    remote, kept = RemoteFolder.of(url), fetch_mirror(url) / name
     before = kept.read_bytes()
     kept.write_bytes(before + b" ")
-    assert read_bank(url).path == mirrored(url)
+    assert read_bank(url).path == fetch_mirror(url)
     assert kept.read_bytes() == before == remote.open(name).read()
 
 
@@ -119,7 +123,7 @@ def test_many_read_a_bank_at_once_that_nobody_has_read_before(home, tmp_path):
 
         def read(_, together=together):
             together.wait()
-            return read_bank(mirrored(url)).num_scenes
+            return read_bank(fetch_mirror(url)).num_scenes
 
         with ThreadPoolExecutor(8) as readers:
             assert set(readers.map(read, range(8))) == {NUM_BLOCKS * BLOCK_SIZE}
@@ -194,4 +198,4 @@ def test_a_bank_is_made_and_used_on_a_real_s3_server(bucket, tmp_path, home):
     write(tmp_path / "shards")
     assert contents(bucket.replace("/bank?", "/shards?")) == files(tmp_path / "shards")
     assert sum(map(len, cg.stream_bank(bucket.replace("/bank?", "/shards?"), 100))) == NUM_BLOCKS * 192
-    assert mirrored(bucket).name == "bank"
+    assert fetch_mirror(bucket).name == "bank"

@@ -25,12 +25,12 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import index_bytes
 from cluttergen_jax.scene.bank.blocks import block_path
 from cluttergen_jax.scene.bank.card import CARD, write_card
-from cluttergen_jax.scene.bank.lock import BankLock
+from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 from cluttergen_jax.scene.bank.table import SCHEMA
 from tests.helpers import banks
@@ -270,7 +270,7 @@ def test_writers_that_race_take_turns(tmp_path, whole):
 def test_what_another_has_just_begun_is_not_taken_for_something_else(tmp_path):
     path = tmp_path / "bank"
     (path / "assets").mkdir(parents=True)
-    held = BankLock(path)
+    held = FolderLock(path)
     with pytest.raises(BankError, match="is being written by"):
         banks.writer(path, 512)
     held.release()

@@ -12,11 +12,12 @@ from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import blocks as module
 from cluttergen_jax.scene.bank import index as module_index
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import index_bytes, recovered_record
+from cluttergen_jax.scene.bank.bank import recover_record
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, with_record, write_shard
 from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import check_whole
 from cluttergen_jax.scene.bank.index import BankIndex
+from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.scene.bank.table import SCHEMA
 from tests.helpers import banks
@@ -64,7 +65,7 @@ def test_shards_hold_what_block_files_hold(plain, sharded):
     }
     check_whole(two)
     assert pq.ParquetFile(sharded / names[0]).metadata.num_row_groups == IN_A_SHARD
-    assert recovered_record(sharded) == recovered_record(plain)
+    assert recover_record(sharded) == recover_record(plain)
 
 
 def test_any_order_and_any_interruption_make_the_same_files(sharded, tmp_path):

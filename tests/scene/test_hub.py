@@ -12,8 +12,8 @@ import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import index_bytes
 from cluttergen_jax.scene.bank.hub import find_bank, local_paths, pulled_path
+from cluttergen_jax.scene.bank.record import index_bytes
 from tests.helpers.hub_server import TOKEN, hub_server
 
 NAME = "me/few-scenes"

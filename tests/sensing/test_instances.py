@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.sensing.camera import Camera, side
-from cluttergen_jax.sensing.instances import InstanceSensor
-from cluttergen_jax.sensing.rays import FIRST_OBJECT
+from cluttergen_jax.sensing.rays import FIRST_OBJECT, InstanceSensor
 from tests.helpers.worlds import box
 from tests.sensing.scenes import TABLE, random_boxes, standing
 

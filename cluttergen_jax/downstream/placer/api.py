@@ -82,7 +82,7 @@ def placer_data(
     from cluttergen_jax.downstream.placer.pairs.stored import PAIRS
     from cluttergen_jax.downstream.splits import SPLITS
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
-    from cluttergen_jax.scene.bank.blocks import AGAIN
+    from cluttergen_jax.scene.bank.record import AGAIN
 
     check_folder(out)
     check_workers("num_threads", num_threads)

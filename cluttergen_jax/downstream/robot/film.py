@@ -15,7 +15,7 @@ from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering.camera import fitted_camera
+from cluttergen_jax.rendering.camera import fit_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.figure import GREEN
 from cluttergen_jax.rendering.gl import find_backend
@@ -144,7 +144,7 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
     light_yaw = float(np.radians(azimuth - CameraView().azimuth))
     content = _content(trace, model, data)
     reach = set_range(model, content, view, width, height)
-    camera = fitted_camera(content, view, width, height)
+    camera = fit_camera(content, view, width, height)
     with open_renderer(model, width, height) as renderer:
 
         def drawn(state: np.ndarray, text: str, rgb: tuple[float, float, float] | None = None) -> np.ndarray:

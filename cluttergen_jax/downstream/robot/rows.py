@@ -117,9 +117,8 @@ class RowFile(Generic[Row]):
 
     def _row(self, line: bytes) -> Row:
         found = convert(parse_json(line), dict[str, Any])
-        return convert(
-            {key: math.nan if value is None else value for key, value in found.items()}, self._kind
-        )
+        numbers = {key: math.nan if value is None else value for key, value in found.items()}
+        return convert(numbers, self._kind)
 
 
 def _plain(row: Any) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import conjugate, product, rotate
-from cluttergen_jax.scene.export.friction import factor_of, friction_of
+from cluttergen_jax.scene.export.frames import factor_of, friction_of
 
 
 def load_pybullet(purpose: str) -> ModuleType:
@@ -72,7 +72,7 @@ def support_friction(contact: ContactConfig) -> float:
 
 
 def object_friction(asset: ObjectAsset, contact: ContactConfig) -> float:
-    """An object's: on the support its own friction, or the contact's; see `scene.export.friction`."""
+    """An object's: on the support its own friction, or the contact's; see `scene.export.frames`."""
     return factor_of(friction_of(asset, contact)[0], contact.friction[0])
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from cluttergen_jax.assets.obj import mesh_text
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.scene.export.friction import friction_of, harmonic_of
+from cluttergen_jax.scene.export.frames import friction_of, harmonic_of
 from cluttergen_jax.scene.export.sdf import HYDROELASTIC_MODULUS
 
 
@@ -103,7 +103,7 @@ class DrakePeer:
         return body
 
     def _friction(self, wanted: float) -> Any:
-        """Of a body that is to have this coefficient with the support; see `scene.export.friction`."""
+        """Of a body that is to have this coefficient with the support; see `scene.export.frames`."""
         own = harmonic_of(wanted, self._models.contact.friction[0])
         return self._drake.CoulombFriction(own, own)
 

@@ -17,7 +17,7 @@ from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.config import PixelOrigin
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import remove_partial
-from cluttergen_jax.locks import FolderLock
+from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.rendering.bop import CAMERA, BopDataset
 from cluttergen_jax.rendering.bop_split import SPLIT, BopSplit, Place, SceneOrigin
@@ -70,7 +70,7 @@ class BopScenes:
     def __enter__(self) -> BopScenes:
         folder = self._dataset.folder
         folder.mkdir(parents=True, exist_ok=True)
-        self._lock = FolderLock(folder / ".lock", folder)
+        self._lock = FolderLock(folder)
         if self._split.folder.is_dir():
             remove_partial(self._split.folder)
         # What another process has added between our reading it and our holding it.

@@ -21,9 +21,9 @@ from cluttergen_jax.placement.rollout.record import Recorder
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.record import Recipe
 from cluttergen_jax.scene.bank.reference import read_start
 from cluttergen_jax.scene.bank.scene import config_of
-from cluttergen_jax.schema import Record
 
 COMPILING = "compiling where it was not compiled before, which takes about a minute"
 
@@ -68,7 +68,7 @@ def replay_context_of(bank: Bank) -> ReplayContext:
       PoolError: its checkpoint is gone.
       ConfigError: its method was removed since.
     """
-    setup, recipe = setup_of(bank), bank.record["recipe"]
+    setup, recipe = setup_of(bank), bank.recipe
     try:
         method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
     except KeyError as error:
@@ -86,7 +86,7 @@ def setup_of(bank: Bank, **changes: Any) -> Setup:
     Raises:
       BankError: the bank does not say how it was made, or the bank that it started from is gone.
     """
-    recipe = bank.record.get("recipe") or {}
+    recipe = bank.recipe
     try:
         names: Sequence[str] = recipe["names"]
         config = replace(_problem_config(bank, recipe), **changes)
@@ -111,7 +111,7 @@ def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_p
       BankError: a person made it; or made again it ends elsewhere: other versions, another machine, changed
         assets.
     """
-    recipe = bank.record["recipe"]
+    recipe = bank.recipe
     if recipe["method"] == HAND:
         raise BankError(
             f"{stored.title} was made by hand: its attempts cannot be made again",
@@ -137,7 +137,7 @@ def _equal(recording: Replay, stored: Replay) -> bool:
     return set(ends) == set(kept) and all(np.array_equal(ends[name], kept[name]) for name in kept)
 
 
-def _problem_config(bank: Bank, recipe: Record) -> ProblemConfig:
+def _problem_config(bank: Bank, recipe: Recipe) -> ProblemConfig:
     return ProblemConfig(
         pool=recipe["pool"],
         repeat=True,

@@ -18,10 +18,16 @@ from cluttergen_jax.generation.sources.scene_sources import LiveConfig, open_sou
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.rendering.assets import scene_spec
 from cluttergen_jax.rendering.lighting import FLOOR
-from cluttergen_jax.rendering.viewer.native import check_display, show_native
 from cluttergen_jax.rendering.viewer.placing import PlacingPanel
 from cluttergen_jax.rendering.viewer.source import SceneSource
-from cluttergen_jax.rendering.viewer.viewer import Viewer, announce, free_port, open_server
+from cluttergen_jax.rendering.viewer.viewer import (
+    Viewer,
+    announce,
+    check_display,
+    free_port,
+    open_server,
+    show_native,
+)
 
 if TYPE_CHECKING:
     from cluttergen_jax.rendering.viewer.guard import GuardedServer

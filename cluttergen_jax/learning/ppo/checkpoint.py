@@ -18,6 +18,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
+from cluttergen_jax.kept_folder import KeptFolder, check_recipe
 from cluttergen_jax.learning.ppo.sharding import with_keys, without_keys
 from cluttergen_jax.schema import Record, SchemaError, checked_record, digest_of, with_checksum
 from cluttergen_jax.types import Array
@@ -109,33 +110,19 @@ def check_folder(folder: Path, recipe: Record) -> None:
     Raises:
       ConfigError: there is one, and the message says which settings differ; or there is something else.
     """
-    if not has_state(folder / "last"):
-        if other := _no_run(folder):
-            raise ConfigError(
-                f"{other} is nothing of a run", "a new folder, or that of a run", "another `out`"
-            )
-        return
-    theirs = read_record(folder / "last")
-    changed = sorted(name for name, value in recipe.items() if theirs.get(name) != _as_json(value))
-    if changed:
-        raise ConfigError(
-            f"{folder} holds a run with another {', '.join(changed)}",
-            "the same settings, which continue it",
-            "another `out`",
-        )
+    last = folder / "last"
+    KeptFolder(
+        folder, lambda _: has_state(last), "{other} is nothing of a run", _is_of_a_run, ConfigError
+    ).check_place()
+    if has_state(last):
+        theirs = read_record(last)
+        known = {name: theirs.get(name) for name in recipe}
+        check_recipe(folder, "a run", recipe, known, error=ConfigError)
 
 
-def _no_run(folder: Path) -> Path | None:
-    """What lies there that a run without a state did not write: a file in its place, or in its folder."""
-    if not folder.is_dir():
-        return folder if folder.exists() else None
-    files = [each for each in sorted(folder.iterdir()) if each.is_file() and not each.name.startswith(".")]
-    return next((each for each in files if each.suffix not in _OF_A_RUN), None)
-
-
-def _as_json(value: Any) -> Any:
-    """As it comes back from a file: tuples are lists."""
-    return json.loads(json.dumps(value))
+def _is_of_a_run(path: Path) -> bool:
+    """Whether a run without a state may have left this, or a user beside it."""
+    return not path.is_file() or path.name.startswith(".") or path.suffix in _OF_A_RUN
 
 
 def read_state(path: Path, like: Any) -> Any:

@@ -9,7 +9,7 @@ from types import FrameType, TracebackType
 from typing import Any, TypeVar
 
 from cluttergen_jax.numerics import with_own_settings
-from cluttergen_jax.progress import abandoned_if
+from cluttergen_jax.progress import run_abandonable
 
 T = TypeVar("T")
 
@@ -45,7 +45,7 @@ class Interrupt:
         """
         if threading.current_thread() is not threading.main_thread():
             return function(*args)
-        return abandoned_if(lambda: self.is_asked, with_own_settings(function), *args)
+        return run_abandonable(lambda: self.is_asked, with_own_settings(function), *args)
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
         if self.is_asked:

@@ -1,4 +1,4 @@
-"""A web server that answers only whoever has its address: not other web pages, not other users.
+"""A web server that answers only requests with its whole address: not other web pages, not other users.
 
 The address has a random token as its path, which the page's own web socket keeps; without it nothing is
 answered, be it a page or a web socket. Two more checks hold even if the token is known: the name in `Host` is
@@ -75,7 +75,7 @@ class Guard:
         """A `process_request` of websockets that asks the guard, and then `answer` without the token."""
         self.is_asked = True
 
-        async def checked(connection: sockets.ServerConnection, request: Any) -> Any:
+        async def check_request(connection: sockets.ServerConnection, request: Any) -> Any:
             if reason := self.refusal(request.path, request.headers):
                 return connection.respond(http.HTTPStatus.FORBIDDEN, f"{reason}\n")
             request.path = f"/{_parts(request.path)[1]}"
@@ -87,7 +87,7 @@ class Guard:
                 response.headers["Referrer-Policy"] = "no-referrer"
             return response
 
-        return checked
+        return check_request
 
 
 class GuardedServer(viser.ViserServer):
@@ -103,7 +103,7 @@ class GuardedServer(viser.ViserServer):
 
     def __init__(self, host: str, port: int, label: str) -> None:
         self.guard = Guard(host)
-        with _guarding(self.guard):
+        with _guard_servers(self.guard):
             super().__init__(host=host, port=port, label=label, verbose=False)
         if not self.guard.is_asked:
             self.stop()
@@ -127,18 +127,18 @@ class GuardedServer(viser.ViserServer):
 
 
 @contextmanager
-def _guarding(guard: Guard) -> Iterator[None]:
+def _guard_servers(guard: Guard) -> Iterator[None]:
     """Inside, a server that viser starts asks the guard: viser itself leaves no room for one."""
     with _patching:
         serve = sockets.serve
 
-        def guarded(handler: Any, *args: Any, **settings: Any) -> Any:
+        def serve_guarded(handler: Any, *args: Any, **settings: Any) -> Any:
             if str(getattr(handler, "__module__", "")).startswith("viser."):
                 answer = settings.get("process_request") or (lambda *_: None)
                 settings["process_request"] = guard.before(answer)
             return serve(handler, *args, **settings)
 
-        sockets.serve = guarded  # type: ignore[assignment,misc]
+        sockets.serve = serve_guarded  # type: ignore[assignment,misc]
         try:
             yield
         finally:

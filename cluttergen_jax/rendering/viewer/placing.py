@@ -36,7 +36,7 @@ _HELP = "Drag the square or the arrows to move the object, the arc to turn it; t
 
 
 class PlacingPanel:
-    """One scene at a time in the hands of whoever has the page open; several browsers see the same.
+    """One scene at a time in the hands of the user who has the page open; several browsers see the same.
 
     Whatever is asked for is done in one thread, in the order in which it was asked.
 
@@ -73,7 +73,7 @@ class PlacingPanel:
         self._closed.set()
         self._worker.shutdown(wait=True, cancel_futures=True)
 
-    # What the buttons do; each returns what is to be said.
+    # What the buttons do; each returns what the panel then shows.
 
     def lower(self) -> str:
         """Lowers the current object to first contact."""
@@ -87,8 +87,8 @@ class PlacingPanel:
             asset = self.scene.objects[attempt.object_index]
             self._failed = FailedAttempt(self.server, 0, asset, attempt)
             self._failed.place(None, True)
-        said = drop_words(self.scene, drop)
-        return said if self.scene.left else f"{said}. Every object is placed: save the scene"
+        words = drop_words(self.scene, drop)
+        return words if self.scene.left else f"{words}. Every object is placed: save the scene"
 
     def undo(self) -> str:
         """Takes the object that was placed last back."""
@@ -107,11 +107,11 @@ class PlacingPanel:
     def save(self) -> str:
         """Keeps the scene if all its objects stand together."""
         check = self.scene.check()
-        said = check_words(self.scene, check)
+        words = check_words(self.scene, check)
         if check.verdict != Verdict.STABLE:
-            return said
+            return words
         self.scenes.keep(self.scene)
-        return f"**saved** as scene {self.scene.number} of {self.scenes.name}: {said}"
+        return f"**saved** as scene {self.scene.number} of {self.scenes.name}: {words}"
 
     def new(self) -> str:
         """The next scene; one that is under way is given up only if that is confirmed."""
@@ -130,7 +130,7 @@ class PlacingPanel:
             for label, act in (("Give up", lambda: self.give_up(scene)), ("Go on with it", lambda: "")):
                 button = self.server.gui.add_button(label)
                 button.on_click(lambda _: modal.close())
-                button.on_click(self._ordered(act))
+                button.on_click(self._make_callback(act))
         return ""
 
     def give_up(self, scene: HandScene) -> str:
@@ -140,12 +140,12 @@ class PlacingPanel:
         if not self.scene.left:
             self.scene.check()
         self.scenes.keep(self.scene)
-        said = f"scene {self.scene.number} was kept as one that failed"
+        words = f"scene {self.scene.number} was kept as one that failed"
         if self.scene.result().is_success:
-            said = f"scene {self.scene.number} stands, and was saved"
+            words = f"scene {self.scene.number} stands, and was saved"
         self._begin()
         self.scene.touch()
-        return said
+        return words
 
     # How it is done.
 
@@ -169,7 +169,7 @@ class PlacingPanel:
         )
         self._show(_HELP)
 
-    def _ordered(self, act: Callable[[], str]) -> Callable[[Any], Any]:
+    def _make_callback(self, act: Callable[[], str]) -> Callable[[Any], Any]:
         """A callback of viser's that does `act` after whatever was asked for before."""
 
         # Functions that are not async run in many threads, in any order.
@@ -184,16 +184,16 @@ class PlacingPanel:
             self._failed.remove()
             self._failed = None
         try:
-            said = act()
+            words = act()
         except ClutterGenError as error:
-            said = f"**Note:** {error}"
+            words = f"**Note:** {error}"
         except Exception as error:
             # A thread that dies in silence would leave the panel waiting.
             self._show(f"**Note:** {type(error).__name__}: {error}")
             raise
-        self._show(said)
+        self._show(words)
 
-    def _show(self, said: str) -> None:
+    def _show(self, words: str) -> None:
         """Shows the scene as it is now, and says something."""
         scene, server = self.scene, self.server
         with server.atomic():
@@ -206,7 +206,7 @@ class PlacingPanel:
                 control.disabled = not is_open
             self._undo.disabled = not scene.can_undo
             self._save.disabled = is_open or scene.is_closed
-            self._said.content = said
+            self._said.content = words
             self._status.content = progress_words(scene)
 
     def _show_held(self) -> None:
@@ -255,8 +255,8 @@ class PlacingPanel:
             (self._undo, self.undo),
             (self._skip, self.skip),
         ):
-            button.on_click(self._ordered(act))
-        chosen = self._ordered(self.choose)
+            button.on_click(self._make_callback(act))
+        chosen = self._make_callback(self.choose)
 
         async def on_choice(event: Any) -> None:
             # Only what a person chose: the panel's own changes have no client.
@@ -295,6 +295,6 @@ class PlacingPanel:
     def _tick(self) -> None:
         """Shows the seconds."""
         while not self._closed.wait(1.0):
-            said = progress_words(self.scene)
-            if said != self._status.content:
-                self._status.content = said
+            words = progress_words(self.scene)
+            if words != self._status.content:
+                self._status.content = words

@@ -87,17 +87,15 @@ class Session:
 
     def show(self, number: int) -> None:
         """Shows a scene by number; first as it is stored, then with its attempts."""
-
-        def stored() -> Replay:
-            return self.source.still(number)
-
-        def attempted() -> Replay:
-            return self.source.replay(number, self._num_proposals)
-
         with self._lock:
             self.number = number
         self._ask_again = partial(self.show, number)
-        self._ask(stored, attempted, f"scene {number}", self.source.notice())
+        self._ask(
+            lambda: self.source.still(number),
+            lambda: self.source.replay(number, self._num_proposals),
+            f"scene {number}",
+            self.source.notice(),
+        )
 
     def step(self, places: int) -> None:
         """The scene so many places further on, round and round."""
@@ -133,7 +131,7 @@ class Session:
         buffer = io.BytesIO()
         image.save(buffer, format="PNG")
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = _unused(self.folder, _file_name(self.recording.title if self.recording else self.source.name))
+        path = _new_file(self.folder, self.recording.title if self.recording else self.source.name)
         path.write_bytes(buffer.getvalue())
         client.send_file_download(path.name, buffer.getvalue(), save_immediately=True)
         return path
@@ -166,7 +164,7 @@ class Session:
 
     @property
     def _num_proposals(self) -> int:
-        """To be drawn at each attempt: none where nobody looks at them."""
+        """To be drawn at each attempt: none where they are not shown."""
         return _PROPOSALS if self.nodes.shown.density else 0
 
     def _ask(
@@ -323,12 +321,9 @@ def _has_proposals(recording: Replay | None) -> bool:
     return recording is not None and any(attempt.proposals is not None for attempt in recording.attempts)
 
 
-def _file_name(title: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_" else "-" for c in title).replace("--", "-")
-
-
-def _unused(folder: Path, name: str) -> Path:
-    """A file that is not there yet: NAME-001.png and so on."""
+def _new_file(folder: Path, title: str) -> Path:
+    """A file that is not there yet: TITLE-001.png and so on."""
+    name = "".join(c if c.isalnum() or c in "-_" else "-" for c in title).replace("--", "-")
     return next(
         path for number in range(1, 100_000) if not (path := folder / f"{name}-{number:03d}.png").exists()
     )

@@ -1,10 +1,12 @@
-"""The web viewer: a server, a session for each browser, and one thread that makes scenes for all."""
+"""The web viewer: a server, a session a browser, one thread that makes scenes for all; and MuJoCo's own."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import io
+import os
+import platform
 import socket
 import threading
 import webbrowser
@@ -13,7 +15,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.errors import ConfigError, MissingExtraError
+import mujoco
+import numpy as np
+
+from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.rendering.viewer.session import Session, SessionConfig
 from cluttergen_jax.rendering.viewer.source import SceneSource
 
@@ -52,7 +57,7 @@ def free_port(host: str, port: int) -> int:
 
 
 def open_server(host: str, port: int, title: str) -> GuardedServer:
-    """Starts a server that answers whoever has its address, `server.url`, and nobody else.
+    """Starts a server that answers requests with its whole address, `server.url`, and no others.
 
     Raises:
       MissingExtraError: the extra `viewer` is not installed.
@@ -129,3 +134,39 @@ class Viewer:
             session = self.sessions.pop(client.client_id, None)
         if session is not None:
             session.close()
+
+
+class DisplayError(ClutterGenError):
+    """There is no screen to open a window on."""
+
+
+def check_display() -> None:
+    """Refuses to open a window where there is no screen (DisplayError: there is none)."""
+    if platform.system() == "Linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise DisplayError(
+            "MuJoCo's viewer needs a screen, and there is none (DISPLAY is not set)",
+            hint="the web viewer, which is the same command without `native`, or ssh -X",
+        )
+
+
+def show_native(model: mujoco.MjModel, qpos: np.ndarray) -> None:
+    """Opens MuJoCo's viewer and returns when its window is closed.
+
+    Args:
+      model: of the scene; qpos: f64[nq], as it begins.
+
+    Raises:
+      DisplayError: there is no screen, or no window can be opened on it.
+    """
+    check_display()
+    import mujoco.viewer
+
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    try:
+        mujoco.viewer.launch(model, data)
+    except (RuntimeError, mujoco.FatalError) as error:
+        raise DisplayError(
+            f"MuJoCo's viewer could not open a window ({error})", hint="the web viewer: leave `native` out"
+        ) from error

@@ -8,7 +8,7 @@ import numpy as np
 
 from cluttergen_jax.placement.hand import HandScene
 from cluttergen_jax.placement.hand.types import Check, Drop, Lowered
-from cluttergen_jax.placement.rollout.replay import Attempt, Replay
+from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.types import Verdict, small_length
 
 
@@ -17,10 +17,10 @@ def scene_words(recording: Replay, note: str = "") -> str:
     verdicts = {each.label: each for each in Verdict}
     verdict = verdicts.get(recording.verdict)
     if recording.is_success:
-        said = "stands" if verdict is not None else recording.verdict or "stands"
+        text = "stands" if verdict is not None else recording.verdict or "stands"
     else:
-        said = f"failed: {recording.verdict}" + (f" ({verdict.sentence})" if verdict is not None else "")
-    lines = [f"**{recording.title}** {said}", f"objects placed: {len(recording.placed)}"]
+        text = f"failed: {recording.verdict}" + (f" ({verdict.sentence})" if verdict is not None else "")
+    lines = [f"**{recording.title}** {text}", f"objects placed: {len(recording.placed)}"]
     if recording.drift > 0:
         lines.append(f"largest movement in the last check: {small_length(recording.drift)}")
     if recording.attempts:
@@ -39,22 +39,16 @@ def attempt_words(recording: Replay, number: int) -> str:
     if number == 0:
         return f"before the first of {len(recording.attempts)} attempts"
     attempt = recording.attempts[number - 1]
-    lines = [f"attempt {number} of {len(recording.attempts)}: {_object_words(recording, attempt)}"]
+    asset = recording.objects[attempt.object_index]
+    name = f"**{asset.label or asset.name}**, its attempt {attempt.ordinal}"
+    lines = [f"attempt {number} of {len(recording.attempts)}: {name}"]
     taken = [recording.objects[index] for index in recording.taken_away(number - 1)]
     if taken:
         lines.append(f"taken away before it: {', '.join(each.label or each.name for each in taken)}")
-    return "\n\n".join([*lines, _end(attempt)])
-
-
-def _object_words(recording: Replay, attempt: Attempt) -> str:
-    asset = recording.objects[attempt.object_index]
-    return f"**{asset.label or asset.name}**, its attempt {attempt.ordinal}"
-
-
-def _end(attempt: Attempt) -> str:
+    end = f"failed, {attempt.verdict.label}: {attempt.verdict.sentence} ({attempt.num_steps} steps)"
     if attempt.is_stable:
-        return f"stable after {attempt.num_steps} steps"
-    return f"failed, {attempt.verdict.label}: {attempt.verdict.sentence} ({attempt.num_steps} steps)"
+        end = f"stable after {attempt.num_steps} steps"
+    return "\n\n".join([*lines, end])
 
 
 def progress_words(scene: HandScene) -> str:
@@ -62,36 +56,36 @@ def progress_words(scene: HandScene) -> str:
     minutes, seconds = divmod(int(scene.clock.seconds), 60)
     placed = f"{scene.num_placed} of {len(scene.all)} objects placed"
     tries = f"{scene.num_attempts} attempt{'' if scene.num_attempts == 1 else 's'}"
-    said = f"**scene {scene.number}**: {placed}, {tries}, {minutes}:{seconds:02d}"
-    return f"{said}\n\nleft: {', '.join(_name(scene, index) for index in scene.left) or 'nothing'}"
+    text = f"**scene {scene.number}**: {placed}, {tries}, {minutes}:{seconds:02d}"
+    return f"{text}\n\nleft: {', '.join(scene.names[index] for index in scene.left) or 'nothing'}"
 
 
 def lowered_words(scene: HandScene, lowered: Lowered) -> str:
     """What the current object touches."""
     assert scene.current is not None
-    name = _name(scene, scene.current)
+    name = scene.names[scene.current]
     if lowered.is_on_top:
-        said = f"{name} touches the bare top"
+        text = f"{name} touches the bare top"
     else:
-        said = f"{name} touches something {100 * lowered.lift:.1f} cm above the bare top"
-    return said + (f"; {lowered.hanging:.0%} of it is over nothing" if lowered.hanging > 0 else "")
+        text = f"{name} touches something {100 * lowered.lift:.1f} cm above the bare top"
+    return text + (f"; {lowered.hanging:.0%} of it is over nothing" if lowered.hanging > 0 else "")
 
 
 def drop_words(scene: HandScene, drop: Drop) -> str:
     """What came of an attempt, by which verdict, and why."""
     attempt = drop.attempt
-    verdict, name = attempt.verdict, _name(scene, attempt.object_index)
+    verdict, name = attempt.verdict, scene.names[attempt.object_index]
     if verdict == Verdict.STABLE:
         return f"**{name}: stable** after {attempt.num_steps} steps"
-    said = f"**{name}: {verdict.label}**: {verdict.sentence}"
+    text = f"**{name}: {verdict.label}**: {verdict.sentence}"
     if verdict == Verdict.DISPLACED and drop.mover is not None:
         moved = f"{small_length(drop.shift)} and {np.degrees(drop.turn):.1f} degrees"
-        said += f" ({_name(scene, drop.mover)}: by {moved} at most)"
+        text += f" ({scene.names[drop.mover]}: by {moved} at most)"
     elif verdict == Verdict.PENETRATING:
-        said += f" (by {small_length(drop.penetration)})"
+        text += f" (by {small_length(drop.penetration)})"
     elif verdict == Verdict.UNSUPPORTED and np.isfinite(drop.margin):
-        said += f" ({1000 * drop.margin:.1f} mm inside it)"
-    return f"{said}. In red, where it ended; the scene is what it was before."
+        text += f" ({1000 * drop.margin:.1f} mm inside it)"
+    return f"{text}. In red, where it ended; the scene is what it was before."
 
 
 def check_words(scene: HandScene, check: Check) -> str:
@@ -100,12 +94,8 @@ def check_words(scene: HandScene, check: Check) -> str:
         return (
             f"all {len(scene.all)} objects stand together (none moved more than {small_length(check.drift)})"
         )
-    name, moved = _name(scene, check.mover), small_length(check.drift)
+    name, moved = scene.names[check.mover], small_length(check.drift)
     return (
         f"**not saved: {check.verdict.label}**: {check.verdict.sentence} ({name}: by {moved}). Take objects "
         "back and place them better, or give the scene up"
     )
-
-
-def _name(scene: HandScene, index: int) -> str:
-    return scene.names[index]

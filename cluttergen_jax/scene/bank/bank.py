@@ -13,38 +13,38 @@ A block is written as a whole or not at all, so an interrupted bank is continued
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash, read_object
+from cluttergen_jax.assets.object_files import object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.files import check_utf8, inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.scene.bank.bits import are_bits
-from cluttergen_jax.scene.bank.blocks import AGAIN, StoredBlocks, record_in
-from cluttergen_jax.scene.bank.remote import is_url, mirrored
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, record_in
+from cluttergen_jax.scene.bank.record import (
+    AGAIN,
+    INDEX,
+    NO_ASSETS,
+    AssetDigests,
+    Recipe,
+    Record,
+    check_format,
+    fault_of,
+    parse_record,
+)
+from cluttergen_jax.scene.bank.remote import fetch_mirror, is_url
 from cluttergen_jax.scene.bank.table import BankRow, rows_of, schema_of
 from cluttergen_jax.spec import SceneSpec
-
-FORMAT = 1
-INDEX = "bank.json"
-
-
-class NewerBankError(BankError):
-    """The bank was made by a later version of this package: not damaged, and not to be mended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,17 +52,22 @@ class Bank:
     """A bank that is read. `record` is what `bank.json` holds."""
 
     path: Path
-    record: dict[str, Any]
+    record: Record
 
     def __repr__(self) -> str:
-        recipe = self.record.get("recipe", {})
-        told = ", ".join(f"{name} {recipe[name]!r}" for name in ("pool", "method", "seed") if name in recipe)
-        return f"{type(self).__name__}({str(self.path)!r}, {self.num_scenes} scenes, {told})"
+        names = ("pool", "method", "seed")
+        words = ", ".join(f"{name} {value!r}" for name, value in self.recipe.items() if name in names)
+        return f"{type(self).__name__}({str(self.path)!r}, {self.num_scenes} scenes, {words})"
 
     @property
     def num_scenes(self) -> int:
         """How many scenes the bank was asked for."""
         return int(self.record["num_scenes"])
+
+    @property
+    def recipe(self) -> Recipe:
+        """How its scenes were made."""
+        return self.record.get("recipe", {})
 
     @property
     def spec(self) -> SceneSpec:
@@ -72,7 +77,7 @@ class Bank:
           BankError: the bank does not say it whole.
         """
         try:
-            return SceneSpec.from_recipe(self.record["recipe"])
+            return SceneSpec.from_recipe(self.recipe)
         except (KeyError, TypeError, ValueError) as error:
             raise BankError(f"{self.path}: how it was made is not recorded whole ({error})") from error
 
@@ -143,7 +148,7 @@ class Bank:
             asset = read_object(inside(self.path, f"assets/objects/{name}"), images)
         if asset.name != name:
             raise BankError(f"{self.path}: asset {name!r} calls itself {asset.name!r}", hint=AGAIN)
-        self._check_asset(name, object_hash(asset), self._hashes["objects"].get(name))
+        self._check_asset(name, object_hash(asset), self.assets["objects"].get(name))
         return asset
 
     @cached_property
@@ -151,12 +156,13 @@ class Bank:
         """The table, from the bank's own copy; raises as `object` does."""
         with _mended_by_generate():
             support = read_support(inside(self.path, "assets/support"))
-        self._check_asset("support", support_hash(support), self._hashes["support"])
+        self._check_asset("support", support_hash(support), self.assets["support"])
         return support
 
     @property
-    def _hashes(self) -> dict[str, Any]:
-        return self.record.get("assets", {"objects": {}, "support": None})
+    def assets(self) -> AssetDigests:
+        """Digests of its objects and its support; of early banks none are known."""
+        return self.record.get("assets", NO_ASSETS)
 
     def _check_asset(self, name: str, digest: str, wanted: str | None) -> None:
         if wanted is not None and digest != wanted:
@@ -187,56 +193,21 @@ def read_bank(path: str | Path) -> Bank:
       BankError: there is none, or `bank.json` is damaged or of another format.
       ConfigError: its path is not UTF-8.
     """
-    path = mirrored(str(path)) if is_url(path) else path
+    path = fetch_mirror(str(path)) if is_url(path) else path
     check_utf8(path)
     index = Path(path) / INDEX
     try:
-        record = json.loads(index.read_bytes())
+        data = index.read_bytes()
     except (FileNotFoundError, NotADirectoryError) as error:
         raise BankError(
             f"{path} is not a bank: it has no {INDEX}", "a folder that `generate` made"
         ) from error
-    except (OSError, ValueError, RecursionError) as error:
+    except OSError as error:
         raise BankError(f"{index} cannot be read ({error})", hint=AGAIN) from error
-    _check_format(Path(path), record)
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise BankError(f"{index} is not the record of a bank of format {FORMAT}", hint=AGAIN)
-    digest = record.pop("hash", None)
-    wrong = _wrong_part(record) if digest in (None, _digest(record)) else "it does not match its own digest"
-    if wrong is not None:
-        raise BankError(f"{index} is damaged: {wrong}", hint=AGAIN)
-    return Bank(Path(path), record)
+    return Bank(Path(path), parse_record(Path(path), data))
 
 
-def _check_format(path: Path, record: Any) -> None:
-    """Refuses the record of a bank that a later version made."""
-    number = record.get("format") if isinstance(record, dict) else None
-    if isinstance(number, int) and number > FORMAT:
-        raise NewerBankError(
-            f"{path} was made by a newer version (format {number}; this one reads {FORMAT})",
-            hint="a newer cluttergen_jax",
-        )
-
-
-def damaged_record(path: Path, error: Exception) -> BankError:
-    """The error for a bank whose recipe, sound as JSON, cannot be what made it."""
-    told = f"no {error}" if isinstance(error, KeyError) else getattr(error, "given", error)
-    return BankError(
-        f"{path / INDEX}: the record of how the bank was made is damaged ({told})",
-        hint="a copy of the bank that is whole",
-    )
-
-
-def index_bytes(record: dict[str, Any]) -> bytes:
-    """The content of `bank.json`: the record, and its digest, so that damage is noticed."""
-    return (json.dumps({**record, "hash": _digest(record)}, indent=1) + "\n").encode()
-
-
-def _digest(record: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
-
-
-def recovered_record(path: Path) -> dict[str, Any] | None:
+def recover_record(path: Path) -> Record | None:
     """The bank's record as its first sound block has it, without `num_scenes`; None if no block has it.
 
     Raises:
@@ -248,27 +219,7 @@ def recovered_record(path: Path) -> dict[str, Any] | None:
             record = record_in(stored.read(block))
         except (BankError, KeyError, ValueError, RecursionError):
             continue
-        _check_format(path, record)
-        if isinstance(record, dict) and _wrong_part(record | {"num_scenes": 1}) is None:
-            return record
-    return None
-
-
-def _wrong_part(record: dict[str, Any]) -> str | None:
-    """What is wrong with the record of a bank, in words; None if it is sound."""
-    number = record.get("num_scenes")
-    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
-        return f"num_scenes is {number!r}"
-    if not isinstance(record.get("recipe"), dict):
-        return "it has no recipe"
-    assets = record.get("assets", {"objects": {}, "support": None})
-    if not isinstance(assets, dict) or not isinstance(assets.get("objects"), dict) or "support" not in assets:
-        return "its digests of assets are not understood"
-    if strange := [name for name in assets["objects"] if not NAME_PATTERN.fullmatch(name)]:
-        return f"it names an object {strange[0]!r}"
-    files = record.get("files", {})
-    if not isinstance(files, dict) or not all(isinstance(digest, str) for digest in files.values()):
-        return "its digests of files are not understood"
-    if "bits" in record and not are_bits(record["bits"]):
-        return "by what its scenes were computed is not understood"
+        check_format(path, record)
+        if isinstance(record, dict) and fault_of(record | {"num_scenes": 1}) is None:
+            return record  # type: ignore[return-value]
     return None

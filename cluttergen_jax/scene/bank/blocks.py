@@ -29,6 +29,7 @@ from cluttergen_jax.assets.object_files import NAME_PATTERN
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import file_whole, write_atomically, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.scene.bank.record import AGAIN, Record, block_record
 from cluttergen_jax.scene.bank.remote import RemoteFolder, publish, remote_of
 from cluttergen_jax.scene.bank.table import CLUTTER, COLUMNS, SCHEMA, schema_of, with_added
 
@@ -36,12 +37,9 @@ SHARD_BLOCKS = 768
 """Blocks of a full shard: of ten-object scenes, about 100 MB. Shard s begins with block 768 s."""
 _AT_ONCE = 32
 """Blocks that are read together: a few megabytes of rows."""
-AGAIN = "the same `cluttergen generate` again, which mends what is damaged and makes what is missing"
 _FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
 _SLOT = re.compile(rf"{NAME_PATTERN.pattern}(#\d+)?")
 _METADATA = b"cluttergen"
-_OF_THE_INDEX = ("num_scenes", "files")
-"""What `bank.json` alone holds: it changes while blocks stay as they are."""
 
 
 def block_path(path: Path, block: int) -> Path:
@@ -130,13 +128,11 @@ class StoredBlocks:
         if name not in self._open:
             # One at a time: blocks are read in order, and each open file costs memory.
             self._open.clear()
-            self._open[name] = pq.ParquetFile(self._source(name), page_checksum_verification=True)
+            # pyarrow takes a relative path with a colon in it for a URL.
+            path = (self.path / name).absolute()
+            source = path if self.remote is None or path.exists() else self.remote.open(name)
+            self._open[name] = pq.ParquetFile(source, page_checksum_verification=True)
         return self._open[name]
-
-    def _source(self, name: str) -> Path | pa.NativeFile:
-        # pyarrow takes a relative path with a colon in it for a URL.
-        path = (self.path / name).absolute()
-        return path if self.remote is None or path.exists() else self.remote.open(name)
 
     @property
     def file_names(self) -> list[str]:
@@ -201,10 +197,9 @@ def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> N
             raise ValueError("an object that was placed has a pose that is not finite")
 
 
-def with_record(table: pa.Table, record: dict[str, Any]) -> pa.Table:
+def with_record(table: pa.Table, record: Record) -> pa.Table:
     """The rows of a block with the bank's record in them, so that any block can stand in for `bank.json`."""
-    kept = {name: value for name, value in record.items() if name not in _OF_THE_INDEX}
-    return table.replace_schema_metadata({_METADATA: json.dumps(kept).encode()})
+    return table.replace_schema_metadata({_METADATA: json.dumps(block_record(record)).encode()})
 
 
 def is_whole(path: Path) -> bool:
@@ -250,7 +245,7 @@ def is_shard(blocks: range) -> bool:
     return len(blocks) > 1
 
 
-def rows_bytes(table: pa.Table, record: dict[str, Any]) -> bytes:
+def rows_bytes(table: pa.Table, record: Record) -> bytes:
     """The file of a block: its rows, with all columns that a bank has, and the bank's record."""
     buffer = io.BytesIO()
     rows = with_added(table)
@@ -262,11 +257,7 @@ def rows_bytes(table: pa.Table, record: dict[str, Any]) -> bytes:
 
 
 def write_block(path: Path, block: int, data: bytes) -> None:
-    """Stores the file of a block, `rows_bytes`, as a whole. For who holds the bank's lock.
-
-    Raises:
-      BankError: it cannot be written, for instance because the disk is full.
-    """
+    """Stores the file of a block, `rows_bytes`, as a whole. For who holds the bank's lock (BankError)."""
     file = block_path(path, block)
     with writing(file):
         write_atomically(file, data, is_durable=True)
@@ -285,7 +276,7 @@ class WrittenShard:
     removed: tuple[str, ...]
 
 
-def write_shard(path: Path, blocks: range, record: dict[str, Any]) -> WrittenShard | None:
+def write_shard(path: Path, blocks: range, record: Record) -> WrittenShard | None:
     """Puts blocks into one shard in place of their files, row group by row group; for who holds the lock.
 
     Nothing is lost wherever it is interrupted: what the shard is made of goes once the shard is on disk.
@@ -321,7 +312,7 @@ class _UnevenError(Exception):
     """Blocks that one file cannot hold."""
 
 
-def _write_row_groups(target: Path, stored: StoredBlocks, blocks: range, record: dict[str, Any]) -> None:
+def _write_row_groups(target: Path, stored: StoredBlocks, blocks: range, record: Record) -> None:
     schema: pa.Schema | None = None
     with target.open("wb") as file, ExitStack() as stack:
         for block in blocks:

@@ -1,10 +1,9 @@
-"""The dataset card: a README in the bank's folder, so that whoever finds the folder knows what it is."""
+"""The dataset card: a README in the bank's folder, which says what the folder is."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
@@ -14,9 +13,9 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import HAND
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.bits import Bits
+from cluttergen_jax.scene.bank.record import Bits, Recipe
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
-from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, CLUTTER, COUNTED, SCHEMA
+from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, CLUTTER, COUNTED, SCHEMA, count_column
 from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.types import Verdict, small_length
 
@@ -69,7 +68,7 @@ _COLUMNS = {
     "tilted by 3 degrees in each of four directions, nothing slides by 5 mm or turns by 5 degrees within 2 s",
     "detectors": "after `certify`: with which of MuJoCo's detectors of convex collisions (native, libccd) "
     "nothing moves by 5 mm or 5 degrees within the horizon; drift is the larger of both, the rest native's",
-} | {f"num_{v.label.replace('-', '_')}": f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
+} | {count_column(v): f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
 
 
 def write_card(bank: Bank) -> Path | None:
@@ -96,7 +95,7 @@ def write_unless_own(folder: Path, text: Callable[[], str]) -> Path | None:
 
 def card_text(bank: Bank, stats: BankStats) -> str:
     """The card of a bank as Markdown."""
-    names = sorted(bank.record.get("assets", {}).get("objects", {})) or [each.name for each in stats.objects]
+    names = sorted(bank.assets["objects"]) or [each.name for each in stats.objects]
     assets = [bank.object(name) for name in names]
     sections = [
         front_matter(
@@ -107,9 +106,9 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         ),
         _about(bank, stats),
         _figures(stats),
-        _files(BY_HAND if _is_by_hand(bank.record["recipe"]) else ()),
-        _made(bank.record["recipe"], bank.record.get("bits", [])),
-        _stability(bank.record["recipe"]),
+        _files(BY_HAND if bank.recipe.get("method") == HAND else ()),
+        _recipe_section(bank.recipe, bank.record.get("bits", [])),
+        _stability(bank.recipe),
         assets_section(assets, bank.support),
     ]
     return "\n\n".join(sections) + "\n"
@@ -163,10 +162,6 @@ def _figures(stats: BankStats) -> str:
     return "\n".join(["## Figures", "", markdown_table(("", ""), rows)])
 
 
-def _is_by_hand(recipe: dict[str, Any]) -> bool:
-    return recipe.get("method") == HAND
-
-
 def _files(added: Iterable[pa.Field]) -> str:
     """The files and the columns, with those that only some banks have."""
     lines = [
@@ -191,16 +186,14 @@ def _files(added: Iterable[pa.Field]) -> str:
     return "\n".join([*lines, markdown_table(("column", "type", "meaning"), fields)])
 
 
-def _made(recipe: dict[str, Any], bits: list[Bits]) -> str:
-    placement = recipe.get("placement", {})
+def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
+    placement, is_by_hand = recipe.get("placement", {}), recipe.get("method") == HAND
     rows = {
         "pool": public_name(str(recipe.get("pool"))),
         "support": Path(str(recipe.get("support"))).name,
         "objects per scene": placement.get("num_objects"),
         "order of objects": placement.get("order"),
-        "attempts per object": "as many as were wanted"
-        if _is_by_hand(recipe)
-        else placement.get("max_attempts"),
+        "attempts per object": "as many as were wanted" if is_by_hand else placement.get("max_attempts"),
         "attempts per scene": placement.get("budget") or "so many for each object",
         "failed attempts after which objects are taken away": placement.get("ruin_after") or "none are",
         "method": recipe.get("method"),
@@ -226,7 +219,7 @@ def _made(recipe: dict[str, Any], bits: list[Bits]) -> str:
     return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])
 
 
-def _stability(recipe: dict[str, Any]) -> str:
+def _stability(recipe: Recipe) -> str:
     limits = {
         **recipe.get("stability", {}),
         **{f"contact {k}": v for k, v in recipe.get("contact", {}).items()},
@@ -258,8 +251,8 @@ def assets_section(assets: Sequence[ObjectAsset], support: SupportAsset) -> str:
         )
         for asset in assets
     ]
-    told = support.provenance
-    rows.append((f"{support.label} (support)", "", told.source, told.licence, ""))
+    source = support.provenance
+    rows.append((f"{support.label} (support)", "", source.source, source.licence, ""))
     lines = [
         "## Assets and licences",
         "",

@@ -7,7 +7,6 @@ the same poses.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, digest_of_file, file_blocks
 from cluttergen_jax.scene.bank.table import BankRow
+from cluttergen_jax.schema import digest_of
 
 _ASSETS, _SCENES = "assets", "scenes"
 _SCENE_FILE = re.compile(rf"{_SCENES}/(\d+)\.xml")
@@ -41,11 +41,6 @@ class Change:
     what: str
 
 
-def digest_of(data: bytes) -> str:
-    """The digest of a file's content."""
-    return hashlib.sha256(data).hexdigest()
-
-
 def digests_in(path: Path, folder: str) -> dict[str, str]:
     """The digest of each file below `folder` of the bank at `path`, by its path within the bank."""
     files = sorted(each for each in (path / folder).rglob("*") if each.is_file())
@@ -53,7 +48,7 @@ def digests_in(path: Path, folder: str) -> dict[str, str]:
 
 
 def without_digests(bank: Bank) -> str:
-    """What of a bank cannot be checked: an older version wrote no digests of it, or somebody removed them.
+    """What of a bank cannot be checked: an older version wrote no digests of it, or they were removed.
 
     Returns:
       "files", "rows", or "" where there are digests of both.
@@ -73,32 +68,22 @@ def changes_of(bank: Bank) -> list[Change] | None:
     if known is None:
         return None
     stored = StoredBlocks.of(bank.path)
-    digests = _digests_now(bank.path, stored, known)
-    found = [
-        Change(name, "missing" if digest is None else "changed")
-        for name, digest in digests
-        if digest != known[name]
-    ]
-    there = [*_names_in(bank.path), *(stored.file_names if without_digests(bank) == "" else ())]
+    found = []
+    for name in known:
+        if file_blocks(name):
+            now = stored.digest(name)
+        else:
+            file = inside(bank.path, name)
+            now = digest_of_file(file) if file.is_file() else None
+        if now != known[name]:
+            found.append(Change(name, "missing" if now is None else "changed"))
+    files = [*(bank.path / _ASSETS).rglob("*"), *(bank.path / _SCENES).glob("*.xml")]
+    there = [each.relative_to(bank.path).as_posix() for each in files if each.is_file()]
+    there += stored.file_names if without_digests(bank) == "" else []
     found += [Change(name, "not in bank.json") for name in there if name not in known]
     if not any(file_blocks(change.name) for change in found):
         found += _unlike_rows(bank, known.keys() - {change.name for change in found})
     return sorted(found, key=lambda change: change.name)
-
-
-def _digests_now(path: Path, stored: StoredBlocks, names: Iterable[str]) -> Iterator[tuple[str, str | None]]:
-    """Each name with the digest that its file has now; None where there is no such file."""
-    for name in names:
-        if file_blocks(name):
-            yield name, stored.digest(name)
-        else:
-            file = inside(path, name)
-            yield name, digest_of_file(file) if file.is_file() else None
-
-
-def _names_in(path: Path) -> list[str]:
-    files = [*(path / _ASSETS).rglob("*"), *(path / _SCENES).glob("*.xml")]
-    return [each.relative_to(path).as_posix() for each in files if each.is_file()]
 
 
 def _unlike_rows(bank: Bank, names: Iterable[str]) -> Iterator[Change]:
@@ -110,7 +95,7 @@ def _unlike_rows(bank: Bank, names: Iterable[str]) -> Iterator[Change]:
         try:
             rows = bank.rows(some)
         except BankError:
-            # A file of rows that is damaged is told by whoever reads it.
+            # Reading a file of rows that is damaged is an error elsewhere.
             continue
         for number in some:
             if number not in rows or not _is_scene_of(rows[number], inside(bank.path, files[number])):
@@ -132,7 +117,7 @@ def _is_scene_of(row: BankRow, file: Path) -> bool:
     return row.is_success and names == [*map(base_name, row.objects)] and np.array_equal(numbers, wanted)
 
 
-def touched(changes: Iterable[Change], file: str, objects: Iterable[str]) -> list[str]:
+def changes_to_scene(changes: Iterable[Change], file: str, objects: Iterable[str]) -> list[str]:
     """Those of the changed files that a scene is made of: its own, its objects', and what all scenes share.
 
     Args:

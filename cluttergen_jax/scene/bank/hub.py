@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 from pathlib import Path
@@ -11,14 +10,16 @@ import pyarrow.compute as pc
 
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
-from cluttergen_jax.files import begun_folder, inside, remove, swap_in, writing
+from cluttergen_jax.files import inside, remove, resumable_folder, swap_in, writing
+from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.scene.bank.bank import INDEX, Bank, NewerBankError, read_bank
+from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of, without_digests
 from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
-from cluttergen_jax.scene.bank.lock import BankLock
-from cluttergen_jax.scene.bank.remote import check_is_here, is_url, mirrored
+from cluttergen_jax.scene.bank.record import INDEX, NewerBankError
+from cluttergen_jax.scene.bank.remote import check_is_here, fetch_mirror, is_url
+from cluttergen_jax.schema import digest_of
 
 HUB_VARIABLE = "CLUTTERGEN_HUB"
 _DATASET = re.compile(r"\w[\w-]*(\.[\w-]+)*/\w[\w-]*(\.[\w-]+)*", re.ASCII)
@@ -33,15 +34,13 @@ def push(path: str | Path, name: str, hub: str | None, is_private: bool) -> str:
     bank = read_bank(path)
     check_is_here(bank.path)
     with writing(bank.path):
-        lock = BankLock(bank.path)
-    try:
+        lock = FolderLock(bank.path)
+    with lock:
         check_whole(bank)
         with writing(bank.path):
             write_card(bank)
         _check_free(place, name)
         return place.store(name, bank.path, is_private)
-    finally:
-        lock.release()
 
 
 def pull(
@@ -63,31 +62,27 @@ def pull(
     out = pulled_path(name, hub, revision) if out is None else Path(out)
     _check_place(out, overwrite)
     was_there = (out / INDEX).is_file()
-    with writing(out), begun_folder(out) as scratch:
+    with writing(out), resumable_folder(out) as scratch:
         fresh = scratch / out.name
         fresh.mkdir(exist_ok=True)
         _fetch(place, name, revision, fresh, allow_unchecked)
         if is_shared and not was_there:
-            _put_first(fresh, out)
+            try:
+                os.rename(fresh, out)
+            except OSError:
+                # Another process was first.
+                if not (out / INDEX).is_file():
+                    raise
         else:
             _check_place(out, overwrite)
             swap_in(fresh, out)
     return out
 
 
-def _put_first(fresh: Path, out: Path) -> None:
-    """Puts a bank where there was none, unless another process was first."""
-    try:
-        os.rename(fresh, out)
-    except OSError:
-        if not (out / INDEX).is_file():
-            raise
-
-
 def pulled_path(name: str, hub: str | None = None, revision: str | None = None) -> Path:
     """Where `load_bank` keeps a bank that it has pulled; each hub and revision has a folder of its own."""
     asked = (hub or os.environ.get(HUB_VARIABLE) or "", revision or "")
-    other = f"@{hashlib.sha256(repr(asked).encode()).hexdigest()[:12]}" if any(asked) else ""
+    other = f"@{digest_of(repr(asked).encode())[:12]}" if any(asked) else ""
     return inside(user_root().parent / "banks", name + other)
 
 
@@ -99,7 +94,7 @@ def find_bank(path: str | Path, *, hub: str | None = None, revision: str | None 
       MissingExtraError: the extra `hub` is not installed.
     """
     if is_url(path):
-        return mirrored(str(path))
+        return fetch_mirror(str(path))
     if Path(path).exists() or not isinstance(path, str) or not _DATASET.fullmatch(path):
         return Path(path)
     stored = pulled_path(path, hub)
@@ -137,7 +132,7 @@ def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
         does not say how it was made.
       UnsafePathError: it names a path outside of its folder.
     """
-    if not bank.record["recipe"]:
+    if not bank.recipe:
         raise BankError(f"{bank.path}: its record does not say how it was made", "a bank with its recipe")
     if (unchecked := without_digests(bank)) and not allow_unchecked:
         raise BankError(
@@ -152,13 +147,13 @@ def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
         names |= {base_name(name) for name in pc.unique(pc.list_flatten(rows["objects"])).to_pylist()}
     if num_rows < bank.num_scenes:
         raise BankError(f"{bank.path} holds {num_rows} of {bank.num_scenes} scenes", hint=_MENDED)
-    for name in sorted(names | set(bank.record.get("assets", {}).get("objects", {}))):
+    for name in sorted(names | set(bank.assets["objects"])):
         bank.object(name)
     _ = bank.support
     if changes := changes_of(bank):
-        told = ", ".join(f"{change.name} ({change.what})" for change in changes[:3])
+        shown = ", ".join(f"{change.name} ({change.what})" for change in changes[:3])
         more = f", and {len(changes) - 3} more" if len(changes) > 3 else ""
-        raise BankError(f"{bank.path}: files are not what was written: {told}{more}", hint=_MENDED)
+        raise BankError(f"{bank.path}: files are not what was written: {shown}{more}", hint=_MENDED)
 
 
 _MENDED = "the same `cluttergen generate` again"
@@ -166,7 +161,7 @@ _MENDED = "the same `cluttergen generate` again"
 
 def local_paths(bank: Bank) -> list[str]:
     """The paths of this machine that the record of a bank names: who pushes it, publishes them."""
-    recipe = bank.record["recipe"]
+    recipe = bank.recipe
     texts = [recipe.get(name) for name in _NAMES_PATHS]
     return [text for text in texts if isinstance(text, str) and ("/" in text or os.sep in text)]
 

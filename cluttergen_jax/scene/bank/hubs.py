@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
-from types import ModuleType
 from typing import Protocol
 
 from cluttergen_jax.errors import BankError, MissingExtraError
@@ -37,11 +36,7 @@ class Hub(Protocol):
     """Keeps data sets called OWNER/NAME."""
 
     def listing(self, dataset: str, revision: str | None) -> tuple[str | None, list[str]]:
-        """What `fetch` takes for just this state of a data set, and the paths of its files.
-
-        Raises:
-          BankError: there is none, or it cannot be reached.
-        """
+        """What `fetch` takes for just this state of a data set, and the paths of its files (BankError)."""
 
     def fetch(
         self, dataset: str, revision: str | None, folder: Path, patterns: Sequence[str] = PATTERNS
@@ -79,8 +74,9 @@ class FolderHub:
         if revision is not None:
             raise BankError(f"revision {revision!r} of {dataset} in a folder", "no revision")
         if not folder.is_dir():
+            known = sorted(each.parent.relative_to(self._root) for each in self._root.glob("*/*/bank.json"))
             raise BankError(
-                f"no data set {dataset} in {self._root}", ", ".join(self._datasets()) or "none yet"
+                f"no data set {dataset} in {self._root}", ", ".join(map(str, known)) or "none yet"
             )
         return None, _names_in(folder)
 
@@ -103,11 +99,6 @@ class FolderHub:
                 _copy(inside(folder, name), fresh / name)
         return str(place)
 
-    def _datasets(self) -> list[str]:
-        return sorted(
-            each.parent.relative_to(self._root).as_posix() for each in self._root.glob("*/*/bank.json")
-        )
-
 
 def _names_in(folder: Path) -> list[str]:
     return sorted(each.relative_to(folder).as_posix() for each in folder.rglob("*") if each.is_file())
@@ -129,12 +120,17 @@ class HuggingFaceHub:
     """
 
     def __init__(self, endpoint: str | None = None) -> None:
-        self._hub = _library()
+        try:
+            import huggingface_hub
+            import huggingface_hub.errors
+        except ImportError as error:
+            raise MissingExtraError("hub", "a bank on the Hugging Face Hub") from error
+        self._hub = huggingface_hub
         self._api = self._hub.HfApi(endpoint=endpoint, library_name="cluttergen_jax")
 
     def listing(self, dataset: str, revision: str | None) -> tuple[str | None, list[str]]:
-        """See `Hub`: a commit, which stays what it is even if somebody pushes meanwhile."""
-        with self._explained(dataset):
+        """See `Hub`: a commit, which stays what it is even if another push comes meanwhile."""
+        with self._explain_errors(dataset):
             info = self._api.dataset_info(dataset, revision=revision)
             return info.sha, [each.rfilename for each in info.siblings or []]
 
@@ -142,7 +138,7 @@ class HuggingFaceHub:
         self, dataset: str, revision: str | None, folder: Path, patterns: Sequence[str] = PATTERNS
     ) -> None:
         """See `Hub`. What an interrupted call has fetched is not fetched again."""
-        with self._explained(dataset):
+        with self._explain_errors(dataset):
             self._api.snapshot_download(
                 dataset, repo_type=_KIND, revision=revision, local_dir=folder, allow_patterns=list(patterns)
             )
@@ -153,7 +149,7 @@ class HuggingFaceHub:
             raise BankError(
                 f"pushing to {self._api.endpoint} without a token", hint="hf auth login, or HF_TOKEN=..."
             )
-        with self._explained(dataset):
+        with self._explain_errors(dataset):
             # None leaves a data set that is there as it is, and a new one as its owner's default says.
             url = self._api.create_repo(dataset, repo_type=_KIND, private=is_private or None, exist_ok=True)
             self._api.upload_folder(
@@ -167,7 +163,7 @@ class HuggingFaceHub:
         return str(url)
 
     @contextmanager
-    def _explained(self, dataset: str) -> Iterator[None]:
+    def _explain_errors(self, dataset: str) -> Iterator[None]:
         """What the library raises becomes a BankError that says what to do."""
         errors, where = self._hub.errors, f"{dataset} on {self._api.endpoint}"
         try:
@@ -183,29 +179,20 @@ class HuggingFaceHub:
         except errors.HfHubHTTPError as error:
             status = getattr(error.response, "status_code", None)
             hint = "a token that may do that: hf auth login" if status in (401, 403) else "again later"
-            raise BankError(f"{where}: {_told(error)}", hint=hint) from error
+            raise BankError(f"{where}: {_one_line(error)}", hint=hint) from error
         except errors.HFValidationError as error:
-            raise BankError(f"{dataset}: {_told(error)}", "OWNER/NAME") from error
+            raise BankError(f"{dataset}: {_one_line(error)}", "OWNER/NAME") from error
         except Exception as error:
             if isinstance(error, OSError) and error.filename:
                 # The disk's trouble, not the hub's.
                 raise
             # The library has changed its HTTP client twice, and what that raises without a network with it.
-            told = f"{type(error).__name__}: {_told(error)}"
+            reason = f"{type(error).__name__}: {_one_line(error)}"
             hint = "the same command when the network is back: it goes on where it stopped"
-            raise BankError(f"{where} does not answer as it should ({told})", hint=hint) from error
+            raise BankError(f"{where} does not answer as it should ({reason})", hint=hint) from error
 
 
-def _library() -> ModuleType:
-    try:
-        import huggingface_hub
-        import huggingface_hub.errors
-    except ImportError as error:
-        raise MissingExtraError("hub", "a bank on the Hugging Face Hub") from error
-    return huggingface_hub
-
-
-def _told(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     """What an error says, on one line."""
     words = " ".join(str(error).split()) or "no reason given"
     return words if len(words) <= _LONGEST else f"{words[:_LONGEST]}..."

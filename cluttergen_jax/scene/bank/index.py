@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
 from cluttergen_jax.files import write_atomically, writing
-from cluttergen_jax.scene.bank.bank import INDEX, Bank, index_bytes
+from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.blocks import (
     block_files,
     block_path,
@@ -21,14 +20,15 @@ from cluttergen_jax.scene.bank.blocks import (
     write_block,
     write_shard,
 )
-from cluttergen_jax.scene.bank.digests import digest_of
+from cluttergen_jax.scene.bank.record import INDEX, Record, block_record, index_bytes
+from cluttergen_jax.schema import digest_of
 
 
 class BankIndex:
     """The record of a bank and the digests of its files, written to `bank.json` at every change.
 
-    For whoever holds the bank's lock. A file of rows that is replaced has no digest meanwhile, so that one
-    that a killed writer left is known to be unknown, and not taken for one that somebody has changed.
+    For the process that holds the bank's lock. A file of rows that is replaced has no digest meanwhile: one
+    that a killed writer left is not taken for one that a user has changed.
 
     Args:
       path: the bank's folder.
@@ -37,7 +37,7 @@ class BankIndex:
       files: digests by path within the bank.
     """
 
-    def __init__(self, path: Path, record: dict[str, Any], num_scenes: int, files: dict[str, str]) -> None:
+    def __init__(self, path: Path, record: Record, num_scenes: int, files: dict[str, str]) -> None:
         self.path, self.record, self.num_scenes, self.files = path, record, num_scenes, files
         self.has_digests = True
 
@@ -47,28 +47,19 @@ class BankIndex:
 
         A bank that has no digests at all stays without.
         """
-        record = {name: value for name, value in bank.record.items() if name not in ("num_scenes", "files")}
-        index = cls(bank.path, record, bank.num_scenes, dict(bank.files or {}))
+        index = cls(bank.path, block_record(bank.record), bank.num_scenes, dict(bank.files or {}))
         index.has_digests = bank.files is not None
         index.add_unknown_rows()
         return index
 
     def write(self) -> None:
-        """Writes `bank.json`.
-
-        Raises:
-          OSError: it cannot be written.
-        """
+        """Writes `bank.json` (OSError: it cannot be written)."""
         files = {"files": dict(sorted(self.files.items()))} if self.has_digests else {}
         record = {"num_scenes": self.num_scenes, **self.record, **files}
         write_atomically(self.path / INDEX, index_bytes(record), is_durable=True)
 
     def add(self, files: dict[str, str]) -> None:
-        """Enters digests.
-
-        Raises:
-          BankError: `bank.json` cannot be written.
-        """
+        """Enters digests (BankError: `bank.json` cannot be written)."""
         self.files |= files
         with writing(self.path):
             self.write()
@@ -79,11 +70,7 @@ class BankIndex:
         self.files |= {name: digest_of_file(self.path / name) for name in unknown}
 
     def write_block(self, block: int, table: pa.Table) -> None:
-        """Stores the rows of a block in a file of their own.
-
-        Raises:
-          BankError: it cannot be written, for instance because the disk is full.
-        """
+        """Stores the rows of a block in a file of their own (BankError)."""
         name, data = block_path(self.path, block).name, rows_bytes(table, self.record)
         with self._replacing([name]):
             write_block(self.path, block, data)
@@ -108,11 +95,7 @@ class BankIndex:
         return True
 
     def merge_shards(self) -> None:
-        """Puts blocks that were written again, and lie beside their shard, back into it.
-
-        Raises:
-          BankError: it cannot be written.
-        """
+        """Puts blocks that were written again, and lie beside their shard, back into it (BankError)."""
         files = block_files(self.path).values()
         loose = {blocks[0] for blocks in files if not is_shard(blocks)}
         for blocks in filter(is_shard, files):

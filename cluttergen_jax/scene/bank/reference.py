@@ -8,7 +8,8 @@ from pathlib import Path
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.problem import Standing
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.scene.bank.bank import INDEX, read_bank
+from cluttergen_jax.scene.bank.bank import read_bank
+from cluttergen_jax.scene.bank.record import INDEX
 
 REFERENCES = "BANK, BANK:INDEX or BANK/scenes/NUMBER.xml"
 _SAID = 8
@@ -41,8 +42,8 @@ def numbers_text(numbers: Iterable[int]) -> str:
             runs[-1][1] = number
         else:
             runs.append([number, number])
-    said = [str(first) if first == last else f"{first}-{last}" for first, last in runs[:_SAID]]
-    return ", ".join([*said, *(["..."] if len(runs) > _SAID else [])])
+    ranges = [str(first) if first == last else f"{first}-{last}" for first, last in runs[:_SAID]]
+    return ", ".join([*ranges, *(["..."] if len(runs) > _SAID else [])])
 
 
 def missing_text(asked: Collection[int], held: Collection[int]) -> str:

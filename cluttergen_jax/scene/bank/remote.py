@@ -7,7 +7,6 @@ Losing it loses those alone. S3 and Google Cloud Storage are spoken by pyarrow, 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from collections.abc import Iterator
@@ -21,11 +20,12 @@ import pyarrow.fs as pafs
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, MissingExtraError
 from cluttergen_jax.files import inside, is_partial, write_atomically
+from cluttergen_jax.scene.bank.record import INDEX
+from cluttergen_jax.schema import digest_of
 
 MARK = ".url"
 """The file of a mirror that says what it stands for."""
-_INDEX = "bank.json"
-_SMALL = ("bank.json", "README.md", "assets/")
+_SMALL = (INDEX, "README.md", "assets/")
 _NOT_OF_THE_BANK = (".lock", MARK)
 _BUFFER = 8 * 2**20
 
@@ -38,7 +38,7 @@ def is_url(path: object) -> bool:
 def mirror_of(url: str) -> Path:
     """The folder of this machine that stands for the bank at a URL; made if need be."""
     url = url.rstrip("/")
-    digest = hashlib.sha256(url.encode()).hexdigest()[:16]
+    digest = digest_of(url.encode())[:16]
     folder = _root() / digest / (url.partition("?")[0].rpartition("/")[2] or "bank")
     write_atomically(folder / MARK, url.encode())
     return folder
@@ -46,18 +46,14 @@ def mirror_of(url: str) -> Path:
 
 def url_of(path: Path) -> str | None:
     """The URL that a mirror stands for; None for any other folder."""
-    # A folder of somebody else's cannot make this machine open what it names.
+    # A folder from elsewhere cannot make this machine open what it names.
     if path.parent.parent != _root() or not (path / MARK).is_file():
         return None
     return (path / MARK).read_text()
 
 
 def check_is_here(path: Path) -> None:
-    """Refuses the mirror of a bank at a URL, for what wants all files of a bank.
-
-    Raises:
-      BankError: it names the URL.
-    """
+    """Refuses the mirror of a bank at a URL, for what wants all files of a bank (BankError)."""
     if (url := url_of(path)) is not None:
         if url.startswith("file://"):
             raise BankError(
@@ -92,7 +88,7 @@ class RemoteFolder:
           BankError: no file system of that kind is known, or it does not answer.
           MissingExtraError: fsspec, or its package for this kind of URL, is not installed.
         """
-        with _explained(url):
+        with _explain_errors(url):
             try:
                 system, root = pafs.FileSystem.from_uri(url)
             except pa.ArrowInvalid:
@@ -102,24 +98,24 @@ class RemoteFolder:
     def sizes(self) -> dict[str, int]:
         """The files in it, at any depth, and their bytes; none where there is no such folder."""
         selector = pafs.FileSelector(self.root, allow_not_found=True, recursive=True)
-        with _explained(self.url):
+        with _explain_errors(self.url):
             found = self.system.get_file_info(selector)
         prefix = len(self.root) + 1
         return {each.path[prefix:]: each.size for each in found if each.type == pafs.FileType.File}
 
     def open(self, name: str) -> pa.NativeFile:
         """A file of it, of which parts may be read."""
-        with _explained(self.url):
+        with _explain_errors(self.url):
             return self.system.open_input_file(f"{self.root}/{name}")
 
     def fetch(self, name: str, folder: Path) -> None:
         """Copies a file into a folder of this machine, where it appears whole."""
-        with _explained(self.url), self.system.open_input_stream(f"{self.root}/{name}") as stream:
+        with _explain_errors(self.url), self.system.open_input_stream(f"{self.root}/{name}") as stream:
             write_atomically(inside(folder, name), stream.read())
 
     def put(self, name: str, folder: Path) -> None:
         """Copies a file of a folder of this machine here; object stores show it once it is whole."""
-        with _explained(self.url):
+        with _explain_errors(self.url):
             self.system.create_dir(f"{self.root}/{name}".rpartition("/")[0], recursive=True)
             with (
                 (folder / name).open("rb") as source,
@@ -129,7 +125,7 @@ class RemoteFolder:
 
     def remove(self, name: str) -> None:
         """Removes a file."""
-        with _explained(self.url):
+        with _explain_errors(self.url):
             self.system.delete_file(f"{self.root}/{name}")
 
 
@@ -139,7 +135,7 @@ def remote_of(path: Path) -> RemoteFolder | None:
     return None if url is None else RemoteFolder.of(url)
 
 
-def mirrored(url: str) -> Path:
+def fetch_mirror(url: str) -> Path:
     """The mirror of a bank, with all that is small in it as it is now: the index, the card, the assets.
 
     Raises:
@@ -148,32 +144,24 @@ def mirrored(url: str) -> Path:
     """
     folder, remote = mirror_of(url), RemoteFolder.of(url)
     names = remote.sizes()
-    if _INDEX not in names:
+    if INDEX not in names:
         # Of a bank that was removed there.
-        (folder / _INDEX).unlink(missing_ok=True)
+        (folder / INDEX).unlink(missing_ok=True)
     small = sorted(name for name in names if name.startswith(_SMALL))
     assets = [name for name in small if name.startswith("assets/")]
     for name in small:
         if name not in assets:
             remote.fetch(name, folder)
-    listed = _listed(folder)
+    try:
+        listed = dict(json.loads((folder / INDEX).read_bytes())["files"])
+    except (OSError, ValueError, LookupError, TypeError):
+        # There is no index, or it is damaged.
+        listed = {}
     for name in assets:
-        if not (listed and _digest(inside(folder, name)) == listed.get(name)):
+        file = inside(folder, name)
+        if not (file.is_file() and digest_of(file.read_bytes()) == listed.get(name)):
             remote.fetch(name, folder)
     return folder
-
-
-def _listed(folder: Path) -> dict[str, str]:
-    """The digests of files in the index of a mirror; none if it is damaged."""
-    try:
-        files = json.loads((folder / _INDEX).read_bytes())["files"]
-    except (OSError, ValueError, LookupError, TypeError):
-        return {}
-    return files if isinstance(files, dict) else {}
-
-
-def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
 
 def fetch_scenes(path: Path) -> None:
@@ -204,7 +192,7 @@ def publish_all(path: Path, is_begun: bool = False) -> None:
     files = [each.as_posix() for each in found if not any(map(is_partial, each.parts))]
     files = [name for name in files if name not in _NOT_OF_THE_BANK]
     there = remote.sizes()
-    for name in sorted(files, key=lambda name: (name == _INDEX, name)):
+    for name in sorted(files, key=lambda name: (name == INDEX, name)):
         is_block, is_same = name.startswith("scenes-"), there.get(name) == (path / name).stat().st_size
         # Assets and scenes' files do not change while their size does not; what does is small.
         if (is_block and is_begun) or (is_same and "/" in name):
@@ -229,7 +217,7 @@ def _by_fsspec(url: str) -> tuple[pafs.FileSystem, str]:
 
 
 @contextmanager
-def _explained(url: str) -> Iterator[None]:
+def _explain_errors(url: str) -> Iterator[None]:
     """What file systems raise becomes a BankError that says what to do."""
     try:
         yield

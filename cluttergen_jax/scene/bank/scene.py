@@ -1,4 +1,4 @@
-"""A scene of a bank as a value that exports, viewers and models take."""
+"""Scenes of a bank: as values that exports, viewers and models take, and many as arrays, from its columns."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
@@ -16,15 +20,19 @@ from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene import Origin, Scene
-from cluttergen_jax.scene.bank.bank import Bank, damaged_record
+from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.record import record_error
 from cluttergen_jax.scene.bank.reference import missing_text, numbers_text
 from cluttergen_jax.scene.bank.table import BankRow
+from cluttergen_jax.scene.collection import most_of
 
 _LEAVE_OUT = "leaving those out; without numbers, all that stand are taken"
 _Config = TypeVar("_Config", bound=StabilityConfig | ContactConfig | PlacementConfig)
+_LISTS = ("is_success", "is_placed", "objects")
+_COLUMNS = ("index", *_LISTS, "poses")
 
 
-def chosen_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRow]:
+def select_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRow]:
     """The rows of these scenes, or of all that succeeded.
 
     Raises:
@@ -37,26 +45,20 @@ def chosen_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRo
             raise BankError(f"{bank.path}: none of its {len(rows)} scenes succeeded", hint="more scenes")
         return good
     by_index = bank.rows(indices)
-    missing = "" if len(by_index) == len(set(indices)) else missing_text(indices, _held(bank))
-    said = [missing, _failed_text([by_index[i] for i in indices if i in by_index])]
-    if any(said):
-        raise BankError(f"{bank.path}: {'; '.join(filter(None, said))}", "scenes that stand", _LEAVE_OUT)
-    return [by_index[index] for index in indices]
-
-
-def _held(bank: Bank) -> list[int]:
-    """The numbers of the scenes that are there."""
-    return [int(index) for rows in bank.tables(["index"]) for index in rows["index"].to_numpy()]
-
-
-def _failed_text(rows: Sequence[BankRow]) -> str:
-    """Which of these failed, and how, in one sentence; empty if none did."""
-    failed = [row for row in rows if not row.is_success]
+    faults = []
+    if len(by_index) < len(set(indices)):
+        there = [int(index) for rows in bank.tables(["index"]) for index in rows["index"].to_numpy()]
+        faults.append(missing_text(indices, there))
+    failed = [by_index[i] for i in indices if i in by_index and not by_index[i].is_success]
     if len(failed) == 1:
-        return f"scene {failed[0].index} failed ({failed[0].verdict})"
-    verdicts = sorted({row.verdict for row in failed})
-    numbers = numbers_text(int(row.index) for row in failed)
-    return f"{len(failed)} scenes failed: {numbers} ({', '.join(verdicts)})" if failed else ""
+        faults.append(f"scene {failed[0].index} failed ({failed[0].verdict})")
+    elif failed:
+        numbers = numbers_text(int(row.index) for row in failed)
+        verdicts = ", ".join(sorted({row.verdict for row in failed}))
+        faults.append(f"{len(failed)} scenes failed: {numbers} ({verdicts})")
+    if faults:
+        raise BankError(f"{bank.path}: {'; '.join(faults)}", "scenes that stand", _LEAVE_OUT)
+    return [by_index[index] for index in indices]
 
 
 def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Scene]:
@@ -65,14 +67,14 @@ def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Sc
     Raises:
       BankError: one of them is not there or failed, none succeeded, or the bank's record is damaged.
     """
-    rows = chosen_rows(bank, indices)
+    rows = select_rows(bank, indices)
     asset_of = lru_cache(maxsize=None)(bank.object)
     for row in rows:
         yield _scene(bank, row, [asset_of(base_name(name)) for name in row.objects])
 
 
 def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
-    recipe = bank.record.get("recipe", {})
+    recipe, checkpoint = bank.recipe, bank.recipe.get("checkpoint")
     return Scene(
         names=row.objects,
         objects=tuple(objects),
@@ -86,7 +88,7 @@ def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
             pool=public_name(recipe.get("pool", "")),
             method=recipe.get("method", ""),
             # The name alone: a path would tell where its owner keeps files.
-            checkpoint=None if recipe.get("checkpoint") is None else Path(recipe["checkpoint"]).name,
+            checkpoint=None if checkpoint is None else Path(checkpoint).name,
             seed=recipe.get("seed"),
             verdict=row.verdict,
             drift=row.drift,
@@ -97,11 +99,7 @@ def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
 
 
 def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:
-    """A config as a bank's recipe has it.
-
-    Raises:
-      BankError: the recipe is damaged.
-    """
+    """A config as a bank's recipe has it (BankError: the recipe is damaged)."""
     known = {field.name for field in fields(kind)}
     try:
         plain: dict[str, Any] = {
@@ -109,17 +107,126 @@ def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Co
         }
         return kind(**plain)
     except (TypeError, AttributeError, ConfigError) as error:
-        raise damaged_record(path, error) from error
+        raise record_error(path, error) from error
 
 
 def region_of(bank: Bank) -> Rectangle:
-    """The region that a bank's recipe asks for.
-
-    Raises:
-      BankError: the recipe is damaged.
-    """
+    """The region that a bank's recipe asks for (BankError: the recipe is damaged)."""
     try:
-        asked = bank.record["recipe"]["region"]
+        asked = bank.recipe["region"]
         return Rectangle(tuple(asked["center"]), tuple(asked["half_extents"]), asked["yaw"])
     except (KeyError, TypeError, ValueError) as error:
-        raise damaged_record(bank.path, error) from error
+        raise record_error(bank.path, error) from error
+
+
+class SceneArrays(NamedTuple):
+    """S scenes of N slots.
+
+    Attributes:
+      number: i32[S], their numbers in the bank.
+      asset_index: i32[S, N], the asset in each slot, in the order of placement; -1 is padding.
+      poses: f32[S, N, 7], world frame, metres, wxyz.
+    """
+
+    number: np.ndarray
+    asset_index: np.ndarray
+    poses: np.ndarray
+
+    def part(self, first: int, last: int) -> SceneArrays:
+        """Scenes `first` to `last` - 1 of these."""
+        return SceneArrays(*(array[first:last] for array in self))
+
+    def pad_slots(self, num_slots: int) -> SceneArrays:
+        """The same with at least so many slots."""
+        more = ((0, 0), (0, max(num_slots - self.asset_index.shape[1], 0)))
+        asset_index = np.pad(self.asset_index, more, constant_values=-1)
+        return SceneArrays(self.number, asset_index, np.pad(self.poses, (*more, (0, 0))))
+
+
+class _Slots(NamedTuple):
+    """What is placed in S scenes of N slots, P objects in all, of L that are listed.
+
+    Attributes:
+      is_placed: bool[L]; scene, slot: i[P], where each is.
+      asset_index: see `SceneArrays`.
+    """
+
+    is_placed: np.ndarray
+    scene: np.ndarray
+    slot: np.ndarray
+    asset_index: np.ndarray
+
+
+class SceneArrayReader:
+    """Reads the scenes of a bank that stand, some thousand at a time.
+
+    Attributes:
+      names: assets that were read so far, by their number, in the order in which they came.
+      most: how often the scene that has most of it has each.
+    """
+
+    def __init__(self, bank: Bank) -> None:
+        self._bank = bank
+        self.names: dict[str, int] = {}
+        self.most = np.zeros(0, int)
+
+    def scenes(self, wanted: np.ndarray | None = None) -> Iterator[SceneArrays]:
+        """Those of these numbers (sorted) that stand; all that stand if None.
+
+        Raises:
+          BankError: the bank holds no scenes, or a block is damaged.
+        """
+        for rows in self._bank.tables(_COLUMNS, wanted):
+            rows = rows.filter(rows["is_success"])
+            if wanted is not None:
+                rows = rows.filter(pa.array(np.isin(rows["index"].to_numpy(), wanted)))
+            if rows.num_rows:
+                yield self._arrays(rows)
+
+    def look(self) -> int:
+        """Fills `names` and `most` without reading a pose; the number of slots of the scene that has most.
+
+        Raises:
+          BankError: likewise.
+        """
+        num_slots = 0
+        for rows in self._bank.tables(_LISTS):
+            slots = self._slots(rows.filter(rows["is_success"]))
+            num_slots = max(num_slots, slots.asset_index.shape[1])
+        return num_slots
+
+    def _arrays(self, rows: pa.Table) -> SceneArrays:
+        slots = self._slots(rows)
+        poses = rows["poses"].combine_chunks()
+        values = np.array(pc.list_flatten(pc.list_flatten(poses)), np.float32).reshape(-1, 7)
+        pad_slots = np.zeros((*slots.asset_index.shape, 7), np.float32)
+        pad_slots[slots.scene, slots.slot] = values[slots.is_placed]
+        return SceneArrays(np.array(rows["index"], np.int32), slots.asset_index, pad_slots)
+
+    def _slots(self, rows: pa.Table) -> _Slots:
+        columns = {name: rows[name].combine_chunks() for name in ("is_placed", "objects")}
+        is_placed = np.array(pc.list_flatten(columns["is_placed"]), bool)
+        scene = np.array(pc.list_parent_indices(columns["is_placed"]))[is_placed]
+        # The slot of each among the placed ones of its scene.
+        slot = np.arange(len(scene)) - np.searchsorted(scene, scene)
+        asset_index = np.full((rows.num_rows, int(slot.max(initial=-1)) + 1), -1, np.int32)
+        asset_index[scene, slot] = self._numbers(pc.list_flatten(columns["objects"]).filter(is_placed))
+        most = most_of(asset_index, len(self.names))
+        most[: len(self.most)] = np.maximum(most[: len(self.most)], self.most)
+        self.most = most
+        return _Slots(is_placed, scene, slot, asset_index)
+
+    def _numbers(self, objects: pa.Array) -> np.ndarray:
+        """i32: the assets behind names in a world, numbered as they come."""
+        encoded = objects.dictionary_encode()
+        for name in map(base_name, encoded.dictionary.to_pylist()):
+            self.names.setdefault(name, len(self.names))
+        known = [self.names[base_name(name)] for name in encoded.dictionary.to_pylist()]
+        return np.array(known, np.int32)[np.array(encoded.indices)]
+
+
+def join_scenes(parts: Sequence[SceneArrays]) -> SceneArrays:
+    """All the scenes of some parts, at least one, padded to the most slots."""
+    num_slots = max(part.asset_index.shape[1] for part in parts)
+    pad_slots = [part.pad_slots(num_slots) for part in parts]
+    return SceneArrays(*(np.concatenate(arrays) for arrays in zip(*pad_slots, strict=True)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import zlib
 from collections import Counter, defaultdict
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,9 +13,8 @@ import pyarrow.compute as pc
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import time_text
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.clutter_stats import ClutterTally, FeatureStats
 from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE
-from cluttergen_jax.scene.bank.totals import Totals, totals_of
+from cluttergen_jax.scene.bank.totals import ClutterTally, FeatureStats, Totals, totals_of
 from cluttergen_jax.types import small_length
 
 _SHOWN_GROUPS = 5
@@ -111,7 +109,7 @@ class BankStats:
       duplicates: indices of scenes that stand and are equal to the bit, objects and poses, group by group.
       certificate: of those scenes that have one; None if none has.
       clutter: features of the scenes that stand, as far as they are known.
-      hand_median, hand_total: seconds that a person spent on a scene, and on all; None where nobody did.
+      hand_median, hand_total: seconds that a person spent on a scene, and on all; None where none did.
     """
 
     asked: int
@@ -146,7 +144,7 @@ class BankStats:
             return lines
         return [f"measured: {measured} of {self.success} scenes; `cluttergen certify` adds the rest", *lines]
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, object]:
         """JSON values."""
         return asdict(self)
 
@@ -298,7 +296,9 @@ def _duplicates(bank: Bank, index: np.ndarray, digest: np.ndarray) -> tuple[tupl
 
 def stats_text(bank: Bank, stats: BankStats) -> str:
     """The same for people."""
-    lines = [f"bank       {bank.path}, {_made_by(bank)}", totals_of(bank.tables()).text()]
+    recipe = bank.recipe
+    made_by = f"made by {recipe.get('method')} with seed {recipe.get('seed')} of pool {recipe.get('pool')}"
+    lines = [f"bank       {bank.path}, {made_by}", totals_of(bank.tables()).text()]
     lines.append(f"verdicts   {', '.join(f'{number} {name}' for name, number in stats.verdicts.items())}")
     lines.append(
         f"movement   in the last check of scenes that stand: median {small_length(stats.drift_median)}, "
@@ -327,8 +327,3 @@ def _duplicates_text(stats: BankStats) -> str:
     shown = "; ".join(" = ".join(map(str, group)) for group in stats.duplicates[:_SHOWN_GROUPS])
     more = ", and others" if len(stats.duplicates) > _SHOWN_GROUPS else ""
     return f"{sum(len(group) - 1 for group in stats.duplicates)} scenes repeat another: {shown}{more}"
-
-
-def _made_by(bank: Bank) -> str:
-    recipe = bank.record["recipe"]
-    return f"made by {recipe.get('method')} with seed {recipe.get('seed')} of pool {recipe.get('pool')}"

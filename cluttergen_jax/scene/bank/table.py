@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress
-from typing import Any
 
 import jax
 import numpy as np
@@ -20,7 +19,7 @@ COUNTED = (*(Verdict(code) for code in range(int(Verdict.NON_FINITE) + 1)), *_AD
 """Verdicts of attempts."""
 
 
-def _counted(verdict: Verdict) -> str:
+def count_column(verdict: Verdict) -> str:
     """The column that counts a scene's attempts of this verdict."""
     return f"num_{verdict.label.replace('-', '_')}"
 
@@ -41,7 +40,7 @@ SCHEMA = pa.schema(
         ("steps", pa.list_(pa.int32())),
         ("rest_steps", pa.list_(pa.int32())),
         ("simulated_steps", pa.int32()),
-        *((_counted(verdict), pa.int32()) for verdict in COUNTED),
+        *((count_column(verdict), pa.int32()) for verdict in COUNTED),
     ]
 )
 """Slots are lists; `poses` are T_world_object, metres and wxyz; `drift` is in metres; `num_stable` and so on
@@ -137,14 +136,14 @@ def with_added(rows: pa.Table) -> pa.Table:
     """
     for field in COLUMNS:
         if field.name not in rows.schema.names:
-            is_count = field.name in map(_counted, _ADDED)
-            values = pa.array(np.zeros(rows.num_rows, np.int32)) if is_count else _nulls(rows, field)
+            is_count = field.name in map(count_column, _ADDED)
+            values = (
+                pa.array(np.zeros(rows.num_rows, np.int32))
+                if is_count
+                else pa.nulls(rows.num_rows, field.type)
+            )
             rows = rows.append_column(field, values)
     return rows
-
-
-def _nulls(rows: pa.Table, field: pa.Field) -> pa.Array:
-    return pa.nulls(rows.num_rows, field.type)
 
 
 def with_columns_of(before: pa.Table, rows: pa.Table) -> pa.Table:
@@ -169,7 +168,7 @@ def with_columns_of(before: pa.Table, rows: pa.Table) -> pa.Table:
 
 
 def schema_of(rows: pa.Table) -> pa.Schema:
-    """The columns that rows of a bank have, without those that nobody knows."""
+    """The columns that rows of a bank have, without unknown ones."""
     by_hand = [BY_HAND] if set(BY_HAND.names) <= set(rows.schema.names) else []
     return pa.unify_schemas([SCHEMA, CLUTTER, *by_hand, CERTIFICATE])
 
@@ -210,7 +209,7 @@ def table_of(
 _spacing = jax.jit(jax.vmap(spacing_of))
 
 
-def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> dict[str, Any]:
+def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> dict[str, object]:
     slots = np.flatnonzero(scenes.object_index[place] >= 0)
     object_index = scenes.object_index[place][slots]
     counts = scenes.counts.verdicts[place]
@@ -231,11 +230,11 @@ def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> di
         "simulated_steps": int(scenes.counts.simulated_steps[place]),
         **_stacking(scenes, place, slots),
         # What is not asked for, such as a margin, is not counted.
-        **{_counted(v): int(counts[v]) if v < len(counts) else 0 for v in COUNTED},
+        **{count_column(v): int(counts[v]) if v < len(counts) else 0 for v in COUNTED},
     }
 
 
-def _stacking(scenes: SceneBatch, place: int, slots: np.ndarray) -> dict[str, Any]:
+def _stacking(scenes: SceneBatch, place: int, slots: np.ndarray) -> dict[str, object]:
     if scenes.level is None or scenes.num_touching is None:
         return dict.fromkeys(("levels", "num_on", "num_touching"))
     levels = scenes.level[place][slots]

@@ -10,7 +10,6 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -24,9 +23,9 @@ from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.simulations import disabled_flags
 from cluttergen_jax.progress import track
-from cluttergen_jax.scene.bank.bank import INDEX, read_bank
-from cluttergen_jax.scene.bank.blocks import AGAIN
-from cluttergen_jax.scene.bank.digests import Change, changes_of, touched, without_digests
+from cluttergen_jax.scene.bank.bank import read_bank
+from cluttergen_jax.scene.bank.digests import Change, changes_of, changes_to_scene, without_digests
+from cluttergen_jax.scene.bank.record import AGAIN, INDEX
 from cluttergen_jax.scene.bank.remote import fetch_scenes
 from cluttergen_jax.types import small_length
 
@@ -97,7 +96,7 @@ class VerificationReport:
         """Whether every scene stands and no file was changed."""
         return bool(self.stands.all()) and not self.changes
 
-    def as_json(self) -> list[dict[str, Any]]:
+    def as_json(self) -> list[dict[str, object]]:
         """A record for each scene, as verification.json holds them."""
         return [
             {
@@ -170,19 +169,27 @@ def verify_files(
         )
     changes = [] if bank is None else changes_of(bank)
     if cluster is None:
-        checks = _checked_here(files, check, jobs)
+        checks = _check_here(files, check, jobs)
     else:
         checks = each_on(cluster, partial(_checker, check), files, "file")
     with closing(checks):
         found = dict(track(checks, "verifying", len(files), "scene"))
     scenes = tuple(found[place] for place in range(len(files)))
-    changed = tuple(tuple(touched(changes or [], each.path.name, each.objects)) for each in scenes)
+    changed = tuple(tuple(changes_to_scene(changes or [], each.path.name, each.objects)) for each in scenes)
     kept = None if changes is None else tuple(changes)
-    report = VerificationReport(path, check, scenes, kept, changed, unchecked)
-    return replace(report, unwritten=_keep(report)) if path.is_dir() else report
+    report, file = (
+        VerificationReport(path, check, scenes, kept, changed, unchecked),
+        path / "verification.json",
+    )
+    try:
+        if path.is_dir():
+            write_atomically(file, (json.dumps(report.as_json(), indent=1) + "\n").encode())
+    except OSError as error:
+        return replace(report, unwritten=f"{file} was not written ({error.strerror})")
+    return report
 
 
-def _checked_here(
+def _check_here(
     files: Sequence[Path], check: VerifyConfig, jobs: int
 ) -> Generator[tuple[int, Verification], None, None]:
     """Each file's place and how it behaves, in threads of this process."""
@@ -200,16 +207,6 @@ def _checker(check: VerifyConfig) -> Callable[[Path], Verification]:
     return partial(verify_scene, config=check)
 
 
-def _keep(report: VerificationReport) -> str:
-    """Writes the record beside the scenes; where it cannot be written, why: the verdict was still given."""
-    path = report.path / "verification.json"
-    try:
-        write_atomically(path, (json.dumps(report.as_json(), indent=1) + "\n").encode())
-    except OSError as error:
-        return f"{path} was not written ({error.strerror})"
-    return ""
-
-
 def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verification:
     """Simulates one MJCF file from its keyframe `scene`, at rest, with each of MuJoCo's detectors of convex
     collisions: with native CCD on, and off.
@@ -224,7 +221,7 @@ def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verifi
         _check_links(path, path.parent.parent)
     try:
         with silent_log():
-            model, key = _loaded(path)
+            model, key = _load_model(path)
             found = [verify_model(path, model, key, config, detector) for detector in DETECTORS]
     except mujoco.FatalError as error:
         raise BankError(f"{path} cannot be simulated: {error}", _OURS) from error
@@ -250,14 +247,14 @@ def _check_links(path: Path, bank: Path) -> None:
                     inside(folder, element.get(attribute))
 
 
-def _loaded(path: Path) -> tuple[mujoco.MjModel, int]:
+def _load_model(path: Path) -> tuple[mujoco.MjModel, int]:
     """The model of a scene file, and its keyframe `scene`."""
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
         model.names.decode()
     except (ValueError, OSError) as error:
-        told = " ".join(str(error).split())
-        raise BankError(f"{path} cannot be loaded: {told}", _OURS, "generating the bank again") from error
+        reason = " ".join(str(error).split())
+        raise BankError(f"{path} cannot be loaded: {reason}", _OURS, "generating the bank again") from error
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")
     if key < 0:
         raise BankError(f"{path} has no keyframe called 'scene'", _OURS)
@@ -287,7 +284,9 @@ def verify_model(
     data.qvel[:] = 0
     start = data.qpos.reshape(-1, 7).copy()
     shift, turn = np.zeros(len(start)), np.zeros(len(start))
-    for num_steps in _strides(round(config.seconds / model.opt.timestep)):
+    whole, rest = divmod(round(config.seconds / model.opt.timestep), _STRIDE)
+    # In strides after each of which the scene is looked at.
+    for num_steps in [_STRIDE] * whole + [rest] * (rest > 0):
         mujoco.mj_step(model, data, num_steps)
         poses = data.qpos.reshape(-1, 7)
         shift = np.maximum(shift, np.linalg.norm(poses[:, :3] - start[:, :3], axis=1))
@@ -297,18 +296,8 @@ def verify_model(
     return Verification(path, names, shift, turn, stands, detector)
 
 
-def _strides(num_steps: int) -> list[int]:
-    """`num_steps` in strides after each of which the scene is looked at."""
-    whole, rest = divmod(num_steps, _STRIDE)
-    return [_STRIDE] * whole + [rest] * (rest > 0)
-
-
 def scene_files(path: str | Path) -> list[Path]:
-    """The MJCF files of a bank, or the one that is given.
-
-    Raises:
-      BankError: there is nothing to verify.
-    """
+    """The MJCF files of a bank, or the one that is given (BankError: there is nothing to verify)."""
     path = Path(path)
     if path.suffix in (".parquet", ".json"):
         raise BankError(f"{path} is a part of a bank", _GIVEN, f"cluttergen verify {path.parent}")

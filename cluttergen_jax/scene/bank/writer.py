@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -16,18 +16,11 @@ from cluttergen_jax.assets.object_files import object_hash, read_object, write_o
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.files import check_utf8, folder_whole, inside, is_partial, remove, remove_partial, writing
+from cluttergen_jax.files import check_utf8, folder_whole, inside, remove, remove_partial, writing
+from cluttergen_jax.kept_folder import KeptFolder, check_recipe, check_unlocked
 from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.scene.bank.bank import (
-    FORMAT,
-    INDEX,
-    NewerBankError,
-    block_numbers,
-    read_bank,
-    recovered_record,
-)
-from cluttergen_jax.scene.bank.bits import Bits, check_bits
+from cluttergen_jax.scene.bank.bank import block_numbers, read_bank, recover_record
 from cluttergen_jax.scene.bank.blocks import (
     SHARD_BLOCKS,
     StoredBlocks,
@@ -39,8 +32,8 @@ from cluttergen_jax.scene.bank.blocks import (
 from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.hubs import is_of_a_bank
 from cluttergen_jax.scene.bank.index import BankIndex
-from cluttergen_jax.scene.bank.lock import LOCK, BankLock, check_free
-from cluttergen_jax.scene.bank.remote import MARK, is_url, mirrored, publish_all, remote_of
+from cluttergen_jax.scene.bank.record import FORMAT, INDEX, Bits, NewerBankError, Record, check_bits
+from cluttergen_jax.scene.bank.remote import MARK, fetch_mirror, is_url, publish_all, remote_of
 from cluttergen_jax.scene.bank.table import with_columns_of
 
 
@@ -62,14 +55,14 @@ class BankWriter:
 
     Raises:
       BankError: the folder holds something else, or a bank of another recipe, of other assets or, where
-        scenes are missing, of other bits; somebody else is writing to it; or it cannot be written.
+        scenes are missing, of other bits; another process is writing to it; or it cannot be written.
       ConfigError: its path is not UTF-8.
     """
 
     def __init__(
         self,
         path: str | Path,
-        recipe: dict[str, Any],
+        recipe: Mapping[str, Any],
         num_scenes: int,
         objects: dict[str, ObjectAsset],
         support: SupportAsset,
@@ -78,18 +71,16 @@ class BankWriter:
         bits: Bits | None = None,
         allow_other_bits: bool = False,
     ) -> None:
-        self.path = mirrored(str(path)) if is_url(path) else Path(path)
+        self.path = fetch_mirror(str(path)) if is_url(path) else Path(path)
         check_utf8(self.path)
         self._shard_blocks, self._bits, self._allows_other_bits = shard_blocks, bits, allow_other_bits
         hashes = {
             "objects": {name: object_hash(asset) for name, asset in objects.items()},
             "support": support_hash(support),
         }
-        self._record = json.loads(json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes}))
+        self._record: Record = json.loads(json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes}))
         with writing(self.path):
-            self._check_place()
-            self.path.mkdir(parents=True, exist_ok=True)
-            self._lock = BankLock(self.path)
+            self._lock = self._free_folder().lock()
         try:
             with writing(self.path):
                 self._begin(num_scenes, overwrite)
@@ -175,145 +166,96 @@ class BankWriter:
                 self._index.write_block(blocks[0], stored.read(blocks[0]))
 
     def extend(self, num_scenes: int) -> None:
-        """The bank is asked for at least so many scenes from now on.
-
-        Raises:
-          BankError: it cannot be written.
-        """
+        """The bank is asked for at least so many scenes from now on (BankError: it cannot be written)."""
         self._index.num_scenes = max(self._index.num_scenes, num_scenes)
         self._index.add({})
 
     def keep_digests(self, files: dict[str, str]) -> None:
-        """Enters the digests of scene files, by path within the bank, into `bank.json`.
-
-        Raises:
-          BankError: it cannot be written.
-        """
+        """Enters the digests of scene files, by path within the bank, into `bank.json` (BankError)."""
         self._index.add(files)
 
-    def _check_place(self) -> None:
-        """Refuses a place that holds something which is not a bank."""
-        if self._is_bank_or_new():
-            return
-        # Between two looks at it another process may have begun one here, or have made it whole.
-        check_free(self.path)
-        if not self._is_bank_or_new():
-            raise BankError(f"{self.path} exists and is not a bank", "a new or empty folder", "another `out`")
-
-    def _is_bank_or_new(self) -> bool:
-        if not self.path.exists() or (self.path / INDEX).exists() or block_numbers(self.path):
-            return True
-        if (remote := remote_of(self.path)) is not None and remote.sizes():
+    def _free_folder(self) -> KeptFolder:
+        """The bank's folder; where it is not free, nobody has just begun another bank there."""
+        remote = remote_of(self.path)
+        if remote is not None and not _is_bank(self.path) and remote.sizes():
             raise BankError(f"{remote.url} holds something that is no bank", "a new place", "another `out`")
-        # A writer that was killed before anything was finished leaves no more than these.
-        ours = (LOCK, MARK)
-        return self.path.is_dir() and all(
-            each.name in ours or is_partial(each.name) for each in self.path.iterdir()
+        folder = KeptFolder(
+            self.path, _is_bank, "{path} exists and is not a bank", lambda path: path.name == MARK
         )
+        if not folder.is_free:
+            # Between two looks at it another process may have begun one here, or have made it whole.
+            check_unlocked(self.path)
+        return folder
 
     def _begin(self, num_scenes: int, overwrite: bool) -> None:
         remove_partial(self.path)
-        if overwrite and not self._is_to_be_continued(num_scenes):
-            _remove_bank(self.path)
+        if overwrite:
+            try:
+                is_ours = bool(self._check_continued(num_scenes))
+            except BankError:
+                is_ours = False
+            if not is_ours:
+                _remove_bank(self.path)
         try:
-            theirs = self._stored_record()
+            theirs = self._check_continued(num_scenes)
         except NewerBankError as error:
             hint = f"{error.hint}, another `out`, or `overwrite` to begin anew"
             raise BankError(error.given, hint=hint) from error
-        self._look(theirs)
-        if theirs is not None:
-            self._check_continued(theirs, num_scenes)
-        self._enter_bits(theirs, num_scenes)
+        # By what the scenes are made, where that is known of all of them.
+        known = theirs.get("bits") if theirs else []
+        if self._bits and (not theirs or self._brings_other_bits(theirs, num_scenes)):
+            known = [*(known or []), self._bits]
+        if known:
+            self._record["bits"] = known
         # What an interrupted writer left beside its shard counts, too: the shard is made again.
-        self._loose = {
-            block
-            for block, (name, _) in self._stored.places.items()
-            if name == block_path(self.path, block).name
-        }
-        num_scenes = max(num_scenes, (theirs or {}).get("num_scenes", 1))
-        known = self._still_there((theirs or {}).get("files", {}))
-        self._index = BankIndex(self.path, self._record, num_scenes, known)
+        places = self._stored.places.items()
+        self._loose = {block for block, (name, _) in places if name == block_path(self.path, block).name}
+        rows = {name for _, (name, _) in places}
+        files = {n: digest for n, digest in theirs.get("files", {}).items() if "/" in n or n in rows}
+        number = max(num_scenes, theirs.get("num_scenes", 1))
+        self._index = BankIndex(self.path, self._record, number, files)
         self._index.add_unknown_rows()
         self._index.write()
 
-    def _still_there(self, files: dict[str, str]) -> dict[str, str]:
-        """The digests, less those of rows that are gone."""
-        there = {name for name, _ in self._stored.places.values()}
-        return {name: digest for name, digest in files.items() if "/" in name or name in there}
+    def _check_continued(self, num_scenes: int) -> Record:
+        """What is continued, empty where nothing is; refuses another bank, and scenes of other bits."""
+        theirs = self._stored_record()
+        self._stored, self._sound = StoredBlocks.of(self.path), set[int]()
+        self._edited = self._edited_files(theirs.get("files", {}))
+        if theirs:
+            _check_same(self.path, self._record, theirs)
+            if self._bits and not self._allows_other_bits and self._brings_other_bits(theirs, num_scenes):
+                check_bits(self.path, self._bits, theirs["bits"])
+        return theirs
 
     def _edited_files(self, files: dict[str, str]) -> set[str]:
-        """Files of rows that somebody has changed: sound, but not what was written.
-
-        Of one that is damaged, the blocks that are not are kept.
-        """
+        """Files of rows that a user has changed: sound, unlike damaged ones, but not what was written."""
         edited = set()
         for name, blocks in block_files(self.path).items():
             if files.get(name) not in (None, digest_of_file(self.path / name)):
                 own = [block for block in blocks if self._stored.places[block][0] == name]
-                if all(self._is_sound(block) for block in own):
+                with suppress(BankError):
+                    for block in own:
+                        self._stored.read(block)
                     edited.add(name)
         return edited
 
     def _is_edited(self, block: int) -> bool:
         return self._stored.places[block][0] in self._edited
 
-    def _is_sound(self, block: int) -> bool:
-        try:
-            self._stored.read(block)
-        except BankError:
-            return False
-        return True
+    def _brings_other_bits(self, theirs: Record, num_scenes: int) -> bool:
+        """Whether the bank says by what it was made, and scenes are missing that would be made otherwise."""
+        is_other = self._bits is not None and "bits" in theirs and self._bits not in theirs["bits"]
+        return is_other and not all(self.has_block(block, rows) for block, rows in blocks_of(num_scenes))
 
-    def _look(self, theirs: dict[str, Any] | None) -> None:
-        """Finds the blocks that are there, and those that somebody has changed."""
-        self._stored = StoredBlocks.of(self.path)
-        self._edited = self._edited_files((theirs or {}).get("files", {}))
-        self._sound: set[int] = set()
-
-    def _lacks_scenes(self, num_scenes: int) -> bool:
-        """Whether scenes have to be made, for the first time or again."""
-        return not all(self.has_block(block, rows) for block, rows in blocks_of(num_scenes))
-
-    def _check_continued(self, theirs: dict[str, Any], num_scenes: int) -> None:
-        """Refuses to continue another bank than this one, or one that would get scenes of other bits."""
-        _check_same(self.path, self._record, theirs)
-        if self._brings_other_bits(theirs, num_scenes) and not self._allows_other_bits:
-            assert self._bits is not None
-            check_bits(self.path, self._bits, theirs["bits"])
-
-    def _brings_other_bits(self, theirs: dict[str, Any], num_scenes: int) -> bool:
-        """Whether the bank tells by what it was made, and scenes are missing that would be made otherwise."""
-        known = theirs.get("bits")
-        is_other = self._bits is not None and known is not None and self._bits not in known
-        return is_other and self._lacks_scenes(num_scenes)
-
-    def _enter_bits(self, theirs: dict[str, Any] | None, num_scenes: int) -> None:
-        """Tells in the record by what the scenes are made, where that is known of all of them."""
-        known = [] if theirs is None else theirs.get("bits")
-        if self._bits and (theirs is None or self._brings_other_bits(theirs, num_scenes)):
-            known = [*(known or []), self._bits]
-        if known:
-            self._record["bits"] = known
-
-    def _is_to_be_continued(self, num_scenes: int) -> bool:
-        """Whether what the folder holds is the beginning of this very bank."""
-        try:
-            theirs = self._stored_record()
-            self._look(theirs)
-            if theirs is not None:
-                self._check_continued(theirs, num_scenes)
-        except BankError:
-            return False
-        return theirs is not None
-
-    def _stored_record(self) -> dict[str, Any] | None:
-        """What the folder says it holds: `bank.json`, or a block in its stead if that is damaged or lost."""
+    def _stored_record(self) -> Record:
+        """What the folder says it holds: `bank.json`, or a block in its stead; empty if it holds nothing."""
         try:
             return read_bank(self.path).record
         except NewerBankError:
             raise
         except BankError as error:
-            blocks, record = block_numbers(self.path), recovered_record(self.path)
+            blocks, record = block_numbers(self.path), recover_record(self.path)
             if record is not None:
                 return {"num_scenes": blocks[-1] * BLOCK_SIZE + 1, **record}
             if blocks or _is_json(self.path / INDEX):
@@ -322,29 +264,40 @@ class BankWriter:
                     "a bank that this version wrote",
                     "another `out`, or `overwrite` to begin anew",
                 ) from error
-            return None
+            return {}
 
     def _store_assets(self, objects: dict[str, ObjectAsset], support: SupportAsset) -> None:
         """Writes what is missing, damaged, or of no known digest; the index then tells what is there."""
-        hashes = self._record["assets"]
+        hashes, images = self._record["assets"], inside(self.path, "assets/textures")
         for name, asset in objects.items():
-            folder, images = f"assets/objects/{name}", inside(self.path, "assets/textures")
-            is_as_written = self._is_as_written(folder)
-            if not (is_as_written and _hash_of_object(self.path / folder, images) == hashes["objects"][name]):
+            folder, digest = f"assets/objects/{name}", hashes["objects"][name]
+            if not self._is_as_written(folder, digest, lambda path: object_hash(read_object(path, images))):
                 with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
-                    _write_object(asset, fresh, images)
-        folder = "assets/support"
-        if not (self._is_as_written(folder) and _hash_of_support(self.path / folder) == hashes["support"]):
+                    write_parts(fresh, asset)
+                    write_object(fresh, asset, images)
+        folder, known = "assets/support", hashes["support"]
+        if not self._is_as_written(folder, known, lambda path: support_hash(read_support(path))):
             with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
                 write_support(fresh, support)
-        files = self._index.files
-        kept = {name: digest for name, digest in files.items() if _is_kept(self.path, name)}
+        # Digests of rows, and of scenes' files that an earlier run wrote and that are still there.
+        kept = {
+            name: digest
+            for name, digest in self._index.files.items()
+            if "/" not in name or (name.startswith("scenes/") and inside(self.path, name).is_file())
+        }
         self._index.files = kept | digests_in(self.path, "assets")
 
-    def _is_as_written(self, folder: str) -> bool:
-        """Whether the bank's copy of an asset is what its digests say; where there are none, it is not."""
+    def _is_as_written(self, folder: str, wanted: str | None, hash_of: Callable[[Path], str]) -> bool:
+        """Whether the bank's copy of an asset is what its digests say, if there are any, and the asset."""
         known = {name: digest for name, digest in self._index.files.items() if name.startswith(f"{folder}/")}
-        return bool(known) and digests_in(self.path, folder) == known
+        with suppress(ClutterGenError):
+            is_kept = bool(known) and digests_in(self.path, folder) == known
+            return is_kept and hash_of(self.path / folder) == wanted
+        return False
+
+
+def _is_bank(path: Path) -> bool:
+    return (path / INDEX).exists() or bool(block_numbers(path))
 
 
 def _is_json(path: Path) -> bool:
@@ -354,15 +307,10 @@ def _is_json(path: Path) -> bool:
         return False
 
 
-def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> None:
+def _check_same(path: Path, ours: Record, theirs: Record) -> None:
     """Refuses to continue a bank of another recipe, or of other assets."""
-    changed = sorted(_changed(ours["recipe"], theirs["recipe"]))
-    if changed:
-        raise BankError(
-            f"{path} holds a bank made with another {', '.join(changed)}",
-            "the same settings, which continue it",
-            "another `out`, or `overwrite` to begin anew",
-        )
+    hint = "another `out`, or `overwrite` to begin anew"
+    check_recipe(path, "a bank made", ours["recipe"], theirs["recipe"], hint)
     known = theirs.get("assets", ours["assets"])
     other = sorted(n for n, digest in ours["assets"]["objects"].items() if known["objects"].get(n) != digest)
     other += ["its support"] * (known["support"] != ours["assets"]["support"])
@@ -370,46 +318,8 @@ def _check_same(path: Path, ours: dict[str, Any], theirs: dict[str, Any]) -> Non
         raise BankError(
             f"{path} holds a bank made with other assets of the same name: {', '.join(other)}",
             "the assets that it was made with",
-            "another `out`, or `overwrite` to begin anew; the bank's own copies are in its folder `assets`",
+            f"{hint}; the bank's own copies are in its folder `assets`",
         )
-
-
-def _changed(ours: dict[str, Any], theirs: dict[str, Any]) -> list[str]:
-    """Which settings differ, such as placement.min_margin."""
-    names = []
-    for name in {*ours, *theirs}:
-        one, other = ours.get(name), theirs.get(name)
-        if isinstance(one, dict) and isinstance(other, dict):
-            names += [f"{name}.{inner}" for inner in _changed(one, other)]
-        elif one != other:
-            names.append(name)
-    return names
-
-
-def _write_object(asset: ObjectAsset, folder: Path, images: Path) -> None:
-    write_parts(folder, asset)
-    write_object(folder, asset, images)
-
-
-def _is_kept(path: Path, name: str) -> bool:
-    """Whether a digest is of rows, or of a scene's file that an earlier run wrote and that is still there."""
-    return "/" not in name or (name.startswith("scenes/") and inside(path, name).is_file())
-
-
-def _hash_of_object(folder: Path, images: Path) -> str:
-    """The digest of the bank's own object; empty if there is none or it is damaged."""
-    try:
-        return object_hash(read_object(folder, images))
-    except ClutterGenError:
-        return ""
-
-
-def _hash_of_support(folder: Path) -> str:
-    """The digest of the bank's own table, likewise."""
-    try:
-        return support_hash(read_support(folder))
-    except ClutterGenError:
-        return ""
 
 
 def _remove_bank(path: Path) -> None:

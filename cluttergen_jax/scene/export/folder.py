@@ -11,26 +11,26 @@ from __future__ import annotations
 import importlib.resources
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets.shape import Provenance
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import folder_whole, inside
-from cluttergen_jax.locks import lock_beside
+from cluttergen_jax.kept_folder import lock_beside
 from cluttergen_jax.scene import Scene, scene_cameras
 from cluttergen_jax.scene.collection import check_alike
 from cluttergen_jax.scene.export.formats import Format, find_format
-from cluttergen_jax.scene.export.manifest import (
-    LICENCES,
-    MANIFEST,
-    licences_text,
-    manifest,
-    scene_record,
-)
 from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER, object_folder
+from cluttergen_jax.scene.export.scene_json import cameras_record, objects_record
+
+MANIFEST = "MANIFEST.json"
+LICENCES = "LICENSES.txt"
 
 
 def export_scenes(
@@ -62,7 +62,7 @@ def export_scenes(
     kind, out = find_format(format), Path(out)
     _check_place(out, overwrite)
     with lock_beside(out):
-        # Whoever held the lock may have made it meanwhile.
+        # The process that held the lock may have made it meanwhile.
         _check_place(out, overwrite)
         with folder_whole(out) as fresh:
             if cameras:
@@ -92,7 +92,7 @@ class _Folder:
     def __init__(self, path: Path, kind: Format) -> None:
         self._path, self._kind = path, kind
         self._assets: dict[str, ObjectAsset] = {}
-        self._records: list[dict[str, Any]] = []
+        self._records: list[dict[str, object]] = []
         self._taken: set[int] = set()
         self._first: Scene | None = None
 
@@ -109,34 +109,33 @@ class _Folder:
         if self._first is None:
             self._first = scene
             if self._kind.write_support:
-                folder = self._made(SUPPORT_FOLDER)
-                self._kind.write_support(folder, scene.support, scene.contact)
+                place = self._make_folder(SUPPORT_FOLDER)
+                self._kind.write_support(place, scene.support, scene.contact)
         for asset in scene.assets.values():
-            self._add_asset(asset, scene)
-        file = f"scenes/{self._number(scene):06d}.{self._kind.ending}"
-        self._kind.write_scene(self._path / file, scene)
-        self._records.append(scene_record(scene, file))
-
-    def _number(self, scene: Scene) -> int:
-        """The scene's own number, or the next that is free."""
+            self._assets.setdefault(asset.name, asset)
+            folder = object_folder(asset.name)
+            is_there = inside(self._path, folder).exists()
+            if self._kind.write_object and not is_there:
+                self._kind.write_object(self._make_folder(folder), asset, scene.contact)
+        # The scene's own number, or the next that is free.
         number = scene.origin.index if scene.origin.index not in self._taken else max(self._taken) + 1
         self._taken.add(number)
-        return number
+        file = f"scenes/{number:06d}.{self._kind.ending}"
+        self._kind.write_scene(self._path / file, scene)
+        self._records.append({"file": file, **asdict(scene.origin), "objects": objects_record(scene)})
 
-    def _add_asset(self, asset: ObjectAsset, scene: Scene) -> None:
-        self._assets.setdefault(asset.name, asset)
-        folder = inside(self._path, object_folder(asset.name))
-        if self._kind.write_object and not folder.exists():
-            self._kind.write_object(self._made(object_folder(asset.name)), asset, scene.contact)
-
-    def _made(self, folder: str) -> Path:
+    def _make_folder(self, folder: str) -> Path:
         path = inside(self._path, folder)
         path.mkdir(parents=True)
         return path
 
     def _add_papers(self, first: Scene) -> None:
         assets = list(self._assets.values())
-        record = manifest(self._kind.name, _version(), assets, first, self._records)
+        try:
+            generator = version("cluttergen_jax")
+        except PackageNotFoundError:
+            generator = "unknown"
+        record = manifest(self._kind.name, generator, assets, first, self._records)
         self._save(MANIFEST, json.dumps(record, indent=1) + "\n")
         self._save(LICENCES, licences_text(first.support, assets, self._kind.script))
         self._save("README.txt", _readme(self._kind, len(self._records), first))
@@ -146,13 +145,6 @@ class _Folder:
 
     def _save(self, name: str, text: str) -> None:
         (self._path / name).write_text(text, encoding="utf-8")
-
-
-def _version() -> str:
-    try:
-        return version("cluttergen_jax")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def _readme(kind: Format, num_scenes: int, first: Scene) -> str:
@@ -169,3 +161,68 @@ def _readme(kind: Format, num_scenes: int, first: Scene) -> str:
             else ""
         )
     )
+
+
+def manifest(
+    format_name: str,
+    generator: str,
+    assets: Sequence[ObjectAsset],
+    first: Scene,
+    scenes: Sequence[dict[str, object]],
+) -> dict[str, object]:
+    """The whole manifest as JSON values: `generator` is this package's version, `first` any of the scenes."""
+    support = first.support
+    return {
+        "format": 1,
+        "kind": "cluttergen export",
+        "export_format": format_name,
+        "generator": {"cluttergen_jax": generator},
+        "conventions": "metres, kilograms, seconds; quaternions wxyz; z up; origin on the floor",
+        "physics": {"timestep": first.stability.timestep, **asdict(first.contact)},
+        "support": {
+            "name": support.name,
+            "label": support.label,
+            "folder": SUPPORT_FOLDER,
+            **asdict(support.provenance),
+            "hash": support_hash(support),
+            "top": support.top,
+            "region": asdict(support.region),
+        },
+        "assets": [
+            {
+                "name": asset.name,
+                "label": asset.label,
+                "folder": object_folder(asset.name),
+                **asdict(asset.provenance),
+                "hash": object_hash(asset),
+                "tier": asset.tier,
+                "mass": float(asset.mass),
+                "flags": list(asset.flags),
+            }
+            for asset in assets
+        ],
+        **cameras_record(first),
+        "scenes": list(scenes),
+    }
+
+
+def licences_text(support: SupportAsset, assets: Sequence[ObjectAsset], script: str) -> str:
+    """Who made what and on which terms, in words, by licence."""
+    things = [(f"support {support.name} ({support.label})", support.provenance)]
+    things += [(f"object {asset.name} ({asset.label})", asset.provenance) for asset in assets]
+    by_licence: dict[str, list[tuple[str, Provenance]]] = {}
+    for name, provenance in things:
+        by_licence.setdefault(provenance.licence or "not stated", []).append((name, provenance))
+    lines = ["Terms on which the contents of this folder may be passed on, as far as they are known.", ""]
+    for licence, members in sorted(by_licence.items()):
+        lines.append(f"Licence: {licence}")
+        for name, provenance in members:
+            lines.append(f"  {name}: from {provenance.source or 'an unknown source'}")
+            if provenance.attribution:
+                lines.append(f"    attribution: {provenance.attribution}")
+        lines.append("")
+    if script:
+        lines += [f"The script {script} is part of cluttergen_jax. Licence: Apache-2.0", ""]
+    if "not stated" in by_licence:
+        lines += ["Where no licence is stated, ask the owner before you pass it on.", ""]
+    return "\n".join(lines)

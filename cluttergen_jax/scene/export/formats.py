@@ -15,10 +15,9 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.glb import glb_bytes
-from cluttergen_jax.scene.export.maniskill import maniskill_json
 from cluttergen_jax.scene.export.meshes import write_object_meshes, write_support_meshes
 from cluttergen_jax.scene.export.robosuite import robosuite_xml, support_xml
-from cluttergen_jax.scene.export.scene_json import scene_json
+from cluttergen_jax.scene.export.scene_json import maniskill_json, scene_json
 from cluttergen_jax.scene.export.sdf import sdf_text
 from cluttergen_jax.scene.export.urdf import object_urdf, support_urdf
 from cluttergen_jax.scene.xml import scene_xml
@@ -69,7 +68,7 @@ def _files(
     return write
 
 
-def _written(make: Callable[[Scene], bytes]) -> WriteScene:
+def _scene_writer(make: Callable[[Scene], bytes]) -> WriteScene:
     def write(path: Path, scene: Scene) -> None:
         path.write_bytes(make(scene))
 
@@ -102,7 +101,7 @@ _DRAKE_NOTES = (
 _ROBOSUITE = (
     _files(write_object_meshes, robosuite_xml, "xml"),
     _files(write_support_meshes, support_xml, "xml"),
-    _written(partial(scene_json, ending="xml")),
+    _scene_writer(partial(scene_json, ending="xml")),
 )
 """Objects, support and scene as robosuite reads them, and LIBERO, which is built on it."""
 _ALL = (
@@ -112,7 +111,7 @@ _ALL = (
         "xml",
         _files(write_object_meshes),
         _files(write_support_meshes),
-        _written(_mjcf_text),
+        _scene_writer(_mjcf_text),
     ),
     Format(
         "mjcf-old",
@@ -120,7 +119,7 @@ _ALL = (
         "xml",
         _files(write_object_meshes),
         _files(write_support_meshes),
-        _written(partial(_mjcf_text, names_detector=False)),
+        _scene_writer(partial(_mjcf_text, names_detector=False)),
     ),
     Format(
         "urdf",
@@ -129,7 +128,7 @@ _ALL = (
         "json",
         _files(write_object_meshes, object_urdf, "urdf"),
         _files(write_support_meshes, support_urdf, "urdf"),
-        _written(partial(scene_json, ending="urdf")),
+        _scene_writer(partial(scene_json, ending="urdf")),
         script="load_pybullet.py",
     ),
     Format(
@@ -139,7 +138,7 @@ _ALL = (
         "sdf",
         _files(write_object_meshes),
         _files(write_support_meshes),
-        _written(sdf_text),
+        _scene_writer(sdf_text),
         notes=_DRAKE_NOTES,
     ),
     Format(
@@ -157,7 +156,7 @@ _ALL = (
         "glb",
         None,
         None,
-        _written(glb_bytes),
+        _scene_writer(glb_bytes),
     ),
     Format(
         "maniskill",
@@ -165,7 +164,7 @@ _ALL = (
         "json",
         _files(write_object_meshes),
         _files(write_support_meshes),
-        _written(maniskill_json),
+        _scene_writer(maniskill_json),
         script="cluttergen_maniskill.py",
     ),
     Format(

@@ -1,7 +1,13 @@
-"""Frames, inertia, numbers and XML in the forms that other programs ask for."""
+"""Frames, inertia, friction, numbers and XML in the forms that other programs ask for.
+
+MuJoCo takes the friction of the object that has one of its own (`assets.mjcf.own_contact`). `factor_of`,
+`mean_of` and `harmonic_of` make another simulator's combination of such an object with the support, or with
+an object of the default friction, come out the same. Two objects with their own are combined by its rule.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
@@ -10,7 +16,12 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
+from cluttergen_jax.assets.mjcf import own_contact
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.config import ContactConfig
+
+_LARGEST = 100.0
+"""Stands for a coefficient that a simulator's rule cannot reach."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,3 +64,24 @@ def xml_bytes(root: ET.Element) -> bytes:
     """An XML file, indented, behind a declaration."""
     ET.indent(root)
     return b'<?xml version="1.0"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
+
+
+def friction_of(asset: ObjectAsset, contact: ContactConfig) -> tuple[float, float, float]:
+    """Sliding, torsional and rolling coefficients of the object: its own, or the contact's."""
+    return contact.friction if asset.friction is None else own_contact(asset.friction, contact.friction)[0]
+
+
+def factor_of(wanted: float, default: float) -> float:
+    """For simulators that multiply two coefficients (Bullet): all others have the default's square root."""
+    return wanted / math.sqrt(default)
+
+
+def mean_of(wanted: float, default: float) -> float:
+    """For simulators that take the mean of two coefficients (PhysX by default); at least 0."""
+    return max(2 * wanted - default, 0.0)
+
+
+def harmonic_of(wanted: float, default: float) -> float:
+    """For simulators that take 2 a b / (a + b) of two coefficients a, b (Drake)."""
+    rest = 2 * default - wanted
+    return min(wanted * default / rest, _LARGEST) if rest > 0 else _LARGEST

@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import box_mesh, linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.scene import Camera, Scene
-from cluttergen_jax.scene.export.friction import friction_of
+from cluttergen_jax.scene.export.frames import friction_of
 from cluttergen_jax.scene.export.meshes import drawn_pieces
 
 _ARRAY, _ELEMENT = 34962, 34963
@@ -58,7 +57,7 @@ class _Builder:
             self._world("world", scene, self._mesh("support", supports), drawn),
             self._world("world/collision", scene, self._mesh("support/collision", boxes), hulls),
         ]
-        return self._packed(roots)
+        return self._pack(roots)
 
     def _world(self, name: str, scene: Scene, support: int, meshes: dict[str, int]) -> int:
         suffix = "" if name == "world" else "/collision"
@@ -71,7 +70,13 @@ class _Builder:
                 "mesh": meshes[asset.name],
                 "translation": pose[:3].tolist(),
                 "rotation": [x, y, z, w],
-                "extras": _body(asset) | {"friction": friction_of(asset, scene.contact)[0]},
+                "extras": {
+                    "asset": asset.name,
+                    "mass": float(asset.mass),
+                    "center_of_mass": np.asarray(asset.center_of_mass).tolist(),
+                    "inertia": np.asarray(asset.inertia).tolist(),
+                    "friction": friction_of(asset, scene.contact)[0],
+                },
             }
             children.append(self._add("nodes", node))
         children += [self._camera(each) for each in scene.cameras if not suffix]
@@ -94,7 +99,7 @@ class _Builder:
         primitives = [self._primitive(piece) for piece in pieces]
         return self._add("meshes", {"name": name, "primitives": primitives})
 
-    def _primitive(self, piece: Piece) -> dict[str, Any]:
+    def _primitive(self, piece: Piece) -> dict[str, object]:
         vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
         bounds = {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
         attributes = {
@@ -127,14 +132,14 @@ class _Builder:
     def _material(self, piece: Piece) -> int:
         rgba, key = piece.rgba, (piece.rgba, piece.texture)
         if key not in self._materials:
-            colour: dict[str, Any] = {
+            colour: dict[str, object] = {
                 "baseColorFactor": linear(rgba),
                 "metallicFactor": 0.0,
                 "roughnessFactor": 0.65,
             }
             if piece.texture is not None:
                 colour["baseColorTexture"] = {"index": self._image(piece.texture)}
-            material: dict[str, Any] = {"pbrMetallicRoughness": colour, "doubleSided": True}
+            material: dict[str, object] = {"pbrMetallicRoughness": colour, "doubleSided": True}
             if rgba[3] < 1:
                 material["alphaMode"] = "BLEND"
             self._materials[key] = self._add("materials", material)
@@ -150,12 +155,12 @@ class _Builder:
             self._images[texture] = self._add("textures", {"source": self._add("images", image)})
         return self._images[texture]
 
-    def _add(self, key: str, value: dict[str, Any]) -> int:
+    def _add(self, key: str, value: dict[str, object]) -> int:
         # glTF allows no empty lists: one that nothing is added to is left out.
         self._doc.setdefault(key, []).append(value)
         return len(self._doc[key]) - 1
 
-    def _packed(self, roots: list[int]) -> bytes:
+    def _pack(self, roots: list[int]) -> bytes:
         names = ("scene", "collision")
         document = {
             "asset": {"version": "2.0", "generator": "cluttergen_jax"},
@@ -177,12 +182,3 @@ class _Builder:
                 blob,
             ]
         )
-
-
-def _body(asset: ObjectAsset) -> dict[str, Any]:
-    return {
-        "asset": asset.name,
-        "mass": float(asset.mass),
-        "center_of_mass": np.asarray(asset.center_of_mass).tolist(),
-        "inertia": np.asarray(asset.inertia).tolist(),
-    }

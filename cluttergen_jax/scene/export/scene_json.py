@@ -8,10 +8,22 @@ from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.assets.obj import part_name
+from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import box_mesh
-from cluttergen_jax.geometry import transform_points
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER, object_folder
+from cluttergen_jax.scene.export.frames import friction_of, mean_of, principal_of
+from cluttergen_jax.scene.export.meshes import (
+    SUPPORT_FOLDER,
+    drawn_pieces,
+    object_folder,
+    object_image,
+    support_image,
+    visual_name,
+)
 
 
 def scene_bounds(scene: Scene) -> np.ndarray:
@@ -26,7 +38,7 @@ def scene_bounds(scene: Scene) -> np.ndarray:
     return np.stack([corners.min(0), corners.max(0)])
 
 
-def objects_record(scene: Scene) -> list[dict[str, Any]]:
+def objects_record(scene: Scene) -> list[dict[str, object]]:
     """What stands where: metres, wxyz."""
     return [
         {
@@ -39,7 +51,7 @@ def objects_record(scene: Scene) -> list[dict[str, Any]]:
     ]
 
 
-def cameras_record(scene: Scene) -> dict[str, Any]:
+def cameras_record(scene: Scene) -> dict[str, object]:
     """The entry `cameras` where there are any: each looks along its own -z, +y is up; degrees and pixels."""
     cameras = [
         {
@@ -97,3 +109,54 @@ def scene_json(
         **cameras_record(scene),
     }
     return (json.dumps(record, indent=1) + "\n").encode()
+
+
+def maniskill_json(scene: Scene) -> bytes:
+    """A scene's file for `cluttergen_maniskill.py`.
+
+    `env_state` is ManiSkill's state dictionary without the robot: each actor's position, quaternion wxyz,
+    linear and angular velocity.
+    """
+    bodies = {name: _body(asset, scene.contact) for name, asset in scene.assets.items()}
+    record = json.loads(scene_json(scene, more=bodies, support=_support(scene.support)))
+    rest = [0.0] * 6
+    actors = {name: [*pose, *rest] for name, pose in zip(scene.names, scene.poses.tolist(), strict=True)}
+    record["env_state"] = {"actors": actors}
+    return (json.dumps(record, indent=1) + "\n").encode()
+
+
+def _body(asset: ObjectAsset, contact: ContactConfig) -> dict[str, object]:
+    principal, default = principal_of(asset), contact.friction[0]
+    # What the object's own sliding coefficient has to be in PhysX, if it has one.
+    own = {} if asset.friction is None else {"friction": mean_of(friction_of(asset, contact)[0], default)}
+    return {
+        "mass": float(asset.mass),
+        "center_of_mass": principal.center.tolist(),
+        "principal_quaternion_wxyz": principal.turn.tolist(),
+        "principal_moments": principal.moments.tolist(),
+        "parts": [part_name(index) for index in range(len(asset.parts))],
+        "visuals": [
+            {"file": visual_name(index), "rgba": list(piece.rgba), "image": object_image(piece)}
+            for index, piece in enumerate(drawn_pieces(asset))
+        ],
+        **own,
+    }
+
+
+def _support(support: SupportAsset) -> dict[str, object]:
+    return {
+        "folder": "assets/support",
+        "boxes": [
+            {
+                "center": list(box.center),
+                "quaternion_wxyz": list(yaw_quaternion(box.yaw)),
+                "half_extents": list(box.half_extents),
+                "rgba": list(box.rgba),
+            }
+            for box in support.boxes
+        ],
+        "visuals": [
+            {"file": visual_name(index), "rgba": list(piece.rgba), "image": support_image(piece)}
+            for index, piece in enumerate(support.pieces)
+        ],
+    }

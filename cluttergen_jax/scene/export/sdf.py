@@ -20,8 +20,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
-from cluttergen_jax.scene.export.frames import text, xml_bytes
-from cluttergen_jax.scene.export.friction import friction_of, harmonic_of
+from cluttergen_jax.scene.export.frames import friction_of, harmonic_of, text, xml_bytes
 from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
 
 VERSION = "1.9"
@@ -40,7 +39,10 @@ def sdf_text(scene: Scene) -> bytes:
     _leaf(physics, "max_step_size", f"{scene.stability.timestep:.9g}")
     _leaf(physics, "real_time_factor", "1")
     _leaf(world, "gravity", text([0, 0, -scene.contact.gravity]))
-    _add_light(world)
+    light = ET.SubElement(world, "light", name="sun", type="directional")
+    _leaf(light, "cast_shadows", "true")
+    _leaf(light, "diffuse", "0.8 0.8 0.8 1")
+    _leaf(light, "direction", "-0.3 0.4 -0.9")
     _add_support(world, scene.support, scene.contact)
     for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
         _add_object(world, name, asset, pose, scene.contact)
@@ -58,13 +60,6 @@ def _leaf(parent: ET.Element, tag: str, content: str, **attributes: str) -> ET.E
 def _add_pose(parent: ET.Element, position: np.ndarray, quaternion: np.ndarray) -> None:
     w, x, y, z = quaternion
     _leaf(parent, "pose", text([*position, x, y, z, w]), rotation_format="quat_xyzw")
-
-
-def _add_light(world: ET.Element) -> None:
-    light = ET.SubElement(world, "light", name="sun", type="directional")
-    _leaf(light, "cast_shadows", "true")
-    _leaf(light, "diffuse", "0.8 0.8 0.8 1")
-    _leaf(light, "direction", "-0.3 0.4 -0.9")
 
 
 def _add_support(world: ET.Element, support: SupportAsset, contact: ContactConfig) -> None:
@@ -155,7 +150,7 @@ def _add_colour(visual: ET.Element, rgba: tuple[float, ...]) -> None:
 
 def _add_contact(collision: ET.Element, contact: ContactConfig, sliding: float) -> None:
     # Gazebo takes the smaller of two coefficients, Drake their harmonic mean.
-    # Torsional friction is left out: SDFormat's depends on a patch radius that nobody has measured here.
+    # Torsional friction is left out: SDFormat's depends on a patch radius that was not measured.
     friction = ET.SubElement(ET.SubElement(collision, "surface"), "friction")
     ode = ET.SubElement(friction, "ode")
     _leaf(ode, "mu", text([sliding]))

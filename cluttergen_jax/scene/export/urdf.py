@@ -16,8 +16,7 @@ from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.scene.export.frames import euler_of, principal_of, text, xml_bytes
-from cluttergen_jax.scene.export.friction import factor_of, friction_of
+from cluttergen_jax.scene.export.frames import euler_of, factor_of, friction_of, principal_of, text, xml_bytes
 from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, support_image, visual_name
 
 

@@ -21,8 +21,7 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
-from cluttergen_jax.scene.export.frames import principal_of
-from cluttergen_jax.scene.export.friction import friction_of
+from cluttergen_jax.scene.export.frames import friction_of, principal_of
 from cluttergen_jax.scene.export.meshes import (
     SUPPORT_FOLDER,
     drawn_pieces,
@@ -101,7 +100,10 @@ def write_scene_usd(path: Path, scene: Scene) -> None:
     physics = UsdPhysics.Scene.Define(stage, "/World/physics")
     physics.CreateGravityDirectionAttr(Gf.Vec3f(0, 0, -1))
     physics.CreateGravityMagnitudeAttr(scene.contact.gravity)
-    _add_lights(stage)
+    UsdLux.DomeLight.Define(stage, "/World/lights/dome").CreateIntensityAttr(400.0)
+    sun = UsdLux.DistantLight.Define(stage, "/World/lights/sun")
+    sun.CreateIntensityAttr(1500.0)
+    sun.AddRotateXYZOp().Set(Gf.Vec3f(35, 15, 0))
     support = UsdGeom.Xform.Define(stage, "/World/support").GetPrim()
     support.GetReferences().AddReference(f"../{SUPPORT_FOLDER}/support.usda")
     UsdGeom.Xform.Define(stage, "/World/objects")
@@ -273,11 +275,3 @@ def _make_collider(prim: Any, material: Any) -> None:
     UsdPhysics.CollisionAPI.Apply(prim)
     binding = UsdShade.MaterialBindingAPI.Apply(prim)
     binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
-
-
-def _add_lights(stage: Any) -> None:
-    dome = UsdLux.DomeLight.Define(stage, "/World/lights/dome")
-    dome.CreateIntensityAttr(400.0)
-    sun = UsdLux.DistantLight.Define(stage, "/World/lights/sun")
-    sun.CreateIntensityAttr(1500.0)
-    sun.AddRotateXYZOp().Set(Gf.Vec3f(35, 15, 0))

@@ -28,9 +28,9 @@ from cluttergen_jax.downstream.perception.views.stored import (
 from cluttergen_jax.downstream.splits import store_assets
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import remove_partial, writing
+from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.sensing.camera import Camera
 
 _ROBOT = 0.6
@@ -184,7 +184,7 @@ def write_views(
     with writing(path):
         VIEWS.check_place(path)
         path.mkdir(parents=True, exist_ok=True)
-        lock = BankLock(path)
+        lock = FolderLock(path)
     try:
         with writing(path):
             remove_partial(path)

@@ -29,10 +29,10 @@ from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.downstream.splits import SPLITS, store_assets
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import remove_partial, writing
+from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import COMPILING, Progress
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.lock import BankLock
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
 from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT
@@ -180,7 +180,7 @@ def write_pairs(
     with writing(path):
         PAIRS.check_place(path)
         path.mkdir(parents=True, exist_ok=True)
-        lock = BankLock(path)
+        lock = FolderLock(path)
     try:
         with writing(path):
             remove_partial(path)

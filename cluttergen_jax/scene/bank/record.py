@@ -1,0 +1,186 @@
+"""What `bank.json` says: how a bank was made, with which assets, computed by what, and its files' digests.
+
+A record's `bits` are a list of `numerics.bits_of_here`, one for each kind of process that made scenes: equal
+recipes give equal scenes where these are equal. Banks of older versions, and banks that a person makes, have
+none, and are continued anywhere.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypedDict
+
+from cluttergen_jax.assets.object_files import NAME_PATTERN
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.schema import digest_of
+
+FORMAT = 1
+INDEX = "bank.json"
+AGAIN = "the same `cluttergen generate` again, which mends what is damaged and makes what is missing"
+Bits = dict[str, str]
+
+
+class Recipe(TypedDict, total=False):
+    """What decides the scenes of a bank (`generation.generate.recipe_of`); old and made-up ones lack some.
+
+    `placement`, `stability` and `contact` are the fields of the configs of these names; `region` and
+    `keep_out` those of a `Rectangle`.
+    """
+
+    pool: str
+    objects: list[str]
+    repeat: bool
+    support: str
+    region: Mapping[str, Any]
+    keep_out: list[Mapping[str, Any]]
+    engine: str
+    placement: Mapping[str, Any]
+    stability: Mapping[str, Any]
+    contact: Mapping[str, Any]
+    start: str | None
+    method: str
+    checkpoint: str | None
+    checkpoint_hash: str | None
+    seed: int
+    block_size: int
+    names: list[str]
+    versions: dict[str, str]
+
+
+class AssetDigests(TypedDict):
+    """`object_hash` by name, and `support_hash`."""
+
+    objects: dict[str, str]
+    support: str | None
+
+
+class Record(TypedDict, total=False):
+    """The record of a bank; blocks hold it without `num_scenes` and `files`, which change while they stay.
+
+    `files` has digests by path within the bank (`bank.digests`).
+    """
+
+    num_scenes: int
+    format: int
+    recipe: Recipe
+    assets: AssetDigests
+    bits: list[Bits]
+    files: dict[str, str]
+
+
+NO_ASSETS: AssetDigests = {"objects": {}, "support": None}
+"""Of banks that do not say."""
+
+
+class NewerBankError(BankError):
+    """The bank was made by a later version of this package: not damaged, and not to be mended."""
+
+
+def check_format(path: Path, record: Any) -> None:
+    """Refuses the record of a bank that a later version made (NewerBankError: it is one)."""
+    number = record.get("format") if isinstance(record, dict) else None
+    if isinstance(number, int) and number > FORMAT:
+        raise NewerBankError(
+            f"{path} was made by a newer version (format {number}; this one reads {FORMAT})",
+            hint="a newer cluttergen_jax",
+        )
+
+
+def parse_record(path: Path, data: bytes) -> Record:
+    """The record in the `bank.json` of the bank at `path`.
+
+    Raises:
+      NewerBankError: a later version wrote it.
+      BankError: it is damaged, or of another format.
+    """
+    index = path / INDEX
+    try:
+        record = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise BankError(f"{index} cannot be read ({error})", hint=AGAIN) from error
+    check_format(path, record)
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise BankError(f"{index} is not the record of a bank of format {FORMAT}", hint=AGAIN)
+    digest = record.pop("hash", None)
+    fault = fault_of(record) if digest in (None, _digest(record)) else "it does not match its own digest"
+    if fault is not None:
+        raise BankError(f"{index} is damaged: {fault}", hint=AGAIN)
+    return record  # type: ignore[return-value]
+
+
+def block_record(record: Record) -> Record:
+    """The record as blocks hold it: without what changes while they stay as they are."""
+    kept = record.copy()
+    for name in ("num_scenes", "files"):
+        kept.pop(name, None)  # type: ignore[misc]
+    return kept
+
+
+def index_bytes(record: Mapping[str, Any]) -> bytes:
+    """The content of `bank.json`: the record, and its digest, so that damage is noticed."""
+    return (json.dumps({**record, "hash": _digest(record)}, indent=1) + "\n").encode()
+
+
+def _digest(record: Mapping[str, Any]) -> str:
+    return digest_of(json.dumps(record, sort_keys=True).encode())
+
+
+def fault_of(record: Mapping[str, Any]) -> str | None:
+    """What is wrong with the record of a bank, in words; None if it is sound."""
+    number = record.get("num_scenes")
+    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+        return f"num_scenes is {number!r}"
+    if not isinstance(record.get("recipe"), dict):
+        return "it has no recipe"
+    assets = record.get("assets", NO_ASSETS)
+    if not isinstance(assets, dict) or not isinstance(assets.get("objects"), dict) or "support" not in assets:
+        return "its digests of assets are not understood"
+    if strange := [name for name in assets["objects"] if not NAME_PATTERN.fullmatch(name)]:
+        return f"it names an object {strange[0]!r}"
+    files = record.get("files", {})
+    if not isinstance(files, dict) or not all(isinstance(digest, str) for digest in files.values()):
+        return "its digests of files are not understood"
+    bits = record.get("bits", [{}])
+    if (
+        not isinstance(bits, list)
+        or not bits
+        or not all(
+            isinstance(each, dict) and all(isinstance(text, str) for text in each.values()) for each in bits
+        )
+    ):
+        return "by what its scenes were computed is not understood"
+    return None
+
+
+def record_error(path: Path, error: Exception) -> BankError:
+    """The error for a bank whose recipe, sound as JSON, cannot be what made it."""
+    reason = f"no {error}" if isinstance(error, KeyError) else getattr(error, "given", error)
+    return BankError(
+        f"{path / INDEX}: the record of how the bank was made is damaged ({reason})",
+        hint="a copy of the bank that is whole",
+    )
+
+
+def check_bits(path: Path, ours: Bits, known: list[Bits]) -> None:
+    """Refuses to mix scenes that one recipe makes differently (BankError)."""
+    if ours not in known:
+        raise BankError(
+            f"{path} would get scenes of other bits than those it has, so that equal seeds would not mean "
+            f"equal scenes: {'; '.join(differences(ours, known[-1]))}",
+            "the machine and the settings that made it",
+            "another `out`, `overwrite` to begin anew, or `allow_other_bits` for a bank that is a mixture",
+        )
+
+
+def differences(ours: Bits, theirs: Bits) -> list[str]:
+    """What differs, and where many words are alike those that are not."""
+    lines = []
+    for name in sorted({*ours, *theirs}):
+        here, there = ours.get(name, "").split(), theirs.get(name, "").split()
+        if here != there:
+            only_here = " ".join(word for word in here if word not in there) or "nothing more"
+            only_there = " ".join(word for word in there if word not in here) or "nothing more"
+            lines.append(f"{name} (here {only_here}, the bank {only_there})")
+    return lines
