@@ -14,7 +14,7 @@ COMMANDS = {
     "certify": "Add a stability certificate to each scene of a bank that stands, a column for each measure.",
     "stats": "Show what a bank holds: successes, verdicts, objects, attempts, duplicates, what is missing.",
     "push": "Publish a bank as a data set on the Hugging Face Hub (extra `hub`), with its card.",
-    "pull": "Fetch a bank from the Hugging Face Hub (extra `hub`) and check every file of it.",
+    "pull": "Fetch a bank, or policies, from the Hugging Face Hub (extra `hub`) and check every file of it.",
     "view": "Look at scenes in a browser: objects, hulls, clouds, attempts, and new scenes when asked for.",
     "render": (
         "Draw scenes: pictures (PNG), films, contact sheets, and what a camera or a scanner would measure."
