@@ -52,7 +52,6 @@ class Doctor:
     """It tells what is wrong where MuJoCo cannot even be imported."""
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         import jax
 
         from cluttergen_jax.rendering.gl import renderer_status

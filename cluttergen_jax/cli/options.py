@@ -20,7 +20,7 @@ _NO_OPTIONS = ("show", "spec")
 
 
 class Options:
-    """What a command is given: a frozen dataclass whose fields are arguments of API functions."""
+    """A frozen dataclass whose fields are arguments of API functions; `run` gives the exit status."""
 
     if typing.TYPE_CHECKING:
 
