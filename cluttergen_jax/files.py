@@ -235,12 +235,7 @@ def _machine() -> str:
 def _stale(
     folder: Path, beginning: str, endings: tuple[str, ...], is_only_writer: bool = False
 ) -> Iterator[Path]:
-    """What was being written in a folder by processes that are no more.
-
-    Args:
-      beginning: of its name.
-      is_only_writer: what other machines and older versions were writing counts, too.
-    """
+    """What processes that are no more (`is_only_writer`: or of other machines) were writing in a folder."""
     for path in list(folder.absolute().iterdir()):
         name = path.name
         is_meant = name.startswith(beginning) and any(ending in name for ending in endings)

@@ -127,11 +127,7 @@ class BlockMaker:
 
     @with_own_settings
     def __call__(self) -> Callable[[Block], pa.Table]:
-        """The function that makes a block's rows.
-
-        Raises:
-          ClutterGenError: this worker's bits would be others than the bank's.
-        """
+        """The function that makes a block's rows; see `check_worker`."""
         check_worker(self.bits)
         problem = compose(self.objects, self.support, self.config, self.standing)
         keep_out, start = jax.tree.map(jnp.asarray, (self.keep_out, self.start))
@@ -162,11 +158,7 @@ def _is_on_gpu(setup: Setup) -> bool:
 
 
 def check_worker(bits: dict[str, str] | None) -> None:
-    """Refuses to work where scenes would have other bits than the bank's; None allows any.
-
-    Raises:
-      ClutterGenError: they would.
-    """
+    """Refuses (ClutterGenError) where scenes would have other bits than the bank's; None allows any."""
     here = bits_of_here()
     if bits is not None and here != bits:
         told = "; ".join(differences(here, bits))
