@@ -253,9 +253,9 @@ class _Actor:
     ) -> None:
         """Makes the function that items are given to; paths begin where those of the driver do."""
         if other := {name: own for name, own in versions_here().items() if versions[name] != own}:
-            told = ", ".join(f"{name} {own} (here {versions[name]})" for name, own in other.items())
+            found = ", ".join(f"{name} {own} (here {versions[name]})" for name, own in other.items())
             raise ClutterGenError(
-                f"a worker on {platform.node()} has {told}",
+                f"a worker on {platform.node()} has {found}",
                 "the same versions everywhere, which make the same scenes",
                 "installing the same package on every machine of the cluster",
             )

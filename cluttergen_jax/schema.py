@@ -146,8 +146,8 @@ class Numbers:
             return f"is of type {getattr(value, 'dtype', type(value).__name__)}, not {np.dtype(self.dtype)}"
         asked = [lengths.get(each) if isinstance(each, str) else each for each in self.shape]
         if value.ndim != len(asked) or any(each not in (None, n) for each, n in zip(asked, value.shape)):  # noqa: B905
-            told = ", ".join("any" if each is None else str(each) for each in asked)
-            return f"is of shape {value.shape}, not ({told})"
+            text = ", ".join("any" if each is None else str(each) for each in asked)
+            return f"is of shape {value.shape}, not ({text})"
         lengths |= {each: n for each, n in zip(self.shape, value.shape, strict=True) if isinstance(each, str)}
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             return "holds numbers that are not finite"
@@ -168,7 +168,7 @@ def check_numbers(arrays: Mapping[str, Any], asked: Mapping[str, Numbers]) -> No
     faults = [f"{name!r} is missing" for name in asked if name not in arrays]
     faults += [f"{name!r} is unknown" for name in arrays if name not in asked]
     known = [name for name in asked if name in arrays]
-    faults += [f"{name!r} {told}" for name in known if (told := asked[name].fault(arrays[name], lengths))]
+    faults += [f"{name!r} {text}" for name in known if (text := asked[name].fault(arrays[name], lengths))]
     refuse(faults)
 
 

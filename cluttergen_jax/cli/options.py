@@ -95,8 +95,8 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
         for field in dataclasses.fields(made):
             if field.name not in docs:
                 continue
-            told = tyro.conf.arg(help=option_help(docs[field.name], made), name=FLAGS.get(field.name))
-            made.__annotations__[field.name] = field.type = Annotated[field.type, told]
+            option = tyro.conf.arg(help=option_help(docs[field.name], made), name=FLAGS.get(field.name))
+            made.__annotations__[field.name] = field.type = Annotated[field.type, option]
         return made
 
     return decorate

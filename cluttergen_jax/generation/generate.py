@@ -184,9 +184,9 @@ def check_worker(bits: dict[str, str] | None) -> None:
     """Refuses (ClutterGenError) where scenes would have other bits than the bank's; None allows any."""
     here = bits_of_here()
     if bits is not None and here != bits:
-        told = "; ".join(differences(here, bits))
+        others = "; ".join(differences(here, bits))
         raise ClutterGenError(
-            f"scenes of a worker on {platform.node()} would have other bits than those of the bank: {told}",
+            f"scenes of a worker on {platform.node()} would have other bits than those of the bank: {others}",
             "machines of one kind, which make the same scenes",
             "`allow_other_bits` for a bank that is a mixture",
         )

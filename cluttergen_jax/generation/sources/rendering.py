@@ -102,7 +102,7 @@ class Rendering:
                 dataset = BopScenes(self.out / "bop", opened.name, self.bop, picture, is_drawn)
                 work.dataset = stack.enter_context(dataset)
                 work.plan(numbers)
-                notes += dataset.told
+                notes += dataset.notes
             shown = track(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
             for number in shown:
                 failures += self._make(work, number, made)
