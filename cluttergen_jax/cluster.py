@@ -179,11 +179,7 @@ def _start(ray: ModuleType, address: str, own: Mapping[str, Any]) -> None:
 
 @contextmanager
 def _token(ray: ModuleType) -> Iterator[None]:
-    """Inside, Ray asks for a random token, which what it starts has: it listens to the whole network.
-
-    Raises:
-      ClutterGenError: this Ray knows no tokens.
-    """
+    """Inside, Ray, which listens to the whole network, asks for a random token that what it starts has."""
     if tuple(int(part) for part in ray.__version__.split(".")[:2]) < _OLDEST:
         raise ClutterGenError(
             f"Ray {ray.__version__} lets anybody on the network run programs on a cluster",
@@ -257,9 +253,9 @@ class _Actor:
     ) -> None:
         """Makes the function that items are given to; paths begin where those of the driver do."""
         if other := {name: own for name, own in versions_here().items() if versions[name] != own}:
-            told = ", ".join(f"{name} {own} (here {versions[name]})" for name, own in other.items())
+            found = ", ".join(f"{name} {own} (here {versions[name]})" for name, own in other.items())
             raise ClutterGenError(
-                f"a worker on {platform.node()} has {told}",
+                f"a worker on {platform.node()} has {found}",
                 "the same versions everywhere, which make the same scenes",
                 "installing the same package on every machine of the cluster",
             )
@@ -388,11 +384,7 @@ class _Crew:
             raise
 
     def _replace(self, worker: _Worker, waiting: deque[int], error: Exception) -> bool:
-        """Another worker in the place of one that died; what it was given goes to whoever is free.
-
-        Returns:
-          Whether the item that it died over is given up.
-        """
+        """Another worker in the place of one that died; whether the item that it died over is given up."""
         places, blamed = [place for place, _ in worker.given if place is not None], worker.given[0][0]
         if len(places) > 1:
             self.suspects.update(places)

@@ -115,8 +115,8 @@ def _vector_features() -> list[str]:
     """The processor's instructions for vectors and fused sums; none where the system does not tell."""
     file = Path("/proc/cpuinfo")
     lines = file.read_text().splitlines() if file.is_file() else []
-    told = next((line for line in lines if line.startswith(("flags", "Features"))), "")
-    return sorted({name for name in told.partition(":")[2].split() if name.startswith(_OF_VECTORS)})
+    features = next((line for line in lines if line.startswith(("flags", "Features"))), "")
+    return sorted({name for name in features.partition(":")[2].split() if name.startswith(_OF_VECTORS)})
 
 
 def _xla_flags(text: str) -> list[str]:

@@ -134,11 +134,7 @@ _OF_GUIDED = ("variant", "seed", "num_attempts", "out")
 
 
 def _check_guided(config: TrainConfig, is_more: bool) -> None:
-    """Refuses arguments of `train` that "guided" does not take and that are not at their defaults.
-
-    Args:
-      is_more: something that is no field of `config` was given.
-    """
+    """Refuses what "guided" does not take: fields not at their defaults, and more (`is_more`) besides."""
     others = [each for each in fields(config) if each.name not in _OF_GUIDED]
     given = [
         f"{each.name} = {value!r}" for each in others if (value := getattr(config, each.name)) != each.default

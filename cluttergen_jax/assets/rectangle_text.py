@@ -57,7 +57,7 @@ def parse_boxes(boxes: Sequence[Rectangle | str], argument: str) -> list[Rectang
       ConfigError: they are no sequence, or one of them is something else.
     """
     if isinstance(boxes, str | Rectangle):
-        raise ConfigError(f"{argument} = {boxes!r}", "a sequence of boxes", f"{argument}=[{boxes!r}]")
+        raise ConfigError(f"{argument} = {boxes!r}", "a sequence of Rectangles", f"{argument}=[{boxes!r}]")
     return [parse_keep_out(box) if isinstance(box, str) else box for box in boxes]
 
 

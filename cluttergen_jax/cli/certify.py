@@ -20,7 +20,6 @@ class Certify(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         found = self.call(certify)
         print(
             f"{len(found.shake)} scenes that stand have their certificate ({found.num_new} rows are new); "

@@ -52,7 +52,6 @@ class Doctor:
     """It tells what is wrong where MuJoCo cannot even be imported."""
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         import jax
 
         from cluttergen_jax.rendering.gl import renderer_status
@@ -64,8 +63,8 @@ class Doctor:
         print(f"rendering  {renderer_status()[1]}")
         for extra, modules in _EXTRAS.items():
             missing = [each for each in modules.split() if importlib.util.find_spec(each) is None]
-            told = "missing" if len(modules.split()) == len(missing) else f"{', '.join(missing)} missing"
-            hint = f"{told}: pip install 'cluttergen_jax[{extra}]'" if missing else "installed"
+            state = "missing" if len(modules.split()) == len(missing) else f"{', '.join(missing)} missing"
+            hint = f"{state}: pip install 'cluttergen_jax[{extra}]'" if missing else "installed"
             print(f"extra {extra:<11}{hint}")
         return 0
 

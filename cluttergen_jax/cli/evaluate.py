@@ -23,7 +23,6 @@ class Evaluate(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         if self.suite is None:
             is_downstream = self.heads or self.num_pairs is not None or self.bank is not None
             hint = "--suite downstream" if is_downstream else "--suite paper, extended or downstream"

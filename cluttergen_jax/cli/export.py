@@ -18,7 +18,6 @@ class Export(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         from cluttergen_jax.scene.export import FORMATS
         from cluttergen_jax.scene.export.folder import MANIFEST
 

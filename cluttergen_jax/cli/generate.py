@@ -25,6 +25,5 @@ class Generate(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         print(with_flags(str(self.call(generate)), type(self)))
         return 0

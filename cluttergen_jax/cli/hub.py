@@ -20,7 +20,6 @@ class Push(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         from cluttergen_jax.scene.bank import read_bank
         from cluttergen_jax.scene.bank.hub import local_paths
 
@@ -40,7 +39,6 @@ class Pull(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         from cluttergen_jax.scene.bank import read_bank
         from cluttergen_jax.scene.bank.digests import without_digests
 

@@ -120,9 +120,9 @@ def print_report(report: ImportReport, command: Any) -> None:
 def _cost_line(report: ImportReport) -> str:
     """What all objects cost together, and which of them most."""
     dear = sorted(report.costs, key=lambda name: -report.costs[name].seconds)[:_MOST_DEAR]
-    told = ", ".join(f"{name} {report.costs[name].seconds:.1f} s" for name in dear)
+    dearest = ", ".join(f"{name} {report.costs[name].seconds:.1f} s" for name in dear)
     together = f"{report.cost.seconds:.1f} s of work, {report.cost.cpu_seconds:.1f} CPU-seconds"
-    return f"cost: {together}; most: {told}" if len(report.costs) > 1 else f"cost: {together}"
+    return f"cost: {together}; most: {dearest}" if len(report.costs) > 1 else f"cost: {together}"
 
 
 def _group_rows(rows: Sequence[tuple[str, ...]]) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -151,12 +151,12 @@ def _names_text(group: Sequence[LeftOut]) -> str:
     """The first few by name; bodies that many files have, once."""
     bodies = [each.name.rpartition("#")[2] for each in group]
     files = Counter(bodies)
-    told = {}
+    shown = {}
     for each, body in zip(group, bodies, strict=True):
         if files[body] >= _MANY_FILES and body != each.name and not body.isdigit():
-            told[body] = f"{body} in {files[body]} files"
+            shown[body] = f"{body} in {files[body]} files"
         else:
-            told[each.name] = each.name + (f" ({each.detail})" if each.detail else "")
-    names = list(told.values())
+            shown[each.name] = each.name + (f" ({each.detail})" if each.detail else "")
+    names = list(shown.values())
     more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
     return ", ".join([*names[:_MOST_NAMED], *more])

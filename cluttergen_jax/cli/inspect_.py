@@ -32,7 +32,6 @@ class Inspect:
     grasps: bool = False
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.cli.pool_table import pool_table
         from cluttergen_jax.files import check_file

@@ -15,7 +15,6 @@ class List:
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
         from cluttergen_jax.assets.support_file import list_supports
         from cluttergen_jax.learning.policies.embedded import list_policies

@@ -20,7 +20,7 @@ _NO_OPTIONS = ("show", "spec")
 
 
 class Options:
-    """What a command is given: a frozen dataclass whose fields are arguments of API functions."""
+    """A frozen dataclass whose fields are arguments of API functions; `run` gives the exit status."""
 
     if typing.TYPE_CHECKING:
 
@@ -95,8 +95,8 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
         for field in dataclasses.fields(made):
             if field.name not in docs:
                 continue
-            told = tyro.conf.arg(help=option_help(docs[field.name], made), name=FLAGS.get(field.name))
-            made.__annotations__[field.name] = field.type = Annotated[field.type, told]
+            option = tyro.conf.arg(help=option_help(docs[field.name], made), name=FLAGS.get(field.name))
+            made.__annotations__[field.name] = field.type = Annotated[field.type, option]
         return made
 
     return decorate

@@ -19,7 +19,6 @@ class PerceptionData(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         views = self.call(perception_data)
         for split in views.splits:
             print(f"views      {views.split(split)['num_views']} of {split} in {views.path}")
@@ -34,7 +33,6 @@ class PerceptionTrain(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         self.call(perception_train)
         return 0
 
@@ -49,7 +47,6 @@ class PerceptionEval(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         print(self.call(perception_eval, out=self.out or "out/perception"))
         return 0
 
@@ -71,5 +68,4 @@ class Perception:
     )
 
     def run(self) -> int:
-        """Runs the chosen action; the exit status."""
         return self.action.run()

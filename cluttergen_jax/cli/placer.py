@@ -23,7 +23,6 @@ class PlacerData(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         pairs = self.call(placer_data)
         for split in pairs.splits:
             print(f"pairs      {pairs.split(split)['num_pairs']} of {split} in {pairs.path}")
@@ -38,7 +37,6 @@ class PlacerTrain(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         if not self.data:
             raise ConfigError("no folder of pairs", "one or more", "cluttergen placer train pairs")
         self.call(placer_train)
@@ -56,7 +54,6 @@ class PlacerEval(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         print(self.call(placer_eval, out=self.out or "out/placer"))
         return 0
 
@@ -78,5 +75,4 @@ class Placer:
     )
 
     def run(self) -> int:
-        """Runs the chosen action; the exit status."""
         return self.action.run()

@@ -37,7 +37,6 @@ class Pool:
     names: tyro.conf.Positional[tuple[str, ...]] = ()
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         if bool(self.names) == (self.action == "list"):
             raise ConfigError(
                 f"pool {self.action} {' '.join(self.names)}".rstrip(),

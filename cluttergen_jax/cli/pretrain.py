@@ -17,7 +17,6 @@ class Pretrain(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         print(f"run        {self.out or f'runs/encoder-{self.encoder}'}")
         report = self.call(pretrain)
         found = f"{report.accuracy:.3f} of {report.num_held_out} shapes of {report.num_families} families"

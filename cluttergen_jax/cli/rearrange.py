@@ -17,7 +17,6 @@ class Rearrange(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         # Whoever reads the address from a pipe waits for it.
         print(self.call(rearrange, show=partial(print, flush=True)))
         return 0

@@ -19,7 +19,6 @@ class RobotGrasps(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         print(self.call(robot_grasps))
         return 0
 
@@ -32,7 +31,6 @@ class RobotPlace(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         print(self.call(robot_place))
         return 0
 
@@ -53,5 +51,4 @@ class Robot:
     )
 
     def run(self) -> int:
-        """Runs the chosen action; the exit status."""
         return self.action.run()

@@ -25,7 +25,6 @@ class Stats:
     json: bool = False
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         from cluttergen_jax.files import writing
         from cluttergen_jax.scene.bank import read_bank
         from cluttergen_jax.scene.bank.card import CARD, write_card

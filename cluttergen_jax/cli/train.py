@@ -21,7 +21,6 @@ class Train(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         if self.suite is None:
             self.call(train, "without a suite", "--suite paper")
             return 0

@@ -21,7 +21,6 @@ class Verify(Options):
     """
 
     def run(self) -> int:
-        """Runs the command; the exit status."""
         report = self.call(verify)
         print(report)
         if report.unwritten:

@@ -169,11 +169,7 @@ class HandBank:
 
 
 def hand_setup(spec: SceneSpec) -> Setup:
-    """The problem that a person solves: attempts as they like, none of which is looked back on.
-
-    Raises:
-      ConfigError, PoolError: as `make_setup`.
-    """
+    """The problem that a person solves (`make_setup`): attempts as they like, none looked back on."""
     config = spec.problem_config(None)
     return make_setup(replace(config, placement=replace(config.placement, history_stride=0)), spec.boxes())
 

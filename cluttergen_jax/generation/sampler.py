@@ -279,11 +279,7 @@ def make_sampler(
 
 
 def set_up(spec: SceneSpec) -> tuple[Method, Setup]:
-    """A method, and the problem compiled for it: with its rules, and the history that it looks back on.
-
-    Raises:
-      ConfigError, PoolError, BankError: see `make_sampler`.
-    """
+    """A method, and the problem compiled for it, with its rules and history; errors: `make_sampler`."""
     method = choose_method(spec.method, spec.pool_text, spec.checkpoint)
     spec.check_method(method.name)
     config = spec.problem_config(method.name)

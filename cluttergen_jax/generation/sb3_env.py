@@ -45,11 +45,11 @@ class SB3VecEnv(VecEnv):
         names = ("verdict", "num_placed", "is_success")
         if not infos.get("_final_info", np.zeros(self.num_envs, bool))[index]:
             return {name: infos[name][index].item() for name in names}
-        told = {name: infos["final_info"][name][index].item() for name in names}
-        told["terminal_observation"] = infos["final_obs"][index]
-        told["episode"] = {"r": float(self._reward[index]), "l": int(self._length[index])}
+        info = {name: infos["final_info"][name][index].item() for name in names}
+        info["terminal_observation"] = infos["final_obs"][index]
+        info["episode"] = {"r": float(self._reward[index]), "l": int(self._length[index])}
         self._reward[index], self._length[index] = 0, 0
-        return told
+        return info
 
     def close(self) -> None:
         """Closes the environment beneath."""

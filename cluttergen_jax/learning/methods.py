@@ -106,11 +106,7 @@ def with_history_of(placement: PlacementConfig, checkpoint: Checkpoint | None) -
 
 
 def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Proposer:
-    """The method, bound to a world.
-
-    Raises:
-      PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
-    """
+    """The method, bound to a world; its checkpoint may be unreadable (PoolError) or unfit (ConfigError)."""
     if checkpoint is None:
         return make_proposer(method, rules)
     if checkpoint.kind == KIND:
@@ -119,11 +115,7 @@ def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Pro
 
 
 def sampler_of(setup: Setup, method: Method) -> BlockSampler:
-    """Episodes of a method, which looks back on as much as it was trained with.
-
-    Raises:
-      PoolError, ConfigError: its checkpoint cannot be read, or is of another problem.
-    """
+    """Episodes of a method, which looks back on as much as it was trained with; errors: `proposer_of`."""
     rules = setup.problem.rules
     rules = replace(rules, config=with_history_of(rules.config, method.checkpoint))
     return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)

@@ -184,11 +184,7 @@ class Simulations:
 
 
 def _first_like_last(*records: np.ndarray) -> int:
-    """The first record that all later ones repeat: a simulation that warns makes no further step.
-
-    Args:
-      records: f64[T, ...] each.
-    """
+    """The first of f64[T, ...] that all later ones repeat: a simulation that warns makes no further step."""
     rows = np.concatenate(records, axis=1)
     differs = ((rows != rows[-1]) & ~(np.isnan(rows) & np.isnan(rows[-1]))).any(1)
     return int(np.flatnonzero(differs)[-1]) + 1 if differs.any() else 0

@@ -111,7 +111,7 @@ class Spread(CandidateSampler, eq=False):
         return Spread(LowestFit(rules))
 
     def trust(self, episode: Episode, candidates: CandidateSet) -> Array:
-        """See `TrustedSearch`."""
+        """See `CandidateSampler`."""
         gap, tipping = costs_of_staying(candidates.found.scores)
         return jnp.exp(-(gap + tipping))
 

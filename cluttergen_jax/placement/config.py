@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 from cluttergen_jax.config import Containment, Height, Order, Overhang, Reward
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.schema import Record
+
+if TYPE_CHECKING:
+    from cluttergen_jax.schema import Record
 
 MAX_SLOTS = 40
 MAX_ATTEMPTS = 10

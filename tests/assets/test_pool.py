@@ -70,6 +70,16 @@ def test_a_damaged_file_is_named(tmp_path, pool, name, harm):
         read_pool(tmp_path / "two")
 
 
+def test_of_the_objects_that_are_wanted_no_others_are_read(tmp_path, pool):
+    path = write_pool(tmp_path / "two", pool)
+    (path / "flat" / "cloud.npy").unlink()
+    assert find_pool(path, names=("tall",)).names == ("tall",)
+    with pytest.raises(PoolError, match=r"flat/cloud"):
+        find_pool(path, names=("tall", "flat"))
+    with pytest.raises(PoolError, match=r"flat/cloud"):
+        find_pool(path, names=("tal",))
+
+
 def test_a_failed_write_leaves_nothing(tmp_path, pool, monkeypatch):
     path = write_pool(tmp_path / "two", pool)
 

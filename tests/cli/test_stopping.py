@@ -20,8 +20,8 @@ from contextlib import nullcontext
 from cluttergen_jax.cli import main
 from cluttergen_jax.learning.training.interrupt import Interrupt
 main.GRACE = 0.4
-signal.signal(signal.SIGINT, main._struck)
-main.watch_signals(main._struck)
+signal.signal(signal.SIGINT, main._on_interrupt)
+main.watch_signals(main._on_interrupt)
 with {context}:
     # Said from within the call: a signal before it would be answered by Python itself.
     threading.Timer(0.5, print, ["ready"], {{"flush": True}}).start()

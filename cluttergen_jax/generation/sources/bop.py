@@ -93,7 +93,7 @@ class BopScenes:
             self._places[number] = self._split.place(origin), origin
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[str, ...]:
         """What to say of scenes that need not be drawn."""
         num_there = sum(place.is_there for place, _ in self._places.values())
         if not num_there:

@@ -102,7 +102,7 @@ class Rendering:
                 dataset = BopScenes(self.out / "bop", opened.name, self.bop, picture, is_drawn)
                 work.dataset = stack.enter_context(dataset)
                 work.plan(numbers)
-                notes += dataset.told
+                notes += dataset.notes
             shown = track(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
             for number in shown:
                 failures += self._make(work, number, made)
@@ -113,11 +113,7 @@ class Rendering:
         return RenderReport(tuple(made), tuple(failures), notes)
 
     def _can_draw(self) -> tuple[bool, tuple[str, ...]]:
-        """Whether there is an OpenGL, and what to say if there is none and only colours are missed.
-
-        Raises:
-          RendererError: there is none, and something is asked for that is drawn.
-        """
+        """Whether there is an OpenGL, and what to say without; RendererError where a drawing is asked for."""
         if self.products == {"points"}:
             return False, ()
         try:
@@ -239,11 +235,7 @@ class _Work:
     _stills: dict[int, Replay] = field(default_factory=dict)
 
     def plan(self, numbers: Sequence[int]) -> None:
-        """Gives the scenes their numbers in the dataset; what cannot be read is told when its turn comes.
-
-        Raises:
-          ConfigError: a scene is there, seen otherwise.
-        """
+        """Gives the scenes their numbers in the dataset; ConfigError where one is there, seen otherwise."""
         for number in numbers:
             with suppress(ClutterGenError):
                 self._stills[number] = self.source.still(number)

@@ -110,6 +110,6 @@ def read_checkpoint(path: Path) -> Checkpoint:
     try:
         trained = convert(record, Trained)
     except SchemaError as error:
-        told = f"does not say what network it holds, and how that was trained ({error})"
-        raise PoolError(f"{path / 'record.json'} {told}", hint=_HINT) from error
+        reason = f"does not say what network it holds, and how that was trained ({error})"
+        raise PoolError(f"{path / 'record.json'} {reason}", hint=_HINT) from error
     return Checkpoint(path, record, trained)

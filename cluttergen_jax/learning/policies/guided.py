@@ -31,7 +31,7 @@ KIND = "stability"
 
 
 class Guided(CandidateSampler, eq=False):
-    """A `TrustedSearch` by a network that was fitted to attempts; it knows no objects and no pool.
+    """A `CandidateSampler` by a network that was fitted to attempts; it knows no objects and no pool.
 
     Attributes:
       params: the network's weights; network: its sizes.
@@ -43,7 +43,7 @@ class Guided(CandidateSampler, eq=False):
     is_robust: bool = struct.field(pytree_node=False, default=False)
 
     def trust(self, episode: Episode, candidates: CandidateSet) -> Array:
-        """See `TrustedSearch`."""
+        """See `CandidateSampler`."""
         features = features_of(self.search.rules, episode, candidates)
         predicted: Any = StabilityNet(self.network).apply(self.params, features)
         return jax.nn.sigmoid(predicted.is_robust if self.is_robust else predicted.stands)
@@ -59,7 +59,7 @@ def make_guided(rules: Rules, network: StabilityNetConfig, params: Any = None, *
     """The placer for one world, with given weights.
 
     Args:
-      config: fields of `TrustedConfig`.
+      config: fields of `CandidateConfig`.
     """
     return Guided(LowestFit(rules), CandidateConfig(**config), params=params, network=network)
 

@@ -105,12 +105,7 @@ class GuidedConfig:
 def train_guided(
     num_attempts: int | None, seed: int, out: str | Path | None, show: Callable[[str], None]
 ) -> Path:
-    """`cluttergen_jax.train(variant="guided")`; the policy's folder.
-
-    Raises:
-      ConfigError: too few attempts, or the folder holds a run with another config.
-      KeyboardInterrupt: on Ctrl-C; what was seen in the settings that are done is kept.
-    """
+    """`cluttergen_jax.train(variant="guided")`; the policy's folder. See `GuidedTraining`."""
     check_range("seed", seed, 0, 2**32 - 1, 0)
     config = GuidedConfig(seed=seed)
     if num_attempts is not None:

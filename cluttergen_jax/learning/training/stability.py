@@ -67,7 +67,7 @@ class Explorer(Guided, eq=False):
     exploration: Any = 0.3
 
     def trust(self, episode: Episode, candidates: CandidateSet) -> Array:
-        """See `TrustedSearch`: the network's trust, or one in everything."""
+        """See `CandidateSampler`: the network's trust, or one in everything."""
         key = jax.random.fold_in(episode.key, 3)
         tries_any = jax.random.uniform(key) < self.exploration
         return jnp.where(tries_any, 1.0, Guided.trust(self, episode, candidates))

@@ -11,7 +11,7 @@ from flax import struct
 from cluttergen_jax.placement.removal import footprint_area
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.entropy_tilt import shortfall, tilt_logits
-from cluttergen_jax.placement.search.features import Placing, owed_and_added
+from cluttergen_jax.placement.search.features import Placing, remaining_and_added
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.search import (
     FORBIDDEN,
@@ -119,7 +119,7 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         """f32[N]: logits of the draw among the trusted candidates; f32: the trust that is asked for.
 
         Each scene is steered by itself: at every attempt the expected change of each asked feature is what is
-        still owed of it, shared by the objects left to place. Where a candidate that is trusted less comes
+        still missing of it, shared by the objects left to place. Where a candidate that is trusted less comes
         nearer to that than any that is trusted as asked, f32, `least_trust` holds.
         """
         rules = self.search.rules
@@ -131,11 +131,12 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
             return logits, asked
         rest = found.scores.fit.rest
         at = Placing.of(episode, rules.geometry, focus, found.candidates, rest, candidates.supporters)
-        owed, added = owed_and_added(rules.config.clutter, at)
+        remaining, added = remaining_and_added(rules.config.clutter, at)
         least = self.config.least_trust
-        is_nearer = shortfall(owed, added, trust >= least) < shortfall(owed, added, trust >= asked) - _CLOSER
+        missed, missed_by_all = (shortfall(remaining, added, trust >= level) for level in (asked, least))
+        is_nearer = missed_by_all < missed - _CLOSER
         asked = jnp.where(jnp.any(is_nearer), jnp.minimum(asked, least), asked)
-        return tilt_logits(logits, added, owed, trust >= asked), asked
+        return tilt_logits(logits, added, remaining, trust >= asked), asked
 
     @property
     def num_above(self) -> int:

@@ -137,22 +137,22 @@ FEATURES: dict[str, Feature] = {
 """By name, as in `Clutter`; near is summed in metres, occlusion in shares."""
 
 
-def owed_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
+def remaining_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
     """What the current object should add of each asked feature, f32[F], and would, f32[N, F].
 
-    What is owed is shared equally among the objects that are left.
+    What remains is shared equally among the objects that are left.
     """
     episode = at.episode
     left = jnp.maximum(episode.num_slots - episode.slot, 1)
-    owed, added = [], []
+    remaining, added = [], []
     for name, target in clutter.targets.items():
         feature = FEATURES[name]
         asked = target * episode.num_slots if feature.is_mean else target
         # Not every object finds something to lie on: what is counted is asked of the first to come.
         share = left if feature.is_mean else jnp.maximum(_EARLY * left, 1.0)
-        owed.append((asked - feature.total(at)) / share)
+        remaining.append((asked - feature.total(at)) / share)
         added.append(feature.added(at))
-    return jnp.stack(owed), jnp.stack(added, axis=1)
+    return jnp.stack(remaining), jnp.stack(added, axis=1)
 
 
 def _safe_poses(poses: Array, is_placed: Array) -> Array:
