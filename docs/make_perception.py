@@ -8,10 +8,10 @@ from PIL import Image
 from scipy.ndimage import binary_dilation
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.finder import SceneFinder, load_finder
-from cluttergen_jax.downstream.perception.segment.examples import sensed
-from cluttergen_jax.downstream.perception.views.stored import StoredView
+from cluttergen_jax.downstream.perception.segment.training import sensed
+from cluttergen_jax.downstream.perception.types import FIRST_OBJECT
+from cluttergen_jax.downstream.perception.views.store import StoredView
 from cluttergen_jax.rendering.sensors import palette
 from cluttergen_jax.rendering.sheet import contact_sheet
 from cluttergen_jax.sensing.camera import Camera

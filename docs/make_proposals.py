@@ -8,10 +8,9 @@ import numpy as np
 from PIL import Image
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer.judge import Judge, world_pose
-from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
+from cluttergen_jax.downstream.placer.partial_scenes import Judge, PartialScenes, world_pose
 from cluttergen_jax.downstream.placer.proposers import find_placer
-from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png

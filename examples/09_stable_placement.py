@@ -10,10 +10,9 @@ import jax
 import numpy as np
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
+from cluttergen_jax.downstream.placer.partial_scenes import Judge, PartialScenes
 from cluttergen_jax.downstream.placer.proposers import find_placer
-from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.sensing.camera import free
 from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.sensing.rays import RaySensor, sensed_model

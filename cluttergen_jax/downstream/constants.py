@@ -18,17 +18,14 @@ _SKIPPED = object()
 def constants_hash(*modules: ModuleType, **others: Any) -> str:
     """Hex digest of the numbers and texts that modules name in capitals, and of others by name.
 
-    Other machines compute the last digits of a cosine otherwise: twelve count.
+    In which of the modules a constant stands does not matter: code can be moved. Other machines compute the
+    last digits of a cosine otherwise: twelve count.
     """
-    values = {
-        f"{module.__name__}.{name}": _plain(value)
-        for module in modules
-        for name, value in vars(module).items()
-        if _CONSTANT.fullmatch(name)
-    }
-    values |= {name: _plain(value) for name, value in others.items()}
-    known = {name: value for name, value in values.items() if value is not _SKIPPED}
-    return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
+    fixed = [(name, value) for module in modules for name, value in vars(module).items()]
+    named = [(name, value) for name, value in fixed if _CONSTANT.fullmatch(name)] + list(others.items())
+    plain = ((name, _plain(value)) for name, value in named)
+    known = {json.dumps([name, value]) for name, value in plain if value is not _SKIPPED}
+    return hashlib.sha256(json.dumps(sorted(known)).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from cluttergen_jax.downstream.fitting.fit import FitConfig, num_examples, taken
+from cluttergen_jax.downstream.fitting import FitConfig, num_examples, taken
+from cluttergen_jax.downstream.placer.examples import joined_examples
+from cluttergen_jax.downstream.placer.heads.checkpoint import (
+    embedded_placers,
+    head_of,
+    load_placer,
+    placer_folder,
+)
 from cluttergen_jax.downstream.placer.heads.features import (
     CROP_SIDE,
     MIRRORED,
@@ -26,19 +33,10 @@ from cluttergen_jax.downstream.placer.heads.regression import (
     RegressionHead,
 )
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lowered
-from cluttergen_jax.downstream.placer.heads.trained import (
-    embedded_placers,
-    head_of,
-    load_placer,
-    placer_folder,
-)
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
-from cluttergen_jax.downstream.placer.training.examples import joined_examples
-from cluttergen_jax.downstream.placer.training.presets import preset
-from cluttergen_jax.downstream.placer.training.run import PlacerTraining
-from cluttergen_jax.downstream.placer.training.temperature import best_temperature
+from cluttergen_jax.downstream.placer.training import PlacerTraining, best_temperature, preset
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.learning.ppo.checkpoint import save_policy

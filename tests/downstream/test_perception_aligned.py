@@ -7,11 +7,11 @@ import pytest
 
 pytest.importorskip("small_gicp", reason="needs the extra perception")
 
-from cluttergen_jax.downstream.perception.aligned import aligned
+from cluttergen_jax.downstream.perception.camera_correction import aligned
 from cluttergen_jax.downstream.perception.finder import SceneFinder
-from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.perception.types import Look
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.geometry import yaw_matrix
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, overhead, view_of
 

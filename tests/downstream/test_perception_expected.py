@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.expected import as_expected, unexplained
+from cluttergen_jax.downstream.perception.mask_correction import as_expected, unexplained
 from cluttergen_jax.downstream.perception.pose.compare import drawn_alone
-from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT, Look
+from cluttergen_jax.downstream.transforms import matrix_of
 from tests.helpers.perception import OBJECTS, POSES, TABLE, overhead, view_of
 
 RED, GREEN, BLUE = (FIRST_OBJECT + k for k in range(3))

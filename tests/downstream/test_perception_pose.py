@@ -17,20 +17,17 @@ from cluttergen_jax.downstream.perception.certainty import (
     reliability,
     write_certainty,
 )
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.evaluation.judged import judged, mask_figures
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose import registration
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
-from cluttergen_jax.downstream.perception.pose.estimator import Look
-from cluttergen_jax.downstream.perception.pose.free import FreeRegistration
+from cluttergen_jax.downstream.perception.pose.icp import FreeRegistration
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.pose.pose_physics_check import SteadyCheck
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator, seen_points
-from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
-from cluttergen_jax.downstream.perception.segment.scores import intersection_over_union
-from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
-from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE
-from cluttergen_jax.downstream.robot.frames import matrix_of, pose_of
+from cluttergen_jax.downstream.perception.scoring import judged, mask_figures
+from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, Look, intersection_over_union
+from cluttergen_jax.downstream.perception.views.stage import FOCAL, SIZE
+from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of, turn_matrix
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE

@@ -9,11 +9,9 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.downstream.fitting.fit import FitConfig
+from cluttergen_jax.downstream.fitting import FitConfig
 from cluttergen_jax.downstream.perception.certainty import Certainty, read_certainty, write_certainty
-from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.evaluation.evaluate import evaluate_perception
-from cluttergen_jax.downstream.perception.segment.examples import example_of
+from cluttergen_jax.downstream.perception.evaluate import evaluate_perception
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
     NO_DEPTH,
@@ -26,24 +24,29 @@ from cluttergen_jax.downstream.perception.segment.network import (
     shrunk,
     shrunk_label,
 )
-from cluttergen_jax.downstream.perception.segment.refine import (
-    by_pieces,
-    enlarged,
-    fitted_to_depth,
-    smoothed,
-    with_raised,
-)
-from cluttergen_jax.downstream.perception.segment.scores import confusion, intersection_over_union, iou_of
-from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
-from cluttergen_jax.downstream.perception.segment.trained import (
+from cluttergen_jax.downstream.perception.segment.network_segmenter import (
     NetworkSegmenter,
     agreeing,
+    by_pieces,
     embedded_segmenters,
+    enlarged,
+    fitted_to_depth,
     load_segmenter,
     network_hash,
     segmenter_folder,
+    smoothed,
+    with_raised,
 )
-from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining
+from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining, example_of
+from cluttergen_jax.downstream.perception.types import (
+    ARM,
+    BACKGROUND,
+    FIRST_OBJECT,
+    checked_images,
+    confusion,
+    intersection_over_union,
+    iou_of,
+)
 from cluttergen_jax.errors import BankError, ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.training.metrics_log import read_rows

@@ -11,19 +11,22 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.perception.classes import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.views import maker, stored
-from cluttergen_jax.downstream.perception.views.appearance import (
+from cluttergen_jax.downstream.perception.types import ARM, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.views import maker
+from cluttergen_jax.downstream.perception.views import store as stored
+from cluttergen_jax.downstream.perception.views.maker import StandingScenes, ViewConfig, write_views
+from cluttergen_jax.downstream.perception.views.stage import (
+    FOCAL,
     NUM_TEXTURES,
+    SIZE,
     TEXTURES_OF,
     exposed,
     table_texture,
+    wrist_camera,
 )
-from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE, wrist_camera
-from cluttergen_jax.downstream.perception.views.maker import StandingScenes, ViewConfig, write_views
-from cluttergen_jax.downstream.perception.views.stored import VIEWS, read_views, row_of
-from cluttergen_jax.downstream.robot.frames import made
+from cluttergen_jax.downstream.perception.views.store import VIEWS, read_views, row_of
+from cluttergen_jax.downstream.transforms import made
 from cluttergen_jax.errors import BankError, ConfigError
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
 from tests.helpers.perception import POSES, overhead, view_of

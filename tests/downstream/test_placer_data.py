@@ -16,18 +16,13 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.placer import scene_cameras
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench
+from cluttergen_jax.downstream.placer.examples import TESTING, ExampleSource
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs import maker as data
-from cluttergen_jax.downstream.placer.pairs import stored as pairs
-from cluttergen_jax.downstream.placer.pairs.stored import (
-    labels_of,
-    load_queries,
-    of_tenths,
-    read_pairs,
-)
+from cluttergen_jax.downstream.placer.pairs import store as pairs
+from cluttergen_jax.downstream.placer.pairs.store import labels_of, load_queries, of_tenths, read_pairs
 from cluttergen_jax.downstream.placer.query import Proposals
-from cluttergen_jax.downstream.placer.sight import QueryMaker
-from cluttergen_jax.downstream.placer.training.examples import TESTING, ExampleSource
-from cluttergen_jax.downstream.splits import SPLITS
+from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID
 from cluttergen_jax.scene.bank import read_bank
@@ -155,7 +150,7 @@ def test_a_pair_tells_of_the_scene_that_it_is_of(bank, made):
 
 def test_queries_show_what_stands_to_the_millimetre(loaded):
     queries, labels = loaded
-    from cluttergen_jax.downstream.placer.sight import CELL
+    from cluttergen_jax.downstream.placer.map_from_depth import CELL
 
     for row, slot in enumerate(labels.num_standing):
         heights, corner = queries.heights.height[row], queries.heights.corner[row]

@@ -16,16 +16,16 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.placer.evaluation import bench as bench_module
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
-from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
+from cluttergen_jax.downstream.placer.evaluation.tables import figures_of
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs import maker as data
-from cluttergen_jax.downstream.placer.pairs import stored as pairs
-from cluttergen_jax.downstream.placer.pairs.stored import images_of, load_queries
+from cluttergen_jax.downstream.placer.pairs import store as pairs
+from cluttergen_jax.downstream.placer.pairs.store import images_of, load_queries
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import GeometryPlacer
 from cluttergen_jax.downstream.placer.query import Proposals, without_scores
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras
-from cluttergen_jax.downstream.placer.sight import QueryMaker
-from cluttergen_jax.downstream.splits import SPLITS
+from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig

@@ -26,13 +26,13 @@ from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.episode import draw_layouts, rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.moves import Moves
-from cluttergen_jax.downstream.rearrange.observe import (
-    Cause,
-    SceneEstimate,
-    TrueObserver,
+from cluttergen_jax.downstream.rearrange.observe import Cause, SceneEstimate, TrueObserver
+from cluttergen_jax.downstream.rearrange.task import (
+    SETTINGS,
+    RearrangeOptions,
+    RearrangeResult,
+    RearrangeSetting,
 )
-from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions, RearrangeSetting
-from cluttergen_jax.downstream.rearrange.task import RearrangeResult
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements, is_stacked, run_rearrangements
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.motion.mover import Mover

@@ -9,15 +9,16 @@ pytest.importorskip("mink", reason="needs the extra robot")
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.downstream.perception.symmetry import (
-    ROUND,
-    equal_places,
-    offset,
-    turn_matrix,
-    turn_symmetry,
+from cluttergen_jax.downstream.rearrange.layouts import (
+    AREA,
+    Layouts,
+    SceneDraw,
+    clearance_of,
+    preferred,
+    unlike,
 )
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, preferred, unlike
-from cluttergen_jax.downstream.rearrange.settings import AREA, SETTINGS
+from cluttergen_jax.downstream.rearrange.task import SETTINGS
+from cluttergen_jax.downstream.transforms import ROUND, equal_places, offset, turn_matrix, turn_symmetry
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed
 from cluttergen_jax.geometry import transformed, yaw_quaternion

@@ -16,10 +16,11 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.robot import model as robot_model
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, HandCheck, candidates_of, spread
+from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, MAX_SHIFT, MAX_SLIP, grip_test
 from cluttergen_jax.downstream.robot.grasping.grasps import (
     Grasps,
+    GraspSets,
     grasp_file,
     grasps_of,
     make_grasps,
@@ -27,10 +28,9 @@ from cluttergen_jax.downstream.robot.grasping.grasps import (
     verified,
     write_grasps,
 )
-from cluttergen_jax.downstream.robot.grasping.grip_test import MAX_LOAD, MAX_SHIFT, MAX_SLIP, grip_test
 from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet, grasp_trails
-from cluttergen_jax.downstream.robot.grasping.sets import GraspSets
 from cluttergen_jax.downstream.robot.model import Panda, base_pose, home_pose, with_panda
+from cluttergen_jax.downstream.transforms import angle_between, inverse, made, matrix_of, pose_of
 from cluttergen_jax.errors import MissingExtraError, PoolError
 from cluttergen_jax.scene import Scene
 from tests.helpers.drawing import needs_gl

@@ -21,7 +21,6 @@ from cluttergen_jax.downstream.robot.episode import (
     place_episode,
     stand_beside,
 )
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of, raised
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.grasping.grips import first_grasp, ranked
 from cluttergen_jax.downstream.robot.model import base_pose, home_pose
@@ -38,9 +37,9 @@ from cluttergen_jax.downstream.robot.motion.collision import (
 from cluttergen_jax.downstream.robot.motion.execute import Phase
 from cluttergen_jax.downstream.robot.motion.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, Mover
-from cluttergen_jax.downstream.robot.motion.plan import Planner
-from cluttergen_jax.downstream.robot.motion.timing import MAX_ACCELERATION, MAX_SPEED, SHARE, timed
+from cluttergen_jax.downstream.robot.motion.plan import MAX_ACCELERATION, MAX_SPEED, SHARE, Planner, timed
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import angle_between, inverse, made, matrix_of, pose_of, raised
 from cluttergen_jax.scene import Scene
 from tests.helpers.worlds import box
 

@@ -12,20 +12,19 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.downstream.placer.query import without_scores
-from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
 from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
 from cluttergen_jax.downstream.robot.episode import Referee, sensed_place_episode
-from cluttergen_jax.downstream.robot.frames import inverse, made, pose_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion import collision, execute
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
-from cluttergen_jax.downstream.robot.motion.columns import CELL, THIN, columns_of
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, THIN, columns_of
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.sensed import HeldPose
-from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
+from cluttergen_jax.downstream.robot.places import CameraPlacer
+from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette, HeldPose
+from cluttergen_jax.downstream.transforms import inverse, made, pose_of
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank.scene import read_scenes

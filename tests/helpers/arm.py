@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.downstream.rearrange.settings import RearrangeSetting
-from cluttergen_jax.downstream.rearrange.task import RearrangeTask
-from cluttergen_jax.downstream.robot.frames import inverse, made, pose_of
+from cluttergen_jax.downstream.rearrange.task import RearrangeSetting, RearrangeTask
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
+from cluttergen_jax.downstream.transforms import inverse, made, pose_of
 from cluttergen_jax.scene import Scene
 from tests.helpers.placing import with_surface
 from tests.helpers.worlds import box

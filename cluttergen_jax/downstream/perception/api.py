@@ -20,8 +20,8 @@ from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult
-    from cluttergen_jax.downstream.perception.views.stored import ViewSet
+    from cluttergen_jax.downstream.perception.evaluate import PerceptionResult
+    from cluttergen_jax.downstream.perception.views.store import ViewSet
 
 _MOST_SEED = 999_999
 _METHODS: dict[Method, int] = {"random": 5, "clear": 8, "drop": 8}
@@ -74,9 +74,9 @@ def perception_data(
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE, ViewConfig, write_views
-    from cluttergen_jax.downstream.perception.views.stored import VIEWS
+    from cluttergen_jax.downstream.perception.views.store import VIEWS
     from cluttergen_jax.downstream.robot.model import panda_folder
-    from cluttergen_jax.downstream.splits import SPLITS
+    from cluttergen_jax.downstream.samples import SPLITS
     from cluttergen_jax.rendering.gl import find_backend
 
     check_folder(out)
@@ -153,9 +153,8 @@ def perception_train(
     from dataclasses import replace
     from typing import get_args
 
-    from cluttergen_jax.downstream.perception.segment.examples import ViewSource
     from cluttergen_jax.downstream.perception.segment.network import SegmentConfig
-    from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining
+    from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining, ViewSource
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_views is not None:
@@ -214,8 +213,8 @@ def perception_eval(
       PoolError: there is no such segmenter, or it is damaged.
       MissingExtraError: the extra `perception` is not installed.
     """
-    from cluttergen_jax.downstream.perception.evaluation.evaluate import evaluate_perception
-    from cluttergen_jax.downstream.perception.views.stored import read_views
+    from cluttergen_jax.downstream.perception.evaluate import evaluate_perception
+    from cluttergen_jax.downstream.perception.views.store import read_views
 
     check_folder(out)
     check_range("seed", seed, 0, _MOST_SEED, 0)

@@ -10,7 +10,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from cluttergen_jax.downstream.perception.pose.estimator import PoseEstimate
+from cluttergen_jax.downstream.perception.types import PoseEstimate
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import checked_record, typed, with_checksum

@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.downstream.perception.aligned import aligned
+from cluttergen_jax.downstream.constants import constants_hash
+from cluttergen_jax.downstream.perception import camera_correction, certainty, mask_correction
+from cluttergen_jax.downstream.perception.camera_correction import aligned
 from cluttergen_jax.downstream.perception.certainty import FEATURES, Certainty, features_of, read_certainty
-from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.expected import as_expected, unexplained
-from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate, PoseEstimator
+from cluttergen_jax.downstream.perception.mask_correction import as_expected, unexplained
+from cluttergen_jax.downstream.perception.pose import compare, icp, models, pose_physics_check, registration
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.pose.pose_physics_check import SteadyCheck
 from cluttergen_jax.downstream.perception.pose.registration import SURE, RegistrationEstimator
-from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
-from cluttergen_jax.downstream.perception.segment.segmenter import Segmenter, checked_images
-from cluttergen_jax.downstream.perception.segment.trained import load_segmenter, segmenter_folder
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.perception.segment import network_segmenter
+from cluttergen_jax.downstream.perception.segment.network_segmenter import load_segmenter, segmenter_folder
+from cluttergen_jax.downstream.perception.types import (
+    ARM,
+    BACKGROUND,
+    FIRST_OBJECT,
+    Look,
+    PoseEstimate,
+    PoseEstimator,
+    Segmenter,
+    checked_images,
+)
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.partial import Grid, levelled
@@ -267,3 +280,11 @@ def load_finder(segmenter: str | Path, objects: Sequence[ObjectAsset], support: 
     """
     certainty = read_certainty(segmenter_folder(segmenter))
     return SceneFinder(objects, support, load_segmenter(segmenter), certainty=certainty)
+
+
+@cache
+def finder_hash() -> str:
+    """Hex digest of how objects and their poses are found in pictures, but for the network's weights."""
+    poses = (compare, icp, models, pose_physics_check, registration)
+    looks = (camera_correction, certainty, mask_correction, network_segmenter, sys.modules[__name__])
+    return constants_hash(*looks, *poses)

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from PIL import Image
 
-from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
+from cluttergen_jax.downstream.perception.types import checked_images
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import checked_record, digest_of, refuse, typed, with_checksum

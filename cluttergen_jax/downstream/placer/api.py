@@ -27,7 +27,7 @@ from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
-    from cluttergen_jax.downstream.placer.pairs.stored import PairSet
+    from cluttergen_jax.downstream.placer.pairs.store import PairSet
 
 _MOST_SEED = 999_999
 
@@ -79,8 +79,8 @@ def placer_data(
     """
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
-    from cluttergen_jax.downstream.placer.pairs.stored import PAIRS
-    from cluttergen_jax.downstream.splits import SPLITS
+    from cluttergen_jax.downstream.placer.pairs.store import PAIRS
+    from cluttergen_jax.downstream.samples import SPLITS
     from cluttergen_jax.scene.bank.bank import Bank, read_bank
     from cluttergen_jax.scene.bank.blocks import AGAIN
 
@@ -166,7 +166,7 @@ def placer_eval(
       PoolError: a placer's files are damaged, or there is none for the pool.
     """
     from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials, compare_placers
-    from cluttergen_jax.downstream.placer.pairs.stored import read_pairs
+    from cluttergen_jax.downstream.placer.pairs.store import read_pairs
     from cluttergen_jax.evaluation.store import Store
 
     check_folder(out)
@@ -230,9 +230,9 @@ def placer_train(
       PoolError: `encoder_weights` does not hold what the encoders need.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from cluttergen_jax.downstream.placer.training.examples import ExampleSource
-    from cluttergen_jax.downstream.placer.training.presets import preset as preset_of
-    from cluttergen_jax.downstream.placer.training.run import PlacerTraining
+    from cluttergen_jax.downstream.placer.examples import ExampleSource
+    from cluttergen_jax.downstream.placer.training import PlacerTraining
+    from cluttergen_jax.downstream.placer.training import preset as preset_of
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_pairs is not None:

@@ -8,18 +8,24 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from cluttergen_jax.downstream.perception.symmetry import equal_places, offset
 from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, Judge
-from cluttergen_jax.downstream.rearrange.layouts import ROOM, Layouts, Reach, clearance_of, preferred, unlike
+from cluttergen_jax.downstream.rearrange.layouts import (
+    AREA,
+    ROOM,
+    Layouts,
+    Reach,
+    clearance_of,
+    preferred,
+    unlike,
+)
 from cluttergen_jax.downstream.rearrange.moves import MAX_RETRIES, Moves
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
-from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions
-from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeOptions, RearrangeResult, RearrangeTask
 from cluttergen_jax.downstream.robot.grasping.grips import FIRM, first_grasp
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import equal_places, matrix_of, offset
 
 NEAR_GOAL, NEAR_GOAL_TURN = 0.01, float(np.radians(10))
 """Metres and radians from its place within which an object counts as brought there."""

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig, VerifyConfig
-from cluttergen_jax.downstream.perception.symmetry import offset
 from cluttergen_jax.downstream.rearrange.observe import Cause
 from cluttergen_jax.downstream.robot.episode import WATCHED
-from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import angle_between, matrix_of, offset
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank.verify import verify_model
 

@@ -15,8 +15,6 @@ from scipy.spatial.distance import cdist
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import LayoutRule, Method
-from cluttergen_jax.downstream.rearrange.settings import AREA
-from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.grasping.grips import ranked
@@ -24,6 +22,7 @@ from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import ROOM as HAND_ROOM
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
 from cluttergen_jax.generation.make import make_sampler
@@ -32,6 +31,8 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.types import Array
 
+AREA = Rectangle((0.0, 0.0), (0.27, 0.32))
+"""All of the usual table that the arm reaches; objects may wait anywhere in it."""
 ROOM = 0.01
 """Metres between the two nearest objects from which on a layout has room; poses are seen to millimetres."""
 NUM_DRAWN = 128
@@ -83,7 +84,7 @@ class SceneDraw:
 
         Args:
           chosen: n of the pool's objects by number; those of the largest footprint are placed first.
-          region: where; no larger than `settings.AREA`.
+          region: where; no larger than `AREA`.
           standing: objects that are there already; poses: f[m, 7] of these.
         """
         if len(chosen) + len(standing) > self._num_slots:

@@ -9,16 +9,15 @@ import numpy as np
 from cluttergen_jax.downstream.rearrange.judge import Judge
 from cluttergen_jax.downstream.rearrange.observe import Cause, ObjectTracker
 from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK
-from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import ROOMS, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import Mover
-from cluttergen_jax.downstream.robot.motion.plan import PickPlan
-from cluttergen_jax.downstream.robot.motion.timing import timed
+from cluttergen_jax.downstream.robot.motion.plan import PickPlan, timed
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.scene import Scene
 
 MAX_RETRIES = 2

@@ -14,9 +14,8 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from cluttergen_jax.downstream.perception.symmetry import offset
-from cluttergen_jax.downstream.robot.frames import matrix_of, pose_of
 from cluttergen_jax.downstream.robot.motion.execute import Execution
+from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.renderer import Renderer, open_renderer, set_range

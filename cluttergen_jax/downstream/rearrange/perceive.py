@@ -9,13 +9,12 @@ import numpy as np
 
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.constants import constants_hash
-from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder
-from cluttergen_jax.downstream.perception.finder_hash import finder_hash
-from cluttergen_jax.downstream.perception.pose.estimator import Look
-from cluttergen_jax.downstream.perception.views.cameras import above, wrist_camera
+from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder, finder_hash
+from cluttergen_jax.downstream.perception.types import Look
+from cluttergen_jax.downstream.perception.views.stage import above, wrist_camera
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, SceneEstimate
 from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
+from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy

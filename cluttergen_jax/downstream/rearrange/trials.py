@@ -15,21 +15,25 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.constants import constants_hash
-from cluttergen_jax.downstream.perception.symmetry import turn_symmetry
-from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, settings
+from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.layouts import Reach, SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
 from cluttergen_jax.downstream.rearrange.order import Meetings
-from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions, RearrangeSetting
 from cluttergen_jax.downstream.rearrange.sheet import save_sheets
-from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
+from cluttergen_jax.downstream.rearrange.task import (
+    Chooser,
+    RearrangeOptions,
+    RearrangeResult,
+    RearrangeSetting,
+    RearrangeTask,
+)
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.motion.execute import Trace
-from cluttergen_jax.downstream.robot.planner_hash import planner_hash
-from cluttergen_jax.downstream.robot.rows import RowFile, share_of
-from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed
+from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash
+from cluttergen_jax.downstream.rows import RowFile, share_of
+from cluttergen_jax.downstream.transforms import turn_symmetry
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.progress import Progress
@@ -196,7 +200,7 @@ def _object_row(rows: Sequence[RearrangeResult], name: str) -> tuple[str, str]:
 @cache
 def rearrange_hash() -> str:
     """Hex digest of how rearrangements are planned, done and judged, but for what an observer does."""
-    return constants_hash(episode, judge, layouts, moves, observe, order, settings, arm=planner_hash())
+    return constants_hash(episode, judge, layouts, moves, observe, order, task, arm=planner_hash())
 
 
 def run_rearrangements(

@@ -23,7 +23,7 @@ from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.query import Placer
-    from cluttergen_jax.downstream.robot.grasping.sets import GraspSets
+    from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
     from cluttergen_jax.downstream.robot.trials import RobotTrials
 
 _MOST_GRASPS = 4096
@@ -70,8 +70,7 @@ def robot_grasps(
       RendererError: a picture is wanted, and nothing here can draw.
     """
     from cluttergen_jax.assets.pool import find_pool
-    from cluttergen_jax.downstream.robot.grasping.grasps import write_grasps
-    from cluttergen_jax.downstream.robot.grasping.sets import grasp_sets
+    from cluttergen_jax.downstream.robot.grasping.grasps import grasp_sets, write_grasps
 
     check_file(out, "out", "grasps.parquet")
     check_file(picture, "picture", "grasps.png")
@@ -154,11 +153,10 @@ def robot_place(
     from typing import Any, get_args
 
     from cluttergen_jax.api.generate import generate
-    from cluttergen_jax.downstream.placer.heads.trained import placer_folder
-    from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
+    from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
-    from cluttergen_jax.downstream.robot.places import SearchPlaces
+    from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
     from cluttergen_jax.downstream.robot.trials import own_place, run_trials
     from cluttergen_jax.learning.methods import checkpoint_of
     from cluttergen_jax.learning.ppo.checkpoint import folder_hash

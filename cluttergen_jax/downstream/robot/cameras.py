@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.downstream.robot.frames import made
+from cluttergen_jax.downstream.transforms import made
 from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, Camera, intrinsics, overhead
 
 SIZE, FOCAL = (320, 240), REALSENSE_FOCAL / 2

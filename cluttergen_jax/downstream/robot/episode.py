@@ -11,8 +11,6 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
-from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import PandaConfig, base_pose
 from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
@@ -20,7 +18,9 @@ from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Tra
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.sensed import SeeingArm
+from cluttergen_jax.downstream.robot.places import CameraPlacer
+from cluttergen_jax.downstream.robot.sensing_arm import SeeingArm
+from cluttergen_jax.downstream.transforms import angle_between, matrix_of
 from cluttergen_jax.geometry import product, turned, yaw_quaternion
 from cluttergen_jax.scene import Scene
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import cache
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.config import FilmFormat, RobotTask
-from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
+from cluttergen_jax.downstream.constants import constants_hash
+from cluttergen_jax.downstream.robot import cameras, episode, model, sensing_arm
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeResult,
     lift_episode,
@@ -20,11 +22,13 @@ from cluttergen_jax.downstream.robot.episode import (
     sensed_place_episode,
 )
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
+from cluttergen_jax.downstream.robot.grasping import grips
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.motion import collision, execute, ik, mover, occupancy_boxes, plan
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.downstream.robot.planner_hash import planner_hash
-from cluttergen_jax.downstream.robot.rows import RowFile, share_of
+from cluttergen_jax.downstream.robot.places import CameraPlacer
+from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.progress import Progress
@@ -187,3 +191,11 @@ def _episode(
 def episode_seed(seed: int, index: int) -> int:
     """The seed of an episode, by its number alone."""
     return int(np.random.SeedSequence([seed, index]).generate_state(1)[0] % 2**30)
+
+
+@cache
+def planner_hash() -> str:
+    """Hex digest of how the arm moves, plans, looks and is judged."""
+    motion = (collision, occupancy_boxes, execute, ik, mover, plan)
+    panda = list(asdict(model.PandaConfig()).values())
+    return constants_hash(cameras, episode, model, sensing_arm, grips, *motion, panda=panda)

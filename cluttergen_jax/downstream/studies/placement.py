@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison, Trials, compare_placers
 from cluttergen_jax.downstream.placer.evaluation.tables import tables_of
-from cluttergen_jax.downstream.placer.heads.trained import embedded_placers
+from cluttergen_jax.downstream.placer.heads.checkpoint import embedded_placers
 from cluttergen_jax.downstream.placer.proposers import BASELINES, FULL_STATE
 from cluttergen_jax.downstream.studies.study import NOISES, SETS, DownstreamStudy, Found, SuiteFolder
 

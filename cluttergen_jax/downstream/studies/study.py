@@ -11,10 +11,9 @@ from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom
 from cluttergen_jax.downstream.placer.api import placer_data
 from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
 from cluttergen_jax.downstream.placer.evaluation.tables import Row
-from cluttergen_jax.downstream.placer.pairs.stored import PairSet
-from cluttergen_jax.downstream.placer.training.examples import ExampleSource
-from cluttergen_jax.downstream.placer.training.presets import preset
-from cluttergen_jax.downstream.placer.training.run import PlacerTraining
+from cluttergen_jax.downstream.placer.examples import ExampleSource
+from cluttergen_jax.downstream.placer.pairs.store import PairSet
+from cluttergen_jax.downstream.placer.training import PlacerTraining, preset
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import MAX_TRIALS

@@ -10,7 +10,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
 from cluttergen_jax.downstream.placer.evaluation.tables import MAIN, NOTES, Row, main_cells
-from cluttergen_jax.downstream.placer.pairs.stored import PairSet
+from cluttergen_jax.downstream.placer.pairs.store import PairSet
 from cluttergen_jax.downstream.studies.study import SuiteFolder
 from cluttergen_jax.proportions import wilson
 from cluttergen_jax.tables import Table

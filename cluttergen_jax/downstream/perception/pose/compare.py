@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluttergen_jax.downstream.perception.classes import BACKGROUND
-from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.robot.frames import pose_of
+from cluttergen_jax.downstream.perception.types import BACKGROUND, Look
+from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.sensing.camera import Camera
 
 AGREES = 0.006

@@ -10,12 +10,15 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
-from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate
-from cluttergen_jax.downstream.perception.pose.free import FreeRegistration, need_gicp
+from cluttergen_jax.downstream.perception.pose.icp import (
+    FreeRegistration,
+    need_gicp,
+    registered,
+    starting_yaws,
+)
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.pose.upright import registered, starting_yaws
-from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
-from cluttergen_jax.downstream.robot.frames import made, matrix_of, pose_of, shifted
+from cluttergen_jax.downstream.perception.types import Look, PoseEstimate
+from cluttergen_jax.downstream.transforms import made, matrix_of, offset, pose_of, shifted, turn_matrix
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotation_matrix
 

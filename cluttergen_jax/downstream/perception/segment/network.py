@@ -12,7 +12,7 @@ import numpy as np
 import optax
 from flax import struct
 
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT, num_classes
+from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, num_classes
 from cluttergen_jax.types import Array
 
 WIDTH, HEIGHT = 160, 120

@@ -11,21 +11,18 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from cluttergen_jax.downstream.perception.views.appearance import (
+from cluttergen_jax.downstream.perception.views.stage import (
+    SIZE,
     TEXTURES_OF,
+    Kind,
+    Stage,
+    draw_camera,
     draw_light,
     jittered,
+    open_stage,
 )
-from cluttergen_jax.downstream.perception.views.cameras import SIZE, Kind, draw_camera
-from cluttergen_jax.downstream.perception.views.stage import Stage, open_stage
-from cluttergen_jax.downstream.perception.views.stored import (
-    SCHEMA,
-    VIEWS,
-    StoredView,
-    ViewSet,
-    row_of,
-)
-from cluttergen_jax.downstream.splits import store_assets
+from cluttergen_jax.downstream.perception.views.store import SCHEMA, VIEWS, StoredView, ViewSet, row_of
+from cluttergen_jax.downstream.samples import store_assets
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import remove_partial, writing
 from cluttergen_jax.progress import Progress

@@ -10,12 +10,11 @@ import jax
 import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.bench import answers
-from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.pairs.stored import stacked
-from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
+from cluttergen_jax.downstream.placer.pairs.store import stacked
+from cluttergen_jax.downstream.placer.partial_scenes import Judge, PartialScenes
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Placer
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, check_cameras
-from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import Progress

@@ -14,15 +14,14 @@ import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
-from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
-from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, tables_of
-from cluttergen_jax.downstream.placer.heads.trained import placer_folder
-from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries, of_tenths
+from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, figures_of, tables_of
+from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
+from cluttergen_jax.downstream.placer.pairs.store import PairLabels, PairSet, load_queries, of_tenths
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
 from cluttergen_jax.downstream.placer.scene_cameras import check_cameras
-from cluttergen_jax.downstream.splits import SPLITS
+from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.store import Store, json_bytes

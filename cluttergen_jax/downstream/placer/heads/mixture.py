@@ -12,10 +12,10 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.downstream.placer.heads.features import UNSEEN, taken_around
-from cluttergen_jax.downstream.placer.heads.head import Example
 from cluttergen_jax.downstream.placer.map_search import best_apart
 from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,
+    Example,
     PlacementQuery,
     Proposals,
     without_scores,

@@ -12,8 +12,13 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.config import PlacerLoss
-from cluttergen_jax.downstream.placer.heads.head import Example
-from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Proposals, without_scores
+from cluttergen_jax.downstream.placer.query import (
+    NUM_PROPOSALS,
+    Example,
+    PlacementQuery,
+    Proposals,
+    without_scores,
+)
 from cluttergen_jax.learning.networks.cloud_encoder import CloudNet
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.types import Array

@@ -22,9 +22,8 @@ from cluttergen_jax.downstream.placer.heads.features import (
     features_of,
     own_shape,
 )
-from cluttergen_jax.downstream.placer.heads.head import Example
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw
-from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Proposals
+from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, Example, PlacementQuery, Proposals
 from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.search.fit import Candidates, lower_onto
 from cluttergen_jax.placement.search.search import CLEARANCE

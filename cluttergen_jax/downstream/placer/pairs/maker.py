@@ -12,21 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from cluttergen_jax.downstream.placer.judge import Judge
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs.candidate_draw import SOURCES, CandidateDraw
 from cluttergen_jax.downstream.placer.pairs.card import write_card
-from cluttergen_jax.downstream.placer.pairs.stored import (
-    PAIRS,
-    SCHEMA,
-    PairSet,
-    changed_frame,
-    stacked,
-)
-from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.downstream.placer.pairs.store import PAIRS, SCHEMA, PairSet, changed_frame, stacked
+from cluttergen_jax.downstream.placer.partial_scenes import Judge, PartialScenes
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, depth_bytes, depth_of
-from cluttergen_jax.downstream.placer.sight import QueryMaker
-from cluttergen_jax.downstream.splits import SPLITS, store_assets
+from cluttergen_jax.downstream.samples import SPLITS, store_assets
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import remove_partial, writing
 from cluttergen_jax.placement.types import Episode

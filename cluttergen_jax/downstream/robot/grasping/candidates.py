@@ -10,9 +10,9 @@ import numpy as np
 from cluttergen_jax.assets.mjcf import add_object
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.frames import inverse, made, pose_of, shifted
 from cluttergen_jax.downstream.robot.grasping.antipodal import Pairs, Union, sample_pairs
 from cluttergen_jax.downstream.robot.model import MAX_OPENING, TOOL_DEPTH, hand_spec
+from cluttergen_jax.downstream.transforms import inverse, made, pose_of, shifted
 
 MIN_COVER = 0.012
 """Metres of a pad's 17 mm, along and across the approach, that must lie on an object that has so much."""

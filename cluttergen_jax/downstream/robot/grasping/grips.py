@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
+from cluttergen_jax.downstream.transforms import matrix_of
 
 _LEVER = 10.0
 """What a metre from the line between the fingers to the object's middle takes from a grasp's worth."""

@@ -12,9 +12,9 @@ from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_part, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.model import HAND, PREFIX, TOOL_DEPTH, Panda, home_pose, panda_spec
-from cluttergen_jax.downstream.robot.motion.columns import Columns
+from cluttergen_jax.downstream.robot.motion.occupancy_boxes import Columns
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.geometry import yaw_quaternion
 
 CLEARANCE = 0.005

@@ -15,11 +15,11 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.support import Box
-from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.model import MAX_OPENING, Panda, PandaConfig, home_pose, with_panda
 from cluttergen_jax.downstream.robot.motion.collision import Kind, add_stand
-from cluttergen_jax.downstream.robot.motion.timing import Trajectory
+from cluttergen_jax.downstream.robot.motion.plan import Trajectory
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import cast_rays

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.model import ARM, EXTRA, TOOL, Panda, home_pose, panda_spec
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import MissingExtraError
 
 TOLERANCE, TURN_TOLERANCE = 5e-4, np.radians(0.2)

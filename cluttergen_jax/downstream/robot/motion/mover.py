@@ -7,7 +7,6 @@ from itertools import chain, count, product
 
 import numpy as np
 
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of, raised
 from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.grasping.grips import Grip, ranked
@@ -15,9 +14,9 @@ from cluttergen_jax.downstream.robot.model import MAX_OPENING
 from cluttergen_jax.downstream.robot.motion.collision import ROOM, ROOMS, Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import LINE_STEP, ArmKinematics
-from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner
-from cluttergen_jax.downstream.robot.motion.timing import timed
+from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner, timed
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of, raised
 
 _APPROACH, _LEAVE = (0.10, 0.06), (0.10, 0.06, 0.03)
 """Metres that the hand comes straight to an object and leaves it, the first that is free; the latter of

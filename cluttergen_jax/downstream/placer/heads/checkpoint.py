@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import embedded_root
-from cluttergen_jax.downstream.fitting.fit import blank_params
-from cluttergen_jax.downstream.placer.heads.head import Head
+from cluttergen_jax.downstream.fitting import blank_params
 from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
 from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, RegressionHead
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead
-from cluttergen_jax.downstream.placer.query import Placer
+from cluttergen_jax.downstream.placer.query import Head, Placer
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record
 

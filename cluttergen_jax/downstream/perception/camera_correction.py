@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
-from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.registration import FEWEST_PIXELS, SURE
+from cluttergen_jax.downstream.perception.types import Look
 from cluttergen_jax.geometry import yaw_matrix
 
 FEWEST_KNOWN = 3

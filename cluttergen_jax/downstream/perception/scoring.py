@@ -9,16 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT, num_classes
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
-from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.segment.examples import sensed
-from cluttergen_jax.downstream.perception.segment.scores import confusion, iou_of
-from cluttergen_jax.downstream.perception.symmetry import offset
-from cluttergen_jax.downstream.perception.views.stored import StoredView
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.perception.segment.training import sensed
+from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, Look, confusion, iou_of, num_classes
+from cluttergen_jax.downstream.perception.views.store import StoredView
+from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.sensing.noise import NoiseConfig
 
 VISIBLE_PIXELS = 150

@@ -13,10 +13,9 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening
 from scipy.ndimage import label as connected
 
-from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.pose.compare import AGREES, IN_FRONT, drawn_alone
-from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT, Look
 
 LEAST_SHARE = 0.6
 """Of the pixels of an object that should be seen: so many have to have its depth for it to count as there."""

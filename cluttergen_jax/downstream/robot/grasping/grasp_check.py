@@ -16,9 +16,9 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets.mjcf import add_object
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasping.candidates import OBJECT, T_HAND_TOOL, Candidates
 from cluttergen_jax.downstream.robot.model import PandaConfig, hand_spec
+from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of
 
 LIFT = 0.15
 """Metres that the object is lifted, in half a second."""

@@ -14,8 +14,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.config import PlacerNoise
-from cluttergen_jax.downstream.placer.heads.head import Example
-from cluttergen_jax.downstream.placer.pairs.stored import (
+from cluttergen_jax.downstream.placer.pairs.store import (
     PairLabels,
     PairSet,
     Wanted,
@@ -23,7 +22,7 @@ from cluttergen_jax.downstream.placer.pairs.stored import (
     of_tenths,
     read_pairs,
 )
-from cluttergen_jax.downstream.placer.query import PlacementQuery, padded
+from cluttergen_jax.downstream.placer.query import Example, PlacementQuery, padded
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.search.fit import UnderSide
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE

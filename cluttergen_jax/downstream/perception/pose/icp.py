@@ -1,11 +1,15 @@
-"""Registration of objects that stand upright: x, y, z and a turn about z, from many turns at once."""
+"""Registration by iterated closest points: of upright objects in x, y, z and yaw, and without any rule."""
 
 from __future__ import annotations
+
+import importlib
+from typing import Any
 
 import numpy as np
 
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.symmetry import ROUND
+from cluttergen_jax.downstream.transforms import ROUND, inverse
+from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import yaw_matrix
 
 NUM_YAWS = 24
@@ -107,3 +111,50 @@ def _solved(
     change = np.linalg.solve(matrix, right)
     change[3] = np.clip(change[3], -0.3, 0.3)
     return change
+
+
+EXTRA = "perception"
+_FREE_REACH = 0.012
+_FREE_STEPS = 20
+
+
+def need_gicp() -> Any:
+    """The module `small_gicp`.
+
+    Raises:
+      MissingExtraError: it is not installed.
+    """
+    try:
+        return importlib.import_module("small_gicp")
+    except ImportError as error:
+        raise MissingExtraError(EXTRA, "pose estimation") from error
+
+
+class FreeRegistration:
+    """Moves poses of one object, all six coordinates, to where its surface meets points."""
+
+    def __init__(self, model: ObjectModel) -> None:
+        self._gicp = need_gicp()
+        self._target = self._gicp.PointCloud(model.points)
+        self._tree = self._gicp.KdTree(self._target, num_threads=1)
+        self._gicp.estimate_normals_covariances(self._target, self._tree, num_neighbors=12, num_threads=1)
+
+    def __call__(self, points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """f64[4, 4]: T_world_object near `pose` f64[4, 4] for points f64[P, 3] of it, world frame."""
+        # In the frame of the guess, so that rotations and lengths weigh alike.
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        found = self._gicp.align(
+            self._target,
+            self._gicp.PointCloud(local),
+            self._tree,
+            registration_type="PLANE_ICP",
+            max_correspondence_distance=_FREE_REACH,
+            num_threads=1,
+            max_iterations=_FREE_STEPS,
+            translation_epsilon=1e-5,
+            rotation_epsilon=1e-4,
+        )
+        T = np.asarray(found.T_target_source, np.float64)
+        if not np.isfinite(T).all():
+            return pose
+        return pose @ inverse(T)

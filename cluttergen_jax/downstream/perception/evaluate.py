@@ -18,7 +18,9 @@ from cluttergen_jax.downstream.perception.certainty import (
     reliability,
     write_certainty,
 )
-from cluttergen_jax.downstream.perception.evaluation.judged import (
+from cluttergen_jax.downstream.perception.finder import SceneFinder, finder_hash
+from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
+from cluttergen_jax.downstream.perception.scoring import (
     GOOD_ADDS,
     GOOD_TURN,
     JudgedMoment,
@@ -26,17 +28,14 @@ from cluttergen_jax.downstream.perception.evaluation.judged import (
     judged,
     mask_figures,
 )
-from cluttergen_jax.downstream.perception.finder import SceneFinder
-from cluttergen_jax.downstream.perception.finder_hash import finder_hash
-from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
-from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation, Segmenter
-from cluttergen_jax.downstream.perception.segment.trained import (
+from cluttergen_jax.downstream.perception.segment.network_segmenter import (
     load_segmenter,
     network_hash,
     segmenter_folder,
 )
-from cluttergen_jax.downstream.perception.views.stored import StoredView, ViewSet
-from cluttergen_jax.downstream.robot.rows import RowFile, share_of
+from cluttergen_jax.downstream.perception.types import Segmentation, Segmenter
+from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet
+from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.progress import Progress
