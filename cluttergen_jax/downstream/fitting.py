@@ -149,7 +149,7 @@ def num_examples(examples: Any) -> int:
     return len(jax.tree.leaves(examples)[0])
 
 
-def taken(examples: Any, which: np.ndarray) -> Any:
+def take(examples: Any, which: np.ndarray) -> Any:
     """Some of the examples: i[M] or bool[N]; None if there are none."""
     index = np.flatnonzero(which) if which.dtype == bool else which
     return jax.tree.map(lambda leaf: leaf[index], examples) if len(index) else None
@@ -222,7 +222,7 @@ class FitRun(ABC):
         fit = Fit(self.learner, self.config, batches * self.config.num_epochs)
         self.folder.mkdir(parents=True, exist_ok=True)
         with Interrupt() as interrupt:
-            state = self._started(fit)
+            state = self._load_or_start(fit)
             state = self._learn(fit, state, examples, held_out, interrupt)
             self._keep(state)
         if int(state.step) < fit.num_steps:
@@ -258,7 +258,7 @@ class FitRun(ABC):
         record = checkpoint.read_record(place)
         return all(record.get(name) == value for name, value in json.loads(json.dumps(self.recipe)).items())
 
-    def _started(self, fit: Fit) -> FitState:
+    def _load_or_start(self, fit: Fit) -> FitState:
         state: FitState = _start(fit)
         last = self.folder / "last"
         return checkpoint.read_state(last, state) if checkpoint.has_state(last) else state
@@ -280,7 +280,7 @@ class FitRun(ABC):
                     break
                 index = self._batch(number, num_examples(examples), batches)
                 call = partial(interrupt.compiled, _step) if number == first else _step
-                state, parts = call(fit, state, taken(examples, index))
+                state, parts = call(fit, state, take(examples, index))
                 seen.append(parts)
                 if (number + 1) % batches == 0:
                     state, note = self._end_epoch(fit, state, held_out, seen, log, number // batches)
@@ -328,4 +328,4 @@ class FitRun(ABC):
         """The examples in parts of at most a batch."""
         number, size = num_examples(examples), self.config.batch_size
         for first in range(0, number, size):
-            yield taken(examples, np.arange(first, min(first + size, number)))
+            yield take(examples, np.arange(first, min(first + size, number)))

@@ -41,7 +41,7 @@ SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
 
 
 @dataclass(frozen=True)
-class SplitFormat:
+class SampleFormat:
     """A kind of data set.
 
     Attributes:

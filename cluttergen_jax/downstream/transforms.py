@@ -16,7 +16,7 @@ def matrix_of(pose: np.ndarray) -> np.ndarray:
     turn = np.empty((len(quaternion), 9))
     for row, each in zip(turn, quaternion, strict=True):
         mujoco.mju_quat2Mat(row, each)
-    return made(turn.reshape(*pose.shape[:-1], 3, 3), pose[..., :3])
+    return rigid(turn.reshape(*pose.shape[:-1], 3, 3), pose[..., :3])
 
 
 def pose_of(matrix: np.ndarray) -> np.ndarray:
@@ -28,7 +28,7 @@ def pose_of(matrix: np.ndarray) -> np.ndarray:
     return np.concatenate([matrix[..., :3, 3], quaternion.reshape(*matrix.shape[:-2], 4)], axis=-1)
 
 
-def made(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+def rigid(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
     """f64[..., 4, 4] of a rotation f[..., 3, 3] and a position f[..., 3]."""
     matrix = np.zeros((*rotation.shape[:-2], 4, 4))
     matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = rotation, position, 1.0
@@ -38,17 +38,17 @@ def made(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
 def inverse(matrix: np.ndarray) -> np.ndarray:
     """Of rigid matrices f64[..., 4, 4]."""
     rotation = matrix[..., :3, :3].swapaxes(-1, -2)
-    return made(rotation, -(rotation @ matrix[..., :3, 3:])[..., 0])
+    return rigid(rotation, -(rotation @ matrix[..., :3, 3:])[..., 0])
 
 
-def shifted(matrix: np.ndarray, along: np.ndarray | tuple[float, float, float]) -> np.ndarray:
+def shift_along(matrix: np.ndarray, along: np.ndarray | tuple[float, float, float]) -> np.ndarray:
     """A pose moved along its own axes by metres f[3]."""
     moved = np.array(matrix, np.float64)
     moved[..., :3, 3] += moved[..., :3, :3] @ np.asarray(along, np.float64)
     return moved
 
 
-def raised(matrix: np.ndarray, height: float) -> np.ndarray:
+def raise_by(matrix: np.ndarray, height: float) -> np.ndarray:
     """A pose moved along the world's z by metres."""
     moved = matrix.copy()
     moved[..., 2, 3] += height

@@ -15,18 +15,18 @@ from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write
 from cluttergen_jax.downstream.perception.types import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.views import maker
 from cluttergen_jax.downstream.perception.views import store as stored
-from cluttergen_jax.downstream.perception.views.maker import StandingScenes, ViewConfig, write_views
+from cluttergen_jax.downstream.perception.views.maker import StableScenes, ViewConfig, write_views
 from cluttergen_jax.downstream.perception.views.stage import (
     FOCAL,
     NUM_TEXTURES,
     SIZE,
     TEXTURES_OF,
-    exposed,
+    expose,
     table_texture,
     wrist_camera,
 )
 from cluttergen_jax.downstream.perception.views.store import VIEWS, read_views, row_of
-from cluttergen_jax.downstream.transforms import made
+from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.errors import BankError, ConfigError
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
 from tests.helpers.perception import POSES, overhead, view_of
@@ -64,12 +64,12 @@ def test_textures_differ_and_are_always_the_same():
 
 def test_exposure_keeps_the_order_of_brightness():
     ramp = np.repeat(np.arange(0, 250, 50, dtype=np.uint8)[:, None], 3, 1)[:, None].repeat(400, 1)
-    seen = exposed(ramp, np.random.default_rng(0)).mean((1, 2))
+    seen = expose(ramp, np.random.default_rng(0)).mean((1, 2))
     assert (np.diff(seen) > 0).all()
 
 
 def test_the_camera_on_the_hand_looks_where_the_hand_points():
-    down = made(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.2, 1.3]))
+    down = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.2, 1.3]))
     camera = wrist_camera(down)
     assert (camera.width, camera.height) == SIZE
     assert camera.K[0, 0] == FOCAL
@@ -90,7 +90,7 @@ def test_a_row_holds_the_view_to_a_tenth_of_a_millimetre():
     seen = stored.StoredView(
         7, stored.View(view.view.rgb, depth, view.view.label, view.view.camera), *_rest(view)
     )
-    back = stored._stored(row_of(seen, 3, 1))
+    back = stored._view_of(row_of(seen, 3, 1))
     assert np.isinf(back.view.depth[0, :2]).all()
     np.testing.assert_allclose(back.view.depth[1:], depth[1:], atol=6e-5)
     assert np.array_equal(back.view.label, view.view.label)
@@ -149,7 +149,7 @@ def test_a_view_shows_the_same_scene_however_many_the_bank_has(tmp_path):
     shown = []
     for number in (2, 5):
         found = write_bank(tmp_path / f"bank-{number}", number)
-        scenes = StandingScenes(found)
+        scenes = StableScenes(found)
         # What does not stand is passed over, and what comes behind changes nothing.
         scenes.number = np.delete(scenes.number, 1)
         shown.append([int(scenes.number[scenes.row(scene)]) for scene in range(number)])

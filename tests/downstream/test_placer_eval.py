@@ -14,7 +14,7 @@ from scipy.ndimage import minimum_filter
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.placer.evaluation import bench as bench_module
-from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
+from cluttergen_jax.downstream.placer.evaluation.bench import Bench, ProposalOutcomes
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.tables import figures_of
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
@@ -179,7 +179,7 @@ def test_figures_are_shares_of_verdicts_with_wilsons_intervals(labels):
     verdict = np.full((number, 2), int(Verdict.NONE))
     verdict[:, 0] = [0, 0, 0, int(Verdict.DISPLACED), int(Verdict.UNSETTLED), int(Verdict.CREPT)]
     verdict[3:, 1] = [0, 0, int(Verdict.PENETRATING)]
-    outcome = Outcome(
+    outcome = ProposalOutcomes(
         pose=np.zeros((number, 2, 4)),
         score=np.array([[0.9, 0.1]] * 3 + [[0.3, 0.1]] * 3),
         verdict=verdict,

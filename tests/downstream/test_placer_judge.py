@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.downstream.placer.evaluation.bench import PaperCount
-from cluttergen_jax.downstream.placer.partial_scenes import Judge, PartialScenes, world_pose
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.types import Verdict
 from tests.helpers.placing import write_bank
@@ -19,7 +19,7 @@ def scenes(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def judge(scenes):
-    return Judge(scenes.rules)
+    return ProposalJudge(scenes.rules)
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ _PLACED = 0.002
 _ROUNDS = 10
 
 
-def aligned(look: Look, known: dict[int, tuple[ObjectModel, np.ndarray]], share: float = 1.0) -> Look:
+def correct_camera(look: Look, known: dict[int, tuple[ObjectModel, np.ndarray]], share: float = 1.0) -> Look:
     """The look with its camera moved in plan and turned about the vertical: objects are where they were.
 
     Args:

@@ -25,7 +25,7 @@ from cluttergen_jax.downstream.perception.scoring import (
     GOOD_TURN,
     JudgedMoment,
     MaskFigures,
-    judged,
+    judge_moment,
     mask_figures,
 )
 from cluttergen_jax.downstream.perception.segment.network_segmenter import (
@@ -252,7 +252,7 @@ def _judge_all(
     title = f"{cameras} cameras, noise {factor:g}"
     with Progress(title, total, "moment", kept=len(rows)) as progress:
         for moment in islice(_moments(views, split, cameras, total), len(rows), None):
-            rows.append(judged(moment, finder, models, REALSENSE.scaled(factor), seed, true_masks))
+            rows.append(judge_moment(moment, finder, models, REALSENSE.scaled(factor), seed, true_masks))
             file.write(rows)
             progress.update()
     return rows
@@ -272,4 +272,4 @@ def _calibrate(result: PerceptionResult, folder: Path) -> None:
     right = np.concatenate([each[1] for each in parts])
     if not len(features):
         raise ConfigError("calibration without any pose", "views in which objects are found", "more views")
-    write_certainty(folder, Certainty().fitted(features, right))
+    write_certainty(folder, Certainty().fit_to(features, right))

@@ -14,12 +14,12 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.constants import constants_hash
 from cluttergen_jax.downstream.perception import camera_correction, certainty, mask_correction
-from cluttergen_jax.downstream.perception.camera_correction import aligned
+from cluttergen_jax.downstream.perception.camera_correction import correct_camera
 from cluttergen_jax.downstream.perception.certainty import FEATURES, Certainty, features_of, read_certainty
-from cluttergen_jax.downstream.perception.mask_correction import as_expected, unexplained
+from cluttergen_jax.downstream.perception.mask_correction import correct_masks, find_unexplained
 from cluttergen_jax.downstream.perception.pose import compare, icp, models, pose_physics_check, registration
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.pose.pose_physics_check import SteadyCheck
+from cluttergen_jax.downstream.perception.pose.pose_physics_check import PosePhysicsCheck
 from cluttergen_jax.downstream.perception.pose.registration import SURE, RegistrationEstimator
 from cluttergen_jax.downstream.perception.segment import network_segmenter
 from cluttergen_jax.downstream.perception.segment.network_segmenter import load_segmenter, segmenter_folder
@@ -31,7 +31,7 @@ from cluttergen_jax.downstream.perception.types import (
     PoseEstimate,
     PoseEstimator,
     Segmenter,
-    checked_images,
+    check_images,
 )
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
@@ -98,7 +98,7 @@ class SceneFinder:
             )
         self.names, self._segmenter = names, segmenter
         self.estimator = estimator or RegistrationEstimator(objects, support)
-        self._certainty, self._steady = certainty or Certainty(), SteadyCheck(objects, support)
+        self._certainty, self._steady = certainty or Certainty(), PosePhysicsCheck(objects, support)
         self._grid = Grid.of(support, _RADIUS)
         self._objects, self._top = tuple(objects), support.top
 
@@ -120,7 +120,7 @@ class SceneFinder:
         Raises:
           ConfigError: the images are not the camera's, or hold no depth.
         """
-        rgb, depth = checked_images(rgb, depth, camera)
+        rgb, depth = check_images(rgb, depth, camera)
         if is_own is not None:
             depth = np.where(is_own, np.nan, depth)
         camera = upright_at_its_place(depth, camera, self._grid)
@@ -154,25 +154,28 @@ class SceneFinder:
             raise ConfigError(f"objects {', '.join(strange)}", ", ".join(self.names))
         lead = np.ones(len(asked))
         if near is None or np.isnan(near).all():
-            found = self._found(looks, asked, np.full((len(asked), 7), np.nan), lead)
+            found = self._find(looks, asked, np.full((len(asked), 7), np.nan), lead)
             near, share = np.where(found.certainty[:, None] >= _AGREED, found.pose, np.nan), 1.0
             if len(looks) == 1 or np.isnan(near).all():
                 return found
             # What these looks told of a turn, they do not tell once more.
             lead = np.where(np.isnan(near).any(1), 1.0, found.features[:, _LEAD])
-        return self._found(self._aligned(looks, asked, near, share), asked, near, lead)
+        return self._find(self._correct_cameras(looks, asked, near, share), asked, near, lead)
 
-    def _aligned(
+    def _correct_cameras(
         self, looks: Sequence[Look], names: Sequence[str], known: np.ndarray, share: float
     ) -> list[Look]:
-        there = self._at(_told(self.names, names, known))
-        return [aligned(look, there, share) for look in as_expected(looks, there)]
+        there = self._at(_poses_by_number(self.names, names, known))
+        return [correct_camera(look, there, share) for look in correct_masks(looks, there)]
 
-    def _found(
+    def _find(
         self, looks: Sequence[Look], asked: Sequence[str], near: np.ndarray, most: np.ndarray
     ) -> FoundScene:
         """As `__call__`; `most` f64[n]: what each pose's lead is at most."""
-        numbers, places = [self.names.index(name) for name in asked], _told(self.names, asked, near)
+        numbers, places = (
+            [self.names.index(name) for name in asked],
+            _poses_by_number(self.names, asked, near),
+        )
         looks = self._as_expected(looks, places)
         found = {number: self.estimator(number, looks, places.get(number)) for number in numbers}
         # What is there for sure is nothing else.
@@ -185,7 +188,7 @@ class SceneFinder:
                 found[number] = self.estimator(number, told, places.get(number))
         estimates = {number: each for number, each in found.items() if each is not None}
         self._seek_in_the_rest(told, unsure, estimates)
-        poses, is_placed = self._placed(estimates)
+        poses, is_placed = self._pool_poses(estimates)
         poses = self._steady.apart(poses, is_placed)
         steady = self._steady(poses, is_placed)
         count = len(asked)
@@ -213,7 +216,7 @@ class SceneFinder:
         left = [number for number in unsure if number not in estimates or estimates[number].score < SURE]
         while left:
             found = self._at({k: each.pose for k, each in estimates.items()})
-            for masks in unexplained(looks, found, self._top, _FEWEST)[: len(left)]:
+            for masks in find_unexplained(looks, found, self._top, _FEWEST)[: len(left)]:
                 shown = list(zip(looks, masks, strict=True))
                 tried = ((k, self.estimator(k, [_as(k, *each) for each in shown])) for k in left)
                 fits = [(k, each) for k, each in tried if each is not None and each.score >= SURE]
@@ -226,12 +229,12 @@ class SceneFinder:
                 return
 
     def _as_expected(self, looks: Sequence[Look], poses: dict[int, np.ndarray]) -> list[Look]:
-        return as_expected(looks, self._at(poses))
+        return correct_masks(looks, self._at(poses))
 
     def _at(self, poses: dict[int, np.ndarray]) -> dict[int, tuple[ObjectModel, np.ndarray]]:
         return {k: (ObjectModel.of(self._objects[k]), matrix_of(pose)) for k, pose in poses.items()}
 
-    def _placed(self, estimates: dict[int, PoseEstimate]) -> tuple[np.ndarray, np.ndarray]:
+    def _pool_poses(self, estimates: dict[int, PoseEstimate]) -> tuple[np.ndarray, np.ndarray]:
         """f64[K, 7], bool[K]: where the objects of the pool are said to be, and which of them are."""
         poses, is_placed = np.tile(np.eye(7)[3], (len(self.names), 1)), np.zeros(len(self.names), bool)
         for number, estimate in estimates.items():
@@ -239,7 +242,7 @@ class SceneFinder:
         return poses, is_placed
 
 
-def _told(known: Sequence[str], names: Sequence[str], poses: np.ndarray) -> dict[int, np.ndarray]:
+def _poses_by_number(known: Sequence[str], names: Sequence[str], poses: np.ndarray) -> dict[int, np.ndarray]:
     """Poses f64[n, 7] of objects by their numbers; those that are nan are left out."""
     told = ((known.index(name), pose) for name, pose in zip(names, poses, strict=True))
     return {number: pose for number, pose in told if not np.isnan(pose).any()}

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from PIL import Image
 
-from cluttergen_jax.downstream.perception.types import checked_images
+from cluttergen_jax.downstream.perception.types import check_images
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import checked_record, digest_of, refuse, typed, with_checksum
@@ -39,7 +39,7 @@ def write_frame(folder: str | Path, frame: Frame) -> None:
     Raises:
       ConfigError: the images are not the camera's.
     """
-    rgb, depth = checked_images(*frame)
+    rgb, depth = check_images(*frame)
     picture, array = io.BytesIO(), io.BytesIO()
     Image.fromarray(rgb).save(picture, format="PNG")
     np.save(array, depth, allow_pickle=False)
@@ -97,4 +97,4 @@ def read_frame(folder: str | Path) -> Frame:
             ", ".join(_NAMES),
             "files as `downstream.perception.frames` describes them",
         ) from error
-    return Frame(*checked_images(rgb, depth, camera), camera)
+    return Frame(*check_images(rgb, depth, camera), camera)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening
 from scipy.ndimage import label as connected
 
-from cluttergen_jax.downstream.perception.pose.compare import AGREES, IN_FRONT, drawn_alone
+from cluttergen_jax.downstream.perception.pose.compare import AGREES, IN_FRONT, render_alone
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT, Look
 
@@ -27,16 +27,16 @@ _VOXEL = 0.012
 """Metres between points of one thing, at most."""
 
 
-def as_expected(looks: Sequence[Look], expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> list[Look]:
+def correct_masks(looks: Sequence[Look], expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> list[Look]:
     """The looks, with corrected masks of those objects that depth shows where they are expected.
 
     Args:
       expected: by number, the object and its pose f64[4, 4], T_world_object.
     """
-    return [_corrected(look, expected) for look in looks]
+    return [_correct_mask(look, expected) for look in looks]
 
 
-def unexplained(
+def find_unexplained(
     looks: Sequence[Look], found: dict[int, tuple[ObjectModel, np.ndarray]], top: float, fewest: int
 ) -> list[list[np.ndarray]]:
     """What stands on the table, shown by depth, that is none of the objects where they were found.
@@ -49,7 +49,7 @@ def unexplained(
       Of each thing, the one with the most pixels first, its mask bool[H, W] in each look. Things are apart if
       their points are.
     """
-    masks = [_unexplained(look, found, top) for look in looks]
+    masks = [_unexplained_pixels(look, found, top) for look in looks]
     points = [look.camera.points(look.depth)[mask] for look, mask in zip(looks, masks, strict=True)]
     if not sum(map(len, points)):
         return []
@@ -70,21 +70,23 @@ def unexplained(
     return result
 
 
-def _unexplained(look: Look, found: dict[int, tuple[ObjectModel, np.ndarray]], top: float) -> np.ndarray:
+def _unexplained_pixels(
+    look: Look, found: dict[int, tuple[ObjectModel, np.ndarray]], top: float
+) -> np.ndarray:
     """bool[H, W]: the pixels of one look, those at the edges of things left out."""
     height = look.camera.points(look.depth)[..., 2]
     with np.errstate(invalid="ignore"):
         stands = (height > top + IN_FRONT) & (look.label != ARM)
     for model, pose in found.values():
-        behind = look.depth - drawn_alone(model, look.camera, pose)
+        behind = look.depth - render_alone(model, look.camera, pose)
         stands &= ~(np.abs(behind) < IN_FRONT)
     return np.asarray(binary_opening(stands, np.ones((3, 3))))
 
 
-def _corrected(look: Look, expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> Look:
+def _correct_mask(look: Look, expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> Look:
     label, nearest = look.label.copy(), np.full(look.depth.shape, np.inf)
     for number, (model, pose) in expected.items():
-        drawn = drawn_alone(model, look.camera, pose)
+        drawn = render_alone(model, look.camera, pose)
         is_drawn = np.isfinite(drawn)
         behind = np.where(is_drawn & np.isfinite(look.depth), look.depth, np.nan) - drawn
         near, shown = np.abs(behind) < IN_FRONT, behind > -IN_FRONT

@@ -12,7 +12,7 @@ import numpy as np
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.segment.training import sensed
+from cluttergen_jax.downstream.perception.segment.training import simulate_camera
 from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, Look, confusion, iou_of, num_classes
 from cluttergen_jax.downstream.perception.views.store import StoredView
 from cluttergen_jax.downstream.transforms import matrix_of, offset
@@ -66,7 +66,7 @@ class JudgedMoment:
         ]
 
 
-def judged(
+def judge_moment(
     views: Sequence[StoredView],
     finder: SceneFinder,
     models: Sequence[ObjectModel],
@@ -81,7 +81,7 @@ def judged(
       true_masks: put the true labels in place of the segmenter's: poses alone are judged.
     """
     begun, number = time.process_time(), len(models)
-    seen = [sensed(view, noise, seed) for view in views]
+    seen = [simulate_camera(view, noise, seed) for view in views]
     looks = [finder.look(each.rgb, each.depth, each.camera) for each in seen]
     if true_masks:
         looks = [replace(look, label=each.label) for look, each in zip(looks, seen, strict=True)]
@@ -100,8 +100,8 @@ def judged(
     return JudgedMoment(
         moment=views[0].number,
         has_arm=views[0].has_arm,
-        confused=_confused([look.label for look in looks], labels, number),
-        corrected=_confused(scene.labels, labels, number),
+        confused=_confusions([look.label for look in looks], labels, number),
+        corrected=_confusions(scene.labels, labels, number),
         objects=list(scene.names),
         share=[Comparer(models[k], k, exact).visible(true[k]) for k in asked],
         adds=[each[0] for each in errors],
@@ -118,7 +118,7 @@ def _errors(model: ObjectModel, true: np.ndarray, found: np.ndarray) -> tuple[fl
     return model.surface_distance(true, found), turn, shift
 
 
-def _confused(labels: Sequence[np.ndarray], true: Sequence[np.ndarray], number: int) -> list[list[int]]:
+def _confusions(labels: Sequence[np.ndarray], true: Sequence[np.ndarray], number: int) -> list[list[int]]:
     found = [confusion(each, right, number) for each, right in zip(labels, true, strict=True)]
     return [each.ravel().tolist() for each in found]
 
@@ -142,11 +142,11 @@ class MaskFigures(NamedTuple):
 def mask_figures(confused: Sequence[Sequence[int]], number: int) -> MaskFigures:
     """Of pictures of `number` objects; `confused` is a matrix for each, row by row (`JudgedMoment`)."""
     matrices = np.array(confused).reshape(-1, num_classes(number), num_classes(number))
-    counts = np.sum([_counted(each) for each in matrices], axis=0)
+    counts = np.sum([_mask_counts(each) for each in matrices], axis=0)
     return MaskFigures(float(np.nanmean(iou_of(matrices.sum(0)))), *map(int, counts))
 
 
-def _counted(confused: np.ndarray) -> tuple[int, int, int, int]:
+def _mask_counts(confused: np.ndarray) -> tuple[int, int, int, int]:
     """The counts of `MaskFigures`, of one picture."""
     both = np.diag(confused)[FIRST_OBJECT:]
     true, found = confused.sum(1)[FIRST_OBJECT:], confused.sum(0)[FIRST_OBJECT:]

@@ -74,12 +74,12 @@ class Segmenter(Protocol):
           among: the objects that may be there, by name; no other is told of. All if None.
 
         Raises:
-          ConfigError: the images are not the camera's (`checked_images`).
+          ConfigError: the images are not the camera's (`check_images`).
         """
         ...
 
 
-def checked_images(rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def check_images(rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """The images as all here take them: u8[H, W, 3]; f32[H, W], nan where nothing was measured.
 
     Raises:

@@ -165,7 +165,7 @@ def placer_eval(
       BankError: the folder holds no pairs, or they are damaged.
       PoolError: a placer's files are damaged, or there is none for the pool.
     """
-    from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials, compare_placers
+    from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials, compare_placers
     from cluttergen_jax.downstream.placer.pairs.store import read_pairs
     from cluttergen_jax.evaluation.store import Store
 
@@ -181,7 +181,7 @@ def placer_eval(
         raise ConfigError(f"chains = {chains}", f"0 to {MAX_PAIRS}", "chains=100")
     folder = None if out is None else Path(out)
     store = Store(folder and folder / "results")
-    trials = Trials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)
+    trials = PlacerTrials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)
     return compare_placers(trials, tuple(map(str, placers)), tuple(map(float, noise)), folder, chains)
 
 

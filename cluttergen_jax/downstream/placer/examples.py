@@ -15,14 +15,14 @@ import numpy as np
 
 from cluttergen_jax.config import PlacerNoise
 from cluttergen_jax.downstream.placer.pairs.store import (
+    PairFilter,
     PairLabels,
     PairSet,
-    Wanted,
     load_queries,
     of_tenths,
     read_pairs,
 )
-from cluttergen_jax.downstream.placer.query import Example, PlacementQuery, padded
+from cluttergen_jax.downstream.placer.query import Example, PlacementQuery, pad_map
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.search.fit import UnderSide
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
@@ -87,11 +87,11 @@ class ExampleSource:
                 "pairs of ten scenes or more",
                 f"cluttergen placer data --split {split}",
             )
-        return joined_examples(parts)
+        return concatenate_examples(parts)
 
     def _load(self, pairs: PairSet, split: Literal["train", "val"]) -> Example | None:
         """The examples of one folder; None where it has none of the split."""
-        source, number, wanted = "train", self.num_pairs, self._wanted(pairs, split)
+        source, number, wanted = "train", self.num_pairs, self._filter_of(pairs, split)
         if wanted is None and split == "val":
             source, number = "val", None
         if wanted is not None and not any(wanted(table).any() for table in pairs.tables(source)):
@@ -100,7 +100,7 @@ class ExampleSource:
             *load_queries(pairs, _NOISES[self.noise], self.seed, source, number, wanted=wanted)
         )
 
-    def _wanted(self, pairs: PairSet, split: Literal["train", "val"]) -> Wanted | None:
+    def _filter_of(self, pairs: PairSet, split: Literal["train", "val"]) -> PairFilter | None:
         """Which pairs of the training split are of a part of it; None where all are."""
         if self.held_out == "pairs":
             return of_tenths(VALIDATING) if split == "val" else of_tenths(*range(TESTING))
@@ -122,7 +122,7 @@ def examples_of(queries: PlacementQuery, labels: PairLabels) -> Example:
     return Example(queries, target, labels.candidate, labels.verdict)
 
 
-def joined_examples(parts: Sequence[Example]) -> Example:
+def concatenate_examples(parts: Sequence[Example]) -> Example:
     """Examples of several worlds as one, their maps and columns padded to one size.
 
     Raises:
@@ -135,16 +135,16 @@ def joined_examples(parts: Sequence[Example]) -> Example:
         raise ConfigError(f"pairs with cells of {cells} m", "cells of one size", "one folder at a time")
     shapes = np.array([part.query.heights.height.shape[1:] for part in parts]).max(0)
     columns = max(part.query.under.is_column.shape[1] for part in parts)
-    same = [_padded(part, (int(shapes[0]), int(shapes[1])), columns, cells[0]) for part in parts]
+    same = [_pad_examples(part, (int(shapes[0]), int(shapes[1])), columns, cells[0]) for part in parts]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *same)
 
 
-def _padded(
+def _pad_examples(
     examples: Example, shape: tuple[int, int], num_columns: int, cell: tuple[float, float]
 ) -> Example:
     query = examples.query
     maps = {
-        name: each.replace(height=padded(each.height, shape), cell=cell)
+        name: each.replace(height=pad_map(each.height, shape), cell=cell)
         for name, each in (("heights", query.heights), ("ceilings", query.ceilings))
     }
     under = query.under

@@ -92,10 +92,10 @@ class QueryMaker:
         `heights` is the highest that any of them saw, `ceilings` the lowest from which on one of them sees
         that all is empty (`sensing.partial.merged`); points are drawn from all of them.
         """
-        believed = [self.measured(depth, camera, noise, rng) for depth, camera in views]
-        return self.fused(believed, noise, rng)
+        believed = [self.measure(depth, camera, noise, rng) for depth, camera in views]
+        return self.fuse(believed, noise, rng)
 
-    def measured(
+    def measure(
         self, depth: np.ndarray, camera: Camera, noise: NoiseConfig, rng: np.random.Generator
     ) -> tuple[np.ndarray, Camera]:
         """What a camera gives with noise, and where it is believed to stand."""
@@ -117,12 +117,12 @@ class QueryMaker:
             return PartialMap.of(depth, camera, grid)
         return PartialMap.of(depth, camera, grid, median=_MEDIAN, least_pixels=_LEAST_PIXELS)
 
-    def fused(
+    def fuse(
         self, views: Sequence[tuple[np.ndarray, Camera]], noise: NoiseConfig, rng: np.random.Generator
     ) -> SceneMaps:
         """As `see_all`, of images as they were measured."""
         found = merged([self.partial(depth, camera, noise) for depth, camera in views])
-        cloud = _drawn(np.concatenate([self._points(depth, camera) for depth, camera in views]), rng)
+        cloud = _sample_points(np.concatenate([self._points(depth, camera) for depth, camera in views]), rng)
         return SceneMaps(found.height, found.ceiling, *cloud, self._unseen(found))
 
     def query(self, sight: SceneMaps, object_index: int) -> PlacementQuery:
@@ -164,7 +164,7 @@ class QueryMaker:
         return float((~found.is_seen)[is_asked].mean()) if is_asked.any() else 0.0
 
 
-def _drawn(points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _sample_points(points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """f32[2048, 3], some of the points f64[N, 3], and bool[2048], which count; all where there are fewer."""
     chosen = rng.permutation(len(points))[:NUM_POINTS]
     cloud = np.zeros((NUM_POINTS, 3), np.float32)

@@ -111,7 +111,7 @@ _AT_ONCE = 2048
 """Attempts that are settled together; fewer are filled up, so that one program serves all."""
 
 
-class Judged(NamedTuple):
+class JudgedProposals(NamedTuple):
     """What became of P proposals.
 
     Attributes:
@@ -127,7 +127,7 @@ class Judged(NamedTuple):
     is_placed: np.ndarray
 
 
-class Judge:
+class ProposalJudge:
     """Lets objects go in partial scenes and says what becomes of them, many at once.
 
     Args:
@@ -136,10 +136,10 @@ class Judge:
 
     def __init__(self, rules: Rules) -> None:
         self.rules = rules
-        self._release: Any = jax.jit(jax.vmap(_released, in_axes=(None, 0, 0)))
+        self._release: Any = jax.jit(jax.vmap(_at_release, in_axes=(None, 0, 0)))
         self._verdict: Any = jax.jit(jax.vmap(_verdict, in_axes=(None, 0, 0)))
 
-    def settle(self, episodes: Episode, scene: np.ndarray, pose: np.ndarray) -> Judged:
+    def settle(self, episodes: Episode, scene: np.ndarray, pose: np.ndarray) -> JudgedProposals:
         """One attempt for each of P proposals.
 
         Args:
@@ -148,9 +148,9 @@ class Judge:
           pose: f32[P, 4], x, y, z and yaw of T_region_object.
         """
         parts = [self._settle(episodes, *chunk) for chunk in _chunks(scene, pose)]
-        return Judged(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+        return JudgedProposals(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
-    def released(
+    def release(
         self, episodes: Episode, scene: np.ndarray, pose: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The scenes at the moment of release: f32[P, K, 7], world; bool[P, K]; i32[P], the object's index.
@@ -161,17 +161,17 @@ class Judge:
         poses, is_placed, focus = (np.asarray(each) for each in self._release(self.rules, chosen, pose))
         return poses, is_placed, focus
 
-    def _settle(self, episodes: Episode, scene: np.ndarray, pose: np.ndarray, num: int) -> Judged:
-        chosen = _taken(episodes, scene)
+    def _settle(self, episodes: Episode, scene: np.ndarray, pose: np.ndarray, num: int) -> JudgedProposals:
+        chosen = _take(episodes, scene)
         asked = [np.asarray(each) for each in self._release(self.rules, chosen, pose)]
         is_active = np.arange(len(scene)) < num
         physics: Any = self.rules.physics
         settling = physics.settle_batch(*asked, is_active)
         verdict, has_margin = self._verdict(self.rules, chosen, settling.replace(trajectory=None))
-        found = Judged(np.asarray(verdict), np.asarray(has_margin), settling.poses, asked[1])
-        return Judged(*(each[:num] for each in found))
+        found = JudgedProposals(np.asarray(verdict), np.asarray(has_margin), settling.poses, asked[1])
+        return JudgedProposals(*(each[:num] for each in found))
 
-    def stand(self, judged: Judged) -> np.ndarray:
+    def stand(self, judged: JudgedProposals) -> np.ndarray:
         """bool[P]: stable proposals whose partial scene also stands as a whole, everything awake."""
         physics: Any = self.rules.physics
         is_active = judged.verdict == int(Verdict.STABLE)
@@ -179,7 +179,7 @@ class Judge:
         return np.asarray(standing.verdict) == int(Verdict.STABLE)
 
 
-_taken: Any = jax.jit(lambda episodes, scene: jax.tree.map(lambda leaf: leaf[scene], episodes))
+_take: Any = jax.jit(lambda episodes, scene: jax.tree.map(lambda leaf: leaf[scene], episodes))
 """Some of the episodes: one program for all parts of one size."""
 
 
@@ -189,7 +189,7 @@ def world_pose(region: Region, pose: Array) -> Array:
     return to_pose(region.T_world_region @ T_region_object)
 
 
-def _released(rules: Rules, episode: Episode, pose: Array) -> tuple[Array, Array, Array]:
+def _at_release(rules: Rules, episode: Episode, pose: Array) -> tuple[Array, Array, Array]:
     """The first arguments of `Physics.settle`."""
     focus = rules.focus(episode)
     poses = episode.poses.at[focus].set(world_pose(episode.region, pose))

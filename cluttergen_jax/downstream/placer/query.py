@@ -23,7 +23,7 @@ NUM_POINTS = 2048
 class PlacementQuery(struct.PyTreeNode):
     """What a placer is given, and nothing else: no truth about the scene. Region frame, metres.
 
-    Queries of one batch have maps of one size (`padded`).
+    Queries of one batch have maps of one size (`pad_map`).
 
     Attributes:
       heights: the highest surface that the camera saw over each cell; 0 where it saw nothing, VOID off the
@@ -72,7 +72,7 @@ class Placer(Protocol):
         ...
 
 
-def padded(heights: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def pad_map(heights: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """A map's heights f32[..., W, H] with cells off the support added at its far ends.
 
     The corner of the map stays where it is.

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.config import PlacerHead
-from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, num_examples, taken
+from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, num_examples, take
 from cluttergen_jax.downstream.placer.examples import ExampleSource
 from cluttergen_jax.downstream.placer.heads.checkpoint import KIND
 from cluttergen_jax.downstream.placer.heads.mixture import MixtureHead
@@ -141,7 +141,7 @@ class PlacerTraining(FitRun):
             for first in range(0, number, _AT_ONCE):
                 # The last call is filled up with its last pair, so that one program serves all.
                 index = np.minimum(np.arange(first, first + _AT_ONCE), number - 1)
-                made = jax.device_get(_prepare(self.head, taken(examples, index)))
+                made = jax.device_get(_prepare(self.head, take(examples, index)))
                 count = min(_AT_ONCE, number - first)
                 parts.append(jax.tree.map(lambda leaf, n=count: leaf[:n], made))
                 progress.update(count)
@@ -150,7 +150,7 @@ class PlacerTraining(FitRun):
     def save(self, state: FitState, held_out: Any) -> Path:
         """See `FitRun`."""
         folder = self.folder / self.kind
-        temperature, found = self._calibrated(state.best, held_out)
+        temperature, found = self._calibrate(state.best, held_out)
         record = {
             "kind": KIND,
             **self.recipe,
@@ -167,7 +167,7 @@ class PlacerTraining(FitRun):
             draw_calibration({"stands": found}, folder / "calibration.png", "poses of the validation split")
         return folder
 
-    def _calibrated(self, params: Any, held_out: Any) -> tuple[float, Calibration | None]:
+    def _calibrate(self, params: Any, held_out: Any) -> tuple[float, Calibration | None]:
         """The temperature of a head that tells chances, and how far they then hold."""
         scores = getattr(self.head, "scores", None)
         if scores is None:

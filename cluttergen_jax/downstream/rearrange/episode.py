@@ -8,15 +8,15 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, Judge
+from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, RearrangementJudge
 from cluttergen_jax.downstream.rearrange.layouts import (
     AREA,
     ROOM,
     Layouts,
-    Reach,
+    ReachCheck,
+    choose_unlike,
     clearance_of,
-    preferred,
-    unlike,
+    prefer,
 )
 from cluttergen_jax.downstream.rearrange.moves import MAX_RETRIES, Moves
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
@@ -57,7 +57,7 @@ class Rearranger:
         options: RearrangeOptions,
         execution: Execution,
         sight: ObjectTracker,
-        judge: Judge,
+        judge: RearrangementJudge,
         ask: Chooser | None = None,
     ) -> None:
         self._task, self._options, self._scene, self._ask = task, options, task.scene, ask
@@ -78,7 +78,7 @@ class Rearranger:
         """
         self.look_around()
         found = self.find_layouts()
-        for number in self._chosen(found)[:MAX_LAYOUTS]:
+        for number in self._choose(found)[:MAX_LAYOUTS]:
             self.layouts += 1
             self.moves.forget()
             self.goals, self.layout = found.poses[number], number
@@ -128,7 +128,7 @@ class Rearranger:
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
         moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
         objects, region, number = self._scene.objects, task.setting.target, self._options.num_layouts
-        reach_of = Reach(objects, task.grasps, range(num_moved), self._scene.support, FIRM)
+        reach_of = ReachCheck(objects, task.grasps, range(num_moved), self._scene.support, FIRM)
         full, gap, reach = np.zeros((0, len(poses), 7)), np.zeros(0), np.zeros(0)
         for draw in range(_DRAWS):
             drawn = task.draw(task.seed + draw, moved, region, stay, poses[num_moved:])
@@ -142,19 +142,19 @@ class Rearranger:
                 break
         if not len(full):
             raise Failed(Cause.NO_LAYOUT)
-        kept = preferred(reach, gap, 2 * number)
-        kept = kept[unlike(objects[:num_moved], full[kept, :num_moved], region, number)]
+        kept = prefer(reach, gap, 2 * number)
+        kept = kept[choose_unlike(objects[:num_moved], full[kept, :num_moved], region, number)]
         way = np.linalg.norm(full[kept, :num_moved, :2] - poses[:num_moved, :2], axis=-1)
         return Layouts(poses=full[kept], clearance=gap[kept], reach=reach[kept], travel=way.mean(1))
 
-    def _chosen(self, found: Layouts) -> list[int]:
+    def _choose(self, found: Layouts) -> list[int]:
         if self._ask is not None:
             return [self._ask(self._task, self._sight.poses, found)]
         if self._options.layout is not None:
             if self._options.layout >= len(found):
                 raise Failed(Cause.NO_LAYOUT, f"number {self._options.layout} of {len(found)}")
             return [self._options.layout]
-        return found.ranked(self._options.choose).tolist()
+        return found.rank(self._options.choose).tolist()
 
     def _reach_layout(self, goals: np.ndarray) -> bool:
         """Moves objects until all are at their goals f64[N, 7]; False where nothing more can be done."""
@@ -239,16 +239,16 @@ class Rearranger:
 
 
 @contextmanager
-def _opened(
+def _open_episode(
     task: RearrangeTask,
     options: RearrangeOptions,
     observer: Observer,
     trace: Trace | None = None,
     ask: Chooser | None = None,
-) -> Iterator[tuple[Rearranger, Execution, Judge, ObjectTracker]]:
+) -> Iterator[tuple[Rearranger, Execution, RearrangementJudge, ObjectTracker]]:
     """An episode before its first look."""
     execution = Execution(task.scene, 0, trace=trace, sleeps=True)
-    judge = Judge(execution, task.scene, task.setting.num_objects, task.symmetry)
+    judge = RearrangementJudge(execution, task.scene, task.setting.num_objects, task.symmetry)
     with EpisodeView(execution, task.scene.names, task.seed) as view:
         sight = ObjectTracker(observer, view, options.relook, task.symmetry)
         yield Rearranger(task, options, execution, sight, judge, ask), execution, judge, sight
@@ -260,7 +260,7 @@ def draw_layouts(task: RearrangeTask, options: RearrangeOptions, observer: Obser
     Raises:
       Failed: none stands, or an object was never seen.
     """
-    with _opened(task, options, observer) as (worker, *_):
+    with _open_episode(task, options, observer) as (worker, *_):
         worker.look_around()
         return worker.find_layouts()
 
@@ -280,7 +280,7 @@ def rearrange_episode(
       ask: a person, who chooses in place of the rule; what is chosen is the only layout that is tried.
     """
     begun, num_moved = time.process_time(), task.setting.num_objects
-    with _opened(task, options, observer, trace, ask) as (worker, execution, judge, sight):
+    with _open_episode(task, options, observer, trace, ask) as (worker, execution, judge, sight):
         outcome, detail = str(Outcome.SUCCESS), ""
         try:
             worker.run()

@@ -20,7 +20,7 @@ MAX_ERROR, MAX_TURN_ERROR = 0.015, float(np.radians(10))
 """Metres and radians, up to its symmetry, that each object may be from its place in the chosen layout."""
 
 
-class Judge:
+class RearrangementJudge:
     """Watches an episode and says at its end whether the objects are where they should be.
 
     Args:
@@ -43,7 +43,7 @@ class Judge:
         Raises:
           Failed: one was disturbed: it is farther from there than the last check of scenes allows.
         """
-        far = _moved(self._execution.poses(), self._before)
+        far = _has_moved(self._execution.poses(), self._before)
         far[moved] = False
         if far.any():
             raise Failed(Outcome.DISPLACED, self._scene.names[int(far.argmax())])
@@ -67,7 +67,7 @@ class Judge:
         self._execution.wake()
         for _ in range(round(WATCHED / 0.1)):
             self._execution.wait(0.1, Phase.FREE)
-            far = _moved(self._execution.poses(), start)
+            far = _has_moved(self._execution.poses(), start)
             if far.any():
                 raise Failed(Outcome.UNSTABLE, names[int(far.argmax())])
         right = self.is_right(goals)
@@ -77,7 +77,7 @@ class Judge:
             told = f"{names[worst]}: {1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg"
             raise Failed(Cause.MISPLACED, told)
         others = slice(self._num_moved, None)
-        far = _moved(self._execution.poses()[others], self._scene.poses[others])
+        far = _has_moved(self._execution.poses()[others], self._scene.poses[others])
         if far.any():
             raise Failed(Outcome.DISPLACED, names[self._num_moved + int(far.argmax())])
         self._check_alone()
@@ -94,7 +94,7 @@ class Judge:
             raise Failed(Outcome.UNSTABLE, f"{found.worst}, alone")
 
 
-def _moved(now: np.ndarray, then: np.ndarray) -> np.ndarray:
+def _has_moved(now: np.ndarray, then: np.ndarray) -> np.ndarray:
     """bool[N]: poses f64[N, 7] farther apart than the last check of scenes allows."""
     limits = StabilityConfig()
     if not len(now):

@@ -17,7 +17,7 @@ from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import LayoutRule, Method
 from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.grasping.grips import ranked
+from cluttergen_jax.downstream.robot.grasping.grips import rank_grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import ROOM as HAND_ROOM
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
@@ -124,13 +124,15 @@ class Layouts:
     def __len__(self) -> int:
         return len(self.poses)
 
-    def ranked(self, rule: LayoutRule) -> np.ndarray:
+    def rank(self, rule: LayoutRule) -> np.ndarray:
         """i[L]: the layouts, best first. Those that are reached wholly come first under every rule."""
         worth = {"clearance": self.clearance, "reach": self.reach, "similar": -self.travel}[rule]
         return np.lexsort((-self.clearance, -worth, -self.reach))
 
 
-def unlike(objects: Sequence[ObjectAsset], poses: np.ndarray, region: Rectangle, number: int) -> np.ndarray:
+def choose_unlike(
+    objects: Sequence[ObjectAsset], poses: np.ndarray, region: Rectangle, number: int
+) -> np.ndarray:
     """i[number]: of scenes f64[S, N, 7] each the farthest from those before it (`diversity.embed`)."""
     if len(poses) <= number:
         return np.arange(len(poses))
@@ -143,7 +145,7 @@ def unlike(objects: Sequence[ObjectAsset], poses: np.ndarray, region: Rectangle,
     return np.array(chosen)
 
 
-def preferred(reach: np.ndarray, clearance: np.ndarray, number: int) -> np.ndarray:
+def prefer(reach: np.ndarray, clearance: np.ndarray, number: int) -> np.ndarray:
     """i[M]: of layouts with f64[S] each those that are reached wholly and have `ROOM`, but at least `number`.
 
     If they are fewer, those follow that are reached best, of these those with the widest gaps.
@@ -184,7 +186,7 @@ def _is_over(one: np.ndarray, other: np.ndarray) -> bool:
     return bool((other @ planes[:, :2].T + planes[:, 2] < 0).all(1).any())
 
 
-class Reach:
+class ReachCheck:
     """Which objects the arm could take with room, as all stand.
 
     Args:
@@ -218,7 +220,7 @@ class Reach:
         world, T_world_object = self._worlds[target], matrix_of(poses[target])
         for number, pose in enumerate(poses):
             world.move(number, pose)
-        for grip in ranked(self._grasps[target], T_world_object):
+        for grip in rank_grasps(self._grasps[target], T_world_object):
             if grip.lever > self._max_lever:
                 continue
             T_world_tool, opening = (

@@ -131,10 +131,10 @@ class EpisodeView:
         Raises:
           RendererError: nothing here can draw.
         """
-        renderer, data = self._sized(camera.width, camera.height), self._execution.data
+        renderer, data = self._renderer_of(camera.width, camera.height), self._execution.data
         return renderer.average(data, camera, 1, _REACH), renderer.measure(data, camera)[0]
 
-    def _sized(self, width: int, height: int) -> Renderer:
+    def _renderer_of(self, width: int, height: int) -> Renderer:
         """A renderer of this size; one is open at a time."""
         if self._renderer is None or (self._renderer.width, self._renderer.height) != (width, height):
             self._open.close()
@@ -239,7 +239,7 @@ class ObjectTracker:
         can_see = only is None or self._observer.sees_held
         if can_see and not is_fresh and (self._relook or not self.num_looks):
             asked = range(len(self._poses)) if only is None else (only,)
-            found = self._seen(asked)
+            found = self._observe(asked)
             told = zip(asked, found.pose, found.seen, found.certainty, strict=True)
             for number, pose, is_seen, certainty in told:
                 if is_seen and self._is_believed(number, pose, certainty):
@@ -281,7 +281,7 @@ class ObjectTracker:
         self._agreed[number], self._turned[number] = 1, 0
         return True
 
-    def _seen(self, numbers: Sequence[int]) -> SceneEstimate:
+    def _observe(self, numbers: Sequence[int]) -> SceneEstimate:
         if len(numbers) == len(self._poses):
             self.num_looks, self._looked_at = self.num_looks + 1, self._view.time
         names = [self._view.names[number] for number in numbers]

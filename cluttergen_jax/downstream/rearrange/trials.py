@@ -17,7 +17,7 @@ from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.constants import constants_hash
 from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
-from cluttergen_jax.downstream.rearrange.layouts import Reach, SceneDraw
+from cluttergen_jax.downstream.rearrange.layouts import ReachCheck, SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
 from cluttergen_jax.downstream.rearrange.order import Meetings
 from cluttergen_jax.downstream.rearrange.sheet import save_sheets
@@ -85,12 +85,12 @@ class Starts:
             moved, others = numbers[: setting.num_objects], numbers[setting.num_objects :]
             stay = np.zeros((0, 7))
             if others:
-                found = place(_drawn(rng), others, setting.target)
+                found = place(_draw_seed(rng), others, setting.target)
                 if not len(found):
                     continue
                 stay = found[0]
             objects = tuple(place.objects[each] for each in numbers)
-            scenes = self._start(_drawn(rng), moved, setting.start, others, stay)
+            scenes = self._start(_draw_seed(rng), moved, setting.start, others, stay)
             for poses in scenes:
                 scene = Scene(
                     tuple(each.name for each in objects),
@@ -101,7 +101,7 @@ class Starts:
                 grasps, symmetry = self._grasps_of(objects), self._symmetry_of(objects)
                 if setting.num_stacked and not is_stacked(scene, grasps, setting.num_stacked):
                     continue
-                return RearrangeTask(setting, scene, tuple(numbers), grasps, symmetry, place, _drawn(rng))
+                return RearrangeTask(setting, scene, tuple(numbers), grasps, symmetry, place, _draw_seed(rng))
         raise ConfigError(f"no starting scene of {setting.name!r}", "smaller objects", "another pool")
 
     def _grasps_of(self, objects: Sequence[ObjectAsset]) -> tuple[Grasps, ...]:
@@ -119,7 +119,7 @@ class Starts:
         return tuple(self._symmetry[each.name] for each in objects)
 
 
-def _drawn(rng: np.random.Generator) -> int:
+def _draw_seed(rng: np.random.Generator) -> int:
     return int(rng.integers(2**30))
 
 
@@ -135,7 +135,7 @@ def is_stacked(scene: Scene, grasps: Sequence[Grasps], number: int) -> bool:
     top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0)).tolist()
     if lies_on.any(1).sum() < number:
         return False
-    return Reach(scene.objects, grasps, top, scene.support)(scene.poses) == 1
+    return ReachCheck(scene.objects, grasps, top, scene.support)(scene.poses) == 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer
-from cluttergen_jax.downstream.robot.sensing_arm import SeeingArm
+from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
 from cluttergen_jax.downstream.transforms import angle_between, matrix_of
 from cluttergen_jax.geometry import product, turned, yaw_quaternion
 from cluttergen_jax.scene import Scene
@@ -218,7 +218,7 @@ def lift_episode(
         if world.execution.pose(target)[2, 3] < height + 0.8 * LIFT:
             raise Failed(Outcome.SLIP, "not lifted")
 
-    return _ended(world, run)
+    return _run_episode(world, run)
 
 
 def place_episode(
@@ -244,10 +244,10 @@ def place_episode(
         world.check_stands()
         world.check_region()
 
-    return _ended(world, run)
+    return _run_episode(world, run)
 
 
-def sensed_place_episode(
+def sensing_place_episode(
     scene: Scene, target: int, grasps: Grasps, placer: CameraPlacer, seed: int, trace: Trace | None = None
 ) -> EpisodeResult:
     """As `place_episode`, by an arm that sees the others and asks a placer where to put the object.
@@ -259,7 +259,7 @@ def sensed_place_episode(
     scene, stand = _on_stand(scene, target, seed)
     world = Referee(scene, target, (stand,), trace=trace)
     asset, start = scene.objects[target], scene.poses[target]
-    arm = SeeingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
+    arm = SensingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
 
     def run() -> None:
         mover = arm.pick(grasps)
@@ -271,7 +271,7 @@ def sensed_place_episode(
         world.check_stands()
         world.check_region()
 
-    return replace(_ended(world, run), placer=placer.name, looks=arm.looks)
+    return replace(_run_episode(world, run), placer=placer.name, looks=arm.looks)
 
 
 def _on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
@@ -284,7 +284,7 @@ def _on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
     return replace(scene, poses=poses), stand
 
 
-def _ended(world: Referee, run: Callable[[], None]) -> EpisodeResult:
+def _run_episode(world: Referee, run: Callable[[], None]) -> EpisodeResult:
     begun = time.process_time()
     try:
         run()

@@ -147,7 +147,9 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
     camera = fitted_camera(content, view, width, height)
     with open_renderer(model, width, height) as renderer:
 
-        def drawn(state: np.ndarray, text: str, rgb: tuple[float, float, float] | None = None) -> np.ndarray:
+        def frame_of(
+            state: np.ndarray, text: str, rgb: tuple[float, float, float] | None = None
+        ) -> np.ndarray:
             data.qpos[:] = state
             mujoco.mj_kinematics(model, data)
             large = renderer.average(data, camera, 1, reach, light_yaw=light_yaw)
@@ -157,9 +159,9 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
 
         for number, (state, held) in enumerate(zip(trace.states, trace.held, strict=True), 1):
             moved = f": {trace.scene.names[held]} in hand" if held >= 0 else ""
-            yield drawn(state, f"{title}{moved}, {number * step:.1f} s")
+            yield frame_of(state, f"{title}{moved}, {number * step:.1f} s")
         text = f"{title}: {_ending(row)}, {row.seconds:.1f} s"
-        last = drawn(trace.data.qpos, text, GREEN if row.is_success else RED)
+        last = frame_of(trace.data.qpos, text, GREEN if row.is_success else RED)
         yield from [last] * round(_HELD * FPS)
 
 

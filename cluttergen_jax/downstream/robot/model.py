@@ -86,12 +86,12 @@ def panda_folder() -> Path:
 
 def panda_spec(contact: ContactConfig, config: PandaConfig | None = None) -> mujoco.MjSpec:
     """The whole arm with its base at the origin. Its home pose is `home_pose`."""
-    return _prepared(mujoco.MjSpec.from_file(str(panda_folder() / "panda.xml")), contact, config)
+    return _prepare(mujoco.MjSpec.from_file(str(panda_folder() / "panda.xml")), contact, config)
 
 
 def hand_spec(contact: ContactConfig, config: PandaConfig | None = None) -> mujoco.MjSpec:
     """The hand alone, fixed in the world, its frame the world's."""
-    spec = _prepared(mujoco.MjSpec.from_file(str(panda_folder() / "hand.xml")), contact, config)
+    spec = _prepare(mujoco.MjSpec.from_file(str(panda_folder() / "hand.xml")), contact, config)
     spec.body(HAND).quat = (1, 0, 0, 0)
     return spec
 
@@ -102,7 +102,7 @@ def home_pose() -> np.ndarray:
     return np.array(list(spec.key("home").qpos)[: len(ARM)])
 
 
-def _prepared(spec: mujoco.MjSpec, contact: ContactConfig, config: PandaConfig | None) -> mujoco.MjSpec:
+def _prepare(spec: mujoco.MjSpec, contact: ContactConfig, config: PandaConfig | None) -> mujoco.MjSpec:
     """Its weight carried by its motors, contacts as the scene's, the gripper in metres, and a tool's site."""
     config = config or PandaConfig()
     for key in spec.keys:

@@ -12,11 +12,12 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
-from cluttergen_jax.downstream.placer.partial_scenes import Judge, PartialScenes, world_pose
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
+from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.downstream.robot.cameras import above
-from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, Columns, columns_of
+from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, OccupancyBoxes, occupancy_boxes
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key
@@ -48,7 +49,7 @@ class SearchPlaces:
     def __init__(self, bank: Bank, method: str, seed: int, num_threads: int = 0) -> None:
         self.name = method
         self._scenes = PartialScenes(bank, num_threads)
-        self._judge = Judge(self._scenes.rules)
+        self._judge = ProposalJudge(self._scenes.rules)
         rules, propose = FullState(method).in_world(self._scenes.problem)
         self._propose: Any = jax.jit(lambda key, episode: proposals_of(propose, key, episode, rules).pose)
         self._key = new_key(seed)
@@ -64,10 +65,6 @@ class SearchPlaces:
         focus = int(self._scenes.object_index[row, slot])
         stands = judged.poses[judged.verdict == int(Verdict.STABLE), focus]
         return np.concatenate([scene.poses[-1:], np.asarray(stands, np.float64)])
-
-
-View = tuple[np.ndarray, Camera]
-"""A depth image f32[H, W] as it was measured, and the camera where it is believed to stand."""
 
 
 class CameraPlacer:
@@ -93,20 +90,22 @@ class CameraPlacer:
         seen = Rectangle(region.center, (half_x, half_y), region.yaw)
         self.overhead = above(replace(support, region=seen))
         self._ask: Any = jax.jit(lambda key, query: placer(key, query).pose)
-        self._lower: Any = jax.jit(_lowered)
+        self._lower: Any = jax.jit(_lower_poses)
         self._world: Any = jax.jit(jax.vmap(world_pose, in_axes=(None, 0)))
         self._region = problem.rules.region
 
-    def measured(self, depth: np.ndarray, camera: Camera, rng: np.random.Generator) -> View:
+    def measure(self, depth: np.ndarray, camera: Camera, rng: np.random.Generator) -> DepthView:
         """A picture f32[H, W] with noise, its stated pose corrected by the table's top."""
-        return self._maker.measured(depth, camera, self._noise, rng)
+        return self._maker.measure(depth, camera, self._noise, rng)
 
-    def columns(self, views: Sequence[View]) -> Columns:
+    def columns(self, views: Sequence[DepthView]) -> OccupancyBoxes:
         """What the arm has to avoid."""
-        return columns_of(merged([self._maker.partial(*view, self._noise, self._grid) for view in views]))
+        return occupancy_boxes(
+            merged([self._maker.partial(*view, self._noise, self._grid) for view in views])
+        )
 
     def propose(
-        self, views: Sequence[View], name: str, seed: int, last: np.ndarray | None = None
+        self, views: Sequence[DepthView], name: str, seed: int, last: np.ndarray | None = None
     ) -> np.ndarray:
         """f32[M, 4]: x, y, z and yaw of T_region_object, best first, each lowered onto what was seen.
 
@@ -116,7 +115,7 @@ class CameraPlacer:
           name: the object's.
           last: f32[4], a proposal of before that takes the place of the last one.
         """
-        sight = self._maker.fused(views, self._noise, np.random.default_rng(seed))
+        sight = self._maker.fuse(views, self._noise, np.random.default_rng(seed))
         query = self._maker.query(sight, self._names.index(name))
         pose = np.array(self._ask(new_key(seed), query))
         if last is not None:
@@ -132,7 +131,7 @@ class CameraPlacer:
         return matrix_of(np.asarray(self._world(self._region, pose)))
 
 
-def _lowered(pose: Array, query: PlacementQuery) -> Array:
+def _lower_poses(pose: Array, query: PlacementQuery) -> Array:
     """Proposals f32[M, 4] lowered to first contact with the map of what was seen."""
     fit = lower_onto(query.under, query.heights, Candidates(pose[:, :2], pose[:, 3]))
     return pose.at[:, 2].set(fit.rest)

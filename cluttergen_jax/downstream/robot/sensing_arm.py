@@ -17,9 +17,9 @@ from cluttergen_jax.downstream.robot.motion.collision import ROOMS, PlanningWorl
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import Mover
-from cluttergen_jax.downstream.robot.motion.plan import PickPlan, timed
+from cluttergen_jax.downstream.robot.motion.plan import PickPlan, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.places import CameraPlacer, View
+from cluttergen_jax.downstream.robot.places import CameraPlacer, DepthView
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import cast_rays
@@ -103,7 +103,7 @@ class HeldPose:
         return pose_of(self._pose)[None]
 
 
-class SeeingArm:
+class SensingArm:
     """Brings one object from its stand to where a placer wants it, by what its cameras see.
 
     It knows its own joints, the support, the stand, and the object with the pose at which that stands there.
@@ -134,7 +134,7 @@ class SeeingArm:
         self._base = base_pose(support)
         self._silhouette = ArmSilhouette(self._base, asset)
         self._object = HeldPose(execution, start)
-        self._views: list[View] = []
+        self._views: list[DepthView] = []
         self._fitting: np.ndarray | None = None
         self.looks = 0
 
@@ -169,7 +169,7 @@ class SeeingArm:
         """
         self._look(self._placer.overhead)
         mover.plan_in(self._world())
-        places = self._placer.in_world(self._proposed(self._fitting))
+        places = self._placer.in_world(self._propose(self._fitting))
         if not len(places):
             raise Failed(Outcome.NO_PLACE)
         number = mover.place(places)
@@ -178,7 +178,7 @@ class SeeingArm:
     def _look(self, camera: Camera) -> None:
         """Takes a picture; what it shows of the arm and the object is left out."""
         run = self._execution
-        depth, camera = self._placer.measured(run.depth(camera), camera, self._rng)
+        depth, camera = self._placer.measure(run.depth(camera), camera, self._rng)
         is_own = self._silhouette(camera, run.joints, run.opening, self._object()[0])
         self._views.append((np.where(is_own, np.float32(np.nan), depth), camera))
         self.looks += 1
@@ -188,7 +188,7 @@ class SeeingArm:
         run = self._execution
         aside = run.set_point
         aside[0] += _ASIDE
-        run.follow(timed(np.linspace(run.set_point, aside, 8), run.step_time), Phase.FREE)
+        run.follow(time_path(np.linspace(run.set_point, aside, 8), run.step_time), Phase.FREE)
         run.wait(0.2, Phase.FREE)
 
     def _world(self) -> PlanningWorld:
@@ -203,12 +203,12 @@ class SeeingArm:
             self._placer.columns(self._views),
         )
 
-    def _proposed(self, last: np.ndarray | None = None) -> np.ndarray:
+    def _propose(self, last: np.ndarray | None = None) -> np.ndarray:
         return self._placer.propose(self._views, self._name, self._seed, last)
 
     def _find_pick(self, mover: Mover, grasps: Grasps) -> PickPlan:
         """A grasp that fits one of the places that are proposed so far, if there is one."""
-        proposed = self._proposed()
+        proposed = self._propose()
         if len(proposed):
             try:
                 found = mover.find_pick(grasps, self._placer.in_world(proposed))

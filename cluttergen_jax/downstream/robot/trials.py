@@ -19,7 +19,7 @@ from cluttergen_jax.downstream.robot.episode import (
     EpisodeResult,
     lift_episode,
     place_episode,
-    sensed_place_episode,
+    sensing_place_episode,
 )
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasping import grips
@@ -183,7 +183,7 @@ def _episode(
     if task == "lift":
         return lift_episode(scene, target, grasps, own, trace)
     if isinstance(places, CameraPlacer):
-        return sensed_place_episode(scene, target, grasps, places, own, trace)
+        return sensing_place_episode(scene, target, grasps, places, own, trace)
     row = place_episode(scene, target, grasps, places(index, scene), own, trace)
     return replace(row, placer=getattr(places, "name", row.placer))
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom, check_range
 from cluttergen_jax.downstream.placer.api import placer_data
-from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
+from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
 from cluttergen_jax.downstream.placer.evaluation.tables import Row
 from cluttergen_jax.downstream.placer.examples import ExampleSource
 from cluttergen_jax.downstream.placer.pairs.store import PairSet
@@ -214,10 +214,10 @@ class SuiteFolder:
 
     def trials(
         self, pairs: PairSet, split: str = "test", num_cameras: int = 1, tenth: int | None = None
-    ) -> Trials:
+    ) -> PlacerTrials:
         """The rows of some queries."""
         store = Store(self.folder / "results")
-        return Trials(
+        return PlacerTrials(
             pairs, split, None, self.scale.seed, store, self.fresh, self.num_threads, num_cameras, tenth
         )
 

@@ -28,7 +28,7 @@ def starting_yaws(symmetry: int) -> np.ndarray:
     return 2 * np.pi / symmetry * np.arange(number) / number
 
 
-def registered(
+def register_upright(
     model: ObjectModel,
     points: np.ndarray,
     eyes: np.ndarray,
@@ -62,7 +62,7 @@ def registered(
         faces = (normal * view).sum(1) < 0
         weight = np.where(faces, 1.0, 0.2)
         weight *= np.clip(1 - (distance[is_near] / trim) ** 2, 0.0, None)
-        change = _solved(near, model.points[index], normal, weight, fixed)
+        change = _solve_move(near, model.points[index], normal, weight, fixed)
         turn = yaw_matrix(change[3])
         moved = np.eye(4)
         moved[:3, :3], moved[:3, 3] = turn, change[:3]
@@ -86,7 +86,7 @@ def _first_guess(
     return pose
 
 
-def _solved(
+def _solve_move(
     near: np.ndarray, target: np.ndarray, normal: np.ndarray, weight: np.ndarray, fixed: bool
 ) -> np.ndarray:
     """f64[4]: the move x, y, z, yaw of the object, in its frame, that brings its planes to the points.

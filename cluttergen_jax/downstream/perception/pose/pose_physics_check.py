@@ -24,7 +24,7 @@ _LEVEL = 0.5
 _ROUNDS = 30
 
 
-class SteadyCheck:
+class PosePhysicsCheck:
     """Simulates estimated scenes for a moment, and moves overlapping objects apart.
 
     Args:

@@ -13,12 +13,12 @@ from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.icp import (
     FreeRegistration,
     need_gicp,
-    registered,
+    register_upright,
     starting_yaws,
 )
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.types import Look, PoseEstimate
-from cluttergen_jax.downstream.transforms import made, matrix_of, offset, pose_of, shifted, turn_matrix
+from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of, rigid, shift_along, turn_matrix
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotation_matrix
 
@@ -69,9 +69,9 @@ class RegistrationEstimator:
 
     def model(self, index: int) -> ObjectModel:
         """Of an object, made when it is first asked for."""
-        return self._known(index)[0]
+        return self._load(index)[0]
 
-    def _known(self, index: int) -> tuple[ObjectModel, FreeRegistration]:
+    def _load(self, index: int) -> tuple[ObjectModel, FreeRegistration]:
         if not 0 <= index < len(self._objects):
             raise ConfigError(f"object {index}", f"0 to {len(self._objects) - 1}")
         if index not in self._models:
@@ -83,7 +83,7 @@ class RegistrationEstimator:
         self, index: int, looks: Sequence[Look], near: np.ndarray | None = None
     ) -> PoseEstimate | None:
         """See `estimator.PoseEstimator`; where it was it is sought first."""
-        model, free = self._known(index)
+        model, free = self._load(index)
         points, eyes, num_pixels = seen_points(index, looks)
         if num_pixels < FEWEST_PIXELS or len(points) < FEWEST_PIXELS // 2:
             return None
@@ -101,7 +101,7 @@ class RegistrationEstimator:
         for score, pose in [likely, *others][:_REFINED]:
             freed = free(points, pose)
             tried.append((_worth(compare, freed), freed))
-            tried.append(_climbed(compare, (score, pose)))
+            tried.append(_climb(compare, (score, pose)))
         ranked = _best(tried)
         # What looks alike is told apart by evidence alone, and what agrees much better is not alike.
         first = next(each for each in ranked if not _is_turned(each[1], likely[1], model.symmetry))
@@ -154,15 +154,15 @@ class RegistrationEstimator:
         yaws = starting_yaws(model.symmetry)
 
         def from_all(turns: np.ndarray) -> list[Scored]:
-            poses = [registered(model, points, eyes, _yaw(known) + turn, bottom) for turn in turns]
+            poses = [register_upright(model, points, eyes, _yaw(known) + turn, bottom) for turn in turns]
             return [(_worth(compare, pose), pose) for pose in poses]
 
         own, *others = from_all(yaws[:: max(len(yaws) // _FEW_TURNS, 1)])
         if any(each[0] > own[0] - _ALIKE and _is_turned(each[1], own[1], model.symmetry) for each in others):
             own, *others = from_all(yaws)
         likely, lead = self._likeliest([own, *others], model.symmetry, compare, _DECISIVE)
-        first = _climbed(compare, likely)
-        return [first, *_best([first if likely is own else _climbed(compare, own), *others])], lead
+        first = _climb(compare, likely)
+        return [first, *_best([first if likely is own else _climb(compare, own), *others])], lead
 
     def _upright(
         self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
@@ -175,7 +175,7 @@ class RegistrationEstimator:
 
         def from_all(bottom: float | None, offsets: np.ndarray) -> list[Scored]:
             starts = itertools.product(yaws, offsets)
-            poses = [registered(model, points, eyes, yaw, bottom, offset) for yaw, offset in starts]
+            poses = [register_upright(model, points, eyes, yaw, bottom, offset) for yaw, offset in starts]
             return [(_worth(compare, pose), pose) for pose in poses]
 
         nothing = np.zeros((1, 2))
@@ -192,7 +192,7 @@ class RegistrationEstimator:
         # Long things look much the same when they are turned round.
         for _, pose in _unlike(found, model.symmetry)[:_REFINED]:
             bottom = pose[2, 3] - model.asset.half_extents[2]
-            other = registered(model, points, eyes, _yaw(pose) + np.pi, float(bottom))
+            other = register_upright(model, points, eyes, _yaw(pose) + np.pi, float(bottom))
             found.append((_worth(compare, other), other))
         return _best(found)
 
@@ -212,7 +212,7 @@ class RegistrationEstimator:
                 turn = turn_matrix(yaw)[:3, :3] @ rotation
                 center = points.mean(0)
                 center[2] = self._top + resting.height
-                pose = free(points, made(turn, center))
+                pose = free(points, rigid(turn, center))
                 found.append((_worth(compare, pose), pose))
         return _best(found)[:_BEST]
 
@@ -224,7 +224,7 @@ class RegistrationEstimator:
         others = [each for each, other in ranked[1:] if _differs(other, pose, model.symmetry)]
         visible, height = compare.visible(pose), float(model.asset.half_extents[2])
         if pose[2, 2] > _ALL_BUT_UPRIGHT and pose[2, 3] - height < self._top + _ALL_BUT_DOWN:
-            pose = made(turn_matrix(_yaw(pose))[:3, :3], np.array([*pose[:2, 3], self._top + height]))
+            pose = rigid(turn_matrix(_yaw(pose))[:3, :3], np.array([*pose[:2, 3], self._top + height]))
         return PoseEstimate(
             pose=pose_of(pose),
             score=max(score, 0.0),
@@ -293,12 +293,12 @@ def _is_turned(pose: np.ndarray, other: np.ndarray, symmetry: int) -> bool:
     return offset(pose, other, symmetry)[1] > _SAME_TURN
 
 
-def _climbed(compare: Comparer, start: Scored) -> Scored:
+def _climb(compare: Comparer, start: Scored) -> Scored:
     """A better pose near one, by moves along its own x and y and turns, each kept if it agrees better."""
     best, pose = start
     for step, degrees in _STEPS:
         for along in ((step, 0, 0), (-step, 0, 0), (0, step, 0), (0, -step, 0)):
-            tried = shifted(pose, along)
+            tried = shift_along(pose, along)
             if (score := _worth(compare, tried)) > best:
                 best, pose = score, tried
         for angle in np.radians([degrees, -degrees]) if degrees else ():

@@ -22,9 +22,9 @@ from cluttergen_jax.downstream.perception.segment.network import (
     SegmentExample,
     SegmentLearner,
     network_images,
-    shrunk,
+    shrink,
 )
-from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, Segmentation, checked_images
+from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, Segmentation, check_images
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.ppo.checkpoint import folder_hash, read_policy, read_record
 from cluttergen_jax.sensing.camera import Camera
@@ -42,7 +42,7 @@ _NEAR = 6
 """Pixels."""
 
 
-def smoothed(height: np.ndarray) -> np.ndarray:
+def smooth(height: np.ndarray) -> np.ndarray:
     """f32[H, W]: the medians of 3 x 3 heights, of which noise leaves single ones too high or too low.
 
     Args:
@@ -52,13 +52,13 @@ def smoothed(height: np.ndarray) -> np.ndarray:
     return np.where(is_there, median_filter(np.where(is_there, height, 0.0), 3), np.nan).astype(np.float32)
 
 
-def enlarged(image: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def enlarge(image: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """f32[H, W, C] of f32[h, w, C], each pixel mixed from the four nearest."""
     (low_rows, high_rows, down), (low, high, right) = (
         _between(size, wanted) for size, wanted in zip(image.shape, shape, strict=False)
     )
-    upper = _mixed(image[low_rows], image[high_rows], down[:, None, None])
-    return _mixed(upper[:, low], upper[:, high], right[None, :, None])
+    upper = _mix(image[low_rows], image[high_rows], down[:, None, None])
+    return _mix(upper[:, low], upper[:, high], right[None, :, None])
 
 
 def _between(size: int, wanted: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -67,7 +67,7 @@ def _between(size: int, wanted: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return low, np.minimum(low + 1, size - 1), (place - low).astype(np.float32)
 
 
-def _mixed(one: np.ndarray, other: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _mix(one: np.ndarray, other: np.ndarray, share: np.ndarray) -> np.ndarray:
     return one + share * (other - one)
 
 
@@ -103,7 +103,7 @@ def with_raised(chance: np.ndarray, height: np.ndarray) -> np.ndarray:
     return fitted
 
 
-def fitted_to_depth(label: np.ndarray, height: np.ndarray) -> np.ndarray:
+def fit_to_depth(label: np.ndarray, height: np.ndarray) -> np.ndarray:
     """u8[H, W]: labels with what lies flat on the table left out of objects, and thin raised parts added."""
     fitted = label.copy()
     far, nearest = distance_transform_edt(label < FIRST_OBJECT, return_indices=True)
@@ -164,18 +164,18 @@ class NetworkSegmenter:
         self, rgb: np.ndarray, depth: np.ndarray, camera: Camera, among: Sequence[str] | None = None
     ) -> Segmentation:
         """See `segmenter.Segmenter`."""
-        rgb, depth = checked_images(rgb, depth, camera)
+        rgb, depth = check_images(rgb, depth, camera)
         height = (camera.points(depth)[..., 2] - self._top).astype(np.float32)
         # The picture and its mirror images, which the network has learned from alike.
-        images = (np.stack([turn(each) for turn in _MIRRORED]) for each in shrunk(rgb, depth, height))
+        images = (np.stack([turn(each) for turn in _MIRRORED]) for each in shrink(rgb, depth, height))
         chances, centers = (np.asarray(each) for each in _answers(self._learner, self._params, *images))
         mean = np.mean([turn(each) for turn, each in zip(_MIRRORED, chances, strict=True)], axis=0)
-        chance = enlarged(mean, depth.shape)
-        height = smoothed(height)
+        chance = enlarge(mean, depth.shape)
+        height = smooth(height)
         absent = [k for k, name in enumerate(self._names) if among is not None and name not in among]
         chance[..., [FIRST_OBJECT + k for k in absent]] = 0.0
         chance = with_raised(by_pieces(chance, depth, height), height)
-        center = enlarged(centers[0], depth.shape)
+        center = enlarge(centers[0], depth.shape)
         label = chance.argmax(-1).astype(np.uint8)
         for index in range(len(self._names)):
             mask = label == FIRST_OBJECT + index
@@ -183,7 +183,7 @@ class NetworkSegmenter:
                 keeps = mask.copy()
                 keeps[mask] = agreeing(center[mask])
                 label[mask & ~keeps] = 0
-        return Segmentation(self._names, fitted_to_depth(label, height))
+        return Segmentation(self._names, fit_to_depth(label, height))
 
 
 def agreeing(votes: np.ndarray) -> np.ndarray:

@@ -19,12 +19,12 @@ from cluttergen_jax.downstream.perception.segment.network import (
     SegmentConfig,
     SegmentExample,
     SegmentLearner,
-    shrunk,
-    shrunk_label,
+    shrink,
+    shrink_label,
 )
 from cluttergen_jax.downstream.perception.segment.network_segmenter import KIND, answers_of
 from cluttergen_jax.downstream.perception.types import intersection_over_union
-from cluttergen_jax.downstream.perception.views.stage import View, exposed
+from cluttergen_jax.downstream.perception.views.stage import RgbdImage, expose
 from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet, read_views
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo import checkpoint
@@ -91,17 +91,17 @@ class ViewSource:
 
 def example_of(stored: StoredView, views: ViewSet, seed: int) -> SegmentExample:
     """A view as a noisy camera sees it, to learn from."""
-    seen = sensed(stored, REALSENSE, seed)
-    rgb, depth, height = shrunk(seen.rgb, seen.depth, heights(seen, views.support))
+    seen = simulate_camera(stored, REALSENSE, seed)
+    rgb, depth, height = shrink(seen.rgb, seen.depth, heights(seen, views.support))
     center = np.zeros((len(views.names), 2), np.float32)
     camera = stored.view.camera
     if len(stored.objects):
         pixels = camera.project(stored.poses[:, :3])[0] * [WIDTH / camera.width, HEIGHT / camera.height]
         center[stored.objects] = np.clip(pixels, -WIDTH, 2 * WIDTH)
-    return SegmentExample(rgb, depth, height, shrunk_label(stored.view.label), center)
+    return SegmentExample(rgb, depth, height, shrink_label(stored.view.label), center)
 
 
-def sensed(stored: StoredView, noise: NoiseConfig, seed: int) -> View:
+def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> RgbdImage:
     """What a camera of some exposure and noise makes of a stored view; with no noise the exposure stays, too.
 
     Depth is nan where nothing was measured; labels stay exact.
@@ -109,12 +109,12 @@ def sensed(stored: StoredView, noise: NoiseConfig, seed: int) -> View:
     view, rng = stored.view, np.random.default_rng((seed, stored.number, 7))
     if noise == NOISE_OFF:
         return view
-    rgb = exposed(view.rgb, rng)
+    rgb = expose(view.rgb, rng)
     depth, camera = noisy(view.depth, view.camera, noise, rng)
     return replace(view, rgb=rgb, depth=depth, camera=camera)
 
 
-def heights(view: View, support: SupportAsset) -> np.ndarray:
+def heights(view: RgbdImage, support: SupportAsset) -> np.ndarray:
     """f32[H, W]: metres over the table's top of what each pixel shows, nan where nothing was measured."""
     return (view.camera.points(view.depth)[..., 2] - support.top).astype(np.float32)
 

@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.perception.views.stage import (
     Stage,
     draw_camera,
     draw_light,
-    jittered,
+    jitter_colours,
     open_stage,
 )
 from cluttergen_jax.downstream.perception.views.store import SCHEMA, VIEWS, StoredView, ViewSet, row_of
@@ -56,7 +56,7 @@ class ViewConfig:
             raise ConfigError(f"arm = {self.arm}", "a share from 0 to 1", "arm=0")
 
 
-class StandingScenes:
+class StableScenes:
     """The scenes of a bank that stand: numbers, objects in the order of placement, and poses.
 
     Attributes:
@@ -94,7 +94,7 @@ class ViewMaker:
 
     def __init__(
         self,
-        scenes: Sequence[StandingScenes],
+        scenes: Sequence[StableScenes],
         stage: Stage,
         materials: Sequence[str],
         config: ViewConfig,
@@ -138,7 +138,7 @@ class ViewMaker:
         stage = self._stage
         texture, light = int(rng.choice(self._textures)), draw_light(rng)
         rgba = stage.rgba
-        rgba[stage.object_geoms] = jittered(rgba[stage.object_geoms], rng)
+        rgba[stage.object_geoms] = jitter_colours(rgba[stage.object_geoms], rng)
         rgba[stage.floor, :3] = rng.uniform(0.1, 0.9) + rng.normal(0, 0.03, 3)
         stage.dress(np.clip(rgba, 0, 1), self._materials[texture], light)
         return texture, light.yaw
@@ -166,7 +166,7 @@ def write_views(
 ) -> ViewSet:
     """The views of one split in a folder, begun or continued; see `cluttergen_jax.perception_data`."""
     path, first = Path(out), next(iter(banks.values()))
-    scenes = [StandingScenes(bank) for bank in banks.values()]
+    scenes = [StableScenes(bank) for bank in banks.values()]
     names = [str(name) for name in first.record["recipe"]["names"]]
     made = {
         "seed": config.seed,
@@ -198,7 +198,7 @@ def write_views(
 
 
 def _write_blocks(
-    views: ViewSet, scenes: Sequence[StandingScenes], split: str, num_views: int, config: ViewConfig
+    views: ViewSet, scenes: Sequence[StableScenes], split: str, num_views: int, config: ViewConfig
 ) -> None:
     """Renders every block that is missing, damaged or shorter."""
     sizes = VIEWS.sizes(num_views)

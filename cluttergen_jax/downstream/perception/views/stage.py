@@ -18,7 +18,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, above, wrist_camera
 from cluttergen_jax.downstream.robot.model import Panda, home_pose, with_panda
-from cluttergen_jax.downstream.transforms import made
+from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.lighting import FLOOR, KEY_LIGHT, SKY_LIGHT, add_lighting
 from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, Renderer, open_renderer, set_range
@@ -93,7 +93,7 @@ def draw_light(rng: np.random.Generator) -> Light:
     return Light(float(ambient), float(diffuse), 0.0 if is_off else float(lamps), rng.uniform(0, 2 * np.pi))
 
 
-def jittered(rgba: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def jitter_colours(rgba: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """f[N, 4]: colours f[N, 4] of surfaces, each a little brighter or darker, paler, of another tint."""
     number = len(rgba)
     grey = rgba[:, :3].mean(1, keepdims=True)
@@ -103,7 +103,7 @@ def jittered(rgba: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([colour, rgba[:, 3:]], axis=1)
 
 
-def exposed(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def expose(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """u8[H, W, 3]: a picture u8[H, W, 3] as a camera of another exposure and with noise takes it."""
     gain, gamma, sigma = rng.uniform([0.7, 0.8, 0.0], [1.35, 1.25, 0.015])
     balance = rng.normal(1.0, 0.03, 3)
@@ -127,11 +127,11 @@ def draw_camera(
     if kind == "free":
         return free(support, rng, *SIZE, FOCAL)
     if kind == "overhead":
-        return _shaken(above(support), rng)
+        return _shake(above(support), rng)
     return wrist_camera(_draw_tool(support, rng) if tool is None else tool)
 
 
-def _shaken(camera: Camera, rng: np.random.Generator) -> Camera:
+def _shake(camera: Camera, rng: np.random.Generator) -> Camera:
     """The camera moved and turned by a little."""
     T = camera.T_world_camera.copy()
     T[:3, 3] += rng.uniform(-_SHIFT, _SHIFT, 3)
@@ -146,7 +146,7 @@ def _draw_tool(support: SupportAsset, rng: np.random.Generator) -> np.ndarray:
     place += [*rng.uniform(-half, half), rng.uniform(0.3, 0.6)]
     turn = Rotation.from_euler("zx", [rng.uniform(0, 2 * np.pi), np.pi])
     tilt = Rotation.from_rotvec(rng.normal(0, np.radians(6.0), 3))
-    return made((tilt * turn).as_matrix(), place)
+    return rigid((tilt * turn).as_matrix(), place)
 
 
 _PARKED = 60.0
@@ -161,7 +161,7 @@ _SHADOWS = 1024
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RgbdImage:
     """What one camera saw. H rows, W columns.
 
     Attributes:
@@ -254,12 +254,12 @@ class Stage:
         """The number of a material."""
         return int(self.model.material(name).id)
 
-    def picture(self, camera: Camera, light_yaw: float = 0.0) -> View:
+    def picture(self, camera: Camera, light_yaw: float = 0.0) -> RgbdImage:
         """What a camera of `cameras.SIZE` sees now."""
         rgb = self._renderer.average(self._data, camera, 1, _REACH, light_yaw=light_yaw)
         depth, geom = self._renderer.measure(self._data, camera)
         label = np.where(geom >= 0, self._label[geom], BACKGROUND).astype(np.uint8)
-        return View(rgb, depth, label, camera)
+        return RgbdImage(rgb, depth, label, camera)
 
 
 @contextmanager

@@ -19,8 +19,8 @@ from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import MAX_VIEWS
 from cluttergen_jax.downstream.perception.types import num_classes
-from cluttergen_jax.downstream.perception.views.stage import View
-from cluttergen_jax.downstream.samples import SplitFormat, lengths_of, numbers_of
+from cluttergen_jax.downstream.perception.views.stage import RgbdImage
+from cluttergen_jax.downstream.samples import SampleFormat, lengths_of, numbers_of
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.schema import Numbers, check_numbers, refuse
@@ -111,7 +111,7 @@ SCHEMA = pa.schema(
 """`objects` are those that stand, by their number in the pool, at `poses`, T_world_object, metres and wxyz.
 Depth is u16 in tenths of a millimetre along the optical axis, little-endian, row by row, 0 where nothing is
 or beyond 6.5 m; labels are u8 (`classes`); rgb is u8. Neither exposure nor noise is in them."""
-VIEWS = SplitFormat("views", "view", "perception data", SCHEMA, 64, ViewRecord, check_rows)
+VIEWS = SampleFormat("views", "view", "perception data", SCHEMA, 64, ViewRecord, check_rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class StoredView:
     """
 
     number: int
-    view: View
+    view: RgbdImage
     objects: np.ndarray
     poses: np.ndarray
     method: str
@@ -195,9 +195,9 @@ class ViewSet:
         total = number or total
         for table in VIEWS.tables(self.path, split, total):
             for row in table.to_pylist():
-                yield self._known(_stored(row))
+                yield self._check_objects(_view_of(row))
 
-    def _known(self, view: StoredView) -> StoredView:
+    def _check_objects(self, view: StoredView) -> StoredView:
         """The view, where it is of this folder's objects alone."""
         number = len(self.names)
         if max(view.objects, default=0) >= number or view.view.label.max() >= num_classes(number):
@@ -238,7 +238,7 @@ def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, Any]:
     }
 
 
-def _stored(row: dict[str, Any]) -> StoredView:
+def _view_of(row: dict[str, Any]) -> StoredView:
     """The inverse of `row_of`."""
     shape = (row["height"], row["width"])
     camera = Camera(
@@ -254,5 +254,5 @@ def _stored(row: dict[str, Any]) -> StoredView:
     poses = np.array(row["poses"], np.float64).reshape(-1, 7)
     objects = np.array(row["objects"], np.int64)
     return StoredView(
-        row["view"], View(rgb, depth, label, camera), objects, poses, row["method"], row["has_arm"]
+        row["view"], RgbdImage(rgb, depth, label, camera), objects, poses, row["method"], row["has_arm"]
     )

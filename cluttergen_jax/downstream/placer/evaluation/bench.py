@@ -12,7 +12,7 @@ import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.downstream.placer.pairs.store import PairLabels
-from cluttergen_jax.downstream.placer.partial_scenes import Judge, episode_of, judging_rules
+from cluttergen_jax.downstream.placer.partial_scenes import ProposalJudge, episode_of, judging_rules
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, Proposals
 from cluttergen_jax.geometry import rotate
@@ -75,7 +75,7 @@ class PaperCount:
 _AT_ONCE = 250
 
 
-class Outcome(NamedTuple):
+class ProposalOutcomes(NamedTuple):
     """What became of the proposals for P queries, M each.
 
     Attributes:
@@ -106,7 +106,7 @@ class Bench:
         self.labels, self.problem, self._keep_out = labels, setup.problem, setup.keep_out
         self._rules = judging_rules(setup.problem)
         self._episodes = self._of(self._rules)
-        self._judge = Judge(self._rules)
+        self._judge = ProposalJudge(self._rules)
         self._count = PaperCount(setup.problem.world.layout, self._rules.physics.config, num_threads)
         self._above: Any = jax.jit(jax.vmap(_height_above, in_axes=(None, None, 0, 0)))
         self._mapper = HeightMapper.of(self._rules.geometry, self._rules.region)
@@ -129,7 +129,7 @@ class Bench:
         answer: Any = jax.jit(jax.vmap(partial(proposals_of, rules=rules), in_axes=(None, 0, 0)))
         return interruptible(_in_parts, answer, propose, keys, self._of(rules))
 
-    def judge(self, proposals: Proposals) -> Outcome:
+    def judge(self, proposals: Proposals) -> ProposalOutcomes:
         """Tries each query's proposals, best first, until one is good."""
         num_queries, num_proposals = proposals.score.shape
         verdict = np.full((num_queries, num_proposals), int(Verdict.NONE), np.int32)
@@ -146,17 +146,19 @@ class Bench:
             left = left[~is_good]
         first = proposals.pose[:, 0]
         z_error = np.asarray(self._above(self._mapper, self._rules, self._episodes, first))
-        return Outcome(*proposals_arrays(proposals), verdict, has_margin, self._is_quiet(first), z_error)
+        return ProposalOutcomes(
+            *proposals_arrays(proposals), verdict, has_margin, self._is_quiet(first), z_error
+        )
 
     def _is_quiet(self, pose: np.ndarray) -> np.ndarray:
         """bool[P]: whether one proposal for each query, f32[P, 4], counts as in the paper."""
         rows = np.arange(len(pose))
-        return self._count(*self._judge.released(self._episodes, rows, pose)[:2])
+        return self._count(*self._judge.release(self._episodes, rows, pose)[:2])
 
     def is_own_quiet(self) -> np.ndarray:
         """bool[P]: whether the scene's own object, where it rests, counts as in the paper."""
         target = self.labels.target
-        poses, is_placed, focus = self._judge.released(
+        poses, is_placed, focus = self._judge.release(
             self._episodes, np.arange(len(target)), np.zeros((len(target), 4), np.float32)
         )
         own = jax.vmap(lambda region, pose: to_pose(region.T_world_region @ from_pose(pose)))

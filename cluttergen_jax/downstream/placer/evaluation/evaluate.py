@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
+from cluttergen_jax.downstream.placer.evaluation.bench import Bench, ProposalOutcomes
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, figures_of, tables_of
 from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
@@ -60,7 +60,7 @@ class PlacerComparison:
             write_atomically(folder / "chains.json", json_bytes(self.chains))
 
 
-class Trials:
+class PlacerTrials:
     """Makes and keeps the rows of one split; queries are read and worlds compiled when a row needs them.
 
     Args:
@@ -121,7 +121,7 @@ class Trials:
         title = f"{Path(name or placer).name} noise {noise:g} {self.split} {self._place(trial)}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is None:
-            figures, outcome = self._made(found, noise)
+            figures, outcome = self._evaluate(found, noise)
             row = {"trial": trial, "sources": sources, "figures": figures}
             known = self.store.write(title, key, row, outcome._asdict())
         on_made(self.num_queries)
@@ -208,7 +208,7 @@ class Trials:
             "versions": versions(),
         }
 
-    def _made(self, placer: Placer | FullState, noise: float) -> tuple[dict[str, Any], Outcome]:
+    def _evaluate(self, placer: Placer | FullState, noise: float) -> tuple[dict[str, Any], ProposalOutcomes]:
         queries, labels = self._queries(noise)
         outcome = self._bench.judge(self._bench.proposals(placer, queries, self.seed))
         # The published code leaves out pairs where the scene's own pose does not count either.
@@ -249,7 +249,7 @@ class Trials:
 
 
 def compare_placers(
-    trials: Trials,
+    trials: PlacerTrials,
     placers: Sequence[str],
     noises: Sequence[float],
     folder: Path | None,

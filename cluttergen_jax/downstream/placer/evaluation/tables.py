@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.downstream.placer.evaluation.bench import Outcome
+from cluttergen_jax.downstream.placer.evaluation.bench import ProposalOutcomes
 from cluttergen_jax.downstream.placer.pairs.store import PairLabels
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
 from cluttergen_jax.proportions import finite, proportion
@@ -23,7 +23,7 @@ MANY = 7
 _BINS = 10
 
 
-def figures_of(outcome: Outcome, labels: PairLabels, names: Sequence[str]) -> dict[str, Any]:
+def figures_of(outcome: ProposalOutcomes, labels: PairLabels, names: Sequence[str]) -> dict[str, Any]:
     """Everything that a table tells of one row; shares are of all queries unless it is said of which.
 
     Args:

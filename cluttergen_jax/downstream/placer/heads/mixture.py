@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.downstream.placer.heads.features import UNSEEN, taken_around
+from cluttergen_jax.downstream.placer.heads.features import UNSEEN, occupancy_around
 from cluttergen_jax.downstream.placer.map_search import best_apart
 from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,
@@ -88,7 +88,7 @@ def cell_features(query: PlacementQuery, config: MixtureConfig) -> Array:
             10 * jnp.clip(fit.rest - query.half_extents[2], -0.05, 0.3),
             fit.blocked,
             100 * jnp.clip(fit.gap, 0.0, 0.03),
-            mean_under(under, taken_around(surface), cells),
+            mean_under(under, occupancy_around(surface), cells),
         ]
     below = cells_under(under, query.heights, cells)
     hidden = query.ceilings.at(below) - query.heights.at(below)

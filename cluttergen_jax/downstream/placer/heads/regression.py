@@ -70,17 +70,17 @@ class RegressionNet(nn.Module):
     def __call__(self, clouds: Clouds) -> Array:
         """f32[4], x, y, z and yaw in metres and radians, of one query."""
         config = self.config
-        scene = self._encoded("scene", clouds.scene, clouds.mask, jnp.linalg.norm(clouds.region))
+        scene = self._encode("scene", clouds.scene, clouds.mask, jnp.linalg.norm(clouds.region))
         everything = jnp.ones(len(clouds.object), bool)
         size = jnp.linalg.norm(clouds.half_extents)
-        own = self._encoded("object", clouds.object, everything, size)
+        own = self._encode("object", clouds.object, everything, size)
         # Clouds are divided by their radius, which says how large they were.
         hidden = jnp.concatenate([scene, own, 10 * clouds.half_extents, 3 * clouds.region])
         for width in config.widths:
             hidden = nn.relu(nn.LayerNorm()(nn.Dense(width)(hidden)))
         return nn.Dense(4)(hidden)
 
-    def _encoded(self, name: str, cloud: Array, mask: Array, radius: Array) -> Array:
+    def _encode(self, name: str, cloud: Array, mask: Array, radius: Array) -> Array:
         config = self.config
         net = CloudNet(config.encoder, config.features, config.group_size, name=name)
         centroids = jnp.arange(max(min(config.num_centroids, len(cloud) // 2), 1))

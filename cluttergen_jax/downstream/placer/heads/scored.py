@@ -103,11 +103,11 @@ class ScoredPlacer(struct.PyTreeNode, eq=False):
         """See `query.Placer`."""
         config, keys, shape = self.config, jax.random.split(key, 3), own_shape(query)
         many = cheapest(query, draw(keys[0], query, config.num_drawn), config.num_finalists)
-        first = joined_candidates(draw(keys[1], query, config.num_uniform), many)
-        pose = lowered(query, first)
+        first = concatenate_candidates(draw(keys[1], query, config.num_uniform), many)
+        pose = lower_candidates(query, first)
         logit = self.logits(query, shape, pose)
         best = jax.lax.top_k(logit, config.num_refined)[1]
-        varied = lowered(query, near(keys[2], query, first.take(best), config.num_near))
+        varied = lower_candidates(query, near(keys[2], query, first.take(best), config.num_near))
         pose = jnp.concatenate([pose, varied])
         logit = jnp.concatenate([logit, self.logits(query, shape, varied)])
         best = best_apart(-logit, pose[:, :2], NUM_PROPOSALS)
@@ -138,12 +138,12 @@ def near(key: Array, query: PlacementQuery, candidates: Candidates, number: int)
     return Candidates(xy.reshape(-1, 2), (candidates.yaw + _TURN * noise[..., 2]).reshape(-1))
 
 
-def joined_candidates(*parts: Candidates) -> Candidates:
+def concatenate_candidates(*parts: Candidates) -> Candidates:
     """All of them."""
     return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
 
 
-def lowered(query: PlacementQuery, candidates: Candidates) -> Array:
+def lower_candidates(query: PlacementQuery, candidates: Candidates) -> Array:
     """f32[N, 4]: x, y, z and turn, `CLEARANCE` above first contact with what was seen."""
     z = lower_onto(query.under, query.heights, candidates).rest + CLEARANCE
     return jnp.column_stack([candidates.xy, z, candidates.yaw])

@@ -15,8 +15,8 @@ import pyarrow as pa
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs.candidate_draw import SOURCES, CandidateDraw
 from cluttergen_jax.downstream.placer.pairs.card import write_card
-from cluttergen_jax.downstream.placer.pairs.store import PAIRS, SCHEMA, PairSet, changed_frame, stacked
-from cluttergen_jax.downstream.placer.partial_scenes import Judge, PartialScenes
+from cluttergen_jax.downstream.placer.pairs.store import PAIRS, SCHEMA, PairSet, changed_frame, stack_queries
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, depth_bytes, depth_of
 from cluttergen_jax.downstream.samples import SPLITS, store_assets
@@ -54,7 +54,7 @@ class PairMaker:
     def __init__(self, scenes: PartialScenes, camera: str, seed: int, num_threads: int = 0) -> None:
         self.scenes, self.seed = scenes, seed
         self._cameras = SceneCameras(scenes.problem, camera)
-        self._maker, self._judge = QueryMaker(scenes.problem), Judge(scenes.rules)
+        self._maker, self._judge = QueryMaker(scenes.problem), ProposalJudge(scenes.rules)
         self._draw = CandidateDraw(scenes.rules)
         self._pool = ThreadPoolExecutor(num_threads or os.cpu_count())
 
@@ -84,7 +84,7 @@ class PairMaker:
             on_rows(1)
         queries = [look.query for look in looks]
         queries += [queries[-1]] * (PAIRS.block_size - num_rows)
-        candidates = self._candidates(block, episodes, stacked(queries))[:num_rows]
+        candidates = self._candidates(block, episodes, stack_queries(queries))[:num_rows]
         scene = np.repeat(np.arange(num_rows), candidates.shape[1])
         judged = self._judge.settle(episodes, scene, candidates.reshape(-1, 4))
         verdict = judged.verdict.reshape(candidates.shape[:2])

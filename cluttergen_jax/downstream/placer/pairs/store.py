@@ -17,8 +17,8 @@ import pyarrow as pa
 from cluttergen_jax.config import MAX_PAIRS, check_workers
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker, SceneMaps
 from cluttergen_jax.downstream.placer.query import PlacementQuery
-from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, View, check_cameras, depth_of
-from cluttergen_jax.downstream.samples import SPLITS, SplitFormat, labels_fault, lengths_of, numbers_of
+from cluttergen_jax.downstream.placer.scene_cameras import DepthView, SceneCameras, check_cameras, depth_of
+from cluttergen_jax.downstream.samples import SPLITS, SampleFormat, labels_fault, lengths_of, numbers_of
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix
@@ -127,7 +127,7 @@ SCHEMA = pa.schema(
 """Poses are T_region_object, position in metres and quaternion wxyz; candidates x, y, z in metres and yaw in
 radians. Matrices stand row by row. Depth is u16 in millimetres along the optical axis, little-endian, row by
 row, 0 where nothing is; labels are u8: 0 the floor, 1 the support, 2 + k the k-th standing object."""
-PAIRS = SplitFormat("pairs", "pair", "placer data", SCHEMA, 256, PairRecord, check_rows)
+PAIRS = SampleFormat("pairs", "pair", "placer data", SCHEMA, 256, PairRecord, check_rows)
 
 
 class PairLabels(NamedTuple):
@@ -205,7 +205,7 @@ def read_pairs(path: str | Path) -> PairSet:
     return PairSet(Path(path), PAIRS.read_record(Path(path)))
 
 
-Wanted = Callable[[pa.Table], np.ndarray]
+PairFilter = Callable[[pa.Table], np.ndarray]
 """Says of some rows which are wanted, bool[R]."""
 
 
@@ -217,7 +217,7 @@ def load_queries(
     num_pairs: int | None = None,
     num_threads: int = 0,
     num_cameras: int = 1,
-    wanted: Wanted | None = None,
+    wanted: PairFilter | None = None,
 ) -> tuple[PlacementQuery, PairLabels]:
     """The queries of a split, NumPy arrays with a leading axis, and what is known beside them.
 
@@ -259,7 +259,7 @@ def load_queries(
                 noise_of_each = [noises[pair % len(noises)] for pair in part.pair]
                 sights = list(pool.map(reader.see, reader.scenes(chosen, part), noise_of_each, repeat(seed)))
                 seen = zip(sights, part.object_index, strict=True)
-                queries.append(stacked([reader.maker.query(sight, index) for sight, index in seen]))
+                queries.append(stack_queries([reader.maker.query(sight, index) for sight, index in seen]))
                 unseen = np.array([sight.unseen for sight in sights], np.float32)
                 labels.append(part._replace(unseen=unseen))
             progress.update(rows.num_rows)
@@ -267,10 +267,12 @@ def load_queries(
                 break
     if not queries:
         raise ConfigError(f"no wanted pairs among {total} of {split!r} in {pairs.path}", "one or more")
-    return joined(queries), PairLabels(*(np.concatenate(each) for each in zip(*labels, strict=True)))
+    return concatenate_queries(queries), PairLabels(
+        *(np.concatenate(each) for each in zip(*labels, strict=True))
+    )
 
 
-def of_tenths(*tenths: int) -> Wanted:
+def of_tenths(*tenths: int) -> PairFilter:
     """Pairs whose numbers end in one of these digits: pairs of a split stand in a drawn order."""
     return lambda table: np.isin(np.asarray(table["pair"]) % 10, tenths)
 
@@ -278,7 +280,7 @@ def of_tenths(*tenths: int) -> Wanted:
 class _SeenScene(NamedTuple):
     """A pair as it is read: its image and camera, its number, and what stands, in the world."""
 
-    view: View
+    view: DepthView
     pair: int
     poses: np.ndarray
     is_placed: np.ndarray
@@ -318,12 +320,12 @@ class _Reader:
         return self.maker.see_all(views, noise, rng)
 
 
-def stacked(queries: Sequence[PlacementQuery]) -> PlacementQuery:
+def stack_queries(queries: Sequence[PlacementQuery]) -> PlacementQuery:
     """Queries of one world as one, with a leading axis."""
     return jax.tree.map(lambda *leaves: np.stack(leaves), *queries)
 
 
-def joined(queries: Sequence[PlacementQuery]) -> PlacementQuery:
+def concatenate_queries(queries: Sequence[PlacementQuery]) -> PlacementQuery:
     """Batches of queries of one world as one batch."""
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *queries)
 
@@ -368,14 +370,14 @@ def labels_of(table: pa.Table, names: dict[str, int], num_slots: int) -> PairLab
     )
 
 
-def images_of(table: pa.Table, T_world_region: np.ndarray) -> Iterator[View]:
+def images_of(table: pa.Table, T_world_region: np.ndarray) -> Iterator[DepthView]:
     """Each row's depth image, f32[H, W] in metres, inf where nothing is, and its camera in the world."""
     names = ("camera_K", "T_region_camera", "width", "height", "depth")
     for row in table.select(names).to_pylist():
         width, height = row["width"], row["height"]
         T = np.array(row["T_region_camera"]).reshape(4, 4)
         camera = Camera(width, height, np.array(row["camera_K"]).reshape(3, 3), T_world_region @ T)
-        yield View(depth_of(row["depth"], width, height), camera)
+        yield DepthView(depth_of(row["depth"], width, height), camera)
 
 
 def changed_frame(T: np.ndarray, poses: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ _CLOSE, _HOLD, _LIFT, _SHAKE, _TURN, _LOAD = 0.5, 0.15, 0.5, 0.1, 0.4, 0.4
 """Seconds of each part."""
 
 
-class GripTest(NamedTuple):
+class GraspCheck(NamedTuple):
     """What became of C grasps.
 
     Attributes:
@@ -71,9 +71,9 @@ class _Course(NamedTuple):
     loading: int
 
 
-def grip_test(
+def check_grasps(
     asset: ObjectAsset, candidates: Candidates, pool: Rollout, config: PandaConfig | None = None
-) -> GripTest:
+) -> GraspCheck:
     """Tests candidates in one batch; `pool` is a thread pool of MuJoCo's."""
     config = config or PandaConfig()
     contact, step = ContactConfig(), config.timestep
@@ -95,7 +95,7 @@ def grip_test(
     states, _ = pool.rollout(
         model, [mujoco.MjData(model) for _ in range(_threads(pool))], start, control, control_spec=wanted
     )
-    return _judged(states[..., address : address + 7], T_hand_object, course)
+    return _evaluate(states[..., address : address + 7], T_hand_object, course)
 
 
 def _threads(pool: Rollout) -> int:
@@ -144,7 +144,7 @@ def _pull(T_hand_object: np.ndarray, course: _Course, gravity: float) -> np.ndar
     return np.stack([x, cos * y - sin * z, sin * y + cos * z], axis=-1)
 
 
-def _judged(motion: np.ndarray, start: np.ndarray, course: _Course) -> GripTest:
+def _evaluate(motion: np.ndarray, start: np.ndarray, course: _Course) -> GraspCheck:
     """What the objects' poses f64[C, T, 7] in the hand's frame tell."""
     closed = int(np.flatnonzero(course.weight > 0)[0]) - 1
     is_sound = np.isfinite(motion).all((1, 2))
@@ -162,4 +162,4 @@ def _judged(motion: np.ndarray, start: np.ndarray, course: _Course) -> GripTest:
     lost_at = np.where(is_lost.any(1), is_lost.argmax(1), is_lost.shape[1] - 1) + closed
     margin = np.where(is_held, course.weight[lost_at], 0.0)
     held = pose_of(inverse(T_HAND_TOOL) @ poses[:, course.lifted])
-    return GripTest(is_held, shift, slip[:, :before].max(1), turn[:, :before].max(1), margin, held)
+    return GraspCheck(is_held, shift, slip[:, :before].max(1), turn[:, :before].max(1), margin, held)

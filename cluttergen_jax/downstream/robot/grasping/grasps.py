@@ -23,7 +23,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, candidates_of, spread
-from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, GripTest, grip_test
+from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, GraspCheck, check_grasps
 from cluttergen_jax.downstream.robot.model import MAX_OPENING
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.errors import PoolError
@@ -56,7 +56,7 @@ class Grasps:
       width: f64[G], metres between the fingers.
       shift: f64[G], metres by which the closing fingers moved the object as it floated.
       slip, turn: f64[G], metres and radians that it slipped in the test.
-      margin: f64[G], times its weight that it held, at most `grip_test.MAX_LOAD`.
+      margin: f64[G], times its weight that it held, at most `grasp_check.MAX_LOAD`.
       is_low: bool[G], the hand can come there while the object rests on a plane.
       num_tested: candidates that were tested.
       held: f64[G, 7], T_tool_object after the fingers have closed and the object was lifted.
@@ -95,13 +95,13 @@ def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Gr
     # An object's own numbers, whatever pool it is in.
     rng = np.random.default_rng([seed, int(content[:12], 16)])
     candidates = candidates_of(asset, max(_CANDIDATES * number, _LEAST_CANDIDATES), _NUM_LINES, rng)
-    tests: list[GripTest] = []
+    tests: list[GraspCheck] = []
     for first in range(0, len(candidates.width), _AT_ONCE):
-        tests.append(verified(asset, candidates.take(slice(first, first + _AT_ONCE)), pool))
+        tests.append(verify_grasps(asset, candidates.take(slice(first, first + _AT_ONCE)), pool))
         if sum(int(test.is_held.sum()) for test in tests) >= number:
             break
     num_tested = sum(len(test.is_held) for test in tests)
-    result = GripTest(*(np.concatenate(each) for each in zip(*tests, strict=True))) if tests else _NO_TEST
+    result = GraspCheck(*(np.concatenate(each) for each in zip(*tests, strict=True))) if tests else _NO_TEST
     held = np.flatnonzero(result.is_held)
     chosen = held[spread(candidates.pose[held], min(number, len(held)), rng)]
     chosen = chosen[np.argsort(~candidates.is_low[chosen], kind="stable")]
@@ -120,17 +120,17 @@ def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Gr
     )
 
 
-def verified(asset: ObjectAsset, candidates: Candidates, pool: Rollout) -> GripTest:
-    """`grip_test`, passed where the hand also holds the object 2 mm short of the grasp."""
-    test = grip_test(asset, candidates, pool)
+def verify_grasps(asset: ObjectAsset, candidates: Candidates, pool: Rollout) -> GraspCheck:
+    """`check_grasps`, passed where the hand also holds the object 2 mm short of the grasp."""
+    test = check_grasps(asset, candidates, pool)
     held = np.flatnonzero(test.is_held)
     if len(held):
         short = candidates.take(held)
-        test.is_held[held] = grip_test(asset, short._replace(pose=short.pose @ _SHORT), pool).is_held
+        test.is_held[held] = check_grasps(asset, short._replace(pose=short.pose @ _SHORT), pool).is_held
     return test
 
 
-_NO_TEST = GripTest(np.zeros(0, bool), *(np.zeros(0),) * 4, np.zeros((0, 7)))
+_NO_TEST = GraspCheck(np.zeros(0, bool), *(np.zeros(0),) * 4, np.zeros((0, 7)))
 
 
 def grasp_file(asset: ObjectAsset, number: int, seed: int) -> Path:

@@ -35,7 +35,7 @@ class Grip(NamedTuple):
     lever: float
 
 
-def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
+def rank_grasps(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
     """Grasps, each also turned about its approach.
 
     Those that come from above and hold well are first.
@@ -68,7 +68,7 @@ def _levers(pose: np.ndarray) -> np.ndarray:
 
 
 def first_grasp(grasps: Grasps) -> Grasps:
-    """The one that `ranked` has first where the object stands upright."""
+    """The one that `rank_grasps` has first where the object stands upright."""
     if not len(grasps):
         return grasps
     worth, _ = _worth(grasps, np.eye(4))

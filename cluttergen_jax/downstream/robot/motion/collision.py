@@ -13,7 +13,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.downstream.robot.model import HAND, PREFIX, TOOL_DEPTH, Panda, home_pose, panda_spec
-from cluttergen_jax.downstream.robot.motion.occupancy_boxes import Columns
+from cluttergen_jax.downstream.robot.motion.occupancy_boxes import OccupancyBoxes
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.geometry import yaw_quaternion
 
@@ -43,7 +43,7 @@ _GROUND = "ground"
 
 
 class Kind(IntEnum):
-    """What a geom belongs to; the last two are columns (`columns.Columns`)."""
+    """What a geom belongs to; the last two are columns (`columns.OccupancyBoxes`)."""
 
     GROUND = 0
     OTHER = 1
@@ -136,7 +136,7 @@ class PlanningWorld:
         support: SupportAsset,
         base: np.ndarray,
         stands: Sequence[Box] = (),
-        columns: Columns | None = None,
+        columns: OccupancyBoxes | None = None,
     ) -> None:
         contact = ContactConfig()
         spec = populated_spec(names, objects, support, StabilityConfig().timestep, contact, poses=poses)

@@ -47,7 +47,7 @@ class Phase(IntEnum):
     TOUCH = 3
 
 
-def _unplanned() -> np.ndarray:
+def _unplanned_contacts() -> np.ndarray:
     """bool[phases, kinds, kinds]."""
     table = np.zeros((len(Phase), len(Kind), len(Kind)), bool)
     table[:, [Kind.ARM, Kind.HAND], :] = True
@@ -61,7 +61,7 @@ def _unplanned() -> np.ndarray:
     return table
 
 
-_UNPLANNED = _unplanned()
+_UNPLANNED = _unplanned_contacts()
 _TOUCHING = _UNPLANNED[Phase.CARRY] & ~_UNPLANNED[Phase.TOUCH]
 """bool[kinds, kinds]: what is held and what it may be put on."""
 

@@ -19,7 +19,7 @@ _BAND = 0.005
 """Metres that heights within one box may differ by; the box has the highest."""
 
 
-class Columns(NamedTuple):
+class OccupancyBoxes(NamedTuple):
     """Boxes from the support's top upwards, world frame.
 
     Attributes:
@@ -30,12 +30,12 @@ class Columns(NamedTuple):
     hidden: tuple[Box, ...]
 
 
-def columns_of(found: PartialMap) -> Columns:
+def occupancy_boxes(found: PartialMap) -> OccupancyBoxes:
     """The columns of a map: all that was not seen to be empty counts as taken."""
     is_on = found.grid.bare > VOID
     seen = np.where(is_on & (found.height > THIN), found.height, 0.0)
     hidden = np.where(is_on & ~found.is_seen, found.ceiling, 0.0)
-    return Columns(tuple(_boxes(seen, found)), tuple(_boxes(hidden, found)))
+    return OccupancyBoxes(tuple(_boxes(seen, found)), tuple(_boxes(hidden, found)))
 
 
 def _boxes(height: np.ndarray, found: PartialMap) -> Iterator[Box]:

@@ -149,7 +149,7 @@ class Trajectory(NamedTuple):
     speed: np.ndarray
 
 
-def timed(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory:
+def time_path(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory:
     """The fastest motion along joints f64[L, 7] within a share of the limits, from rest to rest.
 
     Args:
@@ -164,7 +164,7 @@ def timed(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory:
     toppra.setup_logging("ERROR")
     if np.abs(np.ptp(path, axis=0)).max() < _STILL:
         return Trajectory(np.asarray(path)[-1:], np.zeros((1, 7)))
-    points = thinned(path)
+    points = thin_path(path)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     path = toppra.SplineInterpolator(length, points, bc_type="natural")
     limits = [
@@ -178,7 +178,7 @@ def timed(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory:
     return Trajectory(motion(times), motion(times, 1))
 
 
-def thinned(path: np.ndarray) -> np.ndarray:
+def thin_path(path: np.ndarray) -> np.ndarray:
     """Points of a path, the ends included, as far apart as a spline wants them; at least `_LEAST_POINTS`."""
     path = np.asarray(path, np.float64)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
