@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from numbers import Integral
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,9 @@ import numpy as np
 import optax
 from flax import struct
 
+from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.config import check_positive
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.metrics_log import MetricsLog
@@ -31,6 +32,8 @@ _WARM_UP = 0.02
 _MOST = 1_000_000
 """Of epochs, and of examples in a batch."""
 
+Config = TypeVar("Config")
+
 
 class Learner(Protocol):
     """A network and what it learns from an example; a frozen value."""
@@ -38,21 +41,41 @@ class Learner(Protocol):
     @property
     def config(self) -> Any:
         """Sizes of the network, a frozen dataclass of JSON values."""
-        ...
 
     def init(self, key: Array) -> Any:
         """Fresh weights."""
-        ...
 
     def loss(self, params: Any, examples: Any, key: Array) -> tuple[Array, dict[str, Array]]:
         """What to keep low over a batch of examples, f32, and its parts by name."""
-        ...
 
 
 def blank_params(learner: Learner) -> Any:
     """Weights of a network's shapes, all zero."""
     shapes = jax.eval_shape(learner.init, new_key(0))
     return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+
+
+def embedded_checkpoints(name: str) -> dict[str, Path]:
+    """The checkpoints that come with the package in a folder of this name, by their own names."""
+    root = embedded_root() / name
+    folders = sorted(root.iterdir()) if root.is_dir() else []
+    return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+
+
+def config_of(kind: type[Config], record: Mapping[str, Any], path: Path, hint: str) -> Config:
+    """The sizes of a network as the record of its checkpoint in `path` has them.
+
+    Raises:
+      PoolError: the record does not say them.
+    """
+    try:
+        sizes = {each.name: record["network"][each.name] for each in fields(kind)}
+        return kind(
+            **{key: tuple(value) if isinstance(value, list) else value for key, value in sizes.items()}
+        )
+    except (TypeError, KeyError) as error:
+        place = path / "record.json"
+        raise PoolError(f"{place} does not say what network it holds ({error})", hint=hint) from error
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Data sets on disk: splits of rows in blocks of Parquet files, and a record of how each split was made.
+"""Samples on disk: splits of rows in blocks of Parquet files, and a record of how each split was made.
 
     KIND.json               how each split was made, digests of its assets
     assets/                 the objects and the support, as a bank has them
@@ -12,22 +12,24 @@ from __future__ import annotations
 import io
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest
-from cluttergen_jax.files import folder_whole, is_partial, write_atomically, writing
+from cluttergen_jax.files import folder_whole, is_partial, remove_partial, write_atomically, writing
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.lock import LOCK
+from cluttergen_jax.scene.bank.lock import LOCK, BankLock
 from cluttergen_jax.schema import (
     SEAL,
+    Numbers,
     SchemaError,
+    check_numbers,
     check_seal,
     checked_record,
     typed,
@@ -76,11 +78,7 @@ class SampleFormat:
         return f"num_{self.kind}"
 
     def check_place(self, path: Path) -> None:
-        """Refuses a folder that holds something else.
-
-        Raises:
-          BankError: it does.
-        """
+        """Refuses a folder that holds something else. Raises BankError: it does."""
         if not path.exists() or (path / self.index).exists():
             return
         begun = (LOCK, "assets")
@@ -93,11 +91,7 @@ class SampleFormat:
             )
 
     def read_record(self, path: Path) -> dict[str, Any]:
-        """The record of a folder.
-
-        Raises:
-          BankError: there is none, or it is damaged.
-        """
+        """The record of a folder. Raises BankError: there is none, or it is damaged."""
         file = path / self.index
         try:
             data = file.read_bytes()
@@ -124,11 +118,7 @@ class SampleFormat:
         write_atomically(path / self.index, text.encode(), is_durable=True)
 
     def split(self, path: Path, record: dict[str, Any], name: str) -> dict[str, Any]:
-        """How a split was made.
-
-        Raises:
-          ConfigError: there is none of that name, or it holds nothing.
-        """
+        """How a split was made. Raises ConfigError: there is none of that name, or it holds nothing."""
         if name not in SPLITS:
             raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
         if name not in record["splits"]:
@@ -181,6 +171,47 @@ class SampleFormat:
                 )
             number = max(number, known[self.number])
         record["splits"][split] = {self.number: number, **made}
+        return record
+
+    def write(
+        self,
+        path: Path,
+        bank: Bank,
+        shared: dict[str, Any],
+        split: str,
+        made: dict[str, Any],
+        number: int,
+        overwrite: bool,
+        fill: Callable[[dict[str, Any], dict[int, int]], None],
+    ) -> dict[str, Any]:
+        """Begins or continues a split, one writer at a time; the folder's record.
+
+        Args:
+          bank: whose objects and support are stored, once.
+          shared, made, number, overwrite: see `with_split`.
+          fill: given the record, makes the blocks that are missing, damaged or shorter, of so many rows.
+
+        Raises:
+          BankError: see `check_place` and `with_split`, or another process writes there.
+        """
+        with writing(path):
+            self.check_place(path)
+            path.mkdir(parents=True, exist_ok=True)
+            lock = BankLock(path)
+        try:
+            with writing(path):
+                remove_partial(path)
+                record = self.with_split(path, shared, split, made, number, overwrite)
+                if not (path / "assets").is_dir():
+                    with folder_whole(path / "assets", is_only_writer=True) as fresh:
+                        shutil.copytree(bank.path / "assets", fresh)
+                self.write_record(path, record)
+                # More than were asked for, where an earlier call that was interrupted asked for more.
+                sizes = self.sizes(record["splits"][split][self.number])
+                kept = {block for block, rows in sizes.items() if self.is_kept(path, split, block, rows)}
+                fill(record, {block: rows for block, rows in sizes.items() if block not in kept})
+        finally:
+            lock.release()
         return record
 
     # Blocks
@@ -236,40 +267,124 @@ class SampleFormat:
             writer.add_key_value_metadata(SEAL)
         write_atomically(self.block_path(path, split, block), with_seal(buffer.getvalue()), is_durable=True)
 
-    def tables(self, path: Path, split: str, number: int) -> Iterator[pa.Table]:
-        """The first rows of a split, block by block.
+
+@dataclass(frozen=True, eq=False)
+class SampleSet:
+    """A folder of samples that is read. `record` is what its JSON file holds."""
+
+    path: Path
+    record: dict[str, Any]
+    form: ClassVar[SampleFormat]
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Opens a folder. Raises BankError: it holds no samples of this kind, or is damaged."""
+        return cls(Path(path), cls.form.read_record(Path(path)))
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Those that it holds."""
+        return tuple(self.record["splits"])
+
+    def split(self, name: str) -> dict[str, Any]:
+        """How a split was made. Raises ConfigError: there is none of that name, or it holds nothing."""
+        return self.form.split(self.path, self.record, name)
+
+    def num_samples(self, split: str, asked: int | None = None) -> int:
+        """How many of a split are asked for; all if None.
 
         Raises:
-          BankError: a block is missing or damaged.
+          ConfigError: there is no such split, or it has fewer.
         """
-        for block, rows in self.sizes(number).items():
-            yield self.read_block(path, split, block, rows)
+        total, kind = int(self.split(split)[self.form.number]), self.form.kind
+        if asked is not None and not 1 <= asked <= total:
+            allowed = f"1 to {total}, the {kind} of {split!r} in {self.path}"
+            raise ConfigError(f"num_{kind} = {asked}", allowed)
+        return asked or total
+
+    def tables(self, split: str, number: int | None = None) -> Iterator[pa.Table]:
+        """The first rows of a split, all if no number is given, block by block.
+
+        Raises:
+          ConfigError: see `num_samples`; BankError: a block is missing or damaged.
+        """
+        for block, rows in self.form.sizes(self.num_samples(split, number)).items():
+            yield self.form.read_block(self.path, split, block, rows)
 
 
-def store_assets(path: Path, bank: Bank) -> None:
-    """A bank's own copies of the objects and the support, once."""
-    if not (path / "assets").is_dir():
-        with folder_whole(path / "assets", is_only_writer=True) as fresh:
-            shutil.copytree(bank.path / "assets", fresh)
+class StableScenes(NamedTuple):
+    """The S scenes of a bank that are stable, with N slots.
+
+    Attributes:
+      number: i[S], in the bank, which has `num_scenes`. method: that made them.
+      objects: i[S, N], in the order of placement, -1 is padding.
+      poses: f64[S, N, 7], T_world_object, metres, wxyz.
+    """
+
+    number: np.ndarray
+    objects: np.ndarray
+    poses: np.ndarray
+    num_scenes: int
+    method: str
+
+    @classmethod
+    def read(cls, bank: Bank) -> StableScenes:
+        """All of a bank. Raises BankError: there is none."""
+        columns = ("index", "is_success", "object_index", "poses")
+        rows = [row for table in bank.tables(columns) for row in table.to_pylist() if row["is_success"]]
+        if not rows:
+            raise BankError(f"{bank.path}: none of its scenes stands", "one that does or more", "more scenes")
+        number, objects, poses = (
+            np.array([row[name] for row in rows]) for name in (columns[0], *columns[2:])
+        )
+        method = str(bank.record["recipe"]["method"])
+        return cls(number, objects, poses.astype(np.float64), bank.num_scenes, method)
+
+    def row(self, scene: int) -> int:
+        """The row of a scene, or of the last stable one before it, or the first row.
+
+        It does not depend on later scenes, so a bank may be continued.
+        """
+        return max(0, int(np.searchsorted(self.number, scene % self.num_scenes, side="right")) - 1)
 
 
-def numbers_of(table: pa.Table, name: str, *lengths: int) -> np.ndarray:
-    """A column, of numbers or texts, as an array; lists of lists are flattened down to `lengths`.
+# Columns of rows, for the checks of what was read.
 
-    Args:
-      lengths: of the inner axes, of which the first may be -1.
+MOST_PIXELS = 4096
+"""Of an image's side."""
+FAR = 100.0
+"""Metres beyond which nothing of a table's scene is."""
+_UNIT = 1e-3
+"""By which the length of a quaternion may differ from 1."""
+
+
+def read_columns(table: pa.Table, numbers: Mapping[str, Numbers]) -> dict[str, np.ndarray]:
+    """Columns of a block as arrays (`numbers_of`).
+
+    Raises:
+      SchemaError: a number is missing, not finite or out of its range.
+    """
+    found = {name: numbers_of(table, name) for name in numbers}
+    check_numbers(found, numbers)
+    return found
+
+
+def numbers_of(table: pa.Table, name: str) -> np.ndarray:
+    """A column of numbers or texts as an array; lists are flattened, a fixed size is that of the last axis.
 
     Raises:
       SchemaError: a value is missing.
     """
-    values = table[name].combine_chunks()
+    values, last = table[name].combine_chunks(), ()
     while True:
         if values.null_count:
             raise SchemaError(f"{name!r} lacks a value")
-        if not (pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type)):
+        if pa.types.is_fixed_size_list(values.type):
+            last = (values.type.list_size,)
+        elif not pa.types.is_list(values.type):
             break
         values = values.flatten()
-    return values.to_numpy(zero_copy_only=False).reshape(-1, *lengths)
+    return values.to_numpy(zero_copy_only=False).reshape(-1, *last)
 
 
 def lengths_of(table: pa.Table, name: str) -> np.ndarray:
@@ -280,9 +395,12 @@ def lengths_of(table: pa.Table, name: str) -> np.ndarray:
     return found.cast(pa.int64()).fill_null(-1).to_numpy()
 
 
-def labels_fault(table: pa.Table, name: str, most: np.ndarray) -> str:
-    """What is wrong with images of labels u8, of which each row allows up to `most`, i[R]; "" if nothing."""
-    for image, allowed in zip(table[name], most.tolist(), strict=True):
-        if np.frombuffer(image.as_buffer(), np.uint8).max(initial=0) > allowed:
-            return f"{name!r} holds a label beyond {allowed}"
-    return ""
+def faults_of(table: pa.Table, lengths: Mapping[str, np.ndarray], *poses: np.ndarray) -> list[str]:
+    """What is wrong with lengths i[R] of columns, and with quaternions of poses f[..., 7]."""
+    faults = [
+        f"{name!r} is not as long as it should be"
+        for name, length in lengths.items()
+        if not np.array_equal(lengths_of(table, name), length)
+    ]
+    turns = np.concatenate([np.linalg.norm(each[:, 3:], axis=1) for each in poses])
+    return faults + ["a quaternion is not of length 1"] * bool(np.abs(turns - 1).max(initial=0) > _UNIT)

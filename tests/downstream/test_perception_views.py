@@ -15,7 +15,7 @@ from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write
 from cluttergen_jax.downstream.perception.types import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.views import maker
 from cluttergen_jax.downstream.perception.views import store as stored
-from cluttergen_jax.downstream.perception.views.maker import StableScenes, ViewConfig, write_views
+from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
 from cluttergen_jax.downstream.perception.views.stage import (
     FOCAL,
     NUM_TEXTURES,
@@ -26,6 +26,7 @@ from cluttergen_jax.downstream.perception.views.stage import (
     wrist_camera,
 )
 from cluttergen_jax.downstream.perception.views.store import VIEWS, read_views, row_of
+from cluttergen_jax.downstream.samples import StableScenes
 from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.errors import BankError, ConfigError
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
@@ -149,9 +150,9 @@ def test_a_view_shows_the_same_scene_however_many_the_bank_has(tmp_path):
     shown = []
     for number in (2, 5):
         found = write_bank(tmp_path / f"bank-{number}", number)
-        scenes = StableScenes(found)
+        scenes = StableScenes.read(found)
         # What does not stand is passed over, and what comes behind changes nothing.
-        scenes.number = np.delete(scenes.number, 1)
+        scenes = scenes._replace(number=np.delete(scenes.number, 1))
         shown.append([int(scenes.number[scenes.row(scene)]) for scene in range(number)])
     assert shown == [[0, 0], [0, 0, 2, 3, 4]]
 

@@ -112,11 +112,7 @@ class PerceptionRow:
 
 @dataclass(frozen=True)
 class PerceptionResult:
-    """What perception found; printed, tables.
-
-    Attributes:
-      segmenter: its name. rows: one for each setting.
-    """
+    """What perception found; printed, tables; segmenter: its name. rows: one for each setting."""
 
     segmenter: str
     rows: tuple[PerceptionRow, ...]
@@ -194,7 +190,6 @@ def evaluate_perception(
     out: Path | None,
     calibrate: bool = False,
 ) -> PerceptionResult:
-    """See `cluttergen_jax.perception_eval`."""
     true_masks = segmenter == TRUE_MASKS
     if true_masks and calibrate:
         # Before an hour of work.

@@ -107,11 +107,7 @@ class QueryMaker:
     def partial(
         self, depth: np.ndarray, camera: Camera, noise: NoiseConfig, grid: Grid | None = None
     ) -> PartialMap:
-        """The map of one image as it was measured.
-
-        Args:
-          grid: its cells; the queries' own if not given.
-        """
+        """The map of one image as it was measured; grid: its cells; the queries' own if not given."""
         grid = grid or self.grid
         if noise == NOISE_OFF:
             return PartialMap.of(depth, camera, grid)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
+from cluttergen_jax.downstream.samples import StableScenes
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key
@@ -20,8 +21,6 @@ from cluttergen_jax.placement.rules import Rules, empty_start
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.types import Array, Verdict
-
-_COLUMNS = ("index", "is_success", "object_index", "poses")
 
 
 class PartialScenes:
@@ -47,7 +46,12 @@ class PartialScenes:
         setup = setup_of(bank, engine="native", num_threads=num_threads)
         self.bank, self.problem, self.keep_out = bank, setup.problem, setup.keep_out
         self.rules = judging_rules(setup.problem)
-        self.number, self.object_index, self.poses = _standing(bank, self.rules)
+        stable = StableScenes.read(bank)
+        self.number, self.object_index = stable.number.astype(np.int32), stable.objects.astype(np.int32)
+        self.poses = stable.poses.astype(np.float32)
+        num_slots, most = self.object_index.shape[1], self.object_index.max()
+        if num_slots != self.rules.num_slots or most >= self.rules.geometry.num_objects:
+            raise BankError(f"{bank.path}: its scenes are not of the objects that its record names")
         self._episodes: Any = jax.jit(jax.vmap(episode_of, in_axes=(None, None, 0, 0, 0)))
 
     @property
@@ -89,22 +93,6 @@ def episode_of(rules: Rules, keep_out: KeepOut, object_index: Array, poses: Arra
         poses=empty_start(num_objects).poses.at[place].set(poses, mode="drop"),
         is_placed=jnp.zeros(num_objects, bool).at[place].set(True, mode="drop"),
     )
-
-
-def _standing(bank: Bank, rules: Rules) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The numbers i32[S], objects i32[S, N] and poses f32[S, N, 7] of the scenes that stand."""
-    number, object_index, poses = [], [], []
-    for rows in bank.tables(_COLUMNS):
-        rows = rows.filter(rows["is_success"])
-        number += rows["index"].to_pylist()
-        object_index += rows["object_index"].to_pylist()
-        poses += rows["poses"].to_pylist()
-    if not number:
-        raise BankError(f"{bank.path}: none of its scenes stands", "one that does or more", "more scenes")
-    index = np.array(object_index, np.int32)
-    if index.shape[1] != rules.num_slots or index.max() >= rules.geometry.num_objects:
-        raise BankError(f"{bank.path}: its scenes are not of the objects that its record names")
-    return np.array(number, np.int32), index, np.array(poses, np.float32)
 
 
 _AT_ONCE = 2048

@@ -34,7 +34,6 @@ class RandomPlacer(struct.PyTreeNode):
     """Uniform positions and turns at the object's own height on the bare top; it looks at nothing."""
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
-        """See `query.Placer`."""
         drawn = draw(key, query, NUM_PROPOSALS)
         height = jnp.full(NUM_PROPOSALS, query.half_extents[2] + CLEARANCE)
         return without_scores(jnp.column_stack([drawn.xy, height, drawn.yaw]))
@@ -52,7 +51,6 @@ class GeometryPlacer(struct.PyTreeNode):
     config: SearchConfig = struct.field(pytree_node=False, default=SearchConfig())
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
-        """See `query.Placer`."""
         heights = query.heights if self.unseen == "free" else query.ceilings
         found = search(key, query, heights, self.config)
         best = best_apart(found.cost, found.candidates.xy, NUM_PROPOSALS)

@@ -69,7 +69,6 @@ class Placer(Protocol):
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
         """`NUM_PROPOSALS` proposals, drawn with `key`."""
-        ...
 
 
 def pad_map(heights: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -108,25 +107,19 @@ class Head(Protocol):
     @property
     def kind(self) -> str:
         """Its name in records and on the command line."""
-        ...
 
     @property
     def config(self) -> Any:
         """Sizes of the network, a frozen dataclass of JSON values."""
-        ...
 
     def prepare(self, example: Example) -> Any:
         """What a gradient step reads of one pair, made once; a pytree, to be mapped."""
-        ...
 
     def init(self, key: Array) -> Any:
         """Fresh weights."""
-        ...
 
     def loss(self, params: Any, examples: Any, key: Array) -> tuple[Array, dict[str, Array]]:
         """What to keep low over a batch of examples, f32, and its parts by name."""
-        ...
 
     def placer(self, params: Any, temperature: float = 1.0) -> Placer:
         """The placer with these weights; temperature: that of its chances, where it tells them."""
-        ...

@@ -134,7 +134,6 @@ class PlacerTraining(FitRun):
         super().__init__(head, config, recipe, folder, show)
 
     def examples(self, split: Any) -> Any:
-        """See `FitRun`."""
         examples = self.source.load(split)
         number, parts = num_examples(examples), []
         with Progress(f"preparing {split}", number, "pair") as progress:
@@ -148,7 +147,6 @@ class PlacerTraining(FitRun):
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     def save(self, state: FitState, held_out: Any) -> Path:
-        """See `FitRun`."""
         folder = self.folder / self.kind
         temperature, found = self._calibrate(state.best, held_out)
         record = {

@@ -120,11 +120,7 @@ class Rearranger:
         return sorted(seen, key=lambda k: -raised[k])
 
     def find_layouts(self) -> Layouts:
-        """Draws unlike layouts around the objects that stay, as they are seen.
-
-        Raises:
-          Failed: none stands.
-        """
+        """Draws unlike layouts around the objects that stay, as they are seen. Raises Failed: none stands."""
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
         moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
         objects, region, number = self._scene.objects, task.setting.target, self._options.num_layouts

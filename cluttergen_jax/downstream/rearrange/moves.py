@@ -165,11 +165,7 @@ class Moves:
         return last
 
     def _count(self, k: int, is_wait: bool) -> None:
-        """Counts a pick.
-
-        Raises:
-          Failed: it is one too many.
-        """
+        """Counts a pick. Raises Failed: it is one too many."""
         is_retry = not is_wait and bool(self.homed[k])
         if is_retry and self.homed[k] > MAX_RETRIES:
             raise Failed(Cause.MISPLACED, f"{self._scene.names[k]} after {MAX_RETRIES} retries")

@@ -65,11 +65,9 @@ class PerceptionObserver:
         self.registration = registration_hash(noise)
 
     def glance(self, world: EpisodeView) -> None:
-        """See `observe.Observer`."""
         self._glances = self._look(world, wrist_camera(world.tool), 0)
 
     def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
-        """See `observe.Observer`."""
         looks, self._glances = self._glances, []
         before = 0 if np.isnan(known).all() else self._num_before
         self._num_before = before + 1

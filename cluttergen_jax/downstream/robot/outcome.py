@@ -28,11 +28,7 @@ class Outcome(StrEnum):
 
 
 class Failed(Exception):
-    """An episode ends.
-
-    Args:
-      outcome: how, an `Outcome` or another text of its kind. detail: of what, in words.
-    """
+    """An episode ends; outcome: how, an `Outcome` or another text of its kind. detail: of what, in words."""
 
     def __init__(self, outcome: StrEnum, detail: str = "") -> None:
         super().__init__(f"{outcome}: {detail}" if detail else str(outcome))

@@ -52,11 +52,7 @@ class Agreement:
 
 
 class Comparer:
-    """Compares poses of one object with looks.
-
-    Args:
-      model: the object. index: its number. looks: at one moment.
-    """
+    """Compares poses of one object with looks; model: the object. index: its number. looks: at one moment."""
 
     def __init__(self, model: ObjectModel, index: int, looks: Sequence[Look]) -> None:
         self._model, self._sensor = model, model.sensor

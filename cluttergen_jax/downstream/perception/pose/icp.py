@@ -119,11 +119,7 @@ _FREE_STEPS = 20
 
 
 def need_gicp() -> Any:
-    """The module `small_gicp`.
-
-    Raises:
-      MissingExtraError: it is not installed.
-    """
+    """The module `small_gicp`. Raises MissingExtraError: it is not installed."""
     try:
         return importlib.import_module("small_gicp")
     except ImportError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, median_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from cluttergen_jax.assets.pool import embedded_root
-from cluttergen_jax.downstream.fitting import blank_params
+from cluttergen_jax.downstream.fitting import blank_params, config_of, embedded_checkpoints
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
     WIDTH,
@@ -163,7 +161,6 @@ class NetworkSegmenter:
     def __call__(
         self, rgb: np.ndarray, depth: np.ndarray, camera: Camera, among: Sequence[str] | None = None
     ) -> Segmentation:
-        """See `segmenter.Segmenter`."""
         rgb, depth = check_images(rgb, depth, camera)
         height = (camera.points(depth)[..., 2] - self._top).astype(np.float32)
         # The picture and its mirror images, which the network has learned from alike.
@@ -198,9 +195,7 @@ def agreeing(votes: np.ndarray) -> np.ndarray:
 
 def embedded_segmenters() -> dict[str, Path]:
     """The trained segmenters that come with the package, by the name of their pool."""
-    root = embedded_root() / "segmenters"
-    folders = sorted(root.iterdir()) if root.is_dir() else []
-    return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+    return embedded_checkpoints("segmenters")
 
 
 def segmenter_folder(segmenter: str | Path) -> Path:
@@ -231,17 +226,15 @@ def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
     record = read_record(path)
     if record.get("kind") != KIND:
         raise PoolError(f"{path} holds a network of kind {record.get('kind')!r}, no segmenter", hint=_HINT)
+    config = config_of(SegmentConfig, record, path, _HINT)
     try:
-        sizes = {each.name: record["network"][each.name] for each in fields(SegmentConfig)}
-        config = SegmentConfig(**sizes | {"widths": tuple(sizes["widths"])})
         names, top = tuple(map(str, record["names"])), float(record["top"])
         if len(names) != config.num_objects or len(config.widths) != len(set(SegmentConfig(1).widths)):
             raise ValueError(f"{len(names)} names, widths {config.widths}")
         blank = blank_params(SegmentLearner(config))
     except (TypeError, KeyError, ValueError) as error:
-        raise PoolError(
-            f"{path / 'record.json'} does not say what network it holds ({error})", hint=_HINT
-        ) from error
+        place = path / "record.json"
+        raise PoolError(f"{place} does not say what network it holds ({error})", hint=_HINT) from error
     return NetworkSegmenter(names, read_policy(path, blank), config, top)
 
 

@@ -150,11 +150,9 @@ class SegmenterTraining(FitRun):
         super().__init__(SegmentLearner(network), config, recipe, folder, show)
 
     def examples(self, split: str) -> SegmentExample:
-        """See `FitRun`."""
         return self.source.load(split)
 
     def save(self, state: FitState, held_out: SegmentExample) -> Path:
-        """See `FitRun`."""
         folder = self.folder / self.kind
         params = jax.device_get(state.best)
         labels = [

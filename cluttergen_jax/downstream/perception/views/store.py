@@ -7,7 +7,6 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -20,18 +19,19 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import MAX_VIEWS
 from cluttergen_jax.downstream.perception.types import num_classes
 from cluttergen_jax.downstream.perception.views.stage import RgbdImage
-from cluttergen_jax.downstream.samples import SampleFormat, lengths_of, numbers_of
-from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.downstream.samples import (
+    FAR,
+    MOST_PIXELS,
+    SampleFormat,
+    SampleSet,
+    faults_of,
+    lengths_of,
+    read_columns,
+)
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.schema import Numbers, check_numbers, refuse
+from cluttergen_jax.schema import Numbers, refuse
 from cluttergen_jax.sensing.camera import Camera
-
-_MOST_PIXELS = 4096
-"""Of an image's side."""
-_FAR = 100.0
-"""Metres beyond which nothing of a table's scene is."""
-_UNIT = 1e-3
-"""By which the length of a quaternion may differ from 1."""
 
 
 class ViewSplit(msgspec.Struct):
@@ -52,11 +52,11 @@ class ViewRecord(msgspec.Struct):
 _NUMBERS = {
     "texture": Numbers("i4", ("views",), 0),
     "camera_K": Numbers("f8", ("views", 9), -1e5, 1e5),
-    "T_world_camera": Numbers("f8", ("views", 16), -_FAR, _FAR),
-    "width": Numbers("i4", ("views",), 1, _MOST_PIXELS),
-    "height": Numbers("i4", ("views",), 1, _MOST_PIXELS),
+    "T_world_camera": Numbers("f8", ("views", 16), -FAR, FAR),
+    "width": Numbers("i4", ("views",), 1, MOST_PIXELS),
+    "height": Numbers("i4", ("views",), 1, MOST_PIXELS),
     "objects": Numbers("i4", ("objects",), 0),
-    "poses": Numbers("f8", ("objects", 7), -_FAR, _FAR),
+    "poses": Numbers("f8", ("objects", 7), -FAR, FAR),
 }
 """Of a block's columns."""
 
@@ -67,25 +67,11 @@ def check_rows(table: pa.Table) -> None:
     Raises:
       SchemaError: a number is not finite or out of its range, or the parts of a row do not belong together.
     """
-    inner = {"camera_K": 9, "T_world_camera": 16, "poses": 7}
-    found = {name: numbers_of(table, name, *([inner[name]] if name in inner else [])) for name in _NUMBERS}
-    check_numbers(found, _NUMBERS)
-    pixels = found["width"].astype(np.int64) * found["height"]
-    expected = {
-        "rgb": 3 * pixels,
-        "depth": 2 * pixels,
-        "label": pixels,
-        "poses": lengths_of(table, "objects"),
-    }
-    faults = [
-        f"{name!r} is not as long as it should be"
-        for name, length in expected.items()
-        if not np.array_equal(lengths_of(table, name), length)
-    ]
-    faults += [f"{name!r} lacks a value" for name in ("method", "has_arm") if table[name].null_count]
-    if np.abs(np.linalg.norm(found["poses"][:, 3:], axis=1) - 1).max(initial=0) > _UNIT:
-        faults.append("a quaternion is not of length 1")
-    refuse(faults)
+    found = read_columns(table, _NUMBERS)
+    pixels, objects = found["width"].astype(np.int64) * found["height"], lengths_of(table, "objects")
+    lengths = {"rgb": 3 * pixels, "depth": 2 * pixels, "label": pixels, "poses": objects}
+    lacking = [name for name in ("method", "has_arm") if table[name].null_count]
+    refuse([*faults_of(table, lengths, found["poses"]), *(f"{name!r} lacks a value" for name in lacking)])
 
 
 TENTHS_A_METRE = 10_000
@@ -132,25 +118,10 @@ class StoredView:
     has_arm: bool
 
 
-@dataclass(frozen=True, eq=False)
-class ViewSet:
+class ViewSet(SampleSet):
     """A folder of views that is read. `record` is what `views.json` holds."""
 
-    path: Path
-    record: dict[str, Any]
-
-    @property
-    def splits(self) -> tuple[str, ...]:
-        """Those that it holds."""
-        return tuple(self.record["splits"])
-
-    def split(self, name: str) -> dict[str, Any]:
-        """How a split was made.
-
-        Raises:
-          ConfigError: there is none of that name, or it holds no views.
-        """
-        return VIEWS.split(self.path, self.record, name)
+    form = VIEWS
 
     @cached_property
     def objects(self) -> tuple[ObjectAsset, ...]:
@@ -189,30 +160,16 @@ class ViewSet:
         Raises:
           ConfigError: there is no such split, or it has fewer; BankError: a block is missing or damaged.
         """
-        total = int(self.split(split)["num_views"])
-        if number is not None and not 1 <= number <= total:
-            raise ConfigError(f"num_views = {number}", f"1 to {total}, the views of {split!r} in {self.path}")
-        total = number or total
-        for table in VIEWS.tables(self.path, split, total):
-            for row in table.to_pylist():
-                yield self._check_objects(_view_of(row))
-
-    def _check_objects(self, view: StoredView) -> StoredView:
-        """The view, where it is of this folder's objects alone."""
-        number = len(self.names)
-        if max(view.objects, default=0) >= number or view.view.label.max() >= num_classes(number):
-            told = f"view {view.number} shows objects beyond the {number} of its record"
-            raise BankError(f"{self.path} is damaged: {told}", hint=VIEWS.again)
-        return view
+        known = len(self.names)
+        for table in self.tables(split, number):
+            for view in map(_view_of, table.to_pylist()):
+                if max(view.objects, default=0) >= known or view.view.label.max() >= num_classes(known):
+                    fault = f"view {view.number} shows objects beyond the {known} of its record"
+                    raise BankError(f"{self.path} is damaged: {fault}", hint=VIEWS.again)
+                yield view
 
 
-def read_views(path: str | Path) -> ViewSet:
-    """Opens a folder of views.
-
-    Raises:
-      BankError: it is none, or damaged.
-    """
-    return ViewSet(Path(path), VIEWS.read_record(Path(path)))
+read_views = ViewSet.read
 
 
 def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, Any]:

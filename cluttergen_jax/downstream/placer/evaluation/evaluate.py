@@ -128,11 +128,7 @@ class PlacerTrials:
         return known
 
     def bank(self) -> Bank:
-        """The bank behind the split.
-
-        Raises:
-          ConfigError: the folder does not hold it.
-        """
+        """The bank behind the split. Raises ConfigError: the folder does not hold it."""
         place = self.pairs.path / f"bank-{self.split}"
         if not place.is_dir():
             raise ConfigError(

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.assets.pool import embedded_root
-from cluttergen_jax.downstream.fitting import blank_params
+from cluttergen_jax.downstream.fitting import blank_params, config_of, embedded_checkpoints
 from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
 from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, RegressionHead
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead
@@ -29,9 +27,7 @@ _HINT = "the folder `placer` of a run of `cluttergen placer train`"
 
 def embedded_placers() -> dict[str, Path]:
     """The trained placers that come with the package, by the name of their head."""
-    root = embedded_root() / "placers"
-    folders = sorted(root.iterdir()) if root.is_dir() else []
-    return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+    return embedded_checkpoints("placers")
 
 
 def head_of(record: Mapping[str, Any], path: Path, wanted: str | None = None) -> Head:
@@ -50,14 +46,9 @@ def head_of(record: Mapping[str, Any], path: Path, wanted: str | None = None) ->
     if name not in HEADS or wanted not in (None, name):
         raise PoolError(f"{path} holds a placer with the head {name!r}", wanted or ", ".join(HEADS), _HINT)
     head, config = HEADS[name]
-    try:
-        sizes = {each.name: record["network"][each.name] for each in fields(config)}
-        return head(config(**{key: _as_given(value) for key, value in sizes.items()}))
-    except (TypeError, KeyError) as error:
-        raise PoolError(
-            f"{path / 'record.json'} does not say what network it holds ({error})",
-            hint="a placer that `cluttergen placer train` of this version left",
-        ) from error
+    return head(
+        config_of(config, record, path, "a placer that `cluttergen placer train` of this version left")
+    )
 
 
 def placer_folder(placer: str | Path) -> Path | None:
@@ -92,8 +83,3 @@ def load_placer(path: Path, wanted: str | None = None) -> Placer:
     if not isinstance(temperature, int | float) or not 0 < temperature < 1e3:
         raise PoolError(f"{path / 'record.json'}: temperature {temperature!r}", "a positive number", _HINT)
     return head.placer(read_policy(path, blank_params(head)), float(temperature))
-
-
-def _as_given(value: Any) -> Any:
-    """As a config has it: lists of a file were tuples."""
-    return tuple(value) if isinstance(value, list) else value

@@ -156,7 +156,6 @@ class MixtureHead:
     kind = "mixture"
 
     def prepare(self, example: Example) -> MixtureExample:
-        """See `head.Head`."""
         query, target = example.query, example.target
         place = (target[:2] / query.region_half_extents + 1) / 2
         turn = jnp.mod(target[3] / (2 * jnp.pi), 1.0)
@@ -165,12 +164,10 @@ class MixtureHead:
         return MixtureExample(features, jnp.clip(action, EDGE, 1 - EDGE))
 
     def init(self, key: Array) -> Any:
-        """See `head.Head`."""
         number = self.config.num_cells**2 * self.config.num_turns
         return MixtureNet(self.config).init(key, jnp.zeros((number, NUM_CELL_FEATURES)))
 
     def loss(self, params: Any, examples: MixtureExample, key: Array) -> tuple[Array, dict[str, Array]]:
-        """See `head.Head`."""
         del key
 
         def surprise(example: MixtureExample) -> Array:
@@ -181,5 +178,4 @@ class MixtureHead:
         return total, {"nll": total}
 
     def placer(self, params: Any, temperature: float = 1.0) -> MixturePlacer:
-        """See `head.Head`."""
         return MixturePlacer(params, self.config)

@@ -136,15 +136,10 @@ class RegressionHead:
     kind = "regression"
 
     def prepare(self, example: Example) -> RegressionExample:
-        """See `head.Head`."""
         return RegressionExample(clouds_of(example.query, self.config), example.target)
 
     def init(self, key: Array) -> Any:
-        """See `head.Head`.
-
-        Raises:
-          PoolError: `encoder_weights` holds none, or weights of other sizes.
-        """
+        """See `head.Head`. Raises PoolError: `encoder_weights` holds none, or weights of other sizes."""
         scene, own = self.config.scene_points, self.config.object_points
         blank = Clouds(
             jnp.zeros((scene, 3)), jnp.ones(scene, bool), jnp.zeros((own, 3)), jnp.ones(2), jnp.ones(3)
@@ -157,7 +152,6 @@ class RegressionHead:
         return {"params": inner | read}
 
     def loss(self, params: Any, examples: RegressionExample, key: Array) -> tuple[Array, dict[str, Array]]:
-        """See `head.Head`."""
         del key
         found: Any = jax.vmap(lambda clouds: RegressionNet(self.config).apply(params, clouds))(
             examples.clouds
@@ -172,7 +166,6 @@ class RegressionHead:
         return share * position + (1 - share) * turn, {"position": position, "turn": turn}
 
     def placer(self, params: Any, temperature: float = 1.0) -> RegressionPlacer:
-        """See `head.Head`."""
         return RegressionPlacer(params, self.config)
 
 

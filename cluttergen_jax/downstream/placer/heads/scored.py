@@ -100,7 +100,6 @@ class ScoredPlacer(struct.PyTreeNode, eq=False):
     temperature: Any = 1.0
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
-        """See `query.Placer`."""
         config, keys, shape = self.config, jax.random.split(key, 3), own_shape(query)
         many = cheapest(query, draw(keys[0], query, config.num_drawn), config.num_finalists)
         first = concatenate_candidates(draw(keys[1], query, config.num_uniform), many)
@@ -179,7 +178,6 @@ class ScoredHead:
     kind = "scored"
 
     def prepare(self, example: Example) -> ScoredExample:
-        """See `head.Head`."""
         query = example.query
         return ScoredExample(
             heights=query.heights,
@@ -192,7 +190,6 @@ class ScoredHead:
         )
 
     def init(self, key: Array) -> Any:
-        """See `head.Head`."""
         crops = jnp.zeros((1, CROP_SIDE, CROP_SIDE, NUM_CHANNELS))
         return ScoreNet(self.config).init(key, jnp.zeros((1, NUM_FEATURES)), crops)
 
@@ -232,7 +229,6 @@ class ScoredHead:
         return found
 
     def placer(self, params: Any, temperature: float = 1.0) -> ScoredPlacer:
-        """See `head.Head`."""
         return ScoredPlacer(params, self.config, np.float32(temperature))
 
 

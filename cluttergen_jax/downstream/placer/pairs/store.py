@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -18,7 +17,17 @@ from cluttergen_jax.config import MAX_PAIRS, check_workers
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker, SceneMaps
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import DepthView, SceneCameras, check_cameras, depth_of
-from cluttergen_jax.downstream.samples import SPLITS, SampleFormat, labels_fault, lengths_of, numbers_of
+from cluttergen_jax.downstream.samples import (
+    FAR,
+    MOST_PIXELS,
+    SPLITS,
+    SampleFormat,
+    SampleSet,
+    faults_of,
+    lengths_of,
+    numbers_of,
+    read_columns,
+)
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix
@@ -26,17 +35,10 @@ from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.schema import Numbers, check_numbers, refuse
+from cluttergen_jax.schema import Numbers, SchemaError, refuse
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import NOISE_OFF, NoiseConfig
 from cluttergen_jax.types import Verdict
-
-MOST_PIXELS = 4096
-"""Of an image's side."""
-_FAR = 100.0
-"""Metres beyond which nothing of a table's scene is."""
-_UNIT = 1e-3
-"""By which the length of a quaternion may differ from 1."""
 
 
 class PairSplit(msgspec.Struct):
@@ -57,12 +59,12 @@ class PairRecord(msgspec.Struct):
 
 _NUMBERS = {
     "camera_K": Numbers("f8", ("pairs", 9), -1e5, 1e5),
-    "T_region_camera": Numbers("f8", ("pairs", 16), -_FAR, _FAR),
+    "T_region_camera": Numbers("f8", ("pairs", 16), -FAR, FAR),
     "width": Numbers("i4", ("pairs",), 1, MOST_PIXELS),
     "height": Numbers("i4", ("pairs",), 1, MOST_PIXELS),
-    "standing_poses": Numbers("f4", (None, 7), -_FAR, _FAR),
-    "target_pose": Numbers("f4", ("pairs", 7), -_FAR, _FAR),
-    "candidate": Numbers("f4", (None, 4), -_FAR, _FAR),
+    "standing_poses": Numbers("f4", (None, 7), -FAR, FAR),
+    "target_pose": Numbers("f4", ("pairs", 7), -FAR, FAR),
+    "candidate": Numbers("f4", (None, 4), -FAR, FAR),
     "candidate_source": Numbers("u1", (None,), 0, 2),
     "candidate_verdict": Numbers("u1", (None,), 0, max(Verdict)),
 }
@@ -75,14 +77,12 @@ def check_rows(table: pa.Table) -> None:
     Raises:
       SchemaError: a number is not finite or out of its range, or the parts of a row do not belong together.
     """
-    inner = {"camera_K": 9, "T_region_camera": 16, "standing_poses": 7, "target_pose": 7, "candidate": 4}
-    found = {name: numbers_of(table, name, *([inner[name]] if name in inner else [])) for name in _NUMBERS}
-    check_numbers(found, _NUMBERS)
+    found = read_columns(table, _NUMBERS)
     for name in ("scene", "slot", "object", "standing"):
         numbers_of(table, name)
     standing, pixels = numbers_of(table, "num_standing"), found["width"].astype(np.int64) * found["height"]
     candidates = lengths_of(table, "candidate")
-    expected = {
+    lengths = {
         "standing": standing,
         "standing_poses": standing,
         "depth": 2 * pixels,
@@ -91,15 +91,10 @@ def check_rows(table: pa.Table) -> None:
         "candidate_source": candidates,
         "candidate_verdict": candidates,
     }
-    faults = [
-        f"{name!r} is not as long as it should be"
-        for name, length in expected.items()
-        if not np.array_equal(lengths_of(table, name), length)
-    ]
-    turns = [np.linalg.norm(found[name][:, 3:], axis=1) for name in ("standing_poses", "target_pose")]
-    if np.abs(np.concatenate(turns) - 1).max(initial=0) > _UNIT:
-        faults.append("a quaternion is not of length 1")
-    refuse(faults or [fault for fault in [labels_fault(table, "labels", 1 + standing)] if fault])
+    refuse(faults_of(table, lengths, found["standing_poses"], found["target_pose"]))
+    for image, most in zip(table["labels"], (1 + standing).tolist(), strict=True):
+        if np.frombuffer(image.as_buffer(), np.uint8).max(initial=0) > most:
+            raise SchemaError(f"'labels' holds a label beyond {most}")
 
 
 SCHEMA = pa.schema(
@@ -158,33 +153,10 @@ class PairLabels(NamedTuple):
     unseen: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class PairSet:
+class PairSet(SampleSet):
     """A folder of pairs that is read. `record` is what `pairs.json` holds."""
 
-    path: Path
-    record: dict[str, Any]
-
-    @property
-    def splits(self) -> tuple[str, ...]:
-        """Those that it holds."""
-        return tuple(self.record["splits"])
-
-    def split(self, name: str) -> dict[str, Any]:
-        """How a split was made.
-
-        Raises:
-          ConfigError: there is none of that name, or it holds no pairs.
-        """
-        return PAIRS.split(self.path, self.record, name)
-
-    def tables(self, split: str) -> Iterator[pa.Table]:
-        """The rows of a split, block by block.
-
-        Raises:
-          ConfigError: there is no such split; BankError: a block is missing or damaged.
-        """
-        return PAIRS.tables(self.path, split, int(self.split(split)["num_pairs"]))
+    form = PAIRS
 
     def setup(self, split: str) -> Setup:
         """The world of a split, natively judged.
@@ -196,13 +168,7 @@ class PairSet:
         return setup_of(Bank(self.path, {"recipe": recipe, "assets": assets}), engine="native")
 
 
-def read_pairs(path: str | Path) -> PairSet:
-    """Opens a folder of pairs.
-
-    Raises:
-      BankError: it is none, or damaged.
-    """
-    return PairSet(Path(path), PAIRS.read_record(Path(path)))
+read_pairs = PairSet.read
 
 
 PairFilter = Callable[[pa.Table], np.ndarray]
@@ -236,12 +202,9 @@ def load_queries(
     """
     check_workers("num_threads", num_threads)
     pairs = dataset if isinstance(dataset, PairSet) else read_pairs(dataset)
-    made = pairs.split(split)
-    total = int(made["num_pairs"])
-    if num_pairs is not None and not 1 <= num_pairs <= total:
-        raise ConfigError(f"num_pairs = {num_pairs}", f"1 to {total}, the pairs of {split!r} in {pairs.path}")
+    made, total = pairs.split(split), pairs.num_samples(split, num_pairs)
     check_cameras(num_cameras, made["camera"])
-    total, problem = num_pairs or total, pairs.setup(split).problem
+    problem = pairs.setup(split).problem
     names = {name: k for k, name in enumerate(problem.world.names)}
     noises = (noise,) if isinstance(noise, NoiseConfig) else tuple(noise)
     reader = _Reader(problem, made, num_cameras, SPLITS[split])
@@ -251,8 +214,7 @@ def load_queries(
         ThreadPoolExecutor(num_threads or None) as pool,
         Progress(f"reading {split}", total, "pair") as progress,
     ):
-        for table in pairs.tables(split):
-            rows = table.slice(0, total - progress.done)
+        for rows in pairs.tables(split, total):
             chosen = rows if wanted is None else rows.filter(pa.array(wanted(rows)))
             if chosen.num_rows:
                 part = labels_of(chosen, names, problem.rules.num_slots)
@@ -263,8 +225,6 @@ def load_queries(
                 unseen = np.array([sight.unseen for sight in sights], np.float32)
                 labels.append(part._replace(unseen=unseen))
             progress.update(rows.num_rows)
-            if progress.done >= total:
-                break
     if not queries:
         raise ConfigError(f"no wanted pairs among {total} of {split!r} in {pairs.path}", "one or more")
     return concatenate_queries(queries), PairLabels(

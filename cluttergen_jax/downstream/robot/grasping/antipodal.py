@@ -54,11 +54,7 @@ class _Crossing(NamedTuple):
 
 
 class Union:
-    """The union of convex parts, for lines to be cast through.
-
-    Args:
-      parts: convex collision parts of one body.
-    """
+    """The union of convex parts, for lines to be cast through; parts: convex collision parts of one body."""
 
     def __init__(self, parts: Sequence[Mesh]) -> None:
         hulls = [ConvexHull(part.vertices) for part in parts]

@@ -238,11 +238,7 @@ _HEADINGS = ("object", "grasps", "low", "tested", "shift mm", "slip mm", "turn d
 
 @dataclass(frozen=True, eq=False)
 class GraspSets:
-    """Grasps of several objects, in the order in which they were asked for.
-
-    Attributes:
-      sets: of each object.
-    """
+    """Grasps of several objects, in the order in which they were asked for; sets: of each object."""
 
     sets: tuple[Grasps, ...]
 

@@ -33,11 +33,7 @@ _TURN_METRES = 0.15
 
 
 def need(module: str, purpose: str) -> Any:
-    """A module of the extra `robot`.
-
-    Raises:
-      MissingExtraError: it is not installed.
-    """
+    """A module of the extra `robot`. Raises MissingExtraError: it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -45,11 +41,7 @@ def need(module: str, purpose: str) -> Any:
 
 
 class ArmKinematics:
-    """The arm alone, its base where it stands.
-
-    Args:
-      base: f64[7], T_world_base.
-    """
+    """The arm alone, its base where it stands; base: f64[7], T_world_base."""
 
     def __init__(self, base: np.ndarray) -> None:
         mink = need("mink", "inverse kinematics")

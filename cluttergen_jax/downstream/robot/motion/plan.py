@@ -45,11 +45,7 @@ class PlacePlan(NamedTuple):
 
 
 class Planner:
-    """Finds paths for the arm in one world.
-
-    Args:
-      world: what stands there; kinematics: of the arm.
-    """
+    """Finds paths for the arm in one world; world: what stands there; kinematics: of the arm."""
 
     def __init__(self, world: PlanningWorld, kinematics: ArmKinematics) -> None:
         self._ob: Any = need("ompl.base", "motion planning")
@@ -139,11 +135,7 @@ _LEAST_POINTS, _LEAST_GRID = 5, 100
 
 
 class Trajectory(NamedTuple):
-    """T steps of a motion.
-
-    Attributes:
-      joints: f64[T, 7], radians; speed: f64[T, 7], rad/s.
-    """
+    """T steps of a motion; joints: f64[T, 7], radians; speed: f64[T, 7], rad/s."""
 
     joints: np.ndarray
     speed: np.ndarray
