@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from numbers import Integral
@@ -165,6 +165,22 @@ class Fit:
     def loss(self, params: Any, examples: Any) -> Array:
         """f32: the loss on examples that nothing is learned from."""
         return self.learner.loss(params, examples, new_key(0))[0]
+
+
+def in_parts(call: Callable[[Any], Any], examples: Any, size: int) -> Iterator[Any]:
+    """What `call` makes of all the examples, NumPy arrays, so many at a time.
+
+    The last part is filled up with the last example, so that one program serves all.
+    """
+    number = num_examples(examples)
+    for first in range(0, number, size):
+        made = jax.device_get(call(take(examples, np.minimum(np.arange(first, first + size), number - 1))))
+        yield take(made, np.arange(min(size, number - first)))
+
+
+def concatenate(parts: Sequence[Any]) -> Any:
+    """Examples in parts as one."""
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
 def num_examples(examples: Any) -> int:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.progress import Progress
 from cluttergen_jax.proportions import finite, wilson
 from cluttergen_jax.schema import SchemaError, checked_record, digest_of, parse_json, typed, with_checksum
 
@@ -114,6 +115,23 @@ class RowFile(Generic[Row]):
             text = "".join(json.dumps(_plain(row)) + "\n" for row in rows).encode()
             first = json.dumps(with_checksum({**self._recipe, _ROWS: digest_of(text)}), sort_keys=True)
             write_atomically(self._path, f"{first}\n".encode() + text)
+
+    def complete(
+        self,
+        rows: list[Row],
+        number: int,
+        make: Callable[[int], Row],
+        title: str,
+        unit: str = "episode",
+        note: Callable[[list[Row]], str] = lambda rows: "",
+    ) -> list[Row]:
+        """Makes and keeps rows one after another until there are `number`; note: says how far it is."""
+        with Progress(title, number, unit, kept=len(rows)) as progress:
+            for index in range(len(rows), number):
+                rows.append(make(index))
+                self.write(rows)
+                progress.update(note=note(rows))
+        return rows
 
     def _row(self, line: bytes) -> Row:
         found = typed(parse_json(line), dict[str, Any])

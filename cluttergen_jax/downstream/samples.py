@@ -12,7 +12,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -23,7 +23,7 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.files import folder_whole, is_partial, remove_partial, write_atomically, writing
-from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.lock import LOCK, BankLock
 from cluttergen_jax.schema import (
     SEAL,
@@ -346,6 +346,22 @@ class StableScenes(NamedTuple):
         It does not depend on later scenes, so a bank may be continued.
         """
         return max(0, int(np.searchsorted(self.number, scene % self.num_scenes, side="right")) - 1)
+
+
+def bank_or_made(
+    bank: str | Path | None, make: Callable[[], Bank], names: str, given: Sequence[object]
+) -> Bank:
+    """The bank in a folder, or one made along, as it is given; names: of what is given for that.
+
+    Raises:
+      ConfigError: there is a bank, and something of one that would be made is given as well.
+    """
+    if bank is None:
+        return make()
+    for name, value in zip(names.split(), given, strict=True):
+        if value is not None:
+            raise ConfigError(f"`{name}` together with `bank`", "one or the other", f"leaving out `{name}`")
+    return read_bank(bank)
 
 
 # Columns of rows, for the checks of what was read.

@@ -42,6 +42,7 @@ def small_blocks():
     with pytest.MonkeyPatch.context() as patch:
         for module in (data, pairs):
             patch.setattr(module, "PAIRS", replace(pairs.PAIRS, block_size=WIDTH))
+        patch.setattr(pairs.PairSet, "form", pairs.PAIRS)
         yield
 
 

@@ -41,6 +41,7 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module in (data, pairs):
             patch.setattr(module, "PAIRS", replace(pairs.PAIRS, block_size=8))
+        patch.setattr(pairs.PairSet, "form", pairs.PAIRS)
         patch.setattr(bench_module, "_AT_ONCE", 8)
         folder = tmp_path_factory.mktemp("placer")
         found = write_bank(folder / "bank", seed=SPLITS["test"])

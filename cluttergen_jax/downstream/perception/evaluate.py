@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -11,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.perception.certainty import (
     FEATURES,
     Certainty,
@@ -38,7 +37,6 @@ from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet
 from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
-from cluttergen_jax.progress import Progress
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.tables import aligned_table
@@ -213,7 +211,7 @@ def evaluate_perception(
         for factor in noise:
             setting = recipe | {"split": split, "cameras": number, "noise": factor}
             # Another network, or another rule of certainty, has rows of its own.
-            digest = hashlib.sha256(json.dumps(setting, sort_keys=True).encode()).hexdigest()[:8]
+            digest = json_digest(setting, 8)
             name = f"{split}-{number}-cameras-noise-{factor:g}-{digest}.jsonl"
             file = RowFile(None if out is None else out / name, setting, JudgedMoment, "perception eval")
             moments = _judge_all(views, split, number, factor, num_views, seed, finder, file, true_masks)
@@ -245,12 +243,12 @@ def _judge_all(
     assert isinstance(estimator, RegistrationEstimator)
     models = [estimator.model(k) for k in range(len(views.names))]
     title = f"{cameras} cameras, noise {factor:g}"
-    with Progress(title, total, "moment", kept=len(rows)) as progress:
-        for moment in islice(_moments(views, split, cameras, total), len(rows), None):
-            rows.append(judge_moment(moment, finder, models, REALSENSE.scaled(factor), seed, true_masks))
-            file.write(rows)
-            progress.update()
-    return rows
+    moments = islice(_moments(views, split, cameras, total), len(rows), None)
+
+    def judge(_: int) -> JudgedMoment:
+        return judge_moment(next(moments), finder, models, REALSENSE.scaled(factor), seed, true_masks)
+
+    return file.complete(rows, total, judge, title, "moment")
 
 
 def _moments(views: ViewSet, split: str, cameras: int, total: int) -> Iterator[list[StoredView]]:

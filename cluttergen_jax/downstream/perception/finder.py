@@ -12,7 +12,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.downstream.constants import constants_hash
+from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.perception import camera_correction, certainty, mask_correction
 from cluttergen_jax.downstream.perception.camera_correction import correct_camera
 from cluttergen_jax.downstream.perception.certainty import FEATURES, Certainty, features_of, read_certainty

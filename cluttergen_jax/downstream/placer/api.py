@@ -80,8 +80,8 @@ def placer_data(
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
     from cluttergen_jax.downstream.placer.pairs.store import PAIRS
-    from cluttergen_jax.downstream.samples import SPLITS
-    from cluttergen_jax.scene.bank.bank import Bank, read_bank
+    from cluttergen_jax.downstream.samples import SPLITS, bank_or_made
+    from cluttergen_jax.scene.bank.bank import Bank
     from cluttergen_jax.scene.bank.blocks import AGAIN
 
     check_folder(out)
@@ -91,34 +91,25 @@ def placer_data(
         check_range("num_pairs", num_pairs, 1, MAX_PAIRS, 5000)
     if split is not None and split not in SPLITS:
         raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
-    given = {
-        "spec": spec,
-        "pool": pool,
-        "num_scenes": num_scenes,
-        "method": method,
-        "support": support,
-        "num_objects": num_objects,
-    }
-    first = next((name for name, value in given.items() if value is not None), None)
-    if bank is None:
-        name = split or "train"
+    name = split or "train"
+
+    def make() -> Bank:
         PAIRS.check_place(Path(out))
-        asked = spec or SceneSpec(pool="household")
-        found: Bank = generate(
+        asked = (spec or SceneSpec(pool="household")).replace_given(pool, method, support, num_objects)
+        return generate(
             Path(out) / f"bank-{name}",
-            replace(asked.replace_given(pool, method, support, num_objects), num_threads=num_threads),
+            replace(asked, num_threads=num_threads),
             num_scenes=500 if num_scenes is None else num_scenes,
             seed=SPLITS[name] + seed,
             render=False,
             max_files=0,
             overwrite=overwrite,
         )
-    elif first:
-        raise ConfigError(f"`{first}` together with `bank`", "one or the other", f"leaving out `{first}`")
-    else:
-        found = read_bank(bank)
-        if "assets" not in found.record:
-            raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
+
+    given = (spec, pool, num_scenes, method, support, num_objects)
+    found = bank_or_made(bank, make, "spec pool num_scenes method support num_objects", given)
+    if "assets" not in found.record:
+        raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
     of_split = split_of(found, split)
     return write_pairs(out, found, of_split, num_pairs, camera, seed, num_threads, overwrite)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +12,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.config import PlacerNoise
+from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.placer.pairs.store import (
     PairFilter,
     PairLabels,
@@ -112,7 +111,7 @@ class ExampleSource:
 def _digest(pairs: PairSet) -> str:
     """Equal for equal examples: a test split may come later."""
     told = [pairs.record["assets"], *(pairs.record["splits"].get(name) for name in ("train", "val"))]
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:20]
+    return json_digest(told, 20)
 
 
 def examples_of(queries: PlacementQuery, labels: PairLabels) -> Example:

@@ -135,7 +135,11 @@ class ProposalJudge:
           scene: i[P], which of them each proposal is for.
           pose: f32[P, 4], x, y, z and yaw of T_region_object.
         """
-        parts = [self._settle(episodes, *chunk) for chunk in _chunks(scene, pose)]
+        parts = []
+        for first in range(0, len(scene), _AT_ONCE):
+            rows = np.minimum(np.arange(first, first + _AT_ONCE), len(scene) - 1)
+            num = min(_AT_ONCE, len(scene) - first)
+            parts.append(self._settle(episodes, scene[rows], pose[rows], num))
         return JudgedProposals(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
     def release(
@@ -190,15 +194,3 @@ def _verdict(rules: Rules, episode: Episode, settling: Any) -> tuple[Array, Arra
     asking = replace(rules, config=replace(rules.config, min_margin=MIN_MARGIN))
     is_stable = transition.verdict == int(Verdict.STABLE)
     return transition.verdict, is_stable & asking.is_supported(episode, rules.focus(episode), settling)
-
-
-def _chunks(scene: np.ndarray, pose: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, int]]:
-    """Proposals in parts of one size, and how many of each part are meant."""
-    chunks = []
-    for first in range(0, len(scene), _AT_ONCE):
-        part, num = slice(first, first + _AT_ONCE), min(_AT_ONCE, len(scene) - first)
-        more = _AT_ONCE - num
-        chunks.append(
-            (np.pad(scene[part], (0, more)), np.pad(pose[part], ((0, more), (0, 0)), mode="edge"), num)
-        )
-    return chunks

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args
@@ -12,7 +13,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.config import PlacerHead
-from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, num_examples, take
+from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, concatenate, in_parts, num_examples
 from cluttergen_jax.downstream.placer.examples import ExampleSource
 from cluttergen_jax.downstream.placer.heads.checkpoint import KIND
 from cluttergen_jax.downstream.placer.heads.mixture import MixtureHead
@@ -134,17 +135,12 @@ class PlacerTraining(FitRun):
         super().__init__(head, config, recipe, folder, show)
 
     def examples(self, split: Any) -> Any:
-        examples = self.source.load(split)
-        number, parts = num_examples(examples), []
-        with Progress(f"preparing {split}", number, "pair") as progress:
-            for first in range(0, number, _AT_ONCE):
-                # The last call is filled up with its last pair, so that one program serves all.
-                index = np.minimum(np.arange(first, first + _AT_ONCE), number - 1)
-                made = jax.device_get(_prepare(self.head, take(examples, index)))
-                count = min(_AT_ONCE, number - first)
-                parts.append(jax.tree.map(lambda leaf, n=count: leaf[:n], made))
-                progress.update(count)
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        examples, parts = self.source.load(split), []
+        with Progress(f"preparing {split}", num_examples(examples), "pair") as progress:
+            for part in in_parts(partial(_prepare, self.head), examples, _AT_ONCE):
+                parts.append(part)
+                progress.update(num_examples(part))
+        return concatenate(parts)
 
     def save(self, state: FitState, held_out: Any) -> Path:
         folder = self.folder / self.kind

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.downstream.constants import constants_hash
+from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder, finder_hash
 from cluttergen_jax.downstream.perception.types import Look
 from cluttergen_jax.downstream.perception.views.stage import above, wrist_camera

@@ -11,7 +11,7 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.config import LayoutRule, Method, PickOrder
 from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.outcome import Outcome
+from cluttergen_jax.downstream.robot.outcome import Ending
 from cluttergen_jax.scene import Scene
 
 _NEAR = Rectangle((0.0, -0.15), (0.225, 0.125))
@@ -118,11 +118,10 @@ Chooser = Callable[[RearrangeTask, np.ndarray, Layouts], int]
 
 
 @dataclass(frozen=True)
-class RearrangeResult:
+class RearrangeResult(Ending):
     """What became of an episode.
 
     Attributes:
-      outcome: "success", an `Outcome` or a `Cause`, as text; detail: of what, in words.
       setting: its name. objects: that were to be moved; right: which of them are where they should be.
       picks: how often an object was picked up; fewest: the fewest that could do, for all layouts that were
         tried.
@@ -135,8 +134,6 @@ class RearrangeResult:
         "number" or "person".
     """
 
-    outcome: str
-    detail: str
     setting: str
     objects: list[str]
     right: list[bool]
@@ -153,8 +150,3 @@ class RearrangeResult:
     cpu: float
     layout: int = -1
     chosen_by: str = ""
-
-    @property
-    def is_success(self) -> bool:
-        """Nothing went wrong."""
-        return self.outcome == Outcome.SUCCESS

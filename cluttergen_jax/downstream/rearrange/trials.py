@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
@@ -14,7 +13,7 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.config import FilmFormat
-from cluttergen_jax.downstream.constants import constants_hash
+from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.layouts import ReachCheck, SceneDraw
@@ -31,12 +30,12 @@ from cluttergen_jax.downstream.rearrange.task import (
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.motion.execute import Trace
+from cluttergen_jax.downstream.robot.outcome import Endings, success_of
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash
 from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.downstream.transforms import turn_symmetry
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
-from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
@@ -139,7 +138,7 @@ def is_stacked(scene: Scene, grasps: Sequence[Grasps], number: int) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Rearrangements:
+class Rearrangements(Endings):
     """What became of episodes of one setting.
 
     Attributes:
@@ -151,20 +150,13 @@ class Rearrangements:
     observer: str
     rows: tuple[RearrangeResult, ...]
 
-    @property
-    def success_rate(self) -> float:
-        """Share of all episodes."""
-        return sum(row.is_success for row in self.rows) / max(len(self.rows), 1)
-
     def __str__(self) -> str:
         """Rates, causes, and what an episode costs."""
         rows = self.rows
-        lines = [f"{self.setting}, {self.observer}: {_share(rows)} of all episodes"]
+        lines = [f"{self.setting}, {self.observer}: {success_of(rows)} of all episodes"]
         right = [each for row in rows for each in row.right]
         lines.append(f"objects where they should be: {share_of(sum(right), len(right))}")
-        causes = Counter(row.outcome for row in rows if not row.is_success)
-        if causes:
-            lines.append("failures: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()))
+        lines += self.causes()
         good = [row for row in rows if row.is_success]
         if good:
             over = sum(row.picks - row.fewest for row in good)
@@ -186,10 +178,6 @@ class Rearrangements:
             for name in sorted({name for row in rows for name in row.objects})
         ]
         return "\n".join([*lines, "", aligned_table(("object", "moved", "right"), table)])
-
-
-def _share(rows: Sequence[RearrangeResult]) -> str:
-    return share_of(sum(row.is_success for row in rows), len(rows))
 
 
 def _object_row(rows: Sequence[RearrangeResult], name: str) -> tuple[str, str]:
@@ -255,13 +243,13 @@ def run_rearrangements(
         given = options if ask is None else replace(options, layout=rows[index].layout)
         return rearrange_episode(task_of(index), given, observer, trace)
 
-    with Progress(setting.name, number, "episode", kept=len(rows)) as progress:
-        for index in range(len(rows), number):
-            row = rearrange_episode(task_of(index), options, observer, ask=ask)
-            rows.append(row)
-            file.write(rows)
-            good = sum(each.is_success for each in rows)
-            progress.update(note=f"{good} of {len(rows)} good, the last: {row.outcome}")
+    def run(index: int) -> RearrangeResult:
+        return rearrange_episode(task_of(index), options, observer, ask=ask)
+
+    def note(rows: list[RearrangeResult]) -> str:
+        return f"{sum(row.is_success for row in rows)} of {len(rows)} good, the last: {rows[-1].outcome}"
+
+    file.complete(rows, number, run, setting.name, note=note)
     if out is not None and sheets:
         save_sheets(rows, task_of, options, observer, out)
     if out is not None and films is not None:

@@ -17,7 +17,7 @@ from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.outcome import Ending, Failed, Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
 from cluttergen_jax.downstream.transforms import angle_between, matrix_of
@@ -32,11 +32,10 @@ _STAND_GAP, _STAND_HALF_HEIGHT, _STAND_BEFORE = 0.01, 0.01, 0.1
 
 
 @dataclass(frozen=True)
-class EpisodeResult:
+class EpisodeResult(Ending):
     """What became of an episode.
 
     Attributes:
-      outcome: an `Outcome`, as text; detail: of what, in words.
       object: the name of the object that was moved; num_others: objects besides it.
       error, turn_error: metres in plan and radians in the end from where it was put; nan if it never was.
         z_error: metres.
@@ -47,8 +46,6 @@ class EpisodeResult:
       scene: the number of the scene in its bank, -1 where it is not known.
     """
 
-    outcome: str
-    detail: str
     object: str
     num_others: int
     error: float
@@ -61,11 +58,6 @@ class EpisodeResult:
     placer: str = "none"
     looks: int = 0
     scene: int = -1
-
-    @property
-    def is_success(self) -> bool:
-        """Nothing went wrong."""
-        return self.outcome == Outcome.SUCCESS
 
 
 def stand_beside(support: SupportAsset) -> Box:

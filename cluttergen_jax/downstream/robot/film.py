@@ -42,23 +42,16 @@ _ARM_WIDTH, _ROOM = 0.08, 0.1
 
 
 class EpisodeRow(Protocol):
-    """What a film has to know of an episode."""
+    """What a film has to know of an episode (`outcome.Ending`), and its simulated seconds."""
 
     @property
-    def outcome(self) -> str:
-        """How it ended."""
-
+    def outcome(self) -> str: ...
     @property
-    def detail(self) -> str:
-        """Of what, in words."""
-
+    def detail(self) -> str: ...
     @property
-    def is_success(self) -> bool:
-        """Nothing went wrong."""
-
+    def is_success(self) -> bool: ...
     @property
-    def seconds(self) -> float:
-        """Of the simulated time."""
+    def seconds(self) -> float: ...
 
 
 def check_films(film: FilmFormat) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.config import FilmFormat, RobotTask
-from cluttergen_jax.downstream.constants import constants_hash
+from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.robot import cameras, episode, model, sensing_arm
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeResult,
@@ -26,12 +25,11 @@ from cluttergen_jax.downstream.robot.grasping import grips
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.motion import collision, execute, ik, mover, occupancy_boxes, plan
 from cluttergen_jax.downstream.robot.motion.execute import Trace
-from cluttergen_jax.downstream.robot.outcome import Outcome
+from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of, success_of
 from cluttergen_jax.downstream.robot.places import CameraPlacer
-from cluttergen_jax.downstream.rows import RowFile, share_of
+from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.evaluation.machine import versions
-from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
@@ -43,7 +41,7 @@ Places = Callable[[int, Scene], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class RobotTrials:
+class RobotTrials(Endings):
     """What became of episodes.
 
     Attributes:
@@ -55,23 +53,18 @@ class RobotTrials:
     rows: tuple[EpisodeResult, ...]
 
     @property
-    def success_rate(self) -> float:
-        """Share of all episodes."""
-        return sum(row.is_success for row in self.rows) / max(len(self.rows), 1)
-
-    @property
     def possible(self) -> tuple[EpisodeResult, ...]:
         """The episodes in which a grasp free of contact was reached."""
         return tuple(row for row in self.rows if row.outcome not in (Outcome.NO_GRASP, Outcome.NO_IK))
 
     def __str__(self) -> str:
         """Causes, a row for each object, and how exactly things were put down."""
-        lines = [f"{self.task}: {_share(self.rows)} of all episodes"]
+        lines = [f"{self.task}: {success_of(self.rows)} of all episodes"]
         if len(self.possible) < len(self.rows):
-            lines.append(f"{self.task}: {_share(self.possible)} where a grasp free of contact was reached")
-        causes = Counter(row.outcome for row in self.rows if not row.is_success)
-        if causes:
-            lines.append("failures: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()))
+            lines.append(
+                f"{self.task}: {success_of(self.possible)} where a grasp free of contact was reached"
+            )
+        lines += self.causes()
         put = [row for row in self.rows if np.isfinite(row.error)]
         if put:
             error, turn = np.array([(1e3 * row.error, np.degrees(row.turn_error)) for row in put]).T
@@ -86,14 +79,8 @@ class RobotTrials:
         return "\n".join([*lines, "", aligned_table(("object", "episodes", "success", "failures"), table)])
 
 
-def _share(rows: Sequence[EpisodeResult]) -> str:
-    return share_of(sum(row.is_success for row in rows), len(rows))
-
-
 def _object_row(rows: Sequence[EpisodeResult]) -> tuple[str, str, str]:
-    causes = Counter(row.outcome for row in rows if not row.is_success)
-    told = ", ".join(f"{name} {count}" for name, count in causes.most_common()) or "-"
-    return str(len(rows)), str(sum(row.is_success for row in rows)), told
+    return str(len(rows)), str(sum(row.is_success for row in rows)), causes_of(rows)
 
 
 def own_place(index: int, scene: Scene) -> np.ndarray:
@@ -152,13 +139,11 @@ def run_trials(
         row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace)
         return replace(row, scene=_number_of(scenes, index))
 
-    with Progress(task, number, "episode", kept=len(rows)) as progress:
-        for index in range(len(rows), number):
-            row = run(index)
-            rows.append(row)
-            file.write(rows)
-            good = sum(each.is_success for each in rows)
-            progress.update(note=f"{good} of {len(rows)} good, {row.object}: {row.outcome}")
+    def note(rows: list[EpisodeResult]) -> str:
+        good = sum(row.is_success for row in rows)
+        return f"{good} of {len(rows)} good, {rows[-1].object}: {rows[-1].outcome}"
+
+    file.complete(rows, number, run, task, note=note)
     if out is not None and films is not None:
         film_firsts(rows, run, out / FILMS, films, task)
     return RobotTrials(task, tuple(rows))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +15,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import MAX_VIEWS
+from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.perception.types import num_classes
 from cluttergen_jax.downstream.perception.views.stage import RgbdImage
 from cluttergen_jax.downstream.samples import (
@@ -152,7 +151,7 @@ class ViewSet(SampleSet):
     def digest(self, split: str) -> str:
         """Equal for equal views of a split."""
         told = [self.record["assets"], self.split(split)]
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:20]
+        return json_digest(told, 20)
 
     def views(self, split: str, number: int | None = None) -> Iterator[StoredView]:
         """The first views of a split, all if no number is given.

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.downstream.fitting import concatenate, in_parts
 from cluttergen_jax.downstream.placer.pairs.store import PairLabels
 from cluttergen_jax.downstream.placer.partial_scenes import ProposalJudge, episode_of, judging_rules
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
@@ -202,10 +203,9 @@ def answers(placer: Placer, keys: Array, queries: PlacementQuery) -> Proposals:
 
 
 def _in_parts(answer: Any, placer: Any, keys: Array, asked: Any) -> Proposals:
-    """The answers to many queries, some at a time, all parts of one size."""
-    number, parts = len(keys), []
-    for first in range(0, number, _AT_ONCE):
-        rows = np.minimum(first + np.arange(min(_AT_ONCE, number)), number - 1)
-        found = answer(placer, keys[rows], jax.tree.map(lambda leaf, rows=rows: leaf[rows], asked))
-        parts.append(jax.tree.map(np.asarray, found))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:number], *parts)
+    """The answers to many queries, some at a time."""
+
+    def call(part: Any) -> Any:
+        return answer(placer, *part)
+
+    return concatenate(list(in_parts(call, (keys, asked), min(_AT_ONCE, len(keys)))))

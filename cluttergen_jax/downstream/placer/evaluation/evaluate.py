@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench, ProposalOutcomes
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, figures_of, tables_of
@@ -114,10 +113,8 @@ class PlacerTrials:
           ConfigError, PoolError: there is no such placer, or it is damaged.
         """
         found = find_placer(placer)
-        trial = self._trial(name or placer, noise)
-        sources = self._sources(placer, found)
-        text = json.dumps({"trial": trial, "sources": sources}, sort_keys=True)
-        key = hashlib.sha256(text.encode()).hexdigest()[:20]
+        trial, sources = self._trial(name or placer, noise), self._sources(placer, found)
+        key = json_digest({"trial": trial, "sources": sources}, 20)
         title = f"{Path(name or placer).name} noise {noise:g} {self.split} {self._place(trial)}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is None:
@@ -144,8 +141,7 @@ class PlacerTrials:
         if isinstance(found, FullState):
             return None
         trial = self._trial(placer, noise) | {"chains": number}
-        text = json.dumps([trial, self._sources(placer, found)], sort_keys=True)
-        key = hashlib.sha256(text.encode()).hexdigest()[:20]
+        key = json_digest([trial, self._sources(placer, found)], 20)
         title = f"{number} chains by {Path(placer).name} noise {noise:g} {self._place(trial)}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is not None:
@@ -196,9 +192,8 @@ class PlacerTrials:
             folder = placer_folder(placer)
             weights = None if folder is None else folder_hash(folder)
         told = {name: value for name, value in self.made.items() if name != "num_pairs"}
-        text = json.dumps([told, self.pairs.record["assets"]], sort_keys=True)
         return {
-            "pairs": hashlib.sha256(text.encode()).hexdigest(),
+            "pairs": json_digest([told, self.pairs.record["assets"]]),
             "placer": weights,
             "noise_seed": SPLITS[self.split] + self.seed,
             "versions": versions(),

@@ -1,4 +1,4 @@
-"""A digest of the constants that modules fix: what decides an episode beside what it is given."""
+"""Digests of JSON values, and of the constants that modules fix."""
 
 from __future__ import annotations
 
@@ -25,7 +25,12 @@ def constants_hash(*modules: ModuleType, **others: Any) -> str:
     named = [(name, value) for name, value in fixed if _CONSTANT.fullmatch(name)] + list(others.items())
     plain = ((name, _plain(value)) for name, value in named)
     known = {json.dumps([name, value]) for name, value in plain if value is not _SKIPPED}
-    return hashlib.sha256(json.dumps(sorted(known)).encode()).hexdigest()
+    return json_digest(sorted(known))
+
+
+def json_digest(value: Any, length: int = 64) -> str:
+    """The first hex digits of the digest of a JSON value."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:length]
 
 
 def _plain(value: Any) -> Any:
