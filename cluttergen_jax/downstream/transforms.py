@@ -64,11 +64,17 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 __all__ = ["ROUND", "TOLERANCE", "equal_places", "offset", "turn_matrix", "turn_symmetry"]
 
 
-def equal_places(place: np.ndarray, order: int, most: int = 8) -> np.ndarray:
+def motion_between(now: np.ndarray, then: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f64[...], f64[...]: metres and radians from poses f64[..., 7] to others."""
+    shift = np.linalg.norm(now[..., :3] - then[..., :3], axis=-1)
+    return shift, angle_between(matrix_of(now), matrix_of(then))
+
+
+def equal_places(place: np.ndarray, order: int) -> np.ndarray:
     """f64[n, 4, 4]: poses of an object of this symmetry that look like `place` f64[4, 4], itself first."""
-    number = min(order, most)
+    number = min(order, 8)
     angles = 2 * np.pi * np.arange(number) / number
-    # With most = 8 every order that is not round divides the turn without rest, or is taken whole.
+    # Every order that is not round divides the turn without rest, or is taken whole.
     return np.stack([place @ turn_matrix(angle) for angle in angles])
 
 

@@ -89,7 +89,7 @@ def test_each_finger_presses_as_strongly_as_it_should(panda):
     data.qpos[arm.qpos] = data.ctrl[arm.ctrl] = home_pose()
     for width in (0.0, 0.02, 0.04):
         data.qpos[arm.fingers] = width
-        data.ctrl[arm.grip] = robot_model.PandaConfig().grip_target
+        data.ctrl[arm.grip] = robot_model.PANDA.grip_target
         mujoco.mj_forward(panda, data)
         assert all(-70 <= force <= -59 for force in data.qfrc_actuator[arm.dofs[7:]])
 

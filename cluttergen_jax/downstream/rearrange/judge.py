@@ -12,7 +12,7 @@ from cluttergen_jax.downstream.rearrange.observe import Cause
 from cluttergen_jax.downstream.robot.episode import WATCHED
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.transforms import angle_between, matrix_of, offset
+from cluttergen_jax.downstream.transforms import matrix_of, motion_between, offset
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank.verify import verify_model
 
@@ -97,8 +97,5 @@ class RearrangementJudge:
 def _has_moved(now: np.ndarray, then: np.ndarray) -> np.ndarray:
     """bool[N]: poses f64[N, 7] farther apart than the last check of scenes allows."""
     limits = StabilityConfig()
-    if not len(now):
-        return np.zeros(0, bool)
-    shift = np.linalg.norm(now[:, :3] - then[:, :3], axis=1)
-    turn = angle_between(matrix_of(now), matrix_of(then))
+    shift, turn = motion_between(now, then)
     return (shift > limits.stand_full_shift) | (turn > limits.stand_full_turn)

@@ -12,7 +12,7 @@ import numpy as np
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.model import PandaConfig, base_pose
+from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
@@ -20,7 +20,7 @@ from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TUR
 from cluttergen_jax.downstream.robot.outcome import Ending, Failed, Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
-from cluttergen_jax.downstream.transforms import angle_between, matrix_of
+from cluttergen_jax.downstream.transforms import angle_between, matrix_of, motion_between
 from cluttergen_jax.geometry import product, turned, yaw_quaternion
 from cluttergen_jax.scene import Scene
 
@@ -97,12 +97,11 @@ class Referee:
         scene: Scene,
         target: int,
         stands: tuple[Box, ...],
-        config: PandaConfig | None = None,
         trace: Trace | None = None,
     ) -> None:
         self.put: Put | None = None
         self.scene, self.target = scene, target
-        self.execution = Execution(scene, target, stands, config, trace)
+        self.execution = Execution(scene, target, stands, trace)
         self._others = [k for k in range(len(scene.names)) if k != target]
         self.displaced = 0.0
 
@@ -119,8 +118,7 @@ class Referee:
         """The numbers of the other objects that have moved too far; keeps how far one has at most."""
         limits = StabilityConfig()
         now, then = self.execution.poses()[self._others], self.scene.poses[self._others]
-        shift = np.linalg.norm(now[:, :3] - then[:, :3], axis=1)
-        turn = angle_between(matrix_of(now), matrix_of(then)) if self._others else shift
+        shift, turn = motion_between(now, then)
         self.displaced = max(self.displaced, float(shift.max(initial=0.0)))
         is_far = (shift > limits.max_shift) | (turn > limits.max_turn)
         return [number for number, far in zip(self._others, is_far, strict=True) if far]
@@ -131,11 +129,10 @@ class Referee:
         Raises:
           Failed: it moved by more than the last check of scenes allows, or another did.
         """
-        limits, start = StabilityConfig(), self.execution.pose(self.target)
+        limits, start = StabilityConfig(), self.execution.poses()[self.target]
         for _ in range(round(WATCHED / 0.1)):
             self.execution.wait(0.1, Phase.FREE)
-            now = self.execution.pose(self.target)
-            shift, turn = np.linalg.norm(now[:3, 3] - start[:3, 3]), float(angle_between(now, start))
+            shift, turn = motion_between(self.execution.poses()[self.target], start)
             if shift > limits.stand_full_shift or turn > limits.stand_full_turn:
                 raise Failed(Outcome.UNSTABLE, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
             self.check_others()
@@ -181,11 +178,10 @@ class EpisodeWorld(Referee):
         target: int,
         stands: tuple[Box, ...],
         seed: int,
-        config: PandaConfig | None = None,
         trace: Trace | None = None,
     ) -> None:
-        super().__init__(scene, target, stands, config, trace)
-        base = base_pose(scene.support, config)
+        super().__init__(scene, target, stands, trace)
+        base = base_pose(scene.support)
         planning = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
         self.mover = Mover(self.execution, planning, ArmKinematics(base), target, seed)
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.config import FilmFormat
-from cluttergen_jax.downstream.robot.model import Panda, PandaConfig
+from cluttergen_jax.downstream.robot.model import PANDA, Panda
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
@@ -118,7 +118,7 @@ def _every(seconds: float) -> int:
     """Steps from one frame to the next."""
     speed = float(np.clip(seconds / _SECONDS, 1.0, _FASTEST))
     # Rounded down, it is never faster.
-    return max(1, int(speed / FPS / PandaConfig().timestep))
+    return max(1, int(speed / FPS / PANDA.timestep))
 
 
 def _ending(row: EpisodeRow) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import cycle, islice
 from pathlib import Path
@@ -182,5 +182,4 @@ def episode_seed(seed: int, index: int) -> int:
 def planner_hash() -> str:
     """Hex digest of how the arm moves, plans, looks and is judged."""
     motion = (collision, occupancy_boxes, execute, ik, mover, plan)
-    panda = list(asdict(model.PandaConfig()).values())
-    return constants_hash(cameras, episode, model, sensing_arm, grips, *motion, panda=panda)
+    return constants_hash(cameras, episode, model, sensing_arm, grips, *motion)

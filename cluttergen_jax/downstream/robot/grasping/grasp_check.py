@@ -17,7 +17,7 @@ from cluttergen_jax.assets.mjcf import add_object
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.grasping.candidates import OBJECT, T_HAND_TOOL, Candidates
-from cluttergen_jax.downstream.robot.model import PandaConfig, hand_spec
+from cluttergen_jax.downstream.robot.model import PANDA, hand_spec
 from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of
 
 LIFT = 0.15
@@ -71,20 +71,16 @@ class _Course(NamedTuple):
     loading: int
 
 
-def check_grasps(
-    asset: ObjectAsset, candidates: Candidates, pool: Rollout, config: PandaConfig | None = None
-) -> GraspCheck:
+def check_grasps(asset: ObjectAsset, candidates: Candidates, pool: Rollout) -> GraspCheck:
     """Tests candidates in one batch; `pool` is a thread pool of MuJoCo's."""
-    config = config or PandaConfig()
-    contact, step = ContactConfig(), config.timestep
-    model = _model(asset, contact, config)
-    course = _course(step)
+    contact = ContactConfig()
+    model, course = _model(asset, contact), _course(PANDA.timestep)
     T_hand_object = T_HAND_TOOL @ inverse(candidates.pose)
     num, steps = len(candidates.width), len(course.closed)
     object_body = model.body(OBJECT).id
     opening = candidates.opening[:, None]
     control = np.zeros((num, steps, model.nu + 6 * model.nbody))
-    control[..., 0] = opening + course.closed * (config.grip_target - opening)
+    control[..., 0] = opening + course.closed * (PANDA.grip_target - opening)
     first = model.nu + 6 * object_body
     control[..., first : first + 3] = asset.mass * _pull(T_hand_object, course, contact.gravity)
     start = np.zeros((num, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
@@ -93,18 +89,18 @@ def check_grasps(
     start[:, address : address + 7] = pose_of(T_hand_object)
     wanted = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_XFRC_APPLIED)
     states, _ = pool.rollout(
-        model, [mujoco.MjData(model) for _ in range(_threads(pool))], start, control, control_spec=wanted
+        model,
+        [mujoco.MjData(model) for _ in range(max(pool.nthread, 1))],
+        start,
+        control,
+        control_spec=wanted,
     )
     return _evaluate(states[..., address : address + 7], T_hand_object, course)
 
 
-def _threads(pool: Rollout) -> int:
-    return max(pool.nthread, 1)
-
-
-def _model(asset: ObjectAsset, contact: ContactConfig, config: PandaConfig) -> mujoco.MjModel:
+def _model(asset: ObjectAsset, contact: ContactConfig) -> mujoco.MjModel:
     """A hand and a body that weighs nothing by itself."""
-    spec = hand_spec(contact, config)
+    spec = hand_spec(contact)
     spec.option.gravity = (0.0, 0.0, 0.0)
     spec.option.cone = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}.get(
         contact.cone, mujoco.mjtCone.mjCONE_PYRAMIDAL

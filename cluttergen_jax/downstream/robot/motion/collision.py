@@ -176,11 +176,7 @@ class PlanningWorld:
 
     def _kinds(self) -> np.ndarray:
         """i[ngeom]: the kind of each geom."""
-        kind = np.full(self.model.nbody, Kind.GROUND)
-        kind[self._bodies] = Kind.OTHER
-        kind[self._target] = Kind.TARGET
-        kind[self.panda.is_arm] = Kind.ARM
-        kind[[self.panda.hand, *self.panda.finger_bodies]] = Kind.HAND
+        kind = kinds_of(self.panda, self._bodies, self._target)
         kind[self._held] = Kind.HELD
         for each in _COLUMN_KINDS:
             if (body := mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _name_of(each))) >= 0:
@@ -242,6 +238,14 @@ class PlanningWorld:
             return None
         a, b = (self.model.body(self.model.geom_bodyid[geom]).name for geom in geoms[too_close.argmax()])
         return a, b
+
+
+def kinds_of(panda: Panda, bodies: Sequence[int], target: int) -> np.ndarray:
+    """i[nbody]: the kind of each body of a model; bodies: of the objects; target: of the one that is moved."""
+    kind = np.full(len(panda.is_arm), Kind.GROUND)
+    kind[bodies], kind[target], kind[panda.is_arm] = Kind.OTHER, Kind.TARGET, Kind.ARM
+    kind[[panda.hand, *panda.finger_bodies]] = Kind.HAND
+    return kind
 
 
 def add_stand(spec: mujoco.MjSpec, box: Box, name: str) -> None:

@@ -87,18 +87,15 @@ class Planner:
         simplifier.smoothBSpline(path, _BEND_STEPS)
         return np.stack([_joints(state) for state in path.getStates()])
 
-    def line(
-        self, start: np.ndarray, along: np.ndarray, opening: float, mode: Mode, every: int = 3
-    ) -> np.ndarray | None:
+    def line(self, start: np.ndarray, along: np.ndarray, opening: float, mode: Mode) -> np.ndarray | None:
         """Joints f64[L, 7] on a straight line of the tool (`ArmKinematics.line`), or None.
 
-        Args:
-          every: so many of its points are looked at; the ends always.
+        A third of its points are looked at, and both ends.
         """
         path = self.kinematics.line(start, along)
         if path is None:
             return None
-        looked = {*range(0, len(path), every), len(path) - 1}
+        looked = {*range(0, len(path), 3), len(path) - 1}
         return path if all(self.world.is_free(path[k], opening, mode) for k in sorted(looked)) else None
 
     def _space(self) -> Any:
