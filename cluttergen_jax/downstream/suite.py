@@ -28,7 +28,7 @@ from cluttergen_jax.evaluation.machine import machine
 from cluttergen_jax.evaluation.report import Result, document, write_report
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.scene.bank.bank import read_bank
+from cluttergen_jax.scene.bank import read_bank
 
 NAME = "downstream"
 STUDIES = {

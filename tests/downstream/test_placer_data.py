@@ -180,7 +180,7 @@ def test_what_validates_is_not_learned_from(made, held_out):
     """Of pairs that stand in for a training split: by scenes, or as the paper has it by pairs."""
     table = pa.table({"pair": np.arange(200), "scene": np.arange(200) * 7 % 31})
     source = ExampleSource((made.path,), held_out=held_out)
-    learned, validates = (source._wanted(made, split)(table) for split in ("train", "val"))
+    learned, validates = (source._filter_of(made, split)(table) for split in ("train", "val"))
     assert not (learned & validates).any()
     assert validates.any()
     shared = np.intersect1d(np.asarray(table["scene"])[learned], np.asarray(table["scene"])[validates])

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.placer.evaluation.bench import PaperCount
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
+from cluttergen_jax.physics.paper_count import PaperCount
 from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.types import Verdict
 from tests.helpers.placing import write_bank

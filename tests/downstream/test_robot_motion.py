@@ -476,7 +476,7 @@ def test_the_hand_is_not_turned_into_the_table(kinematics, degrees, is_corrected
     start = next(kinematics.solutions(raise_by(level, LIFT), 1))
     lower = kinematics.line(start, np.array([0, 0, -LIFT]))
     mover._T_tool_object, mover._opening = turned @ inverse(level) @ place, 0.03
-    path = mover._corrected(lower, place)
+    path = mover._correct_lowering(lower, place)
     assert (path is not None) == is_corrected
     if path is not None:
         assert angle_between(kinematics.tool(path[-1]), level) > np.radians(degrees) / 2
@@ -516,7 +516,7 @@ def test_what_cannot_be_levelled_is_let_go_where_it_touches(grasps, kinematics, 
 
     mover = Mover(execution, world, kinematics, TARGET, 0, see)
     mover.pick(mover.find_pick(grasps))
-    monkeypatch.setattr(mover, "_corrected", lambda lower, place: None)
+    monkeypatch.setattr(mover, "_correct_lowering", lambda lower, place: None)
     too_high = 0.012
     mover._in_hand()
     place = standing(0.15, -0.15, CUBE)

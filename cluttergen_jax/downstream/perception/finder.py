@@ -35,8 +35,7 @@ from cluttergen_jax.downstream.perception.types import (
 )
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.partial import Grid, levelled
+from cluttergen_jax.sensing import Camera, Grid, levelled
 
 _AGREED = 0.5
 """Certainty from which on a pose tells where a camera is."""

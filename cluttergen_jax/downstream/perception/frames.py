@@ -20,7 +20,7 @@ from cluttergen_jax.downstream.perception.types import check_images
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import checked_record, digest_of, refuse, typed, with_checksum
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing import Camera
 
 _NAMES = ("rgb.png", "depth.npy", "camera.json")
 

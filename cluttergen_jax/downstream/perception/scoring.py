@@ -16,7 +16,7 @@ from cluttergen_jax.downstream.perception.segment.training import simulate_camer
 from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, Look, confusion, iou_of, num_classes
 from cluttergen_jax.downstream.perception.views.store import StoredView
 from cluttergen_jax.downstream.transforms import matrix_of, offset
-from cluttergen_jax.sensing.noise import NoiseConfig
+from cluttergen_jax.sensing import NoiseConfig
 
 VISIBLE_PIXELS = 150
 """Of a picture of 320 x 240, from which on an object has to be found."""

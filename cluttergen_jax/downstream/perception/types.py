@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing import Camera
 
 BACKGROUND, ARM, FIRST_OBJECT = 0, 1, 2
 """The table, the floor and all else; the robot; then object k of a pool as 2 + k."""

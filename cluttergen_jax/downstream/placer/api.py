@@ -81,7 +81,7 @@ def placer_data(
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
     from cluttergen_jax.downstream.placer.pairs.store import PAIRS
     from cluttergen_jax.downstream.samples import SPLITS, bank_or_made
-    from cluttergen_jax.scene.bank.bank import Bank
+    from cluttergen_jax.scene.bank import Bank
     from cluttergen_jax.scene.bank.blocks import AGAIN
 
     check_folder(out)

@@ -23,8 +23,8 @@ from cluttergen_jax.downstream.placer.pairs.store import (
 )
 from cluttergen_jax.downstream.placer.query import Example, PlacementQuery, pad_map
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.search.fit import UnderSide
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
+from cluttergen_jax.placement.search import UnderSide
+from cluttergen_jax.sensing import NOISE_OFF, REALSENSE
 
 _TENTH = 10
 TESTING, VALIDATING = 8, 9

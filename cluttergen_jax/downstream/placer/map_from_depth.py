@@ -10,10 +10,8 @@ import numpy as np
 from cluttergen_jax.downstream.placer.query import CELL, NUM_POINTS, PlacementQuery
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.problem import Problem
-from cluttergen_jax.placement.search.fit import UnderSide
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import NOISE_OFF, NoiseConfig, noisy
-from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled, merged
+from cluttergen_jax.placement.search import UnderSide
+from cluttergen_jax.sensing import NOISE_OFF, Camera, Grid, NoiseConfig, PartialMap, levelled, merged, noisy
 
 _LOWEST = -0.005
 _HIGHEST = 0.6

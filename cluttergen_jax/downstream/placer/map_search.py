@@ -10,13 +10,17 @@ from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.placement.baselines.lowest import cost_of_lowest_fit
 from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.region import make_region
-from cluttergen_jax.placement.search.fit import Candidates, UnderSide, lower_onto, mean_under, support_share
-from cluttergen_jax.placement.search.search import (
+from cluttergen_jax.placement.search import (
     CLEARANCE,
+    Candidates,
     CandidateScores,
     SearchConfig,
+    UnderSide,
     crowding,
     draw_candidates,
+    lower_onto,
+    mean_under,
+    support_share,
 )
 from cluttergen_jax.types import Array
 

@@ -19,7 +19,7 @@ from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import KeepOut, Region, to_pose
 from cluttergen_jax.placement.rules import Rules, empty_start
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.types import Array, Verdict
 
 

@@ -25,7 +25,7 @@ from cluttergen_jax.learning.methods import checkpoint_of, proposer_of, suited
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
+from cluttergen_jax.placement.search import CLEARANCE, SearchConfig
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 

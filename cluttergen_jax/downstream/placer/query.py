@@ -9,7 +9,7 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
-from cluttergen_jax.placement.search.fit import UnderSide
+from cluttergen_jax.placement.search import UnderSide
 from cluttergen_jax.types import Array
 
 CELL = 0.01

@@ -9,8 +9,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.problem import Problem
-from cluttergen_jax.sensing.camera import Camera, find_preset
-from cluttergen_jax.sensing.rays import SUPPORT, DepthImage, RaySensor, sensed_model
+from cluttergen_jax.sensing import SUPPORT, Camera, DepthImage, RaySensor, find_preset, sensed_model
 
 MANY = "free"
 """The preset that draws: only of it there is more than one camera."""

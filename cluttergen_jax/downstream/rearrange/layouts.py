@@ -25,7 +25,7 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
-from cluttergen_jax.generation.make import make_sampler
+from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.geometry import transformed
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.region import make_region

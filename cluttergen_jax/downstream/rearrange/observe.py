@@ -19,7 +19,7 @@ from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.renderer import Renderer, open_renderer, set_range
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing import Camera
 
 _REACH = 1.5
 """Metres around the table that are drawn."""

@@ -159,8 +159,8 @@ def robot_place(
     from cluttergen_jax.downstream.robot.trials import own_place, run_trials
     from cluttergen_jax.downstream.samples import bank_or_made
     from cluttergen_jax.learning.methods import checkpoint_of
-    from cluttergen_jax.learning.ppo.checkpoint import folder_hash
-    from cluttergen_jax.scene.bank.bank import Bank
+    from cluttergen_jax.learning.ppo import checkpoint
+    from cluttergen_jax.scene.bank import Bank
     from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 
     check_folder(out)
@@ -196,11 +196,11 @@ def robot_place(
     if task == "place" and looking is not None:
         places = CameraPlacer(found, looking, placer, factor)
         trained = placer_folder(placer)
-        rows |= {"noise": factor, "weights": trained and folder_hash(trained)}
+        rows |= {"noise": factor, "weights": trained and checkpoint.folder_hash(trained)}
     elif task == "place" and placer != "none":
         places = SearchPlaces(found, str(placer), seed, threads)
-        checkpoint = checkpoint_of(str(placer), str(recipe.get("pool")))
-        rows |= {"weights": checkpoint and checkpoint.hash}
+        policy = checkpoint_of(str(placer), str(recipe.get("pool")))
+        rows |= {"weights": policy and policy.hash}
     return run_trials(
         scenes,
         task,

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.transforms import rigid
-from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, Camera, intrinsics, overhead
+from cluttergen_jax.sensing import REALSENSE_FOCAL, Camera, intrinsics, overhead
 
 SIZE, FOCAL = (320, 240), REALSENSE_FOCAL / 2
 """Of pictures: a depth camera of the RealSense kind at half of its resolution."""

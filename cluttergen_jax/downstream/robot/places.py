@@ -21,12 +21,10 @@ from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, Occupan
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.search.fit import Candidates, lower_onto
+from cluttergen_jax.placement.search import Candidates, lower_onto
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import REALSENSE
-from cluttergen_jax.sensing.partial import merged
+from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.sensing import REALSENSE, Camera, merged
 from cluttergen_jax.types import Array, Verdict
 
 

@@ -21,8 +21,7 @@ from cluttergen_jax.downstream.robot.motion.plan import PickPlan, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer, DepthView
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.rays import cast_rays
+from cluttergen_jax.sensing import Camera, cast_rays
 
 _GROWN = 3
 """Pixels around it that are left out, too: what is in front grows in a noisy picture."""

@@ -16,7 +16,7 @@ import numpy as np
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.types import BACKGROUND, Look
 from cluttergen_jax.downstream.transforms import pose_of
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing import Camera
 
 AGREES = 0.006
 """Metres by which depths may differ and agree by half."""

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.downstream.transforms import turn_symmetry
-from cluttergen_jax.sensing.rays import RaySensor, sensed_model
+from cluttergen_jax.sensing import RaySensor, sensed_model
 
 NUM_POINTS = 3000
 NUM_DENSE, NUM_JUDGED = 60_000, 1000

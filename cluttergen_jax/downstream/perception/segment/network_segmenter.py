@@ -24,8 +24,8 @@ from cluttergen_jax.downstream.perception.segment.network import (
 )
 from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, Segmentation, check_images
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.learning.ppo.checkpoint import folder_hash, read_policy, read_record
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.learning.ppo import checkpoint
+from cluttergen_jax.sensing import Camera
 
 _STEP = 0.008
 """Metres of depth between two neighbouring pixels from which on they count as parts of different things."""
@@ -223,7 +223,7 @@ def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
       PoolError: there is none, it is damaged, or of another kind.
     """
     path = segmenter_folder(segmenter)
-    record = read_record(path)
+    record = checkpoint.read_record(path)
     if record.get("kind") != KIND:
         raise PoolError(f"{path} holds a network of kind {record.get('kind')!r}, no segmenter", hint=_HINT)
     config = config_of(SegmentConfig, record, path, _HINT)
@@ -235,9 +235,9 @@ def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
     except (TypeError, KeyError, ValueError) as error:
         place = path / "record.json"
         raise PoolError(f"{place} does not say what network it holds ({error})", hint=_HINT) from error
-    return NetworkSegmenter(names, read_policy(path, blank), config, top)
+    return NetworkSegmenter(names, checkpoint.read_policy(path, blank), config, top)
 
 
 def network_hash(folder: Path) -> str:
     """The digest of a segmenter's own files, without the rule of certainty beside them."""
-    return folder_hash(folder, ("record.json", "weights.npz"))
+    return checkpoint.folder_hash(folder, ("record.json", "weights.npz"))

@@ -29,7 +29,7 @@ from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
+from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig, noisy
 
 _TENTH = 10
 

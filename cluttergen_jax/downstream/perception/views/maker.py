@@ -25,8 +25,8 @@ from cluttergen_jax.downstream.perception.views.store import SCHEMA, VIEWS, Stor
 from cluttergen_jax.downstream.samples import StableScenes
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.sensing import Camera
 
 _ROBOT = 0.6
 """Share of pairs of the robot's cameras."""

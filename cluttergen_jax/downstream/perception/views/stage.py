@@ -23,7 +23,7 @@ from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.lighting import FLOOR, KEY_LIGHT, SKY_LIGHT, add_lighting
 from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, Renderer, open_renderer, set_range
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.sensing.camera import Camera, free
+from cluttergen_jax.sensing import Camera, free
 
 NUM_TEXTURES = 20
 TEXTURES_OF = {"train": range(16), "val": range(16, 18), "test": range(18, NUM_TEXTURES)}

@@ -28,9 +28,9 @@ from cluttergen_jax.downstream.samples import (
     read_columns,
 )
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.schema import Numbers, refuse
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing import Camera
 
 
 class ViewSplit(msgspec.Struct):

@@ -19,7 +19,7 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.proportions import proportion
-from cluttergen_jax.sensing.noise import NoiseConfig
+from cluttergen_jax.sensing import NoiseConfig
 from cluttergen_jax.types import Verdict
 
 

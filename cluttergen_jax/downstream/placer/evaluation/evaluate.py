@@ -26,11 +26,10 @@ from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.methods import checkpoint_of
-from cluttergen_jax.learning.ppo.checkpoint import folder_hash
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.proportions import proportion
 from cluttergen_jax.scene.bank import Bank, read_bank
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig
+from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig
 from cluttergen_jax.tables import Table
 
 
@@ -186,11 +185,11 @@ class PlacerTrials:
     def _sources(self, placer: str, found: Placer | FullState) -> dict[str, Any]:
         """Hashes of what decides the figures beside the trial."""
         if isinstance(found, FullState):
-            checkpoint = checkpoint_of(found.method, self.made["recipe"]["pool"])
-            weights = None if checkpoint is None else checkpoint.hash
+            trained = checkpoint_of(found.method, self.made["recipe"]["pool"])
+            weights = None if trained is None else trained.hash
         else:
             folder = placer_folder(placer)
-            weights = None if folder is None else folder_hash(folder)
+            weights = None if folder is None else checkpoint.folder_hash(folder)
         told = {name: value for name, value in self.made.items() if name != "num_pairs"}
         return {
             "pairs": json_digest([told, self.pairs.record["assets"]]),

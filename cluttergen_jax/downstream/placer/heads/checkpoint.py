@@ -12,7 +12,7 @@ from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, 
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead
 from cluttergen_jax.downstream.placer.query import Head, Placer
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_record
+from cluttergen_jax.learning.ppo import checkpoint
 
 KIND = "placer"
 """Of a checkpoint, as its record names it."""
@@ -75,11 +75,11 @@ def load_placer(path: Path, wanted: str | None = None) -> Placer:
       PoolError: there is none, it is damaged, or of another kind or head.
     """
     try:
-        record = read_record(path)
+        record = checkpoint.read_record(path)
     except PoolError as error:
         raise PoolError(error.given, hint=_HINT) from error
     head = head_of(record, path, wanted)
     temperature = record.get("temperature", 1.0)
     if not isinstance(temperature, int | float) or not 0 < temperature < 1e3:
         raise PoolError(f"{path / 'record.json'}: temperature {temperature!r}", "a positive number", _HINT)
-    return head.placer(read_policy(path, blank_params(head)), float(temperature))
+    return head.placer(checkpoint.read_policy(path, blank_params(head)), float(temperature))

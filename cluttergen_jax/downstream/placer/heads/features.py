@@ -8,16 +8,16 @@ from flax import struct
 
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
-from cluttergen_jax.placement.search.fit import (
+from cluttergen_jax.placement.search import (
     Candidates,
     base_share,
     cells_under,
+    crowding,
     lower_onto,
     mean_under,
     support_share,
     touching,
 )
-from cluttergen_jax.placement.search.search import crowding
 from cluttergen_jax.types import Array
 
 NUM_FEATURES = 36

@@ -22,8 +22,7 @@ from cluttergen_jax.downstream.placer.query import (
 )
 from cluttergen_jax.learning.networks.distributions import EDGE, Mixture
 from cluttergen_jax.placement.heightmap import VOID
-from cluttergen_jax.placement.search.fit import Candidates, cells_under, lower_onto, mean_under
-from cluttergen_jax.placement.search.search import CLEARANCE
+from cluttergen_jax.placement.search import CLEARANCE, Candidates, cells_under, lower_onto, mean_under
 from cluttergen_jax.types import Array
 
 NUM_CELL_FEATURES = 13

@@ -20,7 +20,7 @@ from cluttergen_jax.downstream.placer.query import (
     without_scores,
 )
 from cluttergen_jax.learning.networks.cloud_encoder import CloudNet
-from cluttergen_jax.learning.ppo.checkpoint import read_policy
+from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.types import Array
 
 
@@ -148,7 +148,9 @@ class RegressionHead:
         if self.encoder_weights is None:
             return params
         inner = params["params"]
-        read = {name: read_policy(self.encoder_weights, inner[name]) for name in ("scene", "object")}
+        read = {
+            name: checkpoint.read_policy(self.encoder_weights, inner[name]) for name in ("scene", "object")
+        }
         return {"params": inner | read}
 
     def loss(self, params: Any, examples: RegressionExample, key: Array) -> tuple[Array, dict[str, Array]]:

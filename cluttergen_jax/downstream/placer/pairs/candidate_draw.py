@@ -15,8 +15,7 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig, draw_candidates
+from cluttergen_jax.placement.search import CLEARANCE, Candidates, SearchConfig, draw_candidates
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 

@@ -23,10 +23,8 @@ from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import COMPILING, Progress
-from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
-from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT
+from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.sensing import FIRST_OBJECT, NOISE_OFF, REALSENSE, SUPPORT, Camera
 
 
 class SensedPair(NamedTuple):

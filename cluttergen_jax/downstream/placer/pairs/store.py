@@ -34,10 +34,9 @@ from cluttergen_jax.geometry import product, rotation_matrix
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.schema import Numbers, SchemaError, refuse
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import NOISE_OFF, NoiseConfig
+from cluttergen_jax.sensing import NOISE_OFF, Camera, NoiseConfig
 from cluttergen_jax.types import Verdict
 
 

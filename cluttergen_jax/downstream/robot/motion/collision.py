@@ -241,7 +241,7 @@ class PlanningWorld:
 
 
 def kinds_of(panda: Panda, bodies: Sequence[int], target: int) -> np.ndarray:
-    """i[nbody]: the kind of each body of a model; bodies: of the objects; target: of the one that is moved."""
+    """i[nbody]: the kind of each body; bodies: of the objects; target: of the one that is moved."""
     kind = np.full(len(panda.is_arm), Kind.GROUND)
     kind[bodies], kind[target], kind[panda.is_arm] = Kind.OTHER, Kind.TARGET, Kind.ARM
     kind[[panda.hand, *panda.finger_bodies]] = Kind.HAND

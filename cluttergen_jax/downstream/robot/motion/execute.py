@@ -21,8 +21,7 @@ from cluttergen_jax.downstream.robot.motion.plan import Trajectory
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.rays import cast_rays
+from cluttergen_jax.sensing import Camera, cast_rays
 
 MAX_FORCE = 2.0
 """N; an unplanned contact that presses harder ends an episode."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from cluttergen_jax.assets.ground import VOID
 from cluttergen_jax.assets.support import Box
-from cluttergen_jax.sensing.partial import PartialMap
+from cluttergen_jax.sensing import PartialMap
 
 CELL = 0.005
 """Metres: the sides of a cell of the map that the arm is planned in."""
