@@ -26,6 +26,7 @@ from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.methods import checkpoint_of
+from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.proportions import proportion
 from cluttergen_jax.scene.bank import Bank, read_bank
