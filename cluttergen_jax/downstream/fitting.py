@@ -6,7 +6,7 @@ import json
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from numbers import Integral
 from pathlib import Path
@@ -102,6 +102,22 @@ class FitConfig:
         for name in ("num_epochs", "batch_size"):
             if not isinstance(value := getattr(self, name), Integral) or int(value) > _MOST:
                 raise ConfigError(f"FitConfig.{name} = {value!r}", f"1 to {_MOST}, a whole number")
+
+    def replace_given(
+        self,
+        num_epochs: int | None = None,
+        batch_size: int | None = None,
+        learning_rate: float | None = None,
+        seed: int | None = None,
+    ) -> FitConfig:
+        """The same with those of these that are not None."""
+        return replace(
+            self,
+            num_epochs=self.num_epochs if num_epochs is None else num_epochs,
+            batch_size=self.batch_size if batch_size is None else batch_size,
+            learning_rate=self.learning_rate if learning_rate is None else learning_rate,
+            seed=self.seed if seed is None else seed,
+        )
 
     def optimizer(self, num_steps: int) -> optax.GradientTransformation:
         """For a run of so many steps."""

@@ -23,8 +23,7 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.files import folder_whole, is_partial, remove_partial, write_atomically, writing
-from cluttergen_jax.scene.bank import Bank, read_bank
-from cluttergen_jax.scene.bank.lock import LOCK, BankLock
+from cluttergen_jax.scene.bank import LOCK, Bank, BankLock, read_bank
 from cluttergen_jax.schema import (
     SEAL,
     Numbers,

@@ -395,7 +395,8 @@ def test_what_is_no_such_placer_is_refused(tmp_path):
 
 
 def test_presets_take_the_options_of_their_head_alone():
-    head, config = preset("regression", "paper", "symmetric", None, num_epochs=7, seed=3)
+    head, config = preset("regression", "paper", "symmetric", None)
+    config = config.replace_given(num_epochs=7, seed=3)
     assert (head.config.features, head.config.loss) == (1024, "symmetric")
     assert (config.num_epochs, config.seed, config.schedule) == (7, 3, "linear")
     with pytest.raises(ConfigError, match="preset 'paper' of head 'scored'"):
@@ -405,7 +406,7 @@ def test_presets_take_the_options_of_their_head_alone():
     with pytest.raises(ConfigError, match="Did you mean 'scored'"):
         preset("score", "cpu", "printed", None)
     with pytest.raises(ConfigError, match="num_epochs = 0"):
-        preset("scored", "cpu", "printed", None, num_epochs=0)
+        preset("scored", "cpu", "printed", None)[1].replace_given(num_epochs=0)
 
 
 def test_the_placer_that_comes_with_the_package_is_small_and_proposes():

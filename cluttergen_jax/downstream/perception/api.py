@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cluttergen_jax.config import (
     MAX_VIEWS,
@@ -78,6 +78,7 @@ def perception_data(
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.samples import SPLITS
     from cluttergen_jax.rendering.gl import find_backend
+    from cluttergen_jax.scene.bank import Bank
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -96,7 +97,7 @@ def perception_data(
     if overwrite or not any(Path(out).glob(f"bank-{split}-*")):
         # Scenes take minutes, and are of no use where nothing can draw them.
         find_backend()
-    banks: dict[str, Any] = {
+    banks: dict[str, Bank] = {
         method: generate(
             Path(out) / f"bank-{split}-{method}",
             pool=pool,
@@ -150,7 +151,6 @@ def perception_train(
       BankError: the folder holds no views, or damaged ones.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from dataclasses import replace
     from typing import get_args
 
     from cluttergen_jax.downstream.perception.segment.network import SegmentConfig
@@ -161,13 +161,7 @@ def perception_train(
         check_range("num_views", num_views, 1, MAX_VIEWS, 6000)
     if reads not in get_args(SegmenterInput):
         raise ConfigError(f"reads = {reads!r}", ", ".join(get_args(SegmenterInput)))
-    given: dict[str, Any] = {
-        "num_epochs": num_epochs,
-        "batch_size": batch_size,
-        "learning_rate": learning_rate,
-        "seed": seed,
-    }
-    config = replace(FIT, **{name: value for name, value in given.items() if value is not None})
+    config = FIT.replace_given(num_epochs, batch_size, learning_rate, seed)
     source = ViewSource(Path(data), seed, num_views)
     network = SegmentConfig(len(source.views.names), colour=reads == "colour")
     folder = Path(out or f"runs/segmenter-{reads}-{seed}")

@@ -81,8 +81,7 @@ def placer_data(
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
     from cluttergen_jax.downstream.placer.pairs.store import PAIRS
     from cluttergen_jax.downstream.samples import SPLITS, bank_or_made
-    from cluttergen_jax.scene.bank import Bank
-    from cluttergen_jax.scene.bank.blocks import AGAIN
+    from cluttergen_jax.scene.bank import AGAIN, Bank
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -230,16 +229,8 @@ def placer_train(
         check_range("num_pairs", num_pairs, 1, MAX_PAIRS, 5000)
     folders = (data,) if isinstance(data, str | Path) else tuple(data)
     weights = None if encoder_weights is None else Path(encoder_weights)
-    found, config = preset_of(
-        head,
-        preset,
-        loss,
-        weights,
-        num_epochs=num_epochs,
-        batch_size=batch_size,
-        learning_rate=learning_rate,
-        seed=seed,
-    )
+    found, config = preset_of(head, preset, loss, weights)
+    config = config.replace_given(num_epochs, batch_size, learning_rate, seed)
     source = ExampleSource(tuple(Path(each) for each in folders), noise, seed, num_pairs)
     folder = Path(out or f"runs/placer-{head}-{seed}")
     show(f"run        {folder}")

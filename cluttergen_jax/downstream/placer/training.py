@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import jax
 import numpy as np
 
-from cluttergen_jax.config import PlacerHead
+from cluttergen_jax.config import PlacerLoss
 from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, concatenate, in_parts, num_examples
 from cluttergen_jax.downstream.placer.examples import ExampleSource
 from cluttergen_jax.downstream.placer.heads.checkpoint import KIND
@@ -43,48 +43,33 @@ _PRESETS: Mapping[tuple[str, str], tuple[Head, FitConfig]] = {
 }
 
 
-def preset(
-    head: str, name: str, loss: str, encoder_weights: Path | None, **fit: Any
-) -> tuple[Head, FitConfig]:
+def preset(head: str, name: str, loss: str, encoder_weights: Path | None) -> tuple[Head, FitConfig]:
     """The head and how it is fitted.
 
     Args:
       name: of the preset.
       loss, encoder_weights: of `regression` alone.
-      fit: fields of `FitConfig`; None leaves the preset's.
 
     Raises:
       ConfigError: there is no such head or preset, or an option is not the head's.
     """
-    heads = get_args(PlacerHead)
-    if head not in heads:
-        raise ConfigError(f"head {head!r}", ", ".join(heads), "head='scored'", closest(head, heads))
-    known = [each for of, each in _PRESETS if of == head]
-    if name not in known:
-        raise ConfigError(
-            f"preset {name!r} of head {head!r}",
-            ", ".join(known),
-            f"preset={known[0]!r}",
-            closest(name, known),
-        )
+    known = {of: [each for own, each in _PRESETS if own == of] for of, _ in _PRESETS}
+    if head not in known:
+        raise ConfigError(f"head {head!r}", ", ".join(known), "head='scored'", closest(head, known))
+    if name not in known[head]:
+        given, allowed = f"preset {name!r} of head {head!r}", known[head]
+        raise ConfigError(given, ", ".join(allowed), f"preset={allowed[0]!r}", closest(name, allowed))
+    if loss not in get_args(PlacerLoss):
+        raise ConfigError(f"loss = {loss!r}", "'printed' or 'symmetric'", "loss='printed'")
     found, config = _PRESETS[head, name]
     if isinstance(found, RegressionHead):
-        sizes = replace(found.config, loss=_known_loss(loss))
-        found = RegressionHead(sizes, encoder_weights)
-    elif loss != "printed" or encoder_weights is not None:
+        return RegressionHead(replace(found.config, loss=cast(PlacerLoss, loss)), encoder_weights), config
+    if loss != "printed" or encoder_weights is not None:
         given = f"loss = {loss!r}" if loss != "printed" else f"`encoder_weights` = {encoder_weights}"
         raise ConfigError(
             f"{given} with head {head!r}", "neither: they are of 'regression'", "leaving it out"
         )
-    unknown = set(fit) - {each.name for each in fields(FitConfig)}
-    assert not unknown, unknown
-    return found, replace(config, **{key: value for key, value in fit.items() if value is not None})
-
-
-def _known_loss(loss: str) -> Any:
-    if loss not in ("printed", "symmetric"):
-        raise ConfigError(f"loss = {loss!r}", "'printed' or 'symmetric'", "loss='printed'")
-    return loss
+    return found, config
 
 
 _TEMPERATURES = np.exp(np.linspace(np.log(0.25), np.log(4.0), 129))

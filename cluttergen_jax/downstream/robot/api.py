@@ -160,8 +160,7 @@ def robot_place(
     from cluttergen_jax.downstream.samples import bank_or_made
     from cluttergen_jax.learning.methods import checkpoint_of
     from cluttergen_jax.learning.ppo import checkpoint
-    from cluttergen_jax.scene.bank import Bank
-    from cluttergen_jax.scene.bank.scene import read_scenes, region_of
+    from cluttergen_jax.scene.bank import Bank, read_scenes, region_of
 
     check_folder(out)
     check_workers("num_threads", num_threads)

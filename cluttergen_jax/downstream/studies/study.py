@@ -205,7 +205,8 @@ class SuiteFolder:
     ) -> Path:
         """A placer's run, `runs/NAME-SEED`: as `placer_train` makes it, from disk or now."""
         epochs = _QUICK_EPOCHS if self.scale.quick else num_epochs
-        found, config = preset(head, "cpu", "printed", encoder_weights, num_epochs=epochs, seed=seed)
+        found, config = preset(head, "cpu", "printed", encoder_weights)
+        config = config.replace_given(num_epochs=epochs, seed=seed)
         sets = (pairs,) if isinstance(pairs, PairSet) else tuple(pairs)
         source = ExampleSource(tuple(each.path for each in sets), noise, seed, num_pairs, held_out)
         run = self.folder / "runs" / f"{name}-{seed}"

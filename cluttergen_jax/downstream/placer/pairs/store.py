@@ -206,7 +206,7 @@ def load_queries(
     problem = pairs.setup(split).problem
     names = {name: k for k, name in enumerate(problem.world.names)}
     noises = (noise,) if isinstance(noise, NoiseConfig) else tuple(noise)
-    reader = _Reader(problem, made, num_cameras, SPLITS[split])
+    reader = _Reader(problem, made["camera"], made["seed"], num_cameras, SPLITS[split])
     queries: list[PlacementQuery] = []
     labels: list[PairLabels] = []
     with (
@@ -249,15 +249,15 @@ class _Reader:
     """Makes sights of the rows of one split.
 
     Args:
-      problem: their world; made: how they were made; num_cameras: that look at each.
+      problem: their world; camera, seed: that they were made with; num_cameras: that look at each.
       first_seed: of the split.
     """
 
-    def __init__(self, problem: Problem, made: dict[str, Any], num_cameras: int, first_seed: int) -> None:
-        self.maker, self._num_cameras, self._made = QueryMaker(problem), num_cameras, made
-        self._first_seed = first_seed
+    def __init__(self, problem: Problem, camera: str, seed: int, num_cameras: int, first_seed: int) -> None:
+        self.maker, self._num_cameras = QueryMaker(problem), num_cameras
+        self._seed, self._first_seed = seed, first_seed
         self._num_objects = len(problem.world.names)
-        self._cameras = SceneCameras(problem, made["camera"]) if num_cameras > 1 else None
+        self._cameras = SceneCameras(problem, camera) if num_cameras > 1 else None
 
     def scenes(self, table: pa.Table, labels: PairLabels) -> Iterator[_SeenScene]:
         """What `see` needs of some rows."""
@@ -273,7 +273,7 @@ class _Reader:
         """What a pair's cameras see with noise drawn for it."""
         views = [scene.view]
         if self._cameras is not None:
-            place = (int(self._made["seed"]), scene.pair)
+            place = (self._seed, scene.pair)
             views += self._cameras.further(scene.poses, scene.is_placed, place, self._num_cameras)
         rng = np.random.default_rng((self._first_seed + seed, scene.pair))
         return self.maker.see_all(views, noise, rng)
