@@ -15,11 +15,11 @@ import numpy as np
 from cluttergen_jax.config import PlacerLoss
 from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, concatenate, in_parts, num_examples
 from cluttergen_jax.downstream.placer.examples import ExampleSource
-from cluttergen_jax.downstream.placer.heads.checkpoint import KIND
+from cluttergen_jax.downstream.placer.heads.checkpoint import KIND, Head
 from cluttergen_jax.downstream.placer.heads.mixture import MixtureHead
 from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, RegressionHead
 from cluttergen_jax.downstream.placer.heads.scored import ScoredHead
-from cluttergen_jax.downstream.placer.query import NUM_OBJECT_POINTS, NUM_POINTS, Head
+from cluttergen_jax.downstream.placer.query import NUM_OBJECT_POINTS, NUM_POINTS
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.learning.training.stability import Calibration, calibration, draw_calibration

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,6 +53,26 @@ Scored = tuple[float, np.ndarray]
 """A score, and the pose f64[4, 4] that has it."""
 
 
+class _Seen(NamedTuple):
+    """An object as it was seen: points f64[P, 3], and from where each, f64[P, 3]."""
+
+    model: ObjectModel
+    free: FreeRegistration
+    points: np.ndarray
+    eyes: np.ndarray
+    compare: Comparer
+
+    def upright(self, yaw: float, bottom: float | None, offset: np.ndarray | None = None) -> Scored:
+        """The upright pose near a turn (`icp.register_upright`)."""
+        pose = register_upright(self.model, self.points, self.eyes, yaw, bottom, offset)
+        return _worth(self.compare, pose), pose
+
+    def freely(self, pose: np.ndarray) -> Scored:
+        """The pose near f64[4, 4] that fits best, however it leans."""
+        freed = self.free(self.points, pose)
+        return _worth(self.compare, freed), freed
+
+
 class RegistrationEstimator:
     """Poses by registration and comparison; see `estimator.PoseEstimator`.
 
@@ -88,20 +109,19 @@ class RegistrationEstimator:
         if num_pixels < FEWEST_PIXELS or len(points) < FEWEST_PIXELS // 2:
             return None
         compare = Comparer(model, index, looks)
+        seen = _Seen(model, free, points, eyes, compare)
         if near is not None and (known := matrix_of(near))[2, 2] > _NEARLY_UPRIGHT:
-            found, lead = self._where_it_was(model, points, eyes, compare, known)
+            found, lead = self._where_it_was(seen, known)
             if found[0][0] >= SURE:
                 return self._estimate(model, found, compare, num_pixels, lead)
-        found = self._upright(model, points, eyes, compare)
+        found = self._upright(seen)
         if found[0][0] < SURE:
-            found = _best([*found, *self._lying(model, free, points, eyes, compare)])
+            found = _best([*found, *self._lying(seen)])
         likely, lead = self._likeliest(found, model.symmetry, compare)
         tried = list(found)
         others = [each for each in _unlike(found, model.symmetry) if each is not likely]
         for score, pose in [likely, *others][:_REFINED]:
-            freed = free(points, pose)
-            tried.append((_worth(compare, freed), freed))
-            tried.append(_climb(compare, (score, pose)))
+            tried += [seen.freely(pose), _climb(compare, (score, pose))]
         ranked = _best(tried)
         # What looks alike is told apart by evidence alone, and what agrees much better is not alike.
         first = next(each for each in ranked if not _is_turned(each[1], likely[1], model.symmetry))
@@ -136,26 +156,19 @@ class RegistrationEstimator:
         is_rival = np.array([_is_turned(each[1], likely[1], symmetry) for each in alike])
         return likely, min(float(evidence[best] - evidence[is_rival].max()) / _DECISIVE, 1.0)
 
-    def _where_it_was(
-        self,
-        model: ObjectModel,
-        points: np.ndarray,
-        eyes: np.ndarray,
-        compare: Comparer,
-        known: np.ndarray,
-    ) -> tuple[list[Scored], float]:
+    def _where_it_was(self, seen: _Seen, known: np.ndarray) -> tuple[list[Scored], float]:
         """Poses at the height of `known` f64[4, 4], the likeliest first; its own turn if none is more so.
 
         Returns:
           Also the lead of the first (`_likeliest`).
         """
+        model, compare = seen.model, seen.compare
         is_low = known[2, 3] - model.asset.half_extents[2] < self._top + _LOW
         bottom = self._top if is_low else None
         yaws = starting_yaws(model.symmetry)
 
         def from_all(turns: np.ndarray) -> list[Scored]:
-            poses = [register_upright(model, points, eyes, _yaw(known) + turn, bottom) for turn in turns]
-            return [(_worth(compare, pose), pose) for pose in poses]
+            return [seen.upright(_yaw(known) + turn, bottom) for turn in turns]
 
         own, *others = from_all(yaws[:: max(len(yaws) // _FEW_TURNS, 1)])
         if any(each[0] > own[0] - _ALIKE and _is_turned(each[1], own[1], model.symmetry) for each in others):
@@ -164,25 +177,21 @@ class RegistrationEstimator:
         first = _climb(compare, likely)
         return [first, *_best([first if likely is own else _climb(compare, own), *others])], lead
 
-    def _upright(
-        self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
-    ) -> list[Scored]:
+    def _upright(self, seen: _Seen) -> list[Scored]:
         """The best poses of an upright object, each with its score: on the table, and if need be elsewhere.
 
         If none on the table agrees well, it may stand on something else, or begin too far away.
         """
-        yaws = starting_yaws(model.symmetry)
+        model, yaws = seen.model, starting_yaws(seen.model.symmetry)
 
         def from_all(bottom: float | None, offsets: np.ndarray) -> list[Scored]:
-            starts = itertools.product(yaws, offsets)
-            poses = [register_upright(model, points, eyes, yaw, bottom, offset) for yaw, offset in starts]
-            return [(_worth(compare, pose), pose) for pose in poses]
+            return [seen.upright(yaw, bottom, offset) for yaw, offset in itertools.product(yaws, offsets)]
 
         nothing = np.zeros((1, 2))
         found = from_all(self._top, nothing)
         if _best(found)[0][0] < SURE:
             # What stands on something else has its top where its highest points are.
-            highest = float(np.quantile(points[:, 2], _TOPMOST))
+            highest = float(np.quantile(seen.points[:, 2], _TOPMOST))
             found += from_all(max(highest - 2 * float(model.asset.half_extents[2]), self._top), nothing)
         if _best(found)[0][0] < SURE:
             found += from_all(None, nothing)
@@ -192,28 +201,19 @@ class RegistrationEstimator:
         # Long things look much the same when they are turned round.
         for _, pose in _unlike(found, model.symmetry)[:_REFINED]:
             bottom = pose[2, 3] - model.asset.half_extents[2]
-            other = register_upright(model, points, eyes, _yaw(pose) + np.pi, float(bottom))
-            found.append((_worth(compare, other), other))
+            found.append(seen.upright(_yaw(pose) + np.pi, float(bottom)))
         return _best(found)
 
-    def _lying(
-        self,
-        model: ObjectModel,
-        free: FreeRegistration,
-        points: np.ndarray,
-        eyes: np.ndarray,
-        compare: Comparer,
-    ) -> list[Scored]:
+    def _lying(self, seen: _Seen) -> list[Scored]:
         """Poses of an object that rests in another way, if it has one."""
         found = []
-        for resting in model.asset.resting[1:3]:
+        for resting in seen.model.asset.resting[1:3]:
             rotation = rotation_matrix(np.array(resting.quaternion))
             for yaw in 2 * np.pi * np.arange(12) / 12:
                 turn = turn_matrix(yaw)[:3, :3] @ rotation
-                center = points.mean(0)
+                center = seen.points.mean(0)
                 center[2] = self._top + resting.height
-                pose = free(points, rigid(turn, center))
-                found.append((_worth(compare, pose), pose))
+                found.append(seen.freely(rigid(turn, center)))
         return _best(found)[:_BEST]
 
     def _estimate(

@@ -4,15 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from cluttergen_jax.downstream.fitting import blank_params, config_of, embedded_checkpoints
+from cluttergen_jax.downstream.fitting import Learner, blank_params, config_of, embedded_checkpoints
 from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
 from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, RegressionHead
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead
-from cluttergen_jax.downstream.placer.query import Head, Placer
+from cluttergen_jax.downstream.placer.query import Example, Placer
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.ppo import checkpoint
+
+
+class Head(Learner, Protocol):
+    """A network, what it learns from a pair, and the placer that acts by it; a frozen value."""
+
+    @property
+    def kind(self) -> str:
+        """Its name in records and on the command line."""
+
+    def prepare(self, example: Example) -> Any:
+        """What a gradient step reads of one pair, made once; a pytree, to be mapped."""
+
+    def placer(self, params: Any, temperature: float = 1.0) -> Placer:
+        """The placer with these weights; temperature: that of its chances, where it tells them."""
+
 
 KIND = "placer"
 """Of a checkpoint, as its record names it."""

@@ -139,7 +139,7 @@ class RegressionHead:
         return RegressionExample(clouds_of(example.query, self.config), example.target)
 
     def init(self, key: Array) -> Any:
-        """See `head.Head`. Raises PoolError: `encoder_weights` holds none, or weights of other sizes."""
+        """See `checkpoint.Head`. Raises PoolError: `encoder_weights` has none, or of other sizes."""
         scene, own = self.config.scene_points, self.config.object_points
         blank = Clouds(
             jnp.zeros((scene, 3)), jnp.ones(scene, bool), jnp.zeros((own, 3)), jnp.ones(2), jnp.ones(3)

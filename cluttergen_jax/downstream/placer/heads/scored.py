@@ -193,7 +193,7 @@ class ScoredHead:
         return ScoreNet(self.config).init(key, jnp.zeros((1, NUM_FEATURES)), crops)
 
     def loss(self, params: Any, examples: ScoredExample, key: Array) -> tuple[Array, dict[str, Array]]:
-        """See `head.Head`; every pair is mirrored along x and y of its object as a coin falls."""
+        """See `checkpoint.Head`; every pair is mirrored along x and y of its object as a coin falls."""
         is_mirrored = jax.random.bernoulli(key, shape=(2, len(examples.verdict)))
         logits = self._logits(params, examples, is_mirrored)
         verdict = examples.verdict.reshape(-1)

@@ -110,13 +110,9 @@ def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Gr
         hash=content,
         pose=pose_of(candidates.pose[chosen]),
         width=candidates.width[chosen],
-        shift=result.shift[chosen],
-        slip=result.slip[chosen],
-        turn=result.turn[chosen],
-        margin=result.margin[chosen],
         is_low=candidates.is_low[chosen],
         num_tested=num_tested,
-        held=result.held[chosen],
+        **{name: getattr(result, name)[chosen] for name in ("shift", "slip", "turn", "margin", "held")},
     )
 
 
