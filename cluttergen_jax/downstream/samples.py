@@ -116,18 +116,6 @@ class SampleFormat:
         text = json.dumps(with_checksum(record), indent=1) + "\n"
         write_atomically(path / self.index, text.encode(), is_durable=True)
 
-    def split(self, path: Path, record: dict[str, Any], name: str) -> dict[str, Any]:
-        """How a split was made. Raises ConfigError: there is none of that name, or it holds nothing."""
-        if name not in SPLITS:
-            raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
-        if name not in record["splits"]:
-            raise ConfigError(
-                f"{path} holds no {self.kind} of the split {name!r}",
-                f"{', '.join(record['splits']) or 'none'} in that folder",
-                f"cluttergen {self.command} --split {name} --out {path}",
-            )
-        return record["splits"][name]
-
     def with_split(
         self,
         path: Path,
@@ -287,7 +275,16 @@ class SampleSet:
 
     def split(self, name: str) -> dict[str, Any]:
         """How a split was made. Raises ConfigError: there is none of that name, or it holds nothing."""
-        return self.form.split(self.path, self.record, name)
+        form, splits = self.form, self.record["splits"]
+        if name not in SPLITS:
+            raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
+        if name not in splits:
+            raise ConfigError(
+                f"{self.path} holds no {form.kind} of the split {name!r}",
+                f"{', '.join(splits) or 'none'} in that folder",
+                f"cluttergen {form.command} --split {name} --out {self.path}",
+            )
+        return splits[name]
 
     def num_samples(self, split: str, asked: int | None = None) -> int:
         """How many of a split are asked for; all if None.

@@ -70,10 +70,6 @@ class _Camera(msgspec.Struct):
     T_world_camera: tuple[_Row4, _Row4, _Row4, _Row4]
 
 
-def _bytes(folder: str | Path, name: str) -> bytes:
-    return (Path(folder) / name).read_bytes()
-
-
 def read_frame(folder: str | Path) -> Frame:
     """A frame from a folder.
 
@@ -87,7 +83,9 @@ def read_frame(folder: str | Path) -> Frame:
         depth = np.load(paths[1], allow_pickle=False)
         told = checked_record(paths[2].read_bytes())
         files = typed(told.get("checksums", {}), dict[Literal["rgb.png", "depth.npy"], str])
-        changed = [name for name, digest in files.items() if digest_of(_bytes(folder, name)) != digest]
+        changed = [
+            name for name, digest in files.items() if digest_of((Path(folder) / name).read_bytes()) != digest
+        ]
         refuse([f"{name} is not what it was" for name in changed])
         found = typed(told, _Camera)
         camera = Camera(found.width, found.height, np.array(found.K), np.array(found.T_world_camera))
