@@ -56,7 +56,7 @@ class Starts:
         self.setting, self._pool = setting, pool
         self._num_threads = num_threads or os.cpu_count() or 1
         self._grasps: dict[str, Grasps] = {}
-        self._symmetry: dict[str, int] = {}
+        self._symmetry = cache(turn_symmetry)
 
     # Compiled when the first scene is asked for.
 
@@ -97,7 +97,7 @@ class Starts:
                     np.concatenate([poses, stay]),
                     place.support,
                 )
-                grasps, symmetry = self._grasps_of(objects), self._symmetry_of(objects)
+                grasps, symmetry = self._grasps_of(objects), tuple(map(self._symmetry, objects))
                 if setting.num_stacked and not is_stacked(scene, grasps, setting.num_stacked):
                     continue
                 return RearrangeTask(setting, scene, tuple(numbers), grasps, symmetry, place, _draw_seed(rng))
@@ -110,12 +110,6 @@ class Starts:
             found = grasps_of(fresh, num_threads=self._num_threads)
             self._grasps.update(zip((each.name for each in fresh), found, strict=True))
         return tuple(self._grasps[each.name] for each in objects)
-
-    def _symmetry_of(self, objects: Sequence[ObjectAsset]) -> tuple[int, ...]:
-        for each in objects:
-            if each.name not in self._symmetry:
-                self._symmetry[each.name] = turn_symmetry(each)
-        return tuple(self._symmetry[each.name] for each in objects)
 
 
 def _draw_seed(rng: np.random.Generator) -> int:
