@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
+from importlib.metadata import version
 from numbers import Integral
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol, TypeVar
@@ -22,8 +23,7 @@ from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo import checkpoint
-from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.metrics_log import MetricsLog
+from cluttergen_jax.learning.training import Interrupt, MetricsLog
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.progress import COMPILING, Progress, time_text
 from cluttergen_jax.types import Array
@@ -240,7 +240,7 @@ class FitRun(ABC):
         self,
         learner: Learner,
         config: FitConfig,
-        recipe: dict[str, Any],
+        recipe: Mapping[str, object],
         folder: Path,
         show: Callable[[str], None] = print,
     ) -> None:
@@ -255,6 +255,19 @@ class FitRun(ABC):
     @abstractmethod
     def save(self, state: FitState, held_out: Any) -> Path:
         """Stores the best weights with their record; their folder."""
+
+    def store(self, state: FitState, validation: Mapping[str, object], **more: object) -> Path:
+        """Stores the best weights; validation: what they were worth besides the loss; more: of the record."""
+        folder, names = self.folder / self.kind, ("cluttergen_jax", "mujoco", "jax", "flax")
+        record = {
+            "kind": self.kind,
+            **self.recipe,
+            **more,
+            "validation": {"loss": float(state.best_loss), **validation},
+            "versions": {name: version(name) for name in names},
+        }
+        checkpoint.save_policy(folder, jax.device_get(state.best), record)
+        return folder
 
     def run(self) -> Path:
         """The checkpoint's folder, after the last step; at once if it is there already.

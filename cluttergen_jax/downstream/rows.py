@@ -39,7 +39,7 @@ class RowFile(Generic[Row]):
     def __init__(
         self,
         path: Path | None,
-        recipe: dict[str, Any],
+        recipe: Mapping[str, object],
         kind: type[Row],
         command: str,
         added: Sequence[str] = (),
@@ -138,7 +138,7 @@ class RowFile(Generic[Row]):
         return typed({key: math.nan if value is None else value for key, value in found.items()}, self._kind)
 
 
-def _plain(row: Any) -> dict[str, Any]:
+def _plain(row: Any) -> dict[str, object]:
     return {key: finite(value) if isinstance(value, float) else value for key, value in asdict(row).items()}
 
 

@@ -119,9 +119,9 @@ class SampleFormat:
     def with_split(
         self,
         path: Path,
-        shared: dict[str, Any],
+        shared: Mapping[str, object],
         split: str,
-        made: dict[str, Any],
+        made: Mapping[str, object],
         number: int,
         overwrite: bool = False,
     ) -> dict[str, Any]:
@@ -164,9 +164,9 @@ class SampleFormat:
         self,
         path: Path,
         bank: Bank,
-        shared: dict[str, Any],
+        shared: Mapping[str, object],
         split: str,
-        made: dict[str, Any],
+        made: Mapping[str, object],
         number: int,
         overwrite: bool,
         fill: Callable[[dict[str, Any], dict[int, int]], None],

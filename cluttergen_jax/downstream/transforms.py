@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.symmetry import ROUND, TOLERANCE, turn_matrix, turn_symmetry
+from cluttergen_jax.assets.symmetry import ROUND, turn_matrix
 
 
 def matrix_of(pose: np.ndarray) -> np.ndarray:
@@ -59,9 +59,6 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """f64[...]: radians between the turns of poses f64[..., 4, 4]."""
     trace = np.einsum("...ij,...ij->...", a[..., :3, :3], b[..., :3, :3])
     return np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
-
-
-__all__ = ["ROUND", "TOLERANCE", "equal_places", "offset", "turn_matrix", "turn_symmetry"]
 
 
 def motion_between(now: np.ndarray, then: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ pytest.importorskip("small_gicp", reason="needs the extra perception")
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.symmetry import turn_matrix
 from cluttergen_jax.downstream.perception.certainty import (
     FEATURES,
     Certainty,
@@ -27,7 +28,7 @@ from cluttergen_jax.downstream.perception.pose.registration import RegistrationE
 from cluttergen_jax.downstream.perception.scoring import judge_moment, mask_figures
 from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, Look, intersection_over_union
 from cluttergen_jax.downstream.perception.views.stage import FOCAL, SIZE
-from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of, turn_matrix
+from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE

@@ -9,6 +9,7 @@ pytest.importorskip("mink", reason="needs the extra robot")
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets.symmetry import ROUND, turn_matrix, turn_symmetry
 from cluttergen_jax.downstream.rearrange.layouts import (
     AREA,
     Layouts,
@@ -18,7 +19,7 @@ from cluttergen_jax.downstream.rearrange.layouts import (
     prefer,
 )
 from cluttergen_jax.downstream.rearrange.task import SETTINGS
-from cluttergen_jax.downstream.transforms import ROUND, equal_places, offset, turn_matrix, turn_symmetry
+from cluttergen_jax.downstream.transforms import equal_places, offset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed
 from cluttergen_jax.geometry import transformed, yaw_quaternion

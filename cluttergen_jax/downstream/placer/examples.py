@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import numpy as np
@@ -61,7 +61,7 @@ class ExampleSource:
         return tuple(read_pairs(path) for path in self.data)
 
     @property
-    def record(self) -> dict[str, Any]:
+    def record(self) -> dict[str, object]:
         """What decides the examples: JSON values."""
         return {
             "pairs": [_digest(each) for each in self.sets],

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -21,7 +20,6 @@ from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, 
 from cluttergen_jax.downstream.placer.heads.scored import ScoredHead
 from cluttergen_jax.downstream.placer.query import NUM_OBJECT_POINTS, NUM_POINTS
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.learning.training.stability import Calibration, calibration, draw_calibration
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.types import Verdict
@@ -128,19 +126,9 @@ class PlacerTraining(FitRun):
         return concatenate(parts)
 
     def save(self, state: FitState, held_out: Any) -> Path:
-        folder = self.folder / self.kind
         temperature, found = self._calibrate(state.best, held_out)
-        record = {
-            "kind": KIND,
-            **self.recipe,
-            "temperature": temperature,
-            "validation": {
-                "loss": float(state.best_loss),
-                "calibration": None if found is None else asdict(found),
-            },
-            "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
-        }
-        checkpoint.save_policy(folder, jax.device_get(state.best), record)
+        validation = {"calibration": None if found is None else asdict(found)}
+        folder = self.store(state, validation, temperature=temperature)
         if found is not None:
             self._show(f"validation {found}")
             draw_calibration({"stands": found}, folder / "calibration.png", "poses of the validation split")

@@ -12,6 +12,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.symmetry import turn_symmetry
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
@@ -33,7 +34,6 @@ from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, success_of
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash
 from cluttergen_jax.downstream.rows import RowFile, share_of
-from cluttergen_jax.downstream.transforms import turn_symmetry
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.scene import Scene

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import cycle, islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -94,7 +93,7 @@ def run_trials(
     number: int,
     seed: int,
     out: Path | None,
-    recipe: dict[str, Any],
+    recipe: Mapping[str, object],
     *,
     num_threads: int = 1,
     places: Places | CameraPlacer = own_place,

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.downstream.transforms import turn_symmetry
+from cluttergen_jax.assets.symmetry import turn_symmetry
 from cluttergen_jax.sensing import RaySensor, sensed_model
 
 NUM_POINTS = 3000

@@ -10,6 +10,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.symmetry import turn_matrix
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.icp import (
     FreeRegistration,
@@ -19,7 +20,7 @@ from cluttergen_jax.downstream.perception.pose.icp import (
 )
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.types import Look, PoseEstimate
-from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of, rigid, shift_along, turn_matrix
+from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of, rigid, shift_along
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotation_matrix
 

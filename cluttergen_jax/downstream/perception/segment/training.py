@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -27,7 +25,6 @@ from cluttergen_jax.downstream.perception.types import intersection_over_union
 from cluttergen_jax.downstream.perception.views.stage import RgbdImage, expose
 from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet, read_views
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig, noisy
 
@@ -54,7 +51,7 @@ class ViewSource:
         return read_views(self.data)
 
     @property
-    def record(self) -> dict[str, Any]:
+    def record(self) -> dict[str, object]:
         """What decides the examples: JSON values."""
         views = self.views
         splits = [name for name in ("train", "val") if name in views.splits]
@@ -153,23 +150,12 @@ class SegmenterTraining(FitRun):
         return self.source.load(split)
 
     def save(self, state: FitState, held_out: SegmentExample) -> Path:
-        folder = self.folder / self.kind
-        params = jax.device_get(state.best)
+        params, names = jax.device_get(state.best), self.source.views.names
         labels = [
             answers_of(self.learner, params, batch)[0].argmax(-1) for batch in self.batches_of(held_out)
         ]
-        names = self.recipe["names"]
         iou = intersection_over_union(np.concatenate(labels), held_out.label, len(names))
-        record = {
-            "kind": KIND,
-            **self.recipe,
-            "validation": {
-                "loss": float(state.best_loss),
-                "mean_iou": float(np.nanmean(iou)),
-                "iou": {name: float(value) for name, value in zip(names, iou[2:], strict=True)},
-            },
-            "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
-        }
-        checkpoint.save_policy(folder, params, record)
+        by_name = {name: float(value) for name, value in zip(names, iou[2:], strict=True)}
+        folder = self.store(state, {"mean_iou": float(np.nanmean(iou)), "iou": by_name})
         self._show(f"validation mean IoU {np.nanmean(iou):.3f} of {len(held_out.label)} views")
         return folder

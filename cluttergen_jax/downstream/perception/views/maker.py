@@ -76,7 +76,7 @@ class ViewMaker:
         self._materials = [stage.material(name) for name in materials]
         self._support, self._num_objects = support, num_objects
 
-    def view(self, number: int) -> dict[str, Any]:
+    def view(self, number: int) -> dict[str, object]:
         """A row of `stored.SCHEMA`; views 2 i and 2 i + 1 show the same moment, in different light.
 
         Six in ten pairs are of the robot's cameras, the one over the table and the one on the hand.

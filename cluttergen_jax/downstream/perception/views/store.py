@@ -171,7 +171,7 @@ class ViewSet(SampleSet):
 read_views = ViewSet.read
 
 
-def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, Any]:
+def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, object]:
     """A view as a row of `SCHEMA`."""
     view, camera = stored.view, stored.view.camera
     tenths = np.round(np.where(np.isfinite(view.depth), view.depth, 0.0).astype(np.float64) * TENTHS_A_METRE)

@@ -183,7 +183,7 @@ class PlacerTrials:
             **more,
         }
 
-    def _sources(self, placer: str, found: Placer | FullState) -> dict[str, Any]:
+    def _sources(self, placer: str, found: Placer | FullState) -> dict[str, object]:
         """Hashes of what decides the figures beside the trial."""
         if isinstance(found, FullState):
             trained = checkpoint_of(found.method, self.made["recipe"]["pool"])

@@ -111,7 +111,7 @@ class PairMaker:
 
     def _row(
         self, pair: int, place: np.ndarray, look: SensedPair, candidates: np.ndarray, verdict: np.ndarray
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         scene, slot = place
         T_region_world = np.linalg.inv(self._maker.T_world_region)
         names, camera = self.scenes.problem.world.names, look.camera
