@@ -57,7 +57,7 @@ class FoundScene:
       seen: bool[N]. certainty: f64[N] in [0, 1], the chance that the pose is right; 0 where not seen.
       features: f64[N, 7], what that was told from (`certainty.FEATURES`).
       visible: f64[N], share of each silhouette that is seen.
-      labels: of each look u8[H, W], which object each pixel shows (`classes`): the segmenter's word,
+      labels: of each look u8[H, W], which object each pixel shows (`types`): the segmenter's word,
         corrected by depth where an object of these names was found.
     """
 
@@ -273,7 +273,7 @@ def load_finder(segmenter: str | Path, objects: Sequence[ObjectAsset], support: 
     """A finder with a trained segmenter, and with the rule of certainty that lies beside it.
 
     Args:
-      segmenter: a pool's name or a folder (`segment.trained.segmenter_folder`).
+      segmenter: a pool's name or a folder (`network_segmenter.segmenter_folder`).
 
     Raises:
       PoolError: there is no such segmenter, or it is damaged.

@@ -48,7 +48,7 @@ class Segmentation:
 
     Attributes:
       names: of the objects.
-      label: u8[H, W], see `classes`.
+      label: u8[H, W], see `types`.
     """
 
     names: tuple[str, ...]
@@ -112,7 +112,7 @@ class Look:
 
     Attributes:
       depth: f32[H, W], metres along the optical axis, nan where nothing was measured.
-      label: u8[H, W], see `classes`.
+      label: u8[H, W], see `types`.
       camera: of this size, as it is believed to stand.
     """
 

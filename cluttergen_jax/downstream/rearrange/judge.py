@@ -25,7 +25,7 @@ class RearrangementJudge:
 
     Args:
       execution: the simulation. scene: as it was at the start; the first `num_moved` objects are to be moved.
-      symmetry: of each object (`symmetry.turn_symmetry`).
+      symmetry: of each object (`assets.symmetry.turn_symmetry`).
     """
 
     def __init__(self, execution: Execution, scene: Scene, num_moved: int, symmetry: Sequence[int]) -> None:

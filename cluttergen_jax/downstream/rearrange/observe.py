@@ -189,7 +189,7 @@ class ObjectTracker:
 
     Args:
       relook: False looks once, and then goes by what the hand has done.
-      symmetry: of each object (`perception.symmetry.turn_symmetry`); none if not given.
+      symmetry: of each object (`assets.symmetry.turn_symmetry`); none if not given.
 
     Attributes:
       num_looks: how often all objects were looked for.

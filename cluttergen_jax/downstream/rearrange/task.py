@@ -99,7 +99,7 @@ class RearrangeTask:
       setting: of what kind.
       scene: N objects as they stand; the first `setting.num_objects` are to be moved.
       numbers: i[N], of these in the pool that `draw` knows.
-      grasps: of each of the N. symmetry: of each (`symmetry.turn_symmetry`).
+      grasps: of each of the N. symmetry: of each (`assets.symmetry.turn_symmetry`).
       draw: draws layouts and places to wait.
       seed: of all that is drawn.
     """

@@ -23,7 +23,7 @@ class ObjectModel:
     """An object as pose estimation knows it.
 
     Attributes:
-      asset: the object. symmetry: of its turns about z (`symmetry.turn_symmetry`).
+      asset: the object. symmetry: of its turns about z (`assets.symmetry.turn_symmetry`).
       points, normals: f64[3000, 3], of its surface, object frame, metres.
     """
 

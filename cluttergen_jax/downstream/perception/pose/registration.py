@@ -75,7 +75,7 @@ class _Seen(NamedTuple):
 
 
 class RegistrationEstimator:
-    """Poses by registration and comparison; see `estimator.PoseEstimator`.
+    """Poses by registration and comparison; see `types.PoseEstimator`.
 
     Args:
       objects: K, in the order of their numbers. support: the table that they stand on.
@@ -104,7 +104,7 @@ class RegistrationEstimator:
     def __call__(
         self, index: int, looks: Sequence[Look], near: np.ndarray | None = None
     ) -> PoseEstimate | None:
-        """See `estimator.PoseEstimator`; where it was it is sought first."""
+        """See `types.PoseEstimator`; where it was it is sought first."""
         model, free = self._load(index)
         points, eyes, num_pixels = seen_points(index, looks)
         if num_pixels < FEWEST_PIXELS or len(points) < FEWEST_PIXELS // 2:

@@ -99,7 +99,7 @@ class SegmentExample(struct.PyTreeNode):
 
     Attributes:
       rgb: u8[H, W, 3]. depth, height: f16[H, W], metres, the latter over the table; `NO_DEPTH` where none.
-      label: u8[H, W], see `classes`.
+      label: u8[H, W], see `types`.
       center: f32[K, 2], pixels right and down, where the objects' middles are seen.
     """
 
@@ -134,7 +134,7 @@ class SegmentLearner:
         return SegmentNet(self.config).init(key, jnp.zeros((1, HEIGHT, WIDTH, 5)))
 
     def loss(self, params: Any, examples: SegmentExample, key: Array) -> tuple[Array, dict[str, Array]]:
-        """See `fitting.fit.Learner`; as coins fall views are mirrored, and their backgrounds recoloured."""
+        """See `fitting.Learner`; as coins fall views are mirrored, and their backgrounds recoloured."""
         number = len(examples.label)
         flip_key, colour_key = jax.random.split(key)
         examples = jax.vmap(_mirror)(examples, jax.random.bernoulli(flip_key, shape=(number, 2)))

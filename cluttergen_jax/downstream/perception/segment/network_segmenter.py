@@ -140,7 +140,7 @@ def answers_of(learner: Any, params: Any, examples: SegmentExample) -> tuple[np.
 
 
 class NetworkSegmenter:
-    """Segments by a trained network, and by where depth has steps (`refine`).
+    """Segments by a trained network, and by where depth has steps (below).
 
     Of each object those pixels are kept whose votes for its centre agree.
 

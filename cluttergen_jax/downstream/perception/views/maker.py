@@ -77,7 +77,7 @@ class ViewMaker:
         self._support, self._num_objects = support, num_objects
 
     def view(self, number: int) -> dict[str, object]:
-        """A row of `stored.SCHEMA`; views 2 i and 2 i + 1 show the same moment, in different light.
+        """A row of `store.SCHEMA`; views 2 i and 2 i + 1 show the same moment, in different light.
 
         Six in ten pairs are of the robot's cameras, the one over the table and the one on the hand.
         """

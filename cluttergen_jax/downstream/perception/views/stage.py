@@ -166,7 +166,7 @@ class RgbdImage:
 
     Attributes:
       rgb: u8[H, W, 3]. depth: f32[H, W], metres along the optical axis, inf where nothing is.
-      label: u8[H, W], see `classes`. camera: where it was seen from.
+      label: u8[H, W], see `types`. camera: where it was seen from.
     """
 
     rgb: np.ndarray

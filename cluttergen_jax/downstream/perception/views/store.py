@@ -95,7 +95,7 @@ SCHEMA = pa.schema(
 )
 """`objects` are those that stand, by their number in the pool, at `poses`, T_world_object, metres and wxyz.
 Depth is u16 in tenths of a millimetre along the optical axis, little-endian, row by row, 0 where nothing is
-or beyond 6.5 m; labels are u8 (`classes`); rgb is u8. Neither exposure nor noise is in them."""
+or beyond 6.5 m; labels are u8 (`types`); rgb is u8. Neither exposure nor noise is in them."""
 VIEWS = SampleFormat("views", "view", "perception data", SCHEMA, 64, ViewRecord, check_rows)
 
 

@@ -191,7 +191,7 @@ def load_queries(
         own; of several, pairs take turns.
       num_pairs: the first so many; all if None.
       num_threads: 0 takes every core.
-      num_cameras: that look at each scene, their maps fused (`sight.QueryMaker.see_all`). All but the first
+      num_cameras: that look at each scene, their maps fused (`QueryMaker.see_all`). All but the first
         are drawn and looked through here; which they are is decided by the pairs' own seed.
       wanted: of these pairs, which are read; all if None.
 
