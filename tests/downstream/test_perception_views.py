@@ -177,7 +177,7 @@ def test_fewer_views_than_an_interrupted_call_asked_for_are_a_whole_folder(
     views, bank, tmp_path, monkeypatch
 ):
     with monkeypatch.context() as patch:
-        patch.setattr(maker, "_write_blocks", lambda *asked: 1 / 0)
+        patch.setattr(maker, "open_stage", lambda *asked: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             write_views(tmp_path / "views", {"made": bank}, "train", 6, CONFIG)
     fewer = write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)

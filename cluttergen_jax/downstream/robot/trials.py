@@ -134,15 +134,8 @@ def run_trials(
     file.note_grasps({name: each.digest for name, each in grasps.items()})
 
     def run(index: int, trace: Trace | None = None) -> EpisodeResult:
-        scene, own = scenes[index % len(scenes)], episode_seed(seed, index)
-        target, held = len(scene.names) - 1, grasps[scene.objects[-1].name]
-        if task == "lift":
-            row = lift_episode(scene, target, held, own, trace)
-        elif isinstance(places, CameraPlacer):
-            row = sensing_place_episode(scene, target, held, places, own, trace)
-        else:
-            row = place_episode(scene, target, held, places(index, scene), own, trace)
-            row = replace(row, placer=getattr(places, "name", row.placer))
+        scene = scenes[index % len(scenes)]
+        row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace)
         return replace(row, scene=_number_of(scenes, index))
 
     def note(rows: list[EpisodeResult]) -> str:
@@ -159,6 +152,24 @@ def _number_of(scenes: Sequence[Scene], index: int) -> int:
     """The number, in its bank, of the scene of an episode."""
     origin = scenes[index % len(scenes)].origin
     return -1 if origin is None else origin.index
+
+
+def _episode(
+    scene: Scene,
+    task: str,
+    grasps: Grasps,
+    places: Places | CameraPlacer,
+    index: int,
+    seed: int,
+    trace: Trace | None,
+) -> EpisodeResult:
+    target, own = len(scene.names) - 1, episode_seed(seed, index)
+    if task == "lift":
+        return lift_episode(scene, target, grasps, own, trace)
+    if isinstance(places, CameraPlacer):
+        return sensing_place_episode(scene, target, grasps, places, own, trace)
+    row = place_episode(scene, target, grasps, places(index, scene), own, trace)
+    return replace(row, placer=getattr(places, "name", row.placer))
 
 
 def episode_seed(seed: int, index: int) -> int:
