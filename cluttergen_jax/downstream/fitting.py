@@ -11,7 +11,7 @@ from functools import partial
 from importlib.metadata import version
 from numbers import Integral
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol, TypeVar
+from typing import Any, ClassVar, Literal, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -31,8 +31,6 @@ from cluttergen_jax.types import Array
 _WARM_UP = 0.02
 _MOST = 1_000_000
 """Of epochs, and of examples in a batch."""
-
-Config = TypeVar("Config")
 
 
 class Learner(Protocol):
@@ -62,7 +60,7 @@ def embedded_checkpoints(name: str) -> dict[str, Path]:
     return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
 
 
-def config_of(kind: type[Config], record: Mapping[str, Any], path: Path, hint: str) -> Config:
+def config_of(kind: Any, record: Mapping[str, Any], path: Path, hint: str) -> Any:
     """The sizes of a network as the record of its checkpoint in `path` has them.
 
     Raises:

@@ -387,12 +387,12 @@ def numbers_of(table: pa.Table, name: str) -> np.ndarray:
     Raises:
       SchemaError: a value is missing.
     """
-    values, last = table[name].combine_chunks(), ()
+    values, last = table[name].combine_chunks(), list[int]()
     while True:
         if values.null_count:
             raise SchemaError(f"{name!r} lacks a value")
         if pa.types.is_fixed_size_list(values.type):
-            last = (values.type.list_size,)
+            last = [values.type.list_size]
         elif not pa.types.is_list(values.type):
             break
         values = values.flatten()

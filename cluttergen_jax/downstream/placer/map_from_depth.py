@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cluttergen_jax.downstream.placer.query import CELL, NUM_POINTS, PlacementQuery
+from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.search import UnderSide
@@ -95,12 +96,12 @@ class QueryMaker:
 
     def measure(
         self, depth: np.ndarray, camera: Camera, noise: NoiseConfig, rng: np.random.Generator
-    ) -> tuple[np.ndarray, Camera]:
+    ) -> DepthView:
         """What a camera gives with noise, and where it is believed to stand."""
         if noise == NOISE_OFF:
-            return depth, camera
+            return DepthView(depth, camera)
         depth, camera = noisy(depth, camera, noise, rng)
-        return depth, levelled(depth, camera, self.grid)
+        return DepthView(depth, levelled(depth, camera, self.grid))
 
     def partial(
         self, depth: np.ndarray, camera: Camera, noise: NoiseConfig, grid: Grid | None = None

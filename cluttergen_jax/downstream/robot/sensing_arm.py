@@ -179,7 +179,7 @@ class SensingArm:
         run = self._execution
         depth, camera = self._placer.measure(run.depth(camera), camera, self._rng)
         is_own = self._silhouette(camera, run.joints, run.opening, self._object()[0])
-        self._views.append((np.where(is_own, np.float32(np.nan), depth), camera))
+        self._views.append(DepthView(np.where(is_own, np.float32(np.nan), depth), camera))
         self.looks += 1
 
     def _swing_aside(self) -> None:
