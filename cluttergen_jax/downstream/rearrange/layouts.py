@@ -15,7 +15,6 @@ from scipy.spatial.distance import cdist
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import LayoutRule, Method
-from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.grasping.grips import rank_grasps
 from cluttergen_jax.downstream.robot.model import base_pose
@@ -204,10 +203,7 @@ class ReachCheck:
     ) -> None:
         self._grasps, self._max_lever, base = grasps, max_lever, base_pose(support)
         self._kinematics = ArmKinematics(base)
-        names, nowhere = (
-            [str(number) for number in range(len(objects))],
-            np.tile(np.eye(7)[3], (len(objects), 1)),
-        )
+        names, nowhere = list(map(str, range(len(objects)))), np.tile(np.eye(7)[3], (len(objects), 1))
         self._worlds = {k: PlanningWorld(names, objects, nowhere, k, support, base) for k in moved}
         for world in self._worlds.values():
             world.room = HAND_ROOM
@@ -223,10 +219,7 @@ class ReachCheck:
         for grip in rank_grasps(self._grasps[target], T_world_object):
             if grip.lever > self._max_lever:
                 continue
-            T_world_tool, opening = (
-                T_world_object @ grip.T_object_tool,
-                float(opening_of(np.array(grip.width))),
-            )
+            T_world_tool, opening = T_world_object @ grip.T_object_tool, grip.opening
             if not world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
             found = self._kinematics.solutions(T_world_tool, 1)

@@ -115,10 +115,8 @@ class PairMaker:
         scene, slot = place
         T_region_world = np.linalg.inv(self._maker.T_world_region)
         names, camera = self.scenes.problem.world.names, look.camera
-        order, poses = (
-            self.scenes.object_index[scene],
-            changed_frame(T_region_world, self.scenes.poses[scene]),
-        )
+        order = self.scenes.object_index[scene]
+        poses = changed_frame(T_region_world, self.scenes.poses[scene])
         return {
             "pair": pair,
             "scene": int(self.scenes.number[scene]),

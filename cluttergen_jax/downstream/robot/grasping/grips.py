@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.transforms import matrix_of
 
@@ -33,6 +34,11 @@ class Grip(NamedTuple):
     T_tool_object: np.ndarray
     width: float
     lever: float
+
+    @property
+    def opening(self) -> float:
+        """Metres that each finger is from the middle before it closes."""
+        return float(opening_of(np.array(self.width)))
 
 
 def rank_grasps(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:

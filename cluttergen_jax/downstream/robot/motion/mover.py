@@ -7,7 +7,6 @@ from itertools import chain, count, product
 
 import numpy as np
 
-from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.grasping.grips import Grip, rank_grasps
 from cluttergen_jax.downstream.robot.model import MAX_OPENING
@@ -113,8 +112,7 @@ class Mover:
         self.fitting = self._joints = None
         for room, grip in product(self._rooms, rank_grasps(grasps, T_world_object)):
             self.world.room = room
-            T_world_tool = T_world_object @ grip.T_object_tool
-            opening = float(opening_of(np.array(grip.width)))
+            T_world_tool, opening = T_world_object @ grip.T_object_tool, grip.opening
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
             furthest = max(furthest, 1)
@@ -147,7 +145,7 @@ class Mover:
         Raises:
           Failed: an unplanned contact, or the object was lost.
         """
-        run, self._opening = self.execution, float(opening_of(np.array(plan.grip.width)))
+        run, self._opening = self.execution, plan.grip.opening
         run.move_fingers(self._opening, Phase.FREE, 0.2)
         run.follow(time_path(plan.path, run.step_time), Phase.FREE)
         run.follow(time_path(plan.come, run.step_time, CARRY_SHARE), Phase.FREE)
