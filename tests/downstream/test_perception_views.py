@@ -89,7 +89,7 @@ def test_a_row_holds_the_view_to_a_tenth_of_a_millimetre():
     depth = view.view.depth.copy()
     depth[0, 0], depth[0, 1] = np.inf, 9.0
     seen = stored.StoredView(
-        7, stored.View(view.view.rgb, depth, view.view.label, view.view.camera), *_rest(view)
+        7, stored.RgbdImage(view.view.rgb, depth, view.view.label, view.view.camera), *_rest(view)
     )
     back = stored._view_of(row_of(seen, 3, 1))
     assert np.isinf(back.view.depth[0, :2]).all()
