@@ -5,7 +5,7 @@ import json
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer.pairs.stored import read_pairs
+from cluttergen_jax.downstream.placer.pairs.store import read_pairs
 from cluttergen_jax.downstream.studies.study import Scale
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.learning.ppo.ppo import PPOConfig

@@ -8,7 +8,9 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.fitting.fit import FitConfig, num_examples, taken
+from cluttergen_jax.downstream.fitting import FitConfig, num_examples, take
+from cluttergen_jax.downstream.placer.examples import concatenate_examples
+from cluttergen_jax.downstream.placer.heads.checkpoint import head_of, load_placer, placer_folder
 from cluttergen_jax.downstream.placer.heads.features import (
     MIRRORED,
     UNSEEN,
@@ -23,17 +25,10 @@ from cluttergen_jax.downstream.placer.heads.regression import (
     RegressionExample,
     RegressionHead,
 )
-from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lowered
-from cluttergen_jax.downstream.placer.heads.trained import (
-    head_of,
-    load_placer,
-    placer_folder,
-)
+from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lower_candidates
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
-from cluttergen_jax.downstream.placer.training.examples import joined_examples
-from cluttergen_jax.downstream.placer.training.run import PlacerTraining
-from cluttergen_jax.downstream.placer.training.temperature import best_temperature
+from cluttergen_jax.downstream.placer.training import PlacerTraining, best_temperature
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
@@ -49,7 +44,7 @@ HEADS = {
 
 
 features_of, crops_of = jax.jit(features_of), jax.jit(crops_of)
-own_shape, lowered = jax.jit(own_shape), jax.jit(lowered)
+own_shape, lower_candidates = jax.jit(own_shape), jax.jit(lower_candidates)
 
 
 @pytest.fixture(scope="module")
@@ -144,8 +139,8 @@ def test_padded_queries_are_read_as_before(examples):
             heights=_wider(examples.query.heights), ceilings=_wider(examples.query.ceilings)
         )
     )
-    one = taken(examples, np.arange(1)).replace(query=small)
-    both = joined_examples([one, large])
+    one = take(examples, np.arange(1)).replace(query=small)
+    both = concatenate_examples([one, large])
     assert num_examples(both) == 9
     first = jax.tree.map(lambda leaf: leaf[0], both)
     alone = jax.tree.map(lambda leaf: leaf[0], one)

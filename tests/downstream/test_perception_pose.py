@@ -9,6 +9,7 @@ pytest.importorskip("small_gicp", reason="needs the extra perception")
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.symmetry import turn_matrix
 from cluttergen_jax.downstream.perception.certainty import (
     FEATURES,
     Certainty,
@@ -16,17 +17,14 @@ from cluttergen_jax.downstream.perception.certainty import (
     reliability,
     write_certainty,
 )
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
-from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.pose.pose_physics_check import PosePhysicsCheck
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator, seen_points
-from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
-from cluttergen_jax.downstream.perception.segment.scores import intersection_over_union
-from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
-from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, Look, intersection_over_union
+from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE
+from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.sensing.camera import Camera
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, overhead, standing, view_of
@@ -162,7 +160,7 @@ def test_filling_air_that_was_seen_to_be_empty_speaks_against_a_pose():
 
 
 def test_what_floats_or_overlaps_is_not_steady():
-    check = SteadyCheck(OBJECTS, TABLE)
+    check = PosePhysicsCheck(OBJECTS, TABLE)
     assert check(POSES, np.ones(3, bool)).tolist() == [True, True, True]
     poses = POSES.copy()
     poses[0, 2] += 0.05
@@ -178,7 +176,7 @@ def test_certainty_is_fitted_to_what_was_right(tmp_path):
     features = np.column_stack([np.ones(4000), *(rng.uniform(0, 1, (len(FEATURES) - 1, 4000)))])
     true = np.array([-3.0, 4.0, 2.0, 1.0, 0.0, 0.0, 1.0])
     right = rng.uniform(size=4000) < 1 / (1 + np.exp(-features @ true))
-    fitted = Certainty().fitted(features, right)
+    fitted = Certainty().fit_to(features, right)
     np.testing.assert_allclose(fitted.weights, true, atol=0.5)
     for mean, share, count in reliability(fitted(features), right):
         assert count < 200 or abs(mean - share) < 0.06

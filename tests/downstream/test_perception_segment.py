@@ -7,32 +7,34 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.fitting.fit import FitConfig
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.segment.examples import example_of
+from cluttergen_jax.downstream.fitting import FitConfig
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
     NO_DEPTH,
     WIDTH,
     SegmentConfig,
     SegmentLearner,
-    _mirrored,
-    shrunk,
-    shrunk_label,
+    _mirror,
+    shrink,
+    shrink_label,
 )
-from cluttergen_jax.downstream.perception.segment.refine import (
-    by_pieces,
-    enlarged,
-    fitted_to_depth,
-)
-from cluttergen_jax.downstream.perception.segment.scores import confusion, intersection_over_union, iou_of
-from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
-from cluttergen_jax.downstream.perception.segment.trained import (
+from cluttergen_jax.downstream.perception.segment.network_segmenter import (
     NetworkSegmenter,
+    by_pieces,
+    enlarge,
+    fit_to_depth,
     load_segmenter,
     segmenter_folder,
 )
-from cluttergen_jax.downstream.perception.segment.training import SegmenterTraining
+from cluttergen_jax.downstream.perception.segment.training import SegmenterTraining, example_of
+from cluttergen_jax.downstream.perception.types import (
+    BACKGROUND,
+    FIRST_OBJECT,
+    check_images,
+    confusion,
+    intersection_over_union,
+    iou_of,
+)
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.training.metrics_log import read_rows
@@ -92,13 +94,13 @@ def test_pictures_of_any_size_are_read_and_answered(size):
     depth[: size[0] // 2] = np.nan
     rgb = np.zeros((*size, 3), np.uint8)
     rgb[:, size[1] // 2 :] = 200
-    small, far, _ = shrunk(rgb, depth, depth - 0.5)
+    small, far, _ = shrink(rgb, depth, depth - 0.5)
     assert (far[: HEIGHT // 2 - 1] == NO_DEPTH).all()
     assert far[-1, -1] == np.float16(0.7)
     assert small[0, 0, 0] == 0
     assert small[0, -1, 0] == 200
-    label = shrunk_label((rgb[..., 0] > 0).astype(np.uint8))
-    large = enlarged(label[..., None].astype(np.float32), size)[..., 0] > 0.5
+    label = shrink_label((rgb[..., 0] > 0).astype(np.uint8))
+    large = enlarge(label[..., None].astype(np.float32), size)[..., 0] > 0.5
     assert large.shape == size
     assert (large == (rgb[..., 0] > 0)).mean() > 0.98
 
@@ -106,7 +108,7 @@ def test_pictures_of_any_size_are_read_and_answered(size):
 def test_mirrored_examples_keep_centres_in_their_masks():
     example = example_of(view_of(POSES, overhead()), Known, 0)
     for flips in ([True, False], [False, True], [True, True]):
-        turned = _mirrored(example, np.array(flips))
+        turned = _mirror(example, np.array(flips))
         for number, (x, y) in enumerate(np.asarray(turned.center)):
             assert turned.label[int(y), int(x)] == FIRST_OBJECT + number
 
@@ -134,11 +136,11 @@ def test_objects_end_where_the_table_begins_and_have_their_thin_parts():
     height[0, 0] = np.nan
     label = np.full(height.shape, BACKGROUND, np.uint8)
     label[4:11, 4:10] = FIRST_OBJECT
-    fitted = fitted_to_depth(label, height)
+    fitted = fit_to_depth(label, height)
     expected = np.zeros(height.shape, bool)
     expected[5:10, 5:10] = expected[7, 10:13] = True
     assert np.array_equal(fitted == FIRST_OBJECT, expected)
-    assert (fitted_to_depth(np.zeros_like(label), height) == BACKGROUND).all()
+    assert (fit_to_depth(np.zeros_like(label), height) == BACKGROUND).all()
 
 
 # How it is scored
@@ -158,7 +160,7 @@ def test_scores_are_those_of_hand_arithmetic():
 
 def refused(rgb, depth, told):
     with pytest.raises(ConfigError, match=told):
-        checked_images(rgb, depth, overhead())
+        check_images(rgb, depth, overhead())
 
 
 def test_images_that_cannot_be_used_are_refused():
@@ -170,7 +172,7 @@ def test_images_that_cannot_be_used_are_refused():
     refused(view.rgb, np.full_like(view.depth, np.nan), "nothing was measured")
     depth = view.depth.copy()
     depth[0] = (np.nan,)
-    assert np.isnan(checked_images(view.rgb, depth, overhead())[1][0]).all()
+    assert np.isnan(check_images(view.rgb, depth, overhead())[1][0]).all()
 
 
 # Runs

@@ -11,18 +11,20 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.perception.classes import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.views import stored
-from cluttergen_jax.downstream.perception.views.appearance import (
-    NUM_TEXTURES,
-    TEXTURES_OF,
-    exposed,
-)
-from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE, wrist_camera
+from cluttergen_jax.downstream.perception.types import ARM, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.views import store as stored
 from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
-from cluttergen_jax.downstream.perception.views.stored import VIEWS, row_of
-from cluttergen_jax.downstream.robot.frames import made
+from cluttergen_jax.downstream.perception.views.stage import (
+    FOCAL,
+    NUM_TEXTURES,
+    SIZE,
+    TEXTURES_OF,
+    expose,
+    wrist_camera,
+)
+from cluttergen_jax.downstream.perception.views.store import VIEWS, row_of
+from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.errors import BankError, ConfigError
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
 from tests.helpers.perception import POSES, overhead, view_of
@@ -53,12 +55,12 @@ def views(tmp_path_factory, bank):
 
 def test_exposure_keeps_the_order_of_brightness():
     ramp = np.repeat(np.arange(0, 250, 50, dtype=np.uint8)[:, None], 3, 1)[:, None].repeat(400, 1)
-    seen = exposed(ramp, np.random.default_rng(0)).mean((1, 2))
+    seen = expose(ramp, np.random.default_rng(0)).mean((1, 2))
     assert (np.diff(seen) > 0).all()
 
 
 def test_the_camera_on_the_hand_looks_where_the_hand_points():
-    down = made(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.2, 1.3]))
+    down = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.2, 1.3]))
     camera = wrist_camera(down)
     assert (camera.width, camera.height) == SIZE
     assert camera.K[0, 0] == FOCAL
@@ -77,9 +79,9 @@ def test_a_row_holds_the_view_to_a_tenth_of_a_millimetre():
     depth = view.view.depth.copy()
     depth[0, 0], depth[0, 1] = np.inf, 9.0
     seen = stored.StoredView(
-        7, stored.View(view.view.rgb, depth, view.view.label, view.view.camera), *_rest(view)
+        7, stored.RgbdImage(view.view.rgb, depth, view.view.label, view.view.camera), *_rest(view)
     )
-    back = stored._stored(row_of(seen, 3, 1))
+    back = stored._view_of(row_of(seen, 3, 1))
     assert np.isinf(back.view.depth[0, :2]).all()
     np.testing.assert_allclose(back.view.depth[1:], depth[1:], atol=6e-5)
     assert np.array_equal(back.view.label, view.view.label)

@@ -23,14 +23,18 @@ import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
-from cluttergen_jax.downstream.rearrange.judge import Judge
+from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.rearrange.moves import Moves
 from cluttergen_jax.downstream.rearrange.observe import (
     Cause,
     TrueObserver,
 )
-from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions, RearrangeSetting
-from cluttergen_jax.downstream.rearrange.task import RearrangeResult
+from cluttergen_jax.downstream.rearrange.task import (
+    SETTINGS,
+    RearrangeOptions,
+    RearrangeResult,
+    RearrangeSetting,
+)
 from cluttergen_jax.downstream.rearrange.trials import is_stacked, run_rearrangements
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
@@ -152,7 +156,7 @@ def test_what_cannot_be_put_down_at_its_place_is_brought_back(happens, is_lost, 
 
 def test_the_judge_finds_what_is_wrong():
     execution = Execution(SCENE, 0)
-    judge = Judge(execution, SCENE, 1, [1, 1])
+    judge = RearrangementJudge(execution, SCENE, 1, [1, 1])
     judge.check_end(SCENE.poses)
     wrong = SCENE.poses.copy()
     wrong[0, 0] += 0.016

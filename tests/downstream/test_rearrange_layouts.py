@@ -9,14 +9,13 @@ pytest.importorskip("mink", reason="needs the extra robot")
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.downstream.perception.symmetry import (
-    ROUND,
-    equal_places,
-    offset,
-    turn_matrix,
-    turn_symmetry,
+from cluttergen_jax.assets.symmetry import ROUND, turn_matrix, turn_symmetry
+from cluttergen_jax.downstream.rearrange.layouts import (
+    SceneDraw,
+    choose_unlike,
+    clearance_of,
 )
-from cluttergen_jax.downstream.rearrange.layouts import SceneDraw, clearance_of, unlike
+from cluttergen_jax.downstream.transforms import equal_places, offset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
@@ -62,14 +61,14 @@ def test_unlike_layouts_are_far_from_each_other():
     rng = np.random.default_rng(2)
     poses = np.array([drawn_poses(rng) for _ in range(40)])
     region = Rectangle((0, 0), (0.15, 0.15))
-    chosen = unlike(OBJECTS, poses, region, 6)
+    chosen = choose_unlike(OBJECTS, poses, region, 6)
     assert len(set(chosen.tolist())) == 6
     vectors = embed(OBJECTS, poses, np.ones((40, 3), bool), region, 0.0)
     distances = cdist(vectors, vectors)
     for place in range(1, 6):
         nearest = distances[chosen[:place]].min(0)
         assert nearest[chosen[place]] == pytest.approx(nearest.max())
-    assert unlike(OBJECTS, poses[:4], region, 6).tolist() == [0, 1, 2, 3]
+    assert choose_unlike(OBJECTS, poses[:4], region, 6).tolist() == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(
