@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.cloud import sample_surface
-from cluttergen_jax.assets.inertia import mass_properties
+from cluttergen_jax.assets.mass import mass_properties
 from cluttergen_jax.assets.pool import EMBEDDED, find_pool
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid, solid_of

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args, get_type_hints
 
 from cluttergen_jax.assets.pool import composed, find_pool
-from cluttergen_jax.assets.rectangle_text import parse_boxes, parse_region, recorded_rectangle
-from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets.support import Rectangle, parse_boxes, parse_region, recorded_rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import (
     HAND,

@@ -10,19 +10,17 @@ import numpy as np
 from cluttergen_jax.assets.cloud import surface_cloud
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose, decompositions
-from cluttergen_jax.assets.deviation import deviation, size_alarm
-from cluttergen_jax.assets.facing import faced
-from cluttergen_jax.assets.gaps import gap_alarm
-from cluttergen_jax.assets.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
-from cluttergen_jax.assets.inertia import MassProperties, mass_properties
+from cluttergen_jax.assets.mass import MassProperties, believed, mass_alarm, mass_properties
 from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh_repair.orientation import faced
+from cluttergen_jax.assets.mesh_repair.simplify import drawn
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
 from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finished, hull_of
-from cluttergen_jax.assets.pieces import drawn
-from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of, upright_turn
+from cluttergen_jax.assets.quality.deviation import deviation, gap_alarm, size_alarm
+from cluttergen_jax.assets.quality.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
+from cluttergen_jax.assets.settle import resting_poses, settled_turn, tilt_of, upright_turn
 from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
-from cluttergen_jax.assets.stated_mass import believed, mass_alarm
 from cluttergen_jax.assets.upright import usual_poses
 from cluttergen_jax.errors import AssetError, ConfigError
 

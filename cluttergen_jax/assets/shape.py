@@ -12,7 +12,7 @@ from cluttergen_jax.assets.texture import Texture
 
 if TYPE_CHECKING:
     # Of use to importers alone, and slow to load.
-    from cluttergen_jax.assets.stated_mass import StatedMass
+    from cluttergen_jax.assets.mass import StatedMass
 
 
 _FLAT = 1e-5

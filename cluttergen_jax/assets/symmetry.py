@@ -10,9 +10,9 @@ import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from cluttergen_jax.assets.cloud import coloured_points
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.scene_cloud import coloured_points
 from cluttergen_jax.assets.shape import Piece
 
 TOLERANCE = 0.005

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.rest import upright_turn
+from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.assets.stances import Stance, stances
 from cluttergen_jax.assets.voxels import Voxels

@@ -12,8 +12,8 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.assets.pool import public_name
-from cluttergen_jax.assets.reach import reach_of
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support_map import reach_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.arguments import check_call, check_key, is_known
 from cluttergen_jax.generation.recipes import recipe_text, required_recipe

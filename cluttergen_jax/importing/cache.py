@@ -15,7 +15,7 @@ from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.files import cache_home, own_folder, remove
 from cluttergen_jax.importing.readers import ObjectFile
-from cluttergen_jax.importing.readers.companions import companions
+from cluttergen_jax.importing.readers.mesh_text import companions
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 
 BODY_VERSION = 4

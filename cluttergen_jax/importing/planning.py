@@ -12,10 +12,9 @@ from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
-from cluttergen_jax.importing.readers.axes import AUTO, AXES, FILE, UpAxis, own_up
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import public_path
-from cluttergen_jax.importing.readers.source import named_apart
+from cluttergen_jax.importing.readers.source import AUTO, AXES, FILE, UpAxis, named_apart, own_up
 from cluttergen_jax.importing.readers.tree import find_sources, found_in
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
 from cluttergen_jax.importing.scenery import why_no_objects

@@ -22,9 +22,9 @@ from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, named_anew, plan_all
 from cluttergen_jax.importing.processes import Crew, Outcome
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
-from cluttergen_jax.importing.readers.axes import UpAxis
 from cluttergen_jax.importing.readers.read import public_path
-from cluttergen_jax.importing.solo import measured_object
+from cluttergen_jax.importing.readers.source import UpAxis
+from cluttergen_jax.importing.solo_stability import measured_object
 from cluttergen_jax.importing.table_top import LeftOut, Limits
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import Progress

@@ -15,9 +15,8 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh, joined
-from cluttergen_jax.assets.overhead import Overhead, Span, cover, largest_rectangle, level_faces, look_down
+from cluttergen_jax.assets.mesh_repair.orientation import faced
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import (
@@ -28,6 +27,7 @@ from cluttergen_jax.assets.support_file import (
     user_supports,
     write_support,
 )
+from cluttergen_jax.assets.support_map import Overhead, Span, cover, largest_rectangle, level_faces, look_down
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape

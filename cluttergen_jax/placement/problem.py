@@ -10,12 +10,12 @@ import jax
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from cluttergen_jax.assets.columns import Columns
+from cluttergen_jax.assets.height_profile import Columns
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.reach import check_reach
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.assets.support_map import check_reach
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.reach import check_keep_out
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support_map import check_keep_out
 from cluttergen_jax.placement.problem import (
     Problem,
     ProblemConfig,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluttergen_jax.assets.columns import Columns, cut_columns
+from cluttergen_jax.assets.height_profile import Columns, cut_columns
 from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset

@@ -19,8 +19,7 @@ from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import rotation_matrix, transformed
 from cluttergen_jax.importing.readers.mjcf import compiled_with_notes
-from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece
-from cluttergen_jax.importing.readers.mjcf_roles import Roles, roles_of
+from cluttergen_jax.importing.readers.mjcf_geoms import Roles, geom_mesh, geom_piece, roles_of
 from cluttergen_jax.scene.scene import Scene
 
 _FLAT = 0.01

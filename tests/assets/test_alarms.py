@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
-from cluttergen_jax.assets.deviation import size_alarm
-from cluttergen_jax.assets.inertia import MassProperties
+from cluttergen_jax.assets.mass import MassProperties, combined, mass_alarm
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.modeller.catalog import POOLS, make_shape
 from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
+from cluttergen_jax.assets.quality.deviation import size_alarm
 from cluttergen_jax.assets.solid import solid_of
-from cluttergen_jax.assets.stated_mass import combined, mass_alarm
 from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.pool_table import pool_table

@@ -10,8 +10,7 @@ import trimesh
 from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.cloud import farthest_first, sample_surface
 from cluttergen_jax.assets.config import MAX_PART_VERTICES, DecompositionConfig
-from cluttergen_jax.assets.deviation import deviation, is_within_parts
-from cluttergen_jax.assets.inertia import mass_properties
+from cluttergen_jax.assets.mass import mass_properties
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import CLOUD_SIZE
 from cluttergen_jax.assets.object_files import object_hash
@@ -23,11 +22,12 @@ from cluttergen_jax.assets.parts import (
     sound_points,
     with_plain_bottom,
 )
-from cluttergen_jax.assets.rest import settled_turn, tilt_of, upright_turn
+from cluttergen_jax.assets.quality.deviation import deviation, is_within_parts
+from cluttergen_jax.assets.settle import settled_turn, tilt_of, upright_turn
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid
-from cluttergen_jax.importing.solo import solo_poses, solo_stability, with_solo
+from cluttergen_jax.importing.solo_stability import solo_poses, solo_stability, with_solo
 from tests.helpers.shapes import open_box, open_box_slabs, shape_of, slab
 
 

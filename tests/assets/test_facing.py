@@ -6,8 +6,8 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.body import make_object
-from cluttergen_jax.assets.facing import faced
 from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh_repair.orientation import faced
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import simplified, solid_of
 from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.body import make_object
-from cluttergen_jax.assets.inertia import MassProperties, mass_properties
+from cluttergen_jax.assets.mass import MassProperties, believed, combined, mass_properties
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object_files import read_object, write_object
-from cluttergen_jax.assets.stated_mass import believed, combined
 from cluttergen_jax.cli.pool_table import pool_table
 from cluttergen_jax.importing.readers import ReadOptions, read_source
 from tests.helpers.shapes import shape_of, slab

@@ -11,12 +11,12 @@ import pytest
 import trimesh
 from PIL import Image
 
-from cluttergen_jax.assets.facing import faced
+from cluttergen_jax.assets.cloud import cloud_colours
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mesh_repair.orientation import faced
+from cluttergen_jax.assets.mesh_repair.simplify import drawn
 from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
-from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.scene_cloud import cloud_colours
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.assets.texture import Texture

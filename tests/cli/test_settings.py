@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.reach import check_reach
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.assets.support_file import find_support, list_supports
+from cluttergen_jax.assets.support_map import check_reach
 from cluttergen_jax.cli.main import main, run
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ConfigError

@@ -14,9 +14,9 @@ import trimesh
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
-from cluttergen_jax.assets.deviation import is_within_parts
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool, user_root
+from cluttergen_jax.assets.quality.deviation import is_within_parts
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.inspect_ import Inspect

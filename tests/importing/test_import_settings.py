@@ -11,7 +11,7 @@ from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing import cache, run
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
-from cluttergen_jax.importing.readers.axes import AXES, turn_of
+from cluttergen_jax.importing.readers.source import AXES, turn_of
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 from tests.helpers.imports import made_here
 

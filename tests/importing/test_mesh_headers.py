@@ -12,7 +12,7 @@ import trimesh
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
-from cluttergen_jax.importing.readers.text import utf8
+from cluttergen_jax.importing.readers.mesh_text import utf8
 
 CASES = Path(__file__).parents[1] / "cases" / "import" / "09_stl_trailing"
 OBJ = """# {comment}

@@ -13,8 +13,8 @@ from PIL import Image
 from cluttergen_jax.assets.mesh import Mesh, cleaned
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
-from cluttergen_jax.importing.readers.cube_maps import laid_around, one_image
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
+from cluttergen_jax.importing.readers.mjcf_pictures import laid_around, one_image
 from tests.helpers.drawing import needs_gl
 from tests.helpers.mujoco_pictures import beside
 from tests.helpers.textured import picture

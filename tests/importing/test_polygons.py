@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.folds import num_folds, without_folds
 from cluttergen_jax.assets.mesh import Mesh, cleaned
+from cluttergen_jax.assets.mesh_repair.folds import num_folds, without_folds
 from cluttergen_jax.importing.readers import find_sources, read_shape, read_source
-from cluttergen_jax.importing.readers.ply_polygons import cut_ply
-from cluttergen_jax.importing.readers.polygons import CROSSING, cut_obj, cuts
-from cluttergen_jax.importing.solo import measured_object
+from cluttergen_jax.importing.readers.polygons import CROSSING, cut_obj, cut_ply, cuts
+from cluttergen_jax.importing.solo_stability import measured_object
 
 CASES = Path(__file__).parents[1] / "cases" / "import" / "01_ngon_concave"
 HEIGHT = 0.03

@@ -8,8 +8,8 @@ from shapely.ops import unary_union
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
-from cluttergen_jax.assets.overhead import cover, largest_rectangle, look_down
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.support_map import cover, largest_rectangle, look_down
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import primitives
 from cluttergen_jax.importing.supports import support_from_mesh

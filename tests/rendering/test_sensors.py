@@ -8,8 +8,8 @@ import pytest
 import trimesh
 from PIL import Image
 
+from cluttergen_jax.assets.cloud import cloud_colours, ply_of, scene_points, top_points
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.scene_cloud import cloud_colours, ply_of, scene_points, top_points
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transformed

@@ -8,8 +8,8 @@ import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets.ground import VOID
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
+from cluttergen_jax.assets.support_map import VOID
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper

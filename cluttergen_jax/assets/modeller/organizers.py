@@ -8,9 +8,8 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import palette as rgb
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.crate import Crate
 from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
-from cluttergen_jax.assets.modeller.vessel import Vessel
+from cluttergen_jax.assets.modeller.vessel import Crate, Vessel
 from cluttergen_jax.assets.shape import Cavity, Piece, Shape
 
 RAW_WOOD = (0.90, 0.76, 0.55)

@@ -23,9 +23,9 @@ import mujoco
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.hollow import find_hollow
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.quality.hollow import find_hollow
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.evaluation.measures.contacts import Contacts, contacts_of
 from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.assets.rectangle_text import recorded_rectangle
-from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.generation.sources.replay import ReplayContext, replay, replay_context_of
 from cluttergen_jax.placement.rollout.replay import Replay

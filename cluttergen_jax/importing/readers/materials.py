@@ -14,8 +14,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.gltf_extensions import extension_notes
-from cluttergen_jax.importing.readers.gltf_file import read_document
+from cluttergen_jax.importing.readers.gltf_file import extension_notes, read_document
 
 Rgba = tuple[float, float, float, float]
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)

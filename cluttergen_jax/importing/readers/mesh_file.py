@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,14 +16,11 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.collada import collada_notes, unit_of
-from cluttergen_jax.importing.readers.companions import Companions
-from cluttergen_jax.importing.readers.damage import check_whole, unreadable
+from cluttergen_jax.importing.readers.collada import collada_notes, collada_polygons, unit_of
+from cluttergen_jax.importing.readers.damage import check_whole, sound_stl, unreadable
 from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
-from cluttergen_jax.importing.readers.ply_polygons import cut_ply
-from cluttergen_jax.importing.readers.polygons import cut_obj
-from cluttergen_jax.importing.readers.stl import sound_stl
-from cluttergen_jax.importing.readers.text import opened
+from cluttergen_jax.importing.readers.mesh_text import Companions, opened
+from cluttergen_jax.importing.readers.polygons import cut_obj, cut_ply
 
 _RANDOM = re.compile(r"_[0-9a-f]{6}$")
 """What trimesh puts behind a node's name where several surfaces hang on it, another each time."""
@@ -106,21 +102,9 @@ def _parsed(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
         data, of_content = mend(content["file_obj"].getvalue())
         content["file_obj"] = io.BytesIO(data)
         notes += of_content
-    with _dae_polygons_cut(path) as of_polygons:
+    with collada_polygons(path) as of_polygons:
         scene = trimesh.load_scene(**content, resolver=beside, process=False)
     return scene, [*notes, *of_polygons]
-
-
-@contextmanager
-def _dae_polygons_cut(path: Path) -> Iterator[list[str]]:
-    if path.suffix.lower() != ".dae":
-        yield []
-        return
-    # Loaded for COLLADA alone.
-    from cluttergen_jax.importing.readers.dae_polygons import dae_polygons_cut
-
-    with dae_polygons_cut() as notes:
-        yield notes
 
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cluttergen_jax.assets.mass import StatedMass
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.stated_mass import StatedMass
 
 MAX_PARTS = 32
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.damage import stand_in
+from cluttergen_jax.importing.readers.mesh_text import utf8
 from cluttergen_jax.importing.readers.mjcf import compiled, world_bodies
 from cluttergen_jax.importing.readers.places import folder_place, mesh_place
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of, models
 from cluttergen_jax.importing.readers.sdf import ROOTS as SDF_ROOTS
-from cluttergen_jax.importing.readers.stand_ins import stand_in
-from cluttergen_jax.importing.readers.text import utf8
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
 
 _MADE_BY_MUJOCO = ("frame", "replicate", "attach")

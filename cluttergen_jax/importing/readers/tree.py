@@ -12,8 +12,7 @@ from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belongin
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
 from cluttergen_jax.importing.readers.source import GENERIC, ObjectFile, label_of, make_source, named_apart
-from cluttergen_jax.importing.readers.xacro import SUFFIX as XACRO
-from cluttergen_jax.importing.readers.xacro import how_to_process
+from cluttergen_jax.importing.readers.urdf import XACRO, how_to_process
 from cluttergen_jax.importing.readers.ycb_scans import best_scans
 
 MODEL_SUFFIXES = (".urdf", ".sdf", ".xml")

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import trimesh
 
+from cluttergen_jax.assets.cloud import cloud_colours, top_points
 from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.scene_cloud import cloud_colours, top_points
 from cluttergen_jax.assets.shading import linear, shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import Rectangle, SupportAsset

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.assets.ground import VOID
 from cluttergen_jax.assets.support import Box
+from cluttergen_jax.assets.support_map import VOID
 from cluttergen_jax.sensing.partial import PartialMap
 
 CELL = 0.005

@@ -10,8 +10,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.deviation import is_within_parts
 from cluttergen_jax.assets.mjcf import add_part, new_spec
+from cluttergen_jax.assets.quality.deviation import is_within_parts
 from cluttergen_jax.assets.shape import Cavity
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.assets.voxels import Voxels
