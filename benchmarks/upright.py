@@ -96,7 +96,7 @@ def _tried(
 ) -> tuple[bool, bool, bool]:
     """Whether the object comes back as it was, or so that it looks like it, and whether it can rest so."""
     turn = np.eye(3) if seed is None else Rotation.random(random_state=seed).as_matrix()
-    mesh = solid.mesh.transformed(turn, np.zeros(3))
+    mesh = solid.mesh.transform(turn, np.zeros(3))
     start = time.process_time()
     choice = usual_poses(Solid(mesh, solid.is_exact, mesh), turn @ center)
     seconds.append(time.process_time() - start)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args, get_type_hints
 
-from cluttergen_jax.assets.pool import composed, find_pool
+from cluttergen_jax.assets.pool import find_pool, join_pool_names
 from cluttergen_jax.assets.support import Rectangle, parse_boxes, parse_region, recorded_rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import (
@@ -312,7 +312,7 @@ class SceneSpec:
     @property
     def pool_text(self) -> str:
         """The text that names the pool without what is left out of it."""
-        return composed(self.pool, self.exclude)
+        return join_pool_names(self.pool, self.exclude)
 
     def boxes(self) -> list[Rectangle]:
         """The keep-out boxes."""

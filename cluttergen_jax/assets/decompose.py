@@ -16,7 +16,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.quality.deviation import hull_deviation
 from cluttergen_jax.assets.quality.hollow import find_hollow
-from cluttergen_jax.assets.solid import Solid, simplified
+from cluttergen_jax.assets.solid import Solid, simplify_solid
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError
 
@@ -172,7 +172,7 @@ def _others(config: DecompositionConfig) -> list[DecompositionConfig]:
 
 
 def _run(solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.ndarray]:
-    mesh = simplified(solid.mesh, config.simplify * solid.diagonal)
+    mesh = simplify_solid(solid.mesh, config.simplify * solid.diagonal)
     if jitter:
         reach, rng = jitter * solid.diagonal, np.random.default_rng(config.seed)
         mesh = Mesh(mesh.vertices + rng.uniform(-reach, reach, mesh.vertices.shape), mesh.faces)

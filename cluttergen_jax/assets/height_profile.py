@@ -63,10 +63,10 @@ def cut_columns(asset: ObjectAsset, spacing: float, num_samples: int) -> Columns
     weight = np.where(np.arange(len(xy)) < len(outline), _OUTLINE_WEIGHT, 1.0)
     xy, top = xy[hit], highest[hit]
     sample = farthest_first(xy, num_samples, weight[hit])
-    return Columns(xy, lowest[hit], top, sample, _grown(xy, top, asset.half_extents[:2]))
+    return Columns(xy, lowest[hit], top, sample, _grown_surface(xy, top, asset.half_extents[:2]))
 
 
-def _grown(xy: np.ndarray, top: np.ndarray, half: np.ndarray) -> np.ndarray:
+def _grown_surface(xy: np.ndarray, top: np.ndarray, half: np.ndarray) -> np.ndarray:
     """f64[Q, 3]: on a grid, the highest top within reach."""
     grid = _grid(half + REACH, SURFACE_SPACING)
     near = cKDTree(xy).sparse_distance_matrix(cKDTree(grid), REACH, output_type="coo_matrix")

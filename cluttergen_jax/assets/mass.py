@@ -26,7 +26,7 @@ class MassProperties:
     center: np.ndarray
     inertia: np.ndarray
 
-    def moved(self, rotation: np.ndarray, translation: np.ndarray) -> MassProperties:
+    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> MassProperties:
         """The same body with every point p moved to rotation @ p + translation."""
         return MassProperties(
             self.mass, rotation @ self.center + translation, rotation @ self.inertia @ rotation.T
@@ -87,15 +87,15 @@ class StatedMass:
     is_even: bool
     is_round: bool
 
-    def scaled(self, turn: np.ndarray, lengths: float, mass: float = 1.0) -> StatedMass:
+    def convert(self, turn: np.ndarray, lengths: float, mass: float = 1.0) -> StatedMass:
         """The same in another frame and unit: turned, with lengths and the mass times a factor each."""
         body = MassProperties(
             self.body.mass * mass, self.body.center * lengths, self.body.inertia * (mass * lengths**2)
         )
-        return replace(self, body=body.moved(turn, np.zeros(3)))
+        return replace(self, body=body.transform(turn, np.zeros(3)))
 
 
-def combined(bodies: Sequence[MassProperties]) -> StatedMass | None:
+def combine_masses(bodies: Sequence[MassProperties]) -> StatedMass | None:
     """Rigidly joined bodies as one, all in one frame; None where they weigh nothing."""
     bodies = [body for body in bodies if body.mass != 0]
     mass = sum(body.mass for body in bodies)
@@ -113,7 +113,7 @@ def combined(bodies: Sequence[MassProperties]) -> StatedMass | None:
     )
 
 
-def believed(
+def choose_mass(
     stated: StatedMass, solid: Mesh, uniform: MassProperties, density: float
 ) -> tuple[MassProperties, str]:
     """What to take for an object: as stated where that is plausible, else spread evenly over its volume.

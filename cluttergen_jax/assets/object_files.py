@@ -147,7 +147,7 @@ def _canonical(record: Mapping[str, Any]) -> bytes:
     return json.dumps(record, sort_keys=True, separators=(",", ":")).encode()
 
 
-def _rounded(values: np.ndarray, digits: int) -> Any:
+def _round(values: np.ndarray, digits: int) -> Any:
     # Adding zero turns a rounded -0.0 into 0.0, so that equal bodies are equal bytes.
     return (np.round(np.asarray(values, np.float64), digits) + 0.0).tolist()
 
@@ -170,9 +170,9 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
             "label": asset.label,
             "tier": asset.tier,
             "mass": float(asset.mass),
-            "center_of_mass": _rounded(asset.center_of_mass, 7),
+            "center_of_mass": _round(asset.center_of_mass, 7),
             "inertia": [[float(f"{value:.6e}") for value in row] for row in np.asarray(asset.inertia)],
-            "parts": [_rounded(part.vertices, 7) for part in asset.parts],
+            "parts": [_round(part.vertices, 7) for part in asset.parts],
             "rgba": [list(map(float, piece.rgba)) for piece in asset.pieces],
             "resting": [asdict(pose) for pose in asset.resting],
             "provenance": asdict(asset.provenance),

@@ -204,7 +204,7 @@ def find_pool(name_or_path: str | Path, exclude: Sequence[str] = ()) -> Pool:
       PoolError: nothing is called so (the message lists what exists), or its files are damaged; the pools
         have one name or different tiers; or there is no such object to leave out.
     """
-    text = composed(name_or_path, exclude)
+    text = join_pool_names(name_or_path, exclude)
     union, *without = [text] if _folders(text) else text.split(_WITHOUT)
     terms = [union] if _folders(union) else union.split(_AND)
     pools = [_read(term) for term in terms]
@@ -216,7 +216,7 @@ def find_pool(name_or_path: str | Path, exclude: Sequence[str] = ()) -> Pool:
     return replace(pool, objects=tuple(each for each in pool.objects if each.name not in without))
 
 
-def composed(name_or_path: str | Path, exclude: Sequence[str] = ()) -> str:
+def join_pool_names(name_or_path: str | Path, exclude: Sequence[str] = ()) -> str:
     """The text that names a pool without some of its objects."""
     return _WITHOUT.join([str(name_or_path), *exclude])
 

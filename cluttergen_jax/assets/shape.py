@@ -45,9 +45,9 @@ class Piece:
                 raise ValueError(f"uv {uv.shape} of {len(self.mesh.vertices)} vertices, or not finite")
             object.__setattr__(self, "uv", uv)
 
-    def transformed(self, rotation: np.ndarray, translation: np.ndarray) -> Piece:
-        """The piece with its mesh transformed: see `Mesh.transformed`."""
-        return replace(self, mesh=self.mesh.transformed(rotation, translation))
+    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Piece:
+        """The piece with its mesh transformed: see `Mesh.transform`."""
+        return replace(self, mesh=self.mesh.transform(rotation, translation))
 
     @property
     def is_flat(self) -> bool:
@@ -130,22 +130,22 @@ class Shape:
     is_from_file: bool = False
     keeps_parts: bool = False
 
-    def turned(self, rotation: np.ndarray) -> Shape:
+    def rotate(self, rotation: np.ndarray) -> Shape:
         """The shape with every point p at rotation @ p."""
         still = np.zeros(3)
         cavity = self.cavity
         if cavity is not None:
             x, y, z = (rotation @ cavity.mouth).tolist()
-            cavity = Cavity(cavity.solid.transformed(rotation, still), (x, y, z))
+            cavity = Cavity(cavity.solid.transform(rotation, still), (x, y, z))
         return replace(
             self,
-            pieces=tuple(piece.transformed(rotation, still) for piece in self.pieces),
-            parts=None if self.parts is None else _transformed(self.parts, rotation),
+            pieces=tuple(piece.transform(rotation, still) for piece in self.pieces),
+            parts=None if self.parts is None else _rotate_meshes(self.parts, rotation),
             cavity=cavity,
-            stated=None if self.stated is None else self.stated.scaled(rotation, 1.0),
-            colliding=_transformed(self.colliding, rotation),
+            stated=None if self.stated is None else self.stated.convert(rotation, 1.0),
+            colliding=_rotate_meshes(self.colliding, rotation),
         )
 
 
-def _transformed(meshes: tuple[Mesh, ...], rotation: np.ndarray) -> tuple[Mesh, ...]:
-    return tuple(mesh.transformed(rotation, np.zeros(3)) for mesh in meshes)
+def _rotate_meshes(meshes: tuple[Mesh, ...], rotation: np.ndarray) -> tuple[Mesh, ...]:
+    return tuple(mesh.transform(rotation, np.zeros(3)) for mesh in meshes)

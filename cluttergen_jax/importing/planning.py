@@ -14,12 +14,12 @@ from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, Miss
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import public_path
-from cluttergen_jax.importing.readers.source import AUTO, AXES, FILE, UpAxis, named_apart, own_up
+from cluttergen_jax.importing.readers.source import AUTO, AXES, FILE, UpAxis, make_names_distinct, own_up
 from cluttergen_jax.importing.readers.tree import find_sources, found_in
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
 from cluttergen_jax.importing.scenery import why_no_objects
 from cluttergen_jax.importing.sets import AUTO as ANY_SET
-from cluttergen_jax.importing.sets import KnownSet, known_sets, told
+from cluttergen_jax.importing.sets import KnownSet, describe_sets, known_sets
 from cluttergen_jax.importing.settings import (
     OF_READING,
     TAKE,
@@ -119,13 +119,13 @@ def plan_all(
     for group in groups:
         for source in group.found.sources:
             try:
-                planned.append(_planned(source, group, options))
+                planned.append(_plan_source(source, group, options))
             except OSError as error:
                 failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
     skipped = tuple(each for group in groups for each in group.found.skipped)
-    lines = tuple(told([known for group in groups for known in group.sets]))
+    lines = tuple(describe_sets([known for group in groups for known in group.sets]))
     kept, left_out = _objects_among(planned, take_all)
-    return Plan(named_anew(_as_in_pool(kept, pool)), skipped, tuple(failures), lines, left_out)
+    return Plan(name_distinctly(_as_in_pool(kept, pool)), skipped, tuple(failures), lines, left_out)
 
 
 def _objects_among(planned: list[Planned], take_all: bool) -> tuple[list[Planned], tuple[LeftOut, ...]]:
@@ -166,13 +166,13 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
     return _Group(root, found, settings, sets, path.is_dir())
 
 
-def _planned(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned:
+def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned:
     """A source with the options of the command line, but for what its set and the settings say."""
     values = {} if group.settings is None else group.settings.of(source, group.root)
     take = values.pop(TAKE, None)
     reading = {key: value for key, value in values.items() if key in OF_READING}
     known = next((each for each in group.sets if each.covers(source)), None)
-    from_set = {} if known is None else known.found(source)
+    from_set = {} if known is None else known.look_up(source)
     own = replace(options if known is None else known.read(options, from_set), **reading)
     if own.up == AUTO and source.provenance is not None:
         # The YCB objects stand as they stood when they were scanned.
@@ -205,10 +205,10 @@ def _as_in_pool(planned: list[Planned], folder: Path | None) -> list[Planned]:
     except ClutterGenError:
         return planned
     free = {name: source for name, source in held.items() if name not in _chosen_names(planned)}
-    return [each if each.is_named else _as_held(each, free) for each in planned]
+    return [each if each.is_named else _renamed_as_held(each, free) for each in planned]
 
 
-def _as_held(planned: Planned, free: dict[str, str]) -> Planned:
+def _renamed_as_held(planned: Planned, free: dict[str, str]) -> Planned:
     """The object by a pool's name for it, in the letters of earlier versions or of this; that is used up."""
     source, here = planned.source, public_path(planned.source.path)
     for plain, label in (source.earlier, (source.plain, source.label)):
@@ -223,7 +223,7 @@ def _chosen_names(planned: Sequence[Planned]) -> list[str]:
     return [each.source.name for each in planned if each.is_named]
 
 
-def named_anew(planned: Sequence[Planned]) -> tuple[Planned, ...]:
+def name_distinctly(planned: Sequence[Planned]) -> tuple[Planned, ...]:
     """Distinct names, with numbers only where these objects share one; those that the user chose stay.
 
     Raises:
@@ -236,7 +236,7 @@ def named_anew(planned: Sequence[Planned]) -> tuple[Planned, ...]:
         )
     order = sorted(range(len(planned)), key=lambda index: not planned[index].is_named)
     plain = [planned[i].source if planned[i].is_named else _without_number(planned[i].source) for i in order]
-    names = dict(zip(order, named_apart(plain), strict=True))
+    names = dict(zip(order, make_names_distinct(plain), strict=True))
     return tuple(replace(each, source=names[index]) for index, each in enumerate(planned))
 
 

@@ -119,7 +119,7 @@ class Crew:
             self._hand_out()
             if self._watch is not None:
                 self._watch([worker.task.index for worker in self._workers if worker.task is not None])
-            for worker in self._heard():
+            for worker in self._workers_to_hear():
                 if (task := self._over(worker)) is not None:
                     num_left -= 1
                     yield task.index, task.outcome
@@ -145,7 +145,7 @@ class Crew:
             self._workers = [_Worker(self._function)]
             self._workers[0].give(self._last.popleft())
 
-    def _heard(self) -> list[_Worker]:
+    def _workers_to_hear(self) -> list[_Worker]:
         """Workers that have said something, have died, or have had their time."""
         busy = [worker for worker in self._workers if worker.task is not None]
         left = [self._time_of(worker.task) - worker.seconds_used() for worker in busy if worker.began]
@@ -166,11 +166,11 @@ class Crew:
         task = worker.task
         assert task is not None
         if not worker.pipe.poll() and worker.began:
-            return self._lost(worker, is_late=True)
+            return self._retry_or_give_up(worker, is_late=True)
         try:
             said = worker.pipe.recv()
         except (EOFError, OSError):
-            return self._lost(worker)
+            return self._retry_or_give_up(worker)
         if isinstance(said, _Begun):
             self._num_unborn = 0
             worker.began, worker.cpu_before = time.monotonic(), said.cpu_seconds
@@ -182,14 +182,14 @@ class Crew:
         task.result = said.result
         return task
 
-    def _lost(self, worker: _Worker, is_late: bool = False) -> _Task | None:
+    def _retry_or_give_up(self, worker: _Worker, is_late: bool = False) -> _Task | None:
         """The task of a worker that has died, or has to, if it is not tried again."""
         task = worker.task
         assert task is not None
         self._workers.remove(worker)
         seconds = time.monotonic() - worker.began if worker.began else 0.0
         used = worker.seconds_used() if worker.began else 0.0
-        cpu_seconds = worker.ended(is_late)
+        cpu_seconds = worker.wait_for_end(is_late)
         if not worker.began and worker.exit_code != _KILLED:
             self._check_start(worker)
             self._waiting.appendleft(task.again(task.job))
@@ -325,7 +325,7 @@ class _Worker:
         self._process.kill()
         self._process.join()
 
-    def ended(self, is_late: bool) -> float:
+    def wait_for_end(self, is_late: bool) -> float:
         """Processor seconds of its task, once it is over; 0 where the system does not say.
 
         Args:
@@ -361,12 +361,12 @@ def _serve(pipe: Connection) -> None:
         while True:
             job = pipe.recv()
             pipe.send(_Begun(time.process_time()))
-            pipe.send(_done(function, job))
+            pipe.send(_run_job(function, job))
     except EOFError:
         return
 
 
-def _done(function: Callable[[Any], Any], job: Any) -> _Done:
+def _run_job(function: Callable[[Any], Any], job: Any) -> _Done:
     start, cpu_start = time.perf_counter(), time.process_time()
     result, failure = None, None
     try:

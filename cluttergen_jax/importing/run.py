@@ -19,7 +19,7 @@ from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.config import check_positive, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.planning import YCB, Failure, Planned, named_anew, plan_all
+from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
 from cluttergen_jax.importing.processes import Crew, Outcome
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
 from cluttergen_jax.importing.readers.read import public_path
@@ -86,7 +86,7 @@ class Cost:
     cpu_seconds: float
 
 
-def made(job: Job) -> ObjectAsset | LeftOut | str:
+def make_job(job: Job) -> ObjectAsset | LeftOut | str:
     """The object, or what is said of it if it is beyond the limits, or why it could not be made."""
     try:
         # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
@@ -129,14 +129,14 @@ def _outcomes(
     if config.cluster is not None:
         yield from _outcomes_on(config.cluster, jobs, config.time_limit)
         return
-    crew = Crew(made, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, len(_WAYS), watch)
+    crew = Crew(make_job, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, len(_WAYS), watch)
     with closing(crew):
         yield from crew.outcomes(jobs)
 
 
 def _maker(limit: float) -> Callable[[Job], Outcome]:
     """On a cluster, each worker has a process of its own that can be ended."""
-    crew = Crew(made, 1, limit, next_try, len(_WAYS))
+    crew = Crew(make_job, 1, limit, next_try, len(_WAYS))
     return lambda job: next(crew.outcomes([job]))[1]
 
 
@@ -256,19 +256,19 @@ def import_sources(
     planned = plan_all(sources, config.object.read, config.settings, known, config.layout, config.take_all)
     _check_name_is_free(known, planned.objects, config)
     jobs, unreadable = _jobs(planned.objects, config)
-    made: dict[str, ObjectAsset] = {} if config.force else _loaded(jobs)
+    made: dict[str, ObjectAsset] = {} if config.force else _load_cached(jobs)
     missing = [job for job in jobs if job.source.name not in made]
     cached = set(made)
     if config.force:
         for job in missing:
             cache.drop(job.key)
     lost, beyond, costs = _make(missing, config)
-    made |= _loaded(missing)
+    made |= _load_cached(missing)
     # What was made by other limits is in the cache.
-    beyond |= _beyond_as_made(jobs, made)
+    beyond |= _too_large_bodies(jobs, made)
     kept = [each for each in planned.objects if each.source.name in made.keys() - beyond.keys()]
     failures = (*planned.failures, *unreadable, *lost)
-    called = _called(planned.objects, kept)
+    called = _final_names(planned.objects, kept)
     objects = tuple(replace(made[name], name=called[name]) for name in (each.source.name for each in kept))
     path = _write(pool_name, objects, old, config) if objects else None
     return ImportReport(
@@ -284,12 +284,12 @@ def import_sources(
     )
 
 
-def _called(planned: Sequence[Planned], kept: Sequence[Planned]) -> dict[str, str]:
+def _final_names(planned: Sequence[Planned], kept: Sequence[Planned]) -> dict[str, str]:
     """What each object is called in the end, by its name of before: only those that were made share numbers.
 
     Of the others, one whose name is taken now is told with its file.
     """
-    names = {old.source.name: new.source.name for old, new in zip(kept, named_anew(kept), strict=True)}
+    names = {old.source.name: new.source.name for old, new in zip(kept, name_distinctly(kept), strict=True)}
     taken = set(names.values())
     others = {each.source.name: each.place for each in planned if each.source.name not in names}
     return names | {name: f"{name} ({place})" if name in taken else name for name, place in others.items()}
@@ -312,10 +312,10 @@ def _check_name_is_free(known: Path | None, planned: Sequence[Planned], config: 
     except ClutterGenError:
         return
     if held.isdisjoint(public_path(each.source.path) for each in planned):
-        raise _name_taken(known.name)
+        raise _name_error(known.name)
 
 
-def _name_taken(name: str) -> PoolError:
+def _name_error(name: str) -> PoolError:
     return PoolError(
         f"pool {name!r} exists and holds something else",
         "a new name",
@@ -337,12 +337,12 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
     return jobs, failures
 
 
-def _loaded(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
+def _load_cached(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
     pairs = ((job.source.name, cache.load(job.key, job.source.name)) for job in jobs)
     return {name: asset for name, asset in pairs if asset is not None}
 
 
-def _beyond_as_made(jobs: Sequence[Job], made: dict[str, ObjectAsset]) -> dict[str, LeftOut]:
+def _too_large_bodies(jobs: Sequence[Job], made: dict[str, ObjectAsset]) -> dict[str, LeftOut]:
     """By name, what is said of bodies beyond the limits."""
     told = {}
     for job in jobs:
@@ -374,7 +374,7 @@ def _make(
                 for index, outcome in outcomes:
                     job, cost = jobs[index], Cost(outcome.seconds, outcome.cpu_seconds)
                     costs[job.source.name] = cost
-                    reason = _kept(job, outcome)
+                    reason = _store_result(job, outcome)
                     if reason:
                         reasons[index] = reason
                     elif isinstance(outcome.result, LeftOut):
@@ -394,7 +394,7 @@ def _show_at_work(progress: Progress, jobs: Sequence[Job], indices: list[int]) -
     progress.note(f"at work: {', '.join(names[:_MOST_NAMED])}{more}")
 
 
-def _kept(job: Job, outcome: Outcome) -> str:
+def _store_result(job: Job, outcome: Outcome) -> str:
     """Stores the object that was made in the cache. The empty string, or why it failed."""
     if outcome.fault:
         return str(AssetError(f"{job.source.path}: {outcome.fault}", hint=_hint(outcome)))
@@ -432,17 +432,17 @@ def _line(name: str, cost: Cost, asset: ObjectAsset | LeftOut | str | None, reas
 def _write(name: str, objects: tuple[ObjectAsset, ...], old: Pool | None, config: ImportConfig) -> Path:
     path = user_root() / name
     if old is not None:
-        objects = _added(old, objects, config)
+        objects = _merge_pool(old, objects, config)
     licences = sorted({asset.provenance.licence for asset in objects})
     pool = Pool(name, objects, config.object.body.tier, "; ".join(licences))
     if path.exists() and (not config.force or old is not None) and _is_same(path, pool):
         return path
     if path.exists() and not config.force and old is None:
-        raise _name_taken(name)
+        raise _name_error(name)
     return write_pool(path, pool, overwrite=config.force or old is not None)
 
 
-def _added(old: Pool, objects: tuple[ObjectAsset, ...], config: ImportConfig) -> tuple[ObjectAsset, ...]:
+def _merge_pool(old: Pool, objects: tuple[ObjectAsset, ...], config: ImportConfig) -> tuple[ObjectAsset, ...]:
     """The old objects, new ones in place of those of the same name, then the rest."""
     if old.tier != config.object.body.tier:
         raise PoolError(

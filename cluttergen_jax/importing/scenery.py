@@ -75,7 +75,7 @@ def world_facts(path: Path) -> list[BodyFacts]:
         return []
 
 
-def is_limbed(path: Path, in_a_row: int) -> bool:
+def has_limbs(path: Path, in_a_row: int) -> bool:
     """Whether a URDF or SDF file has limbs as robots do, and states masses, as lamps of many joints do not.
 
     That is `in_a_row` movable joints one after another, or three limbs with one fewer.
@@ -120,9 +120,9 @@ def _facts(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> BodyFacts:
     is_free = _is_free(root)
     return BodyFacts(
         name=root.name,
-        is_free=is_free and not _is_tied(spec, names, _WORLD),
+        is_free=is_free and not _has_tie(spec, names, _WORLD),
         is_mocap=bool(root.mocap),
-        is_driven=_has_motor(spec, bodies) or _is_tied(spec, names, _mocaps(spec)),
+        is_driven=_has_motor(spec, bodies) or _has_tie(spec, names, _mocaps(spec)),
         chain=_chain(root, 0 if is_free else min(len(root.joints), 1)),
         has_joints=any(body.joints for body in bodies),
         shape=_digest(_form(spec, root, geom) for geom in shown),
@@ -152,7 +152,7 @@ def _mocaps(spec: mujoco.MjSpec) -> tuple[str, ...]:
     return tuple(body.name for body in spec.worldbody.bodies if body.mocap and body.name)
 
 
-def _is_tied(spec: mujoco.MjSpec, names: set[str], others: tuple[str, ...]) -> bool:
+def _has_tie(spec: mujoco.MjSpec, names: set[str], others: tuple[str, ...]) -> bool:
     """Whether an equality holds one of the bodies `names` to one of the others."""
     ties = [{tie.name1, tie.name2} for tie in spec.equalities if tie.type in _TIES and tie.active]
     return any(tie & names and (tie - names) & set(others) for tie in ties)
@@ -255,11 +255,11 @@ def _bodies(sources: Sequence[ObjectFile]) -> list[_Body]:
     found = []
     for source in sources:
         siblings = of_file.get(source.path, ())
-        found.append(_Body(source, _chosen(siblings, source.body), siblings))
+        found.append(_Body(source, _find_body(siblings, source.body), siblings))
     return found
 
 
-def _chosen(siblings: Sequence[BodyFacts], body: str) -> BodyFacts | None:
+def _find_body(siblings: Sequence[BodyFacts], body: str) -> BodyFacts | None:
     if body.startswith("#"):
         index = int(body[1:])
         return siblings[index] if index < len(siblings) else None
@@ -273,7 +273,7 @@ def _why_alone(body: _Body) -> str:
     if _GRIPPER.search((body.source.body.removeprefix("#") or body.source.path.stem).lower()):
         return "a robot's gripper, finger or hand, by its name"
     if facts is None:
-        is_robot = body.source.kind in ("urdf", "sdf") and is_limbed(body.source.path, MIN_CHAIN)
+        is_robot = body.source.kind in ("urdf", "sdf") and has_limbs(body.source.path, MIN_CHAIN)
         return _ROBOT if is_robot else ""
     if actor := _why_actor(facts):
         return actor

@@ -99,10 +99,12 @@ def read_settings(path: Path) -> Settings:
         raise ConfigError(f"settings {path} cannot be read ({error.strerror})") from error
     except ValueError as error:
         raise ConfigError(f"settings {path} are not TOML: {error}") from error
-    return Settings(path, {pattern: _checked(path, pattern, table) for pattern, table in document.items()})
+    return Settings(
+        path, {pattern: _check_table(path, pattern, table) for pattern, table in document.items()}
+    )
 
 
-def _checked(path: Path, pattern: str, table: Any) -> dict[str, Any]:
+def _check_table(path: Path, pattern: str, table: Any) -> dict[str, Any]:
     where = f"{path}: [{pattern!r}]" if pattern != DEFAULT else f"{path}: [{DEFAULT}]"
     if not isinstance(table, dict):
         raise ConfigError(

@@ -15,8 +15,8 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from cluttergen_jax.assets.mesh import Mesh, joined
-from cluttergen_jax.assets.mesh_repair.orientation import faced
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
+from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import (
@@ -90,12 +90,12 @@ def support_from_mesh(shape: Shape) -> SupportAsset:
     Raises:
       AssetError: no level area of at least 10 cm x 10 cm.
     """
-    whole = joined([piece.mesh for piece in shape.pieces])
+    whole = join_meshes([piece.mesh for piece in shape.pieces])
     shift = -np.append(whole.bounds.mean(0)[:2], whole.bounds[0, 2])
-    mesh = whole.transformed(np.eye(3), shift)
+    mesh = whole.transform(np.eye(3), shift)
     top = _top_height(shape.name, mesh)
     yaw = _top_yaw(mesh, top)
-    aligned = mesh.transformed(yaw_matrix(-yaw), np.zeros(3))
+    aligned = mesh.transform(yaw_matrix(-yaw), np.zeros(3))
     view = _view(aligned, top)
     risen = view.height > top + _SAME_HEIGHT
     flat = view.is_level & (np.abs(view.height - top) <= _SAME_HEIGHT)
@@ -111,7 +111,7 @@ def support_from_mesh(shape: Shape) -> SupportAsset:
         top=top,
         region=Rectangle(region.center[:2], region.half_extents[:2], yaw),
         provenance=shape.provenance,
-        pieces=faced([piece.transformed(np.eye(3), shift) for piece in shape.pieces], None),
+        pieces=orient_faces([piece.transform(np.eye(3), shift) for piece in shape.pieces], None),
     )
 
 

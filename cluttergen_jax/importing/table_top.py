@@ -8,7 +8,7 @@ import numpy as np
 
 from cluttergen_jax.assets.body import with_mass
 from cluttergen_jax.assets.config import MAX_MASS, MAX_SIZE
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.config import check_positive
@@ -68,7 +68,7 @@ class Limits:
 
     def beyond_as_read(self, name: str, shape: Shape) -> LeftOut | None:
         """The same of a shape before a body is made of it; it is weighed only where it may be too heavy."""
-        whole = joined([piece.mesh for piece in shape.pieces])
+        whole = join_meshes([piece.mesh for piece in shape.pieces])
         sides = np.ptp(whole.vertices[np.unique(whole.faces)], axis=0)
         stated = 0.0 if shape.stated is None else shape.stated.body.mass
         mass = stated if shape.mass is None else shape.mass

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.cloud import farthest_first, sample_surface
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, RestingPose
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
@@ -74,9 +74,9 @@ def _object(
 ) -> ObjectAsset:
     turn, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
     name = model.body(body).name or f"body-{body}"
-    pieces = tuple(geom_piece(model, data, i).transformed(turn.T, -turn.T @ origin) for i in roles.surface)
+    pieces = tuple(geom_piece(model, data, i).transform(turn.T, -turn.T @ origin) for i in roles.surface)
     meshes = (geom_mesh(model, data, i) for i in roles.colliding or roles.surface)
-    parts = tuple(Mesh.points(mesh.transformed(turn.T, -turn.T @ origin).vertices) for mesh in meshes)
+    parts = tuple(Mesh.points(mesh.transform(turn.T, -turn.T @ origin).vertices) for mesh in meshes)
     axes = rotation_matrix(model.body_iquat[body])
     return ObjectAsset(
         name=name,
@@ -86,7 +86,7 @@ def _object(
         mass=float(model.body_mass[body]),
         center_of_mass=model.body_ipos[body].copy(),
         inertia=axes @ np.diag(model.body_inertia[body]) @ axes.T,
-        cloud=_cloud(joined([piece.mesh for piece in pieces])),
+        cloud=_cloud(join_meshes([piece.mesh for piece in pieces])),
         resting=(RestingPose((1.0, 0.0, 0.0, 0.0), float(-parts[0].vertices[:, 2].min()), 1.0),),
         provenance=provenance,
     )

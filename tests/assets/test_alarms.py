@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
-from cluttergen_jax.assets.mass import MassProperties, combined, mass_alarm
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mass import MassProperties, combine_masses, mass_alarm
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.modeller.catalog import POOLS, make_shape
 from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
 from cluttergen_jax.assets.quality.deviation import size_alarm
@@ -45,7 +45,7 @@ def test_what_collides_is_about_what_is_seen(colliding, told):
 
 
 def test_hollow_things_thin_shells_and_coarse_boxes_raise_no_alarm():
-    tray = joined(open_box_slabs()).vertices
+    tray = join_meshes(open_box_slabs()).vertices
     assert size_alarm(tray, points((0.05, 0.04, 0.03), (0, 0, 0.03))) == ""
     # A bent wire, whose hull is a sixth of the box that stands in for it.
     bow = np.concatenate([points((0.05, 0.001, 0.001)), points((0.001, 0.001, 0.02), (0.049, 0, 0.019))])
@@ -70,7 +70,7 @@ def test_hollow_things_thin_shells_and_coarse_boxes_raise_no_alarm():
     ],
 )
 def test_a_mass_that_does_not_fit_the_size(mass, told):
-    alarm = mass_alarm(combined([MassProperties(mass, np.zeros(3), np.eye(3))]), slab(CARTON))
+    alarm = mass_alarm(combine_masses([MassProperties(mass, np.zeros(3), np.eye(3))]), slab(CARTON))
     assert bool(alarm) == bool(told)
     assert told in alarm
 
@@ -78,8 +78,8 @@ def test_a_mass_that_does_not_fit_the_size(mass, told):
 def test_a_shell_is_as_heavy_as_its_hull_unless_no_material_weighs_so_much():
     shell = solid_of(open_box_slabs(wall=0.0002)).mesh
     assert shell.volume < 0.05 * 240e-6
-    assert mass_alarm(combined([MassProperties(0.1, np.zeros(3), np.eye(3))]), shell) == ""
-    alarm = mass_alarm(combined([MassProperties(0.3, np.zeros(3), np.eye(3))]), shell)
+    assert mass_alarm(combine_masses([MassProperties(0.1, np.zeros(3), np.eye(3))]), shell) == ""
+    alarm = mass_alarm(combine_masses([MassProperties(0.3, np.zeros(3), np.eye(3))]), shell)
     assert "over the volume of its mesh" in alarm
 
 
@@ -88,7 +88,8 @@ def test_our_own_objects_raise_none(family):
     shape = make_shape(family)
     assert shape.parts
     assert (
-        size_alarm(*(joined(each).vertices for each in ([p.mesh for p in shape.pieces], shape.parts))) == ""
+        size_alarm(*(join_meshes(each).vertices for each in ([p.mesh for p in shape.pieces], shape.parts)))
+        == ""
     )
 
 

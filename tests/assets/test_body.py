@@ -11,14 +11,14 @@ from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.cloud import farthest_first, sample_surface
 from cluttergen_jax.assets.config import MAX_PART_VERTICES, DecompositionConfig
 from cluttergen_jax.assets.mass import mass_properties
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import CLOUD_SIZE
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.parts import (
-    finished,
-    flattened,
+    finish_parts,
+    flatten_bottoms,
     hull_of,
-    reduced,
+    reduce_vertices,
     sound_points,
     with_plain_bottom,
 )
@@ -41,7 +41,7 @@ def rotation_about(axis, degrees):
 def test_overlapping_pieces_count_once():
     a, b = slab((0.05, 0.02, 0.02)), slab((0.05, 0.02, 0.02), (0.05, 0, 0))
     assert solid_of([a, b]).volume == pytest.approx(0.15 * 0.04 * 0.04)
-    assert solid_of([joined([a, b])]).is_exact
+    assert solid_of([join_meshes([a, b])]).is_exact
 
 
 def test_a_surface_turned_inside_out_is_the_same_solid():
@@ -54,7 +54,7 @@ def test_a_hole_is_mended_and_a_void_is_filled():
     ball, void = ellipsoid(np.full(3, 0.05)), ellipsoid(np.full(3, 0.02))
     holed = Mesh(ball.vertices, ball.faces[1:])
     assert solid_of([holed]).volume == pytest.approx(solid_of([ball]).volume, rel=1e-3)
-    hollow = joined([ball, Mesh(void.vertices, void.faces[:, ::-1])])
+    hollow = join_meshes([ball, Mesh(void.vertices, void.faces[:, ::-1])])
     assert solid_of([hollow]).volume == pytest.approx(solid_of([ball]).volume, rel=1e-6)
 
 
@@ -64,7 +64,7 @@ def test_a_soup_is_rebuilt_on_its_own_surface():
     # Every triangle for itself, a little apart from its neighbours.
     corners = corners.mean(1, keepdims=True) + 0.97 * (corners - corners.mean(1, keepdims=True))
     soup = Mesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
-    solid = solid_of([joined([soup, slab((0.02, 0.02, 0.02))])])
+    solid = solid_of([join_meshes([soup, slab((0.02, 0.02, 0.02))])])
     assert not solid.is_exact
     assert solid.volume == pytest.approx(4 / 3 * np.pi * 0.05**3, rel=0.06)
     radius = np.linalg.norm(solid.mesh.vertices, axis=1)
@@ -106,9 +106,9 @@ def test_mass_and_inertia_of_a_box_and_a_cylinder():
 def test_moving_mass_keeps_its_moments():
     before = mass_properties(slab((0.05, 0.03, 0.02), (0.1, 0, 0)), density=500)
     turn = rotation_about([1, 2, 3], 40)
-    after = before.moved(turn, np.array([0.0, 0.0, 1.0]))
+    after = before.transform(turn, np.array([0.0, 0.0, 1.0]))
     direct = mass_properties(
-        slab((0.05, 0.03, 0.02), (0.1, 0, 0)).transformed(turn, np.array([0.0, 0.0, 1.0])), density=500
+        slab((0.05, 0.03, 0.02), (0.1, 0, 0)).transform(turn, np.array([0.0, 0.0, 1.0])), density=500
     )
     np.testing.assert_allclose(after.center, direct.center, atol=1e-9)
     np.testing.assert_allclose(after.inertia, direct.inertia, atol=1e-9)
@@ -122,7 +122,7 @@ def test_reduced_hulls_lie_inside_and_lose_little(seed):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(300, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    few = reduced(points * [1, 0.6, 1.5])
+    few = reduce_vertices(points * [1, 0.6, 1.5])
     assert len(few) <= MAX_PART_VERTICES
     whole, small = hull_of(points * [1, 0.6, 1.5]), hull_of(few)
     assert len(small.vertices) == len(few)
@@ -134,7 +134,7 @@ def test_bottoms_become_flat_and_stay_wide():
     rng = np.random.default_rng(0)
     can = cylinder(0.03, 0.05, sections=64).vertices
     rough = can + np.where(can[:, 2:] < 0, rng.uniform(0, 0.0025, (len(can), 1)) * [0, 0, 1], 0)
-    (part,) = finished([rough], 12)
+    (part,) = finish_parts([rough], 12)
     bottom = part[part[:, 2] == part[:, 2].min()]
     assert len(part) <= MAX_PART_VERTICES
     assert len(bottom) >= 8
@@ -167,7 +167,7 @@ def test_a_round_base_stays_round():
 
 def test_thin_things_are_not_flattened_away():
     sheet = slab((0.05, 0.05, 0.001)).vertices
-    np.testing.assert_array_equal(flattened([sheet])[0], sheet)
+    np.testing.assert_array_equal(flatten_bottoms([sheet])[0], sheet)
 
 
 def test_points_are_made_sound_in_memory_that_grows_with_their_number():
@@ -222,7 +222,7 @@ def test_a_filled_cavity_is_a_deviation():
 
 
 def test_samples_are_uniform_by_area():
-    mesh = joined([slab((0.1, 0.1, 0.001)), slab((0.05, 0.05, 0.001), (1, 0, 0))])
+    mesh = join_meshes([slab((0.1, 0.1, 0.001)), slab((0.05, 0.05, 0.001), (1, 0, 0))])
     points = sample_surface(mesh, 20_000, 0)
     assert np.mean(points[:, 0] > 0.5) == pytest.approx(0.2, abs=0.02)
 
@@ -241,7 +241,7 @@ def test_every_prefix_of_the_order_is_spread_out():
 @pytest.mark.parametrize("degrees", [3, 10])
 def test_a_leaning_object_gets_the_frame_in_which_it_rests(degrees):
     turn = rotation_about([1, 1, 0], degrees)
-    mesh = slab((0.03, 0.04, 0.05)).transformed(turn, np.array([0.3, 0.1, -0.4]))
+    mesh = slab((0.03, 0.04, 0.05)).transform(turn, np.array([0.3, 0.1, -0.4]))
     asset = make_object(shape_of(mesh))
     np.testing.assert_allclose(asset.half_extents[2], 0.05, atol=2e-4)
     assert asset.flags == ()
@@ -249,7 +249,7 @@ def test_a_leaning_object_gets_the_frame_in_which_it_rests(degrees):
 
 
 def test_a_toppling_object_is_flagged():
-    stick = slab((0.004, 0.004, 0.1)).transformed(rotation_about([0, 1, 0], 40), np.zeros(3))
+    stick = slab((0.004, 0.004, 0.1)).transform(rotation_about([0, 1, 0], 40), np.zeros(3))
     asset = make_object(shape_of(stick))
     assert any("does not stand as authored" in flag for flag in asset.flags)
 

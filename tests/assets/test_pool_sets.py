@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets import pool as pools
-from cluttergen_jax.assets.pool import Pool, composed, find_pool, public_name, user_root, write_pool
+from cluttergen_jax.assets.pool import Pool, find_pool, join_pool_names, public_name, user_root, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.evaluation.trial import Trial
@@ -73,7 +73,7 @@ def test_names_without_folders():
     assert public_name("/home/me/pools/a+dining~mug") == "a+dining~mug"
     assert public_name("dining") == "dining"
     assert Trial(pool="/home/me/a+/home/me/b~mug").pool_name == "a+b~mug"
-    assert TrainConfig(pool=composed("/home/me/a", ["mug"])).folder.name == "a~mug-policy-0"
+    assert TrainConfig(pool=join_pool_names("/home/me/a", ["mug"])).folder.name == "a~mug-policy-0"
 
 
 def test_part_of_a_pool_has_its_policy():

@@ -13,8 +13,8 @@ from PIL import Image
 
 from cluttergen_jax.assets.cloud import cloud_colours
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.mesh_repair.orientation import faced
-from cluttergen_jax.assets.mesh_repair.simplify import drawn
+from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
+from cluttergen_jax.assets.mesh_repair.simplify import simplify_pieces
 from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shape import Piece, Shape
@@ -274,7 +274,7 @@ def test_welding_keeps_seams_and_simplifying_keeps_the_image():
     stripes = Image.fromarray(np.repeat(np.arange(256, dtype=np.uint8)[None], 64, axis=0)).convert("RGB")
     faces = np.arange(len(corners)).reshape(-1, 3)
     piece = Piece(Mesh(corners, faces), (1.0, 1.0, 1.0, 1.0), corner_uv, Texture.of(stripes))
-    (small,) = drawn([piece], max_textured=3000)
+    (small,) = simplify_pieces([piece], max_textured=3000)
     assert len(faces) > 6_500
     assert 2_000 < len(small.mesh.faces) <= 3_000
     assert len(small.mesh.vertices) < 0.6 * len(small.mesh.faces)
@@ -292,7 +292,7 @@ def test_the_second_side_of_a_sheet_has_the_image_too():
     corners = whole.mesh.vertices[whole.mesh.faces]
     is_top = (corners[..., 2] > textured.SIZE[2] / 2 - 1e-6).all(1)
     sheet = dataclasses.replace(whole, mesh=Mesh(whole.mesh.vertices, whole.mesh.faces[is_top]))
-    (both,) = faced([sheet], None)
+    (both,) = orient_faces([sheet], None)
     assert len(both.mesh.faces) == 2 * is_top.sum()
     assert_upright(both)
     back = dataclasses.replace(both, mesh=Mesh(both.mesh.vertices, both.mesh.faces[is_top.sum() :]))

@@ -81,7 +81,7 @@ def test_a_line_tells_of_each_object_and_what_it_cost(tree, monkeypatch, capsys)
     def some(jobs, config, watch):
         for index, job in enumerate(jobs):
             cost = {"seconds": 2.0, "cpu_seconds": 1.5}
-            yield index, late if job.source.name == "cube" else Outcome(run.made(job), **cost)
+            yield index, late if job.source.name == "cube" else Outcome(run.make_job(job), **cost)
 
     monkeypatch.setattr(run, "_outcomes", some)
     status = Import(sources=(str(tree),), pool="mine", trials=8, progress=False).run()
@@ -107,8 +107,8 @@ def test_a_second_try_is_said(tree):
     (source,) = find_sources(tree / "crate.obj")
     job = run.Job(source, "key", ObjectConfig(trials=8))
     second = run.next_try(job, "its worker process crashed (SIGSEGV)")
-    assert "second try" in run.made(second).flags[0]
-    assert "SIGSEGV" in run.made(second).flags[0]
+    assert "second try" in run.make_job(second).flags[0]
+    assert "SIGSEGV" in run.make_job(second).flags[0]
 
 
 def test_what_is_lost_twice_becomes_one_hull_and_says_so(tmp_path):
@@ -117,7 +117,7 @@ def test_what_is_lost_twice_becomes_one_hull_and_says_so(tmp_path):
     trimesh.boolean.union([beam, post]).export(tmp_path / "cross.stl")
     (source,) = find_sources(tmp_path / "cross.stl")
     job = run.Job(source, "key", ObjectConfig(trials=8))
-    asset = run.made(
+    asset = run.make_job(
         run.next_try(run.next_try(job, "it was not done after 80 s"), "it was not done after 107 s")
     )
     assert len(asset.parts) == 1

@@ -219,7 +219,7 @@ CONFIG = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 def at_once(jobs, config, watch=None):
     """The jobs one by one in this process: no test here is about processes."""
     for index, job in enumerate(jobs):
-        yield index, run.Outcome(run.made(job))
+        yield index, run.Outcome(run.make_job(job))
 
 
 def plain_body(shape, config, trials):

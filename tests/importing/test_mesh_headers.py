@@ -12,7 +12,7 @@ import trimesh
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
-from cluttergen_jax.importing.readers.mesh_text import utf8
+from cluttergen_jax.importing.readers.mesh_text import as_utf8
 
 CASES = Path(__file__).parents[1] / "cases" / "import" / "09_stl_trailing"
 OBJ = """# {comment}
@@ -63,8 +63,8 @@ def test_text_headers_of_other_formats(tmp_path, fresh):
 
 def test_utf8_stays_as_it_is():
     for text in ("Würfel\n", "立方体\n", "plain\n"):
-        assert utf8(text.encode()) == text.encode()
-    assert utf8(b"\x81\xfc") == "\x81ü".encode()
+        assert as_utf8(text.encode()) == text.encode()
+    assert as_utf8(b"\x81\xfc") == "\x81ü".encode()
 
 
 def glb(change):

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from cluttergen_jax.assets.mesh import Mesh, cleaned
+from cluttergen_jax.assets.mesh import Mesh, clean_mesh
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
@@ -152,7 +152,7 @@ def test_what_is_cut_for_a_cube_map_stays_closed_and_shows_the_right_places(make
     solid = make(0.5, 1, 1) if make is trimesh.creation.annulus else make()
     solid.apply_scale(size)
     mesh, uv = laid_around(Mesh(solid.vertices, solid.faces), np.asarray(solid.vertices), True, 512)
-    whole = cleaned(mesh)
+    whole = clean_mesh(mesh)
     tri = trimesh.Trimesh(whole.vertices, whole.faces, process=False)
     assert tri.is_watertight
     assert tri.volume == pytest.approx(solid.volume, rel=1e-6)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
@@ -18,7 +18,7 @@ GHOST = "contype='0' conaffinity='0'"
 
 def size_of(shape):
     """Millimetres."""
-    return 1000 * np.ptp(joined([piece.mesh for piece in shape.pieces]).vertices, axis=0)
+    return 1000 * np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).vertices, axis=0)
 
 
 def read_body(tmp_path, geoms, more=""):
@@ -199,7 +199,7 @@ def test_the_ground_under_a_grid_of_heights_is_where_mujoco_has_it(tmp_path):
 
 def test_a_scene_shows_no_floor_as_a_ball_and_no_target(tmp_path):
     scene = read_mjcf_scene(CASES / "02_mjcf_not_solid" / "scene_with_floor.xml")
-    table = joined([piece.mesh for piece in scene.support.pieces])
+    table = join_meshes([piece.mesh for piece in scene.support.pieces])
     np.testing.assert_allclose(np.ptp(table.vertices, axis=0), (0.8, 0.6, 0.04), atol=1e-6)
     path = tmp_path / "scene.xml"
     path.write_text(

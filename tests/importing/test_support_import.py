@@ -23,7 +23,7 @@ def turned(angle):
 
 
 def shape_of(support, angle=0.0, shift=(0.0, 0.0, 0.0)):
-    pieces = [Piece(piece.mesh.transformed(turned(angle), shift), piece.rgba) for piece in support.pieces]
+    pieces = [Piece(piece.mesh.transform(turned(angle), shift), piece.rgba) for piece in support.pieces]
     return Shape(support.name, support.label, tuple(pieces), SOURCE)
 
 

@@ -13,7 +13,7 @@ import trimesh
 from cluttergen_jax.api.text import parse_numbers
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.shading import linear, shaded
+from cluttergen_jax.assets.shading import linear, shade
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
@@ -302,7 +302,7 @@ def test_principal_frames_and_angles_turn_back():
 
 def test_shading_keeps_the_surface_and_its_edges():
     box = slab((0.1, 0.2, 0.3))
-    vertices, normals, faces, _ = shaded(box)
+    vertices, normals, faces, _ = shade(box)
     # A box has a normal for each face at each corner, and the normals are the faces' own.
     assert len(vertices) == 24
     np.testing.assert_allclose(np.abs(normals).max(1), 1.0, atol=1e-6)
@@ -310,6 +310,6 @@ def test_shading_keeps_the_surface_and_its_edges():
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (np.einsum("fi,fci->fc", facing, normals[faces]) > 0).all()
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
-    points, smooth, triangles, _ = shaded(Mesh(ball.vertices, ball.faces))
+    points, smooth, triangles, _ = shade(Mesh(ball.vertices, ball.faces))
     assert (len(points), len(triangles)) == (len(ball.vertices), len(ball.faces))
     np.testing.assert_allclose(smooth, points / 0.1, atol=0.02)

@@ -72,7 +72,7 @@ def _without_folds_once(mesh: Mesh, uv: np.ndarray | None) -> Mesh:
     for place in _places(near, len(kept)):
         cut = _cut_anew(welded, place) if stays[kept[place]].all() else None
         if cut is not None:
-            faces.append(_named(cut, label, mesh.faces[kept[place]]))
+            faces.append(_original_vertices(cut, label, mesh.faces[kept[place]]))
             stays[kept[place]] = False
     return Mesh(mesh.vertices, np.concatenate([mesh.faces[stays], *faces])) if faces else mesh
 
@@ -199,7 +199,7 @@ def _loops(faces: np.ndarray) -> list[np.ndarray]:
     return loops
 
 
-def _named(cut: np.ndarray, label: np.ndarray, before: np.ndarray) -> np.ndarray:
+def _original_vertices(cut: np.ndarray, label: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Triangles of welded vertices as triangles of those that the place had before."""
     used = before.reshape(-1)
     names, first = np.unique(label[used], return_index=True)

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.mesh import Mesh, cleaned, joined
+from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
 from cluttergen_jax.assets.shape import Piece
 
 UV_DIGITS = 6
@@ -20,7 +20,7 @@ _STRETCH = 3.0
 """Times the stretch of the image at a triangle's middle by which it may be stretched up to a corner."""
 
 
-def transferred(piece: Piece, mesh: Mesh) -> Piece:
+def transfer_texture(piece: Piece, mesh: Mesh) -> Piece:
     """The textured piece with `mesh` in place of its own, each corner's uv taken from the nearest old place.
 
     The image is cut along seams, and what lies beyond a seam is elsewhere in the image. So the place of a new
@@ -94,7 +94,7 @@ MAX_TEXTURED = 20000
 _COLOUR_STEPS = 32
 
 
-def drawn(
+def simplify_pieces(
     pieces: Sequence[Piece], max_triangles: int = MAX_TRIANGLES, max_textured: int = MAX_TEXTURED
 ) -> tuple[Piece, ...]:
     """Pieces of like colour and image joined, welded and simplified.
@@ -106,27 +106,27 @@ def drawn(
     for piece in pieces:
         colour = tuple(round(c * _COLOUR_STEPS) for c in piece.rgba)
         groups.setdefault((piece.texture, *colour), []).append(piece)
-    merged = [_merged(group) for group in groups.values()]
+    merged = [_merge(group) for group in groups.values()]
     merged = [piece for piece in merged if len(piece.mesh.faces)]
     plain = sum(len(piece.mesh.faces) for piece in merged if piece.texture is None)
     textured = sum(len(piece.mesh.faces) for piece in merged if piece.texture is not None)
     return tuple(
-        replace(piece, mesh=_simplified(piece.mesh, min(1.0, max_triangles / plain)))
+        replace(piece, mesh=_simplify(piece.mesh, min(1.0, max_triangles / plain)))
         if piece.texture is None
-        else _simplified_textured(piece, min(1.0, max_textured / textured))
+        else _simplify_textured(piece, min(1.0, max_textured / textured))
         for piece in merged
     )
 
 
-def _merged(group: Sequence[Piece]) -> Piece:
-    mesh = joined([each.mesh for each in group])
+def _merge(group: Sequence[Piece]) -> Piece:
+    mesh = join_meshes([each.mesh for each in group])
     uvs = [each.uv for each in group if each.uv is not None]
     if not uvs:
-        return Piece(cleaned(mesh), group[0].rgba)
-    return _welded(Piece(mesh, group[0].rgba, np.concatenate(uvs), group[0].texture))
+        return Piece(clean_mesh(mesh), group[0].rgba)
+    return _weld(Piece(mesh, group[0].rgba, np.concatenate(uvs), group[0].texture))
 
 
-def _welded(piece: Piece) -> Piece:
+def _weld(piece: Piece) -> Piece:
     """Vertices of equal place and equal uv become one; collapsed and doubled triangles are dropped."""
     assert piece.uv is not None
     mesh = piece.mesh
@@ -143,7 +143,7 @@ def _welded(piece: Piece) -> Piece:
     return replace(piece, mesh=Mesh(mesh.vertices[kept], faces.reshape(-1, 3)), uv=piece.uv[kept])
 
 
-def _simplified(mesh: Mesh, share: float) -> Mesh:
+def _simplify(mesh: Mesh, share: float) -> Mesh:
     target = int(share * len(mesh.faces))
     if share >= 1 or target < 12:
         return mesh
@@ -152,14 +152,14 @@ def _simplified(mesh: Mesh, share: float) -> Mesh:
         np.ascontiguousarray(mesh.faces, np.int32),
         target_count=target,
     )
-    small = cleaned(Mesh(points, faces))
+    small = clean_mesh(Mesh(points, faces))
     return small if len(small.faces) else mesh
 
 
-def _simplified_textured(piece: Piece, share: float) -> Piece:
+def _simplify_textured(piece: Piece, share: float) -> Piece:
     """Simplified without regard to the image, which is then laid over the new triangles again."""
     if share >= 1:
         return piece
-    whole = cleaned(piece.mesh)
-    small = _simplified(whole, share * len(piece.mesh.faces) / len(whole.faces))
-    return piece if small is whole else transferred(piece, small)
+    whole = clean_mesh(piece.mesh)
+    small = _simplify(whole, share * len(piece.mesh.faces) / len(whole.faces))
+    return piece if small is whole else transfer_texture(piece, small)

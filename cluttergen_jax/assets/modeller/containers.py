@@ -7,7 +7,7 @@ from manifold3d import Manifold
 
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_rgb, shade, vary
 from cluttergen_jax.assets.shape import Piece, Shape
 
 BOTTLE_GLASS = tuple(hex_rgb(code) for code in ("2f5d3a", "6b3f1d", "1f3b2c", "7f9a4a", "2b4a6b"))
@@ -30,7 +30,7 @@ def bottle(rng: Rng = None) -> Shape:
     foil_foot = top + 0.25 * (height - top)
     foil = _sleeve(neck, foil_foot, height - 0.001, 0.0008)
     low, high = 0.14 * height, shoulder - 0.05 * height
-    return made(
+    return assemble(
         name="bottle",
         label="wine bottle",
         pieces=(
@@ -59,7 +59,7 @@ def soup_can(rng: Rng = None) -> Shape:
     middle = low + (0.52 if rng is None else rng.uniform(0.35, 0.65)) * (high - low)
     band = 0.07 * (high - low)
     color = shade(rng, LABELS)
-    return made(
+    return assemble(
         name="soup_can",
         pieces=(
             cad.piece(cad.revolve([(0.0, 0.0), *tin]), STEEL),
@@ -88,7 +88,7 @@ def jar(rng: Rng = None) -> Shape:
     cap = cad.revolve(
         [(0.0, height - lid), (neck, height - lid), *ribs, (neck - 0.002, height), (0.0, height)]
     )
-    return made(
+    return assemble(
         name="jar",
         label="jar with a lid",
         pieces=(
@@ -123,7 +123,7 @@ def cereal_box(rng: Rng = None) -> Shape:
     width, depth, height = vary(rng, 0.160), vary(rng, 0.058), vary(rng, 0.225)
     accent = shade(rng, ACCENTS)
     flap = cad.box((0.30 * width, 0.30 * depth, 0.0008), z=height - 0.0002)
-    return made(
+    return assemble(
         name="cereal_box",
         pieces=(
             cad.piece(cad.box((width, depth, height)), shade(rng, PRINTS)),
@@ -172,7 +172,7 @@ def milk_carton(rng: Rng = None) -> Shape:
     screw = cad.on_front(cad.ellipse(0.16 * side, 0.16 * side, 24), 0.0, 0.012)
     screw = screw.rotate((slope - 90, 0, 0)).translate((0, -half / 2, (eaves + ridge) / 2))
     gable = [(x, y, z) for x in (-half, half) for y, z in (*right, *left)]
-    return made(
+    return assemble(
         name="milk_carton",
         pieces=(
             cad.piece(carton, hex_rgb("f3f3ee")),

@@ -8,7 +8,7 @@ from manifold3d import Manifold
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_rgb, shade, vary
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Cavity, Shape
 
@@ -31,8 +31,8 @@ def pot(rng: Rng = None) -> Shape:
     edge = radius + 0.002
     rim = cad.revolve([(radius - wall, height - 0.004), (edge, height - 0.004), (edge, height)])
     corners = bar[[0, 3, 4, 7, 8, 11, 12, 15]]
-    legs = [cell for path in loops for cell in part.sweep(part.thinned(path, 3, 0.05), corners, UP)]
-    return made(
+    legs = [cell for path in loops for cell in part.sweep(part.thin_path(path, 3, 0.05), corners, UP)]
+    return assemble(
         name="pot",
         label="cooking pot",
         pieces=(
@@ -69,9 +69,9 @@ def frying_pan(rng: Rng = None) -> Shape:
     sizes = np.interp(np.linspace(0, 1, 24), [0.0, 0.2, 0.45, 0.9, 1.0], [0.62, 0.62, 0.95, 1.0, 0.75])
     bar = cad.ellipse(0.0125, 0.0070, 16)
     grip = cad.difference(cad.sweep(path, bar, scales=sizes), body.inside(), body.solid())
-    stations = part.thinned(path, 3)
+    stations = part.thin_path(path, 3)
     scales = np.interp(stations[:, 0], path[:, 0], sizes)
-    return made(
+    return assemble(
         name="frying_pan",
         pieces=(
             cad.piece(outside, shade(rng, (*ENAMELS[5:], *ENAMELS[:5]), 0.03)),
@@ -102,8 +102,8 @@ def colander(rng: Rng = None) -> Shape:
     rim_path = np.stack([radius + 0.0035 * np.cos(turns), height - 0.0035 * (1 - np.sin(turns))], -1)
     shell = cad.difference(cad.union(body.solid(), cad.revolve(rim_path)), *holes)
     wires = [cad.difference(cad.tube(path, 0.0034, UP, segments=10), body.inside()) for path in ears]
-    legs = [cell for path in ears for cell in part.sweep(part.thinned(path, 3, 0.04), 0.0036, UP)]
-    return made(
+    legs = [cell for path in ears for cell in part.sweep(part.thin_path(path, 3, 0.04), 0.0036, UP)]
+    return assemble(
         name="colander",
         pieces=(cad.piece(cad.union(shell, *wires), shade(rng, METALS, 0.03)),),
         parts=(*body.parts(8), *legs),
@@ -144,7 +144,7 @@ def toaster(rng: Rng = None) -> Shape:
     cheek = (width - long) / 2
     # The upper parts are sunk into their neighbours, so that no face of theirs lies bare inside the body.
     rise, low, span = deep + 0.002, floor - 0.002, long + 0.004
-    return made(
+    return assemble(
         name="toaster",
         pieces=(
             cad.piece(cad.difference(shell, *slots), shade(rng, TOASTER_BODIES, 0.04)),
@@ -194,8 +194,8 @@ def fork(rng: Rng = None) -> Shape:
     end = part.hull(np.concatenate([legs[0].vertices, legs[1].vertices]))
     tines = [_slab(ends[-2:], np.full(2, prong / 2), lifts[-2:] + RAISE, thick, y, 0.88 * y) for y in places]
     shift = np.array([-length / 2, 0.0, 0.0])
-    parts = [piece.transformed(np.eye(3), shift) for piece in (end, *legs[2:], *tines)]
-    return made(
+    parts = [piece.transform(np.eye(3), shift) for piece in (end, *legs[2:], *tines)]
+    return assemble(
         name="fork",
         label="table fork",
         pieces=(cad.piece(solid.translate((-length / 2, 0, 0)), shade(rng, STEELS, 0.03)),),
@@ -207,13 +207,13 @@ def fork(rng: Rng = None) -> Shape:
 def _ribbon(ends: np.ndarray, halves: np.ndarray, lifts: np.ndarray, thick: float) -> Manifold:
     """A bent strip along x: half widths and heights of the underside at the stations `ends`."""
     x = np.linspace(ends[0], ends[-1], 65)
-    low, half = _eased(x, ends, lifts), _eased(x, ends, halves)
+    low, half = _ease(x, ends, lifts), _ease(x, ends, halves)
     side = cad.from_side(np.column_stack([np.append(x, x[::-1]), np.append(low, low[::-1] + thick)]), 1.0)
     plan = cad.extrude(np.column_stack([np.append(x, x[::-1]), np.append(-half, half[::-1])]), 0.2, -0.1)
     return side ^ plan
 
 
-def _eased(x: np.ndarray, knots: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _ease(x: np.ndarray, knots: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values between knots, joined by half cosines so that what is flat stays flat and nothing overshoots."""
     cell = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
     share = (x - knots[cell]) / (knots[cell + 1] - knots[cell])
@@ -258,7 +258,7 @@ def knife(rng: Rng = None) -> Shape:
     )
     steel = shade(rng, STEELS[:2], 0.03)
     top = height - 0.0016
-    return made(
+    return assemble(
         name="knife",
         label="chef's knife",
         pieces=(
@@ -288,7 +288,7 @@ def wooden_spoon(rng: Rng = None) -> Shape:
     rings = [(0.82, 0.0, 4), (0.86, part.LIFT, 8), (1.0, 0.009, 8), (0.91, 0.016, 8)]
     corners = [np.column_stack([cad.ellipse(s * reach, s * half, n), np.full(n, z)]) for s, z, n in rings]
     grip = [(x, y, z) for x, size in ends for y, z in _rod_corners(size)]
-    return made(
+    return assemble(
         name="wooden_spoon",
         pieces=(cad.piece(cad.difference(cad.union(bowl, stick), scoop), shade(rng, WOODS)),),
         parts=(part.hull(np.concatenate(corners) + np.array([center, 0, 0])), part.hull(grip)),
@@ -325,7 +325,7 @@ def cutting_board(rng: Rng = None) -> Shape:
     stripe = choose(rng, (0.28, -0.28, 0.0)) * depth
     band = cad.difference(cad.box((width, 0.10 * depth, thick), (0.0, stripe)) ^ board, groove)
     dark = tuple(0.62 * channel for channel in wood)
-    return made(
+    return assemble(
         name="cutting_board",
         pieces=(
             cad.piece(cad.difference(board, groove, hole, band), wood),

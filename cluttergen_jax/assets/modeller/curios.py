@@ -8,7 +8,7 @@ from manifold3d import Manifold
 from cluttergen_jax.assets.modeller import palette as rgb
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, shade, vary
 from cluttergen_jax.assets.shape import Shape
 
 WARM = (1.0, 0.93, 0.66)
@@ -38,9 +38,9 @@ def desk_lamp(rng: Rng = None) -> Shape:
         part.disc([(radius, 0.0), (0.86 * radius, 0.020 * size)], 14, is_standing=True),
         *part.sweep([foot, elbow], 0.008 * size),
         *part.sweep([elbow, head], 0.008 * size),
-        part.turned(part.disc([(mouth, -depth), (0.019 * size, 0.012 * size)], 14), (0, pitch, 0), head),
+        part.rotate_part(part.disc([(mouth, -depth), (0.019 * size, 0.012 * size)], 14), (0, pitch, 0), head),
     ]
-    return made(
+    return assemble(
         name="desk_lamp",
         pieces=(
             cad.piece(cad.revolve([(0, 0), *base, (0, 0.020 * size)]), color),
@@ -81,11 +81,11 @@ def candle(rng: Rng = None) -> Shape:
     )
     square = [(ring + bar, -bar), (ring + bar, bar), (ring - bar, bar), (ring - bar, -bar)]
     cells = [
-        part.turned(cell, (90, 0, 0), (reach, 0, lip + 0.007))
+        part.rotate_part(cell, (90, 0, 0), (reach, 0, lip + 0.007))
         for cell in part.ring_sectors([(r * 1.08, z) for r, z in square], 5, phase=turns[6])
     ]
     metal = cad.union(cad.revolve([*saucer, (0.0, floor)]), cad.revolve(socket), loop)
-    return made(
+    return assemble(
         name="candle",
         label="candle in a holder",
         pieces=(
@@ -172,7 +172,7 @@ def globe(rng: Rng = None) -> Shape:
     brass = shade(rng, (rgb.GOLD, rgb.SILVER, rgb.STEEL))
     coarse = np.radians(np.linspace(-90, 90, 6))
     bow = np.column_stack([1.03 * reach * np.cos(coarse), 0 * coarse, 1.03 * reach * np.sin(coarse)])
-    return made(
+    return assemble(
         name="globe",
         pieces=(
             cad.piece(skin.rotate(tilt).translate(at), sea),
@@ -191,7 +191,7 @@ def globe(rng: Rng = None) -> Shape:
             part.disc([(foot, 0.0), (0.62 * foot, 0.018)], 14, is_standing=True),
             part.disc([(0.012, 0.010), (0.008, lowest)], 6),
             part.ball(radius, at),
-            *[part.turned(cell, tilt, at) for cell in part.sweep(bow, bar)],
+            *[part.rotate_part(cell, tilt, at) for cell in part.sweep(bow, bar)],
         ),
         mass=vary(rng, 0.65, 0.2),
     )
@@ -233,7 +233,7 @@ def eyeglasses(rng: Rng = None) -> Shape:
     bridge = ((2 * gap + 0.006, deep - 0.001, 0.006), (0, 0), 0.62 * size[1])
     frame = cad.union(*rims, cad.box(*bridge))
     tint = shade(rng, (rgb.SKY, (0.25, 0.27, 0.30), (0.55, 0.40, 0.25)))
-    return made(
+    return assemble(
         name="eyeglasses",
         pieces=(
             cad.piece(frame, shade(rng, (rgb.BLACK, rgb.CRIMSON, rgb.DARK_WOOD, rgb.NAVY))),
@@ -279,9 +279,11 @@ def toy_car(rng: Rng = None) -> Shape:
     lamps = cad.union(*[lamp.translate((nose + 0.0015, s * 0.3 * width, 0.62 * waist)) for s in (-1, 1)])
     shell = cad.union(cad.upright(body, width), cad.upright(cabin, 0.86 * width))
     paint = shade(rng, (rgb.RED, *rgb.BRIGHT))
-    roller = part.turned(part.disc([(wheel, -tread / 2), (wheel, tread / 2)], 12, np.pi / 12), (90, 0, 0))
-    rollers = [part.turned(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
-    return made(
+    roller = part.rotate_part(
+        part.disc([(wheel, -tread / 2), (wheel, tread / 2)], 12, np.pi / 12), (90, 0, 0)
+    )
+    rollers = [part.rotate_part(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
+    return assemble(
         name="toy_car",
         pieces=(
             cad.piece(shell, paint),
@@ -335,7 +337,7 @@ def photo_frame(rng: Rng = None) -> Shape:
     strut = [(s * 0.022, y, z) for s in (-1, 1) for y, z in edge]
     strut += [(s * 0.030, y, 0.0) for s in (-1, 1) for y in (far_foot - 0.008, far_foot)]
     back = leaning(rim)
-    return made(
+    return assemble(
         name="photo_frame",
         pieces=(
             cad.piece(

@@ -39,7 +39,7 @@ def made_by(family: str) -> Provenance:
     return Provenance(f"cluttergen_jax modeller, family {family}", "Apache-2.0")
 
 
-def made(name: str, pieces: Sequence[Piece], label: str = "", **body: Any) -> Shape:
+def assemble(name: str, pieces: Sequence[Piece], label: str = "", **body: Any) -> Shape:
     """A shape of the family `name`.
 
     Args:

@@ -9,7 +9,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import palette as rgb
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, shade, vary
 from cluttergen_jax.assets.shape import Shape
 
 GLASS = (0.12, 0.16, 0.30)
@@ -37,7 +37,7 @@ def alarm_clock(rng: Rng = None) -> Shape:
     hammer = cad.box((0.008, 0.006, 0.020), z=top - 0.002) + cad.box((0.022, 0.008, 0.008), z=top + 0.014)
     metal = shade(rng, (rgb.GOLD, rgb.SILVER, rgb.STEEL))
     stand = cad.union(hammer, *[cad.hull(foot.vertices) for foot in feet]) - case
-    return made(
+    return assemble(
         name="alarm_clock",
         pieces=(
             cad.piece(body, shade(rng, (rgb.RED, rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
@@ -47,7 +47,7 @@ def alarm_clock(rng: Rng = None) -> Shape:
             cad.piece(stand, rgb.GREY if rng is None else metal),
         ),
         parts=(
-            part.turned(
+            part.rotate_part(
                 part.disc([(radius, -depth / 2), (radius, depth / 2)], 16), (90, 0, 0), (0, 0, middle)
             ),
             *bell_parts,
@@ -71,7 +71,7 @@ def _bells(radius: float, middle: float, degrees: float) -> tuple[list[Manifold]
         turn = np.radians(side * degrees)
         at = (away * np.sin(turn), 0.0, middle + away * np.cos(turn))
         solids.append(cap.rotate((0, side * degrees, 0)).translate(at))
-        parts.append(part.turned(dome, (0, side * degrees, 0), at))
+        parts.append(part.rotate_part(dome, (0, side * degrees, 0), at))
     return solids, parts
 
 
@@ -118,7 +118,7 @@ def camera(rng: Rng = None) -> Shape:
         for radius, rise, share in ((0.010, 0.008, 0.40), (0.007, 0.006, -0.40))
     ]
     trim = shade(rng, (rgb.SILVER, rgb.STEEL, rgb.CHARCOAL, rgb.GOLD))
-    return made(
+    return assemble(
         name="camera",
         pieces=(
             cad.piece(dark, shade(rng, (rgb.BLACK, *rgb.DARK, (0.42, 0.24, 0.15)), 0.02)),
@@ -132,7 +132,7 @@ def camera(rng: Rng = None) -> Shape:
         parts=(
             part.box((width, depth, height)),
             part.upright(hump, 0.68 * depth),
-            part.turned(part.disc([(lens, 0), (lens, reach)], 14), (90, 0, 0), (x, front, middle)),
+            part.rotate_part(part.disc([(lens, 0), (lens, reach)], 14), (90, 0, 0), (x, front, middle)),
             part.box((0.028, 0.022, 0.90 * height), (0.017 - width / 2, front - 0.005), 0.03 * height),
         ),
         mass=vary(rng, 0.55, 0.2),
@@ -173,7 +173,7 @@ def remote_control(rng: Rng = None) -> Shape:
         for sy in (-0.5, 0.5)
         for a, b, z in ((1, 0.95, 0.5 * height), (0.8, 1, 0.5 * height), (0.87, 0.94, height + 0.001))
     ]
-    return made(
+    return assemble(
         name="remote_control",
         pieces=(
             cad.piece(body, shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.NAVY, rgb.STEEL))),

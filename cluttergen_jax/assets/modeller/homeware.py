@@ -9,7 +9,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import palette as rgb
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, shade, vary
 from cluttergen_jax.assets.modeller.lettering import lettering
 from cluttergen_jax.assets.modeller.vessel import Crate, Vessel
 from cluttergen_jax.assets.shape import Shape
@@ -54,7 +54,7 @@ def spray_bottle(rng: Rng = None) -> Shape:
         label, depth / 2, 0.5 * shoulder, choose(rng, ("CLEAN", "CLEAN UP", "PLANTS")), 0.17
     )
     grip = cad.upright(head, 0.024)
-    return made(
+    return assemble(
         name="spray_bottle",
         pieces=(
             cad.piece(body + neck, shade(rng, (rgb.SKY, rgb.TEAL, *rgb.BRIGHT))),
@@ -107,7 +107,7 @@ def soap_dispenser(rng: Rng = None) -> Shape:
     press = cad.rounded_box((0.034, 0.034, 0.013), 0.005, (0, 0.002), pump)
     panel, words = _labels((0.66 * width, 0.62 * shoulder), depth / 2, 0.5 * shoulder, "SOAP", 0.26)
     metal = shade(rng, (rgb.WHITE, rgb.STEEL, rgb.CHARCOAL))
-    return made(
+    return assemble(
         name="soap_dispenser",
         pieces=(
             cad.piece(body + neck, shade(rng, (rgb.TEAL, rgb.CREAM, *rgb.BRIGHT))),
@@ -150,7 +150,7 @@ def tissue_box(rng: Rng = None) -> Shape:
         cell = knots[i : i + 2, j : j + 2].reshape(-1, 3)
         cells.append(cad.hull(np.concatenate([np.add(cell, (0, s * 0.0012, 0)) for s in (-1, 1)])))
     coarse = knots[[0, 3, 6, 8, 11, 14]][:, [0, -1]].reshape(-1, 3)
-    return made(
+    return assemble(
         name="tissue_box",
         pieces=(
             cad.piece(
@@ -191,7 +191,7 @@ def tape_roll(rng: Rng = None) -> Shape:
         for k in range(3)
     ]
     section = [(inner, 0.0), (1.03 * outer, 0.0), (1.03 * outer, width), (inner, width)]
-    return made(
+    return assemble(
         name="tape_roll",
         label="roll of tape",
         pieces=(
@@ -219,7 +219,7 @@ def flower_pot(rng: Rng = None) -> Shape:
     saucer = [(0.0, 0.0), (foot + 0.004, 0.0), (dish, 0.014), (dish - 0.003, 0.014)]
     saucer += [(foot + 0.002, 0.004), (0.0, 0.004)]
     clay = shade(rng, (rgb.TERRACOTTA, rgb.TERRACOTTA, (0.86, 0.82, 0.74), rgb.TEAL))
-    return made(
+    return assemble(
         name="flower_pot",
         pieces=(
             cad.piece(cad.revolve(saucer) + pot.solid(), clay),
@@ -263,7 +263,7 @@ def basket(rng: Rng = None) -> Shape:
     handle = cad.sweep(bow(25, 1.0), flat) - cad.hull(
         np.concatenate([tub.outline(z, 0.001) for z in (0.0, tub.height)])
     )
-    return made(
+    return assemble(
         name="basket",
         pieces=(
             cad.piece(tub.solid(), shade(rng, (KRAFT, (0.62, 0.44, 0.27), rgb.CREAM))),

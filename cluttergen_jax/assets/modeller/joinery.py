@@ -117,7 +117,7 @@ def round_leg(
     )
 
 
-def mirrored(x: float, y: float) -> list[tuple[float, float]]:
+def mirror_corners(x: float, y: float) -> list[tuple[float, float]]:
     """The four corners (+-x, +-y)."""
     return [(sx * x, sy * y) for sx in (-1, 1) for sy in (-1, 1)]
 
@@ -126,7 +126,7 @@ def square_legs(
     x: float, y: float, side: float, height: float, color: cad.Rgb
 ) -> tuple[tuple[Box, ...], tuple[Piece, ...]]:
     """Four upright square legs centred on (+-x, +-y)."""
-    places = mirrored(x, y)
+    places = mirror_corners(x, y)
     solids = [cad.box((side, side, height), place) for place in places]
     return tuple(slab((side, side, height), place, 0.0) for place in places), (
         cad.piece(cad.union(*solids), color),

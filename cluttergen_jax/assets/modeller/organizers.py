@@ -8,7 +8,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import palette as rgb
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, shade, vary
 from cluttergen_jax.assets.modeller.vessel import Crate, Vessel
 from cluttergen_jax.assets.shape import Cavity, Piece, Shape
 
@@ -43,7 +43,7 @@ def pencil_cup(rng: Rng = None) -> Shape:
         )
         pieces += solids
         parts.append(core)
-    return made(
+    return assemble(
         name="pencil_cup",
         pieces=tuple(pieces),
         parts=tuple(parts),
@@ -96,7 +96,7 @@ def pen_holder(rng: Rng = None) -> Shape:
     outline = [*edge, (right - 0.001, top + 0.012), (right - 0.004, top + 0.012)]
     flat = {"depth": 0.026, "y": 0.5 * crate.depth - 0.020}
     ruler = cad.hull(part.upright(outline, **flat).vertices)
-    return made(
+    return assemble(
         name="pen_holder",
         pieces=(*pieces, cad.piece(ruler - cad.box(*wall), rgb.YELLOW)),
         parts=(*parts, part.upright(outline, **flat)),
@@ -141,7 +141,7 @@ def letter_tray(rng: Rng = None) -> Shape:
     )
     floor = step + wall
     inside = cad.box((inner, depth - 2 * wall, height - floor), z=floor) - cad.box(*papers[1])
-    return made(
+    return assemble(
         name="letter_tray",
         pieces=(
             cad.piece(frame, shade(rng, (rgb.WOOD, *rgb.DARK, rgb.DARK_WOOD, rgb.TEAL))),

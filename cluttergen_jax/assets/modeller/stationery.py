@@ -9,7 +9,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import palette as rgb
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, shade, vary
 from cluttergen_jax.assets.modeller.lettering import lettering
 from cluttergen_jax.assets.shape import Shape
 
@@ -27,7 +27,7 @@ def hardback_book(rng: Rng = None) -> Shape:
     cover = cad.union(*boards, cad.hull([*rounded, *[(x, -depth / 2 + 0.001, z) for x, _, z in rounded]]))
     pages = cad.box((width - 0.010, depth - 0.008, height - 2 * BOARD), (0, 0.002), BOARD)
     title = _cover_art(choose(rng, ("ATLAS", "FABLES", "DUNES", "TALES")), width, depth, height)
-    return made(
+    return assemble(
         name="hardback_book",
         pieces=(
             cad.piece(cover, shade(rng, (rgb.NAVY, *rgb.MUTED))),
@@ -80,7 +80,7 @@ def sticky_notes(rng: Rng = None) -> Shape:
     for k, length in enumerate((0.62, 0.52, 0.58)):
         row = (0.06 - 0.15 * k) * side
         note += cad.box((length * side, 0.0022, 0.0012), ((length - 0.74) * side / 2, row), -0.0006)
-    return made(
+    return assemble(
         name="sticky_notes",
         pieces=(
             cad.piece(block, colors[0]),
@@ -134,7 +134,7 @@ def ring_binder(rng: Rng = None) -> Shape:
     label = cad.box((0.68 * width, 0.0016, 0.42 * height), (0, front + 0.0008), 0.46 * height)
     words = lettering("FILE", 0.13 * width).rotate((90, 0, 0)).translate((0, front, 0.79 * height))
     lines = [cad.box((0.5 * width, 0.001, 0.003), (0, front), z * height) for z in (0.54, 0.61, 0.68)]
-    return made(
+    return assemble(
         name="ring_binder",
         pieces=(
             cad.piece(
@@ -182,7 +182,7 @@ def stapler(rng: Rng = None) -> Shape:
     lid += [(nose + 0.035, low + 0.030), (nose + 0.010, low + 0.026), (nose, low + 0.018)]
     anvil = cad.box((0.022, 0.6 * width, 0.002), (nose + 0.018, 0), 0.0092)
     metal = cad.union(cad.upright(pivot, 0.36 * width), anvil, cad.upright(rail, 0.7 * width))
-    return made(
+    return assemble(
         name="stapler",
         pieces=(
             cad.piece(cad.upright(base, width + 0.004), shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.GREY))),
@@ -226,7 +226,7 @@ def tape_dispenser(rng: Rng = None) -> Shape:
     comb = cad.hull([*tooth, (0.001, 0, 0.054)])
     teeth = [comb.translate((nose, float(y), 0)) for y in np.linspace(-0.4, 0.4, 9) * slot]
     ribbon = cad.hull(part.upright(strip, 0.72 * slot).vertices)
-    return made(
+    return assemble(
         name="tape_dispenser",
         pieces=(
             cad.piece(frame, shade(rng, (rgb.CHARCOAL, *rgb.DARK, *rgb.BRIGHT))),
@@ -237,7 +237,7 @@ def tape_dispenser(rng: Rng = None) -> Shape:
         parts=(
             part.upright(base, width),
             part.upright(post, slot + 0.006),
-            part.turned(
+            part.rotate_part(
                 part.disc([(roll, -slot / 2), (roll, slot / 2)], 14), (90, 0, 0), (hub[0], 0, hub[1])
             ),
             *[part.upright(cheek, 0.010, s * side) for s in (-1, 1)],
@@ -271,7 +271,7 @@ def hole_punch(rng: Rng = None) -> Shape:
     holes = [cad.cylinder(0.0055, 1.0, center=(x, -0.36 * depth), segments=24) for x in places]
     sheet = cad.difference(cad.box((0.80 * width, 0.84 * depth, 0.0015), (0, -0.07 * depth), 0.012), *holes)
     metal = cad.union(cad.box(*bar), cad.box(*wall), *pins, *rests) - lid - tray
-    return made(
+    return assemble(
         name="hole_punch",
         pieces=(
             cad.piece(tray, shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.GREY))),
@@ -293,7 +293,7 @@ def scissors(rng: Rng = None) -> Shape:
     inner = 1 - bar / loop[0]
     section = [(1.10, 0), (1.10, thick), (inner, thick), (inner, 0)]
     stretch = np.diag([*loop, 1.0])
-    cells = [cell.transformed(stretch, np.zeros(3)) for cell in part.ring_sectors(section, 4, np.pi / 4)]
+    cells = [cell.transform(stretch, np.zeros(3)) for cell in part.ring_sectors(section, 4, np.pi / 4)]
     grips, blades, parts = [], [], []
     for side, z in ((-1, 0.0), (1, 0.003)):
         turn, spin = (0.0, 0.0, side * opening), (0.0, 0.0, -side * 14.0)
@@ -303,11 +303,11 @@ def scissors(rng: Rng = None) -> Shape:
         center = np.array([side * 0.025, -0.072]) * size
         roots = np.array([(8, -8), (-8, -8), (side * 25 - 10, -42), (side * 25 + 10, -46)]) * 0.001 * size
         grips += [ring.rotate(spin).translate((*center, 0)), cad.hull(_flat(roots, 0.0, thick).vertices)]
-        parts += [part.turned(_flat(outline, z, 0.003), turn), _flat(roots, 0.0, thick)]
-        parts += [part.turned(cell, spin, (*center, 0.0)) for cell in cells]
+        parts += [part.rotate_part(_flat(outline, z, 0.003), turn), _flat(roots, 0.0, thick)]
+        parts += [part.rotate_part(cell, spin, (*center, 0.0)) for cell in cells]
     handles = cad.union(*grips)
     steel = cad.union(*blades, cad.cylinder(0.0045 * size, 0.0085, segments=24))
-    return made(
+    return assemble(
         name="scissors",
         pieces=(
             cad.piece(handles, shade(rng, (rgb.RED, *rgb.BRIGHT, rgb.CHARCOAL))),

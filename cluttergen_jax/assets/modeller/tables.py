@@ -19,7 +19,7 @@ def round_table(rng: Rng = None) -> SupportAsset:
     low = top - thickness
     wood = shade(rng, joinery.WOODS)
     head, foot = 0.46 * radius, 0.62 * radius
-    feet, heads = joinery.mirrored(foot, foot), joinery.mirrored(head, head)
+    feet, heads = joinery.mirror_corners(foot, foot), joinery.mirror_corners(head, head)
     legs = [joinery.round_leg((*f, 0.0), (*h, low), 0.014, 0.024) for f, h in zip(feet, heads, strict=True)]
     apron = _ring(0.70 * radius, 0.66 * radius, low - 0.05, low)
     middle = 0.5 * (head + foot)
@@ -29,7 +29,10 @@ def round_table(rng: Rng = None) -> SupportAsset:
         joinery.oval_region(radius, radius),
         [
             *joinery.oval_boxes(radius, radius, low, top),
-            *(joinery.slab((0.04, 0.04, low), place, 0.0) for place in joinery.mirrored(middle, middle)),
+            *(
+                joinery.slab((0.04, 0.04, low), place, 0.0)
+                for place in joinery.mirror_corners(middle, middle)
+            ),
         ],
         [
             cad.piece(joinery.plate(cad.ellipse(radius, radius, 96), low, top, 0.005), wood),
@@ -113,7 +116,7 @@ def coffee_table(rng: Rng = None) -> SupportAsset:
     wood, paint = shade(rng, joinery.WOODS[1:]), shade(rng, joinery.PAINTS, 0.03)
     x, y = width / 2 - 0.075, depth / 2 - 0.075
     shelf_low, shelf_high = 0.13, 0.148
-    frame = [cad.box((side, side, low), place) for place in joinery.mirrored(x, y)]
+    frame = [cad.box((side, side, low), place) for place in joinery.mirror_corners(x, y)]
     frame += [cad.box((2 * x, 0.022, 0.06), (0, sign * y), low - 0.06) for sign in (-1, 1)]
     frame += [cad.box((0.022, 2 * y, 0.06), (sign * x, 0), low - 0.06) for sign in (-1, 1)]
     frame += [cad.box((0.03, 2 * y, 0.03), (sign * x, 0), shelf_low - 0.03) for sign in (-1, 1)]
@@ -128,7 +131,7 @@ def coffee_table(rng: Rng = None) -> SupportAsset:
         Rectangle((0.0, 0.0), (width / 2 - cut, depth / 2 - cut)),
         [
             *joinery.rounded_boxes(width, depth, radius, low, top),
-            *(joinery.slab((side, side, low), place, 0.0) for place in joinery.mirrored(x, y)),
+            *(joinery.slab((side, side, low), place, 0.0) for place in joinery.mirror_corners(x, y)),
             joinery.slab((2 * x - side, 2 * y - side, shelf_high - shelf_low), (0, 0), shelf_low),
         ],
         [

@@ -8,7 +8,7 @@ from manifold3d import Manifold
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_rgb, shade, vary
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Cavity, Shape
 
@@ -30,7 +30,7 @@ def bowl(rng: Rng = None) -> Shape:
     floor = inner[0][1] - 0.003
     body = Vessel([(foot, 0.0), (foot, 0.004), *outer], [(inner[0][0] - 0.006, floor), *inner])
     outside, lining = body.layers(0.0012)
-    return made(
+    return assemble(
         name="bowl",
         label="cereal bowl",
         pieces=(cad.piece(outside, shade(rng, PLATE_GLAZES)), cad.piece(lining, (0.96, 0.94, 0.90))),
@@ -52,7 +52,7 @@ def dinner_plate(rng: Rng = None) -> Shape:
     band = cad.revolve(
         [(near, low - 0.0010), (far, high - 0.0010), (far, high + 0.0003), (near, low + 0.0003)]
     )
-    return made(
+    return assemble(
         name="dinner_plate",
         pieces=(
             cad.piece(body.solid() - band, shade(rng, PORCELAIN, 0.02)),
@@ -82,13 +82,13 @@ def mug(rng: Rng = None) -> Shape:
     section = cad.ellipse(vary(rng, 0.0068), vary(rng, 0.0038), 20)
     outside, lining = body.layers(0.0012)
     outside = cad.union(outside, cad.sweep(path, section) - body.inside() - lining)
-    return made(
+    return assemble(
         name="mug",
         label="coffee mug",
         pieces=(cad.piece(outside, shade(rng, MUG_GLAZES)), cad.piece(lining, (0.95, 0.93, 0.89))),
         parts=(
             *body.parts(8),
-            *part.sweep(part.thinned(path, 4, 0.04), section[[1, 4, 6, 9, 11, 14, 16, 19]] * 1.04),
+            *part.sweep(part.thin_path(path, 4, 0.04), section[[1, 4, 6, 9, 11, 14, 16, 19]] * 1.04),
         ),
         cavity=body.cavity(),
         mass=vary(rng, 0.33, 0.1),
@@ -119,7 +119,7 @@ def water_glass(rng: Rng = None) -> Shape:
     at_base = foot + (radius - foot) * base / height
     inner = [(at_base - wall - 0.002, base), (at_base - wall, base + 0.003), (radius - wall + 0.0004, height)]
     body = Vessel(outer, inner)
-    return made(
+    return assemble(
         name="water_glass",
         pieces=(cad.piece(body.solid(), shade(rng, GLASS), 0.5),),
         parts=body.parts(8),
@@ -141,7 +141,7 @@ def wine_glass(rng: Rng = None) -> Shape:
     body = Vessel([(0.35 * belly, base), *outside], [(0.3 * belly, base + 0.0035), *inside])
     profile = [(0.0, 0.0), *lower, *body.outer, *reversed(body.inner), (0.0, body.floor)]
     cavity = cad.revolve([(0.0, body.floor), *body.inner, (0.0, rim)])
-    return made(
+    return assemble(
         name="wine_glass",
         pieces=(cad.piece(cad.revolve(profile), shade(rng, GLASS), 0.5),),
         parts=(
@@ -179,8 +179,8 @@ def teapot(rng: Rng = None) -> Shape:
     bore = cad.tube(spout[-4:] + np.array([0.0004, 0, 0.0008]), 0.0042)
     vessel = cad.difference(cad.union(body, cad.tube(spout, 0.0115, scales=sizes), cad.sweep(arm, bar)), bore)
     trim = shade(rng, TRIMS, 0.03)
-    cells = part.thinned(spout, 2)
-    return made(
+    cells = part.thin_path(spout, 2)
+    return assemble(
         name="teapot",
         pieces=(
             cad.piece(vessel, shade(rng, TEAPOT_GLAZES, 0.04)),
@@ -192,7 +192,7 @@ def teapot(rng: Rng = None) -> Shape:
             part.disc([(neck + 0.003, height - 0.001), (0.6 * neck, height + 0.010)], 10),
             part.disc([(0.008, height + 0.008), (0.012, height + 0.022), (0.006, height + 0.032)], 8),
             *part.sweep(cells, 0.0115, scales=np.interp(cells[:, 2], spout[:, 2], sizes)),
-            *part.sweep(part.thinned(arm, 4, 0.03), bar[::2]),
+            *part.sweep(part.thin_path(arm, 4, 0.03), bar[::2]),
         ),
         mass=vary(rng, 0.85, 0.15),
     )
@@ -239,7 +239,7 @@ def pepper_mill(rng: Rng = None) -> Shape:
     ring = [(0.70 * chest, neck), (0.76 * chest, neck), (0.76 * chest, crown), (0.70 * chest, crown)]
     low, high = (waist, 0.27 * height), (waist, 0.34 * height)
     steel = hex_rgb("c9ccd0")
-    return made(
+    return assemble(
         name="pepper_mill",
         pieces=(
             cad.piece(

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_solid, sample_surface
 from cluttergen_jax.assets.config import ALARM_FACTOR
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of, sound_points
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.assets.voxels import Voxels
@@ -37,7 +37,7 @@ def sample_parts(parts: Sequence[np.ndarray], count: int, seed: int) -> np.ndarr
 def surface_of(parts: Sequence[np.ndarray]) -> Mesh:
     """The triangles of all parts' hulls as one mesh, overlaps and all."""
     hulls = [hull for hull in map(hull_of, parts) if hull is not None]
-    return joined([Mesh(hull.points, hull.simplices) for hull in hulls])
+    return join_meshes([Mesh(hull.points, hull.simplices) for hull in hulls])
 
 
 def is_within_parts(points: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:

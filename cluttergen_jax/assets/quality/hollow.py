@@ -39,7 +39,7 @@ class Hollow:
     pitch: float
     mouth: np.ndarray
 
-    def moved(self, rotation: np.ndarray, translation: np.ndarray) -> Hollow:
+    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Hollow:
         """The same cavity with every point p at rotation @ p + translation."""
         return Hollow(self.points @ rotation.T + translation, self.pitch, rotation @ self.mouth + translation)
 

@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.quality.hollow import find_hollow
 from cluttergen_jax.assets.solid import Solid
@@ -193,6 +193,6 @@ def vessel_of(asset: ObjectAsset) -> Hollow | None:
     By the importer's rule (`assets.hollow`): as deep as 15 mm and a fifth of its width, and open to a ball of
     10 mm. A plate is no vessel.
     """
-    mesh = joined([part.hull() for part in asset.parts])
+    mesh = join_meshes([part.hull() for part in asset.parts])
     hollow = find_hollow(Solid(mesh, True, mesh))
     return None if hollow is None else Hollow(hollow.points, hollow.pitch)

@@ -25,13 +25,13 @@ def is_text_stl(data: bytes, size: int) -> bool:
 
     The free head of a binary file may begin with the first word of text files.
     """
-    if size < _HEAD or size == _HEAD + _RECORD.itemsize * announced(data):
+    if size < _HEAD or size == _HEAD + _RECORD.itemsize * announced_count(data):
         return size < _HEAD
     head = data[:1084]
     return b"facet" in head.lower() and b"\0" not in head
 
 
-def announced(data: bytes) -> int:
+def announced_count(data: bytes) -> int:
     """The count that a binary file begins with."""
     return int.from_bytes(data[80:84], "little")
 
@@ -52,13 +52,13 @@ def num_triangles(data: bytes, count: int) -> int | None:
     if count in _UNKNOWN:
         return held or None
     if count > held:
-        return held if is_whole and _is_closed(data, held) else None
-    return held if _is_closed(data, held) and not _is_closed(data, count) else count
+        return held if is_whole and _is_closed_surface(data, held) else None
+    return held if _is_closed_surface(data, held) and not _is_closed_surface(data, count) else count
 
 
 def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     """A binary file with a true count and nothing after its triangles, and what was wrong with it."""
-    count = announced(data)
+    count = announced_count(data)
     number = None if is_text_stl(data, len(data)) or len(data) < _HEAD else num_triangles(data, count)
     if number is None:
         return data, ()
@@ -70,7 +70,7 @@ def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     return (data[:80] + number.to_bytes(4, "little") + data[_HEAD:end], tuple(notes)) if notes else (data, ())
 
 
-def _is_closed(data: bytes, number: int) -> bool:
+def _is_closed_surface(data: bytes, number: int) -> bool:
     """Whether the first `number` triangles pass each edge as often in one direction as in the other."""
     corners = np.frombuffer(data, _RECORD, number, _HEAD)["corners"].reshape(-1, 3)
     if not number or not np.isfinite(corners).all():
@@ -251,7 +251,7 @@ def _check_document(path: Path, document: dict[str, Any], binary: int) -> None:
     """Every accessor lies in its view, every view in its buffer, and every buffer in what is there."""
     buffers = []
     for index, buffer in enumerate(document.get("buffers", [])):
-        needed, held = _count(buffer["byteLength"]), _held(path, buffer.get("uri"), binary)
+        needed, held = _count(buffer["byteLength"]), _buffer_size(path, buffer.get("uri"), binary)
         if needed > held and not buffer.get("extensions"):
             raise _too_short(path, f"buffer {index}", needed, held)
         buffers.append(needed)
@@ -289,7 +289,7 @@ def _count(value: Any) -> int:
     return value
 
 
-def _held(path: Path, uri: str | None, binary: int) -> int:
+def _buffer_size(path: Path, uri: str | None, binary: int) -> int:
     """Bytes behind a buffer: the file's own chunk, those in the text itself, or those of another file."""
     if uri is None:
         return binary
@@ -307,7 +307,7 @@ def _check_stl_size(path: Path) -> None:
         head = file.read(1084)
     if len(head) < 84 or is_text_stl(head, size):
         return
-    count = announced(head)
+    count = announced_count(head)
     if size != 84 + 50 * count and num_triangles(path.read_bytes(), count) is None:
         raise _too_short(path, f"a binary STL file of {count:,} triangles", 84 + 50 * count, size)
 

@@ -93,12 +93,12 @@ class Arrays:
         except ImportError as error:
             raise AssetError(f"{self._buffers.path} with {DRACO}", hint="pip install DracoPy") from error
         decoded = DracoPy.decode(self._buffers.view(compressed["bufferView"]))
-        by_id = {each["unique_id"]: _columns(each["data"]) for each in decoded.attributes}
+        by_id = {each["unique_id"]: _as_columns(each["data"]) for each in decoded.attributes}
         arrays = {name: by_id[index] for name, index in compressed["attributes"].items() if index in by_id}
         return arrays, np.asarray(decoded.faces).reshape(-1)
 
 
-def _columns(values: Any) -> np.ndarray:
+def _as_columns(values: Any) -> np.ndarray:
     array = np.asarray(values)
     return array.reshape(len(array), -1)
 
@@ -117,7 +117,7 @@ def plain_glb(path: Path) -> bytes | None:
     document = read_document(path)
     check_understood(path, document)
     _check_tree(path, document)
-    return _Plain(path, document).made() if _is_not_plain(document) else None
+    return _Plain(path, document).build() if _is_not_plain(document) else None
 
 
 def _check_tree(path: Path, document: Document) -> None:
@@ -171,10 +171,10 @@ class _Plain:
         self._binary = bytearray()
         self._known: dict[tuple[object, ...], int] = {}
 
-    def made(self) -> bytes:
+    def build(self) -> bytes:
         """The new file."""
         images = [self._image(image) for image in self._old.get("images", [])]
-        for index, place in list(self._drawn()):
+        for index, place in list(self._world_places()):
             self._draw(self._nodes[index], place)
         kept = {
             key: self._old[key] for key in ("asset", "materials", "textures", "samplers") if key in self._old
@@ -189,7 +189,7 @@ class _Plain:
         }
         return glb(kept | new | ({"images": images} if images else {}), bytes(self._binary))
 
-    def _drawn(self) -> Iterator[tuple[int, np.ndarray]]:
+    def _world_places(self) -> Iterator[tuple[int, np.ndarray]]:
         """Every node of the scene with where it is in it, f64[4, 4]."""
         self._world: dict[int, np.ndarray] = {}
         todo = [(index, np.eye(4)) for index in self._roots]
@@ -252,7 +252,7 @@ class _Plain:
             if weight and "POSITION" in target:
                 points = points + weight * self._arrays.accessor(target["POSITION"])
         if skin is not None:
-            points = self._skinned(points, arrays, self._old["skins"][skin])
+            points = self._apply_skin(points, arrays, self._old["skins"][skin])
         mode = old.get("mode", 4)
         if mode == _FAN:
             fan = np.arange(len(points)) if indices is None else indices
@@ -264,7 +264,9 @@ class _Plain:
             new["indices"] = self._accessor(indices[:, None].astype(np.uint32))
         return new | ({"material": old["material"]} if "material" in old else {})
 
-    def _skinned(self, points: np.ndarray, arrays: dict[str, np.ndarray], skin: dict[str, Any]) -> np.ndarray:
+    def _apply_skin(
+        self, points: np.ndarray, arrays: dict[str, np.ndarray], skin: dict[str, Any]
+    ) -> np.ndarray:
         """f64[V, 3] in the scene, as the joints stand in the file."""
         joints = np.array([self._world[joint] for joint in skin["joints"]])
         if "inverseBindMatrices" in skin:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from cluttergen_jax.assets.mass import MassProperties, combined
+from cluttergen_jax.assets.mass import MassProperties, combine_masses
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
@@ -23,10 +23,10 @@ from cluttergen_jax.importing.readers.places import is_found_elsewhere, mesh_pla
 from cluttergen_jax.importing.readers.xml_tree import (
     Element,
     all_numbers,
+    attribute_text,
     length,
     number,
     numbers,
-    said,
     wrong_attribute,
 )
 
@@ -82,7 +82,7 @@ class Surfaces:
         rotation, translation = pose[:3, :3] * scale, pose[:3, 3] * scale
         return [
             replace(
-                piece.transformed(rotation, translation),
+                piece.transform(rotation, translation),
                 rgba=look.colour if piece.rgba == GREY else piece.rgba,
             )
             for piece in pieces
@@ -108,7 +108,7 @@ class Surfaces:
             raise wrong_attribute(self.path, element, name, "3 or 4 numbers from 0 to 1")
         r, g, b, a = np.clip([*values, 1.0][:4], 0, 1).tolist()
         if [r, g, b, a] != [*values, 1.0][:4]:
-            self.notes.append(f"the colour {said(element, name)!r} is clipped to 0 to 1")
+            self.notes.append(f"the colour {attribute_text(element, name)!r} is clipped to 0 to 1")
         return (r, g, b, a)
 
     def _geometry(self, element: Element, texture: Texture | None) -> list[Piece]:
@@ -146,7 +146,7 @@ class Surfaces:
         return sizes
 
     def _mesh(self, form: Element, texture: Texture | None) -> list[Piece]:
-        name = (said(form, self.named_by) or "").strip()
+        name = (attribute_text(form, self.named_by) or "").strip()
         if not name:
             raise AssetError(
                 f"{self.path}: a <mesh> that names no file", f"one that is named by {self.named_by!r}"
@@ -169,7 +169,7 @@ class Surfaces:
         is_mirrored = np.linalg.det(factors) < 0
         out = []
         for piece in self._files[file, texture]:
-            mesh = piece.mesh.transformed(factors, np.zeros(3))
+            mesh = piece.mesh.transform(factors, np.zeros(3))
             mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1]) if is_mirrored else mesh
             out.append(replace(piece, mesh=mesh))
         return out
@@ -229,19 +229,19 @@ def rigid(
     if not visuals and not collisions:
         raise AssetError(f"{surfaces.path} has neither visual nor collision geometry")
     masses = {link.name: mass for link in links if (mass := _link_mass(surfaces.path, link)) is not None}
-    stated = combined(list(masses.values()))
+    stated = combine_masses(list(masses.values()))
     told = [*notes, *_weightless(links, masses)]
     return Model(
-        pieces=_seen(visuals, surfaces.notes) or collisions,
+        pieces=_visible(visuals, surfaces.notes) or collisions,
         parts=convex_parts([piece.mesh for piece in collisions]),
-        stated=None if stated is None else stated.scaled(np.eye(3), scale),
+        stated=None if stated is None else stated.convert(np.eye(3), scale),
         notes=tuple(dict.fromkeys([*told, *surfaces.notes])),
         density=_density(surfaces.path, links),
         colliding=tuple(piece.mesh for piece in collisions),
     )
 
 
-def _seen(visuals: list[Piece], notes: list[str]) -> list[Piece]:
+def _visible(visuals: list[Piece], notes: list[str]) -> list[Piece]:
     """The visuals that can be seen; all of them, opaque, where none can."""
     seen = [piece for piece in visuals if piece.rgba[3] > 0]
     if len(seen) == len(visuals):
@@ -276,12 +276,12 @@ def _link_mass(path: Path, link: Link) -> MassProperties | None:
             inertia[row, column] = inertia[column, row] = moment
     pose = link.place(inertial)
     body = MassProperties(_weight(path, *_holder(inertial, mass)), np.zeros(3), inertia)
-    return body.moved(pose[:3, :3], pose[:3, 3])
+    return body.transform(pose[:3, :3], pose[:3, 3])
 
 
 def _weight(path: Path, element: Element, name: str, absent: str = "nan") -> float:
     """A mass or a moment: `absent` where it is missing, NaN where it is one word that is no number."""
-    text = said(element, name)
+    text = attribute_text(element, name)
     words = [absent] if text is None else text.split()
     if len(words) == 1 and not _is_number(words[0]):
         return math.nan

@@ -100,7 +100,7 @@ class Dresser:
         if factor is None:
             return (1.0, 1.0, 1.0, 1.0)
         rgba = np.asarray(factor, np.float64) / 255
-        return _rgba([*(_shown(rgba[:3]) if self._is_linear else rgba[:3]), rgba[3] if len(rgba) > 3 else 1])
+        return _rgba([*(_srgb(rgba[:3]) if self._is_linear else rgba[:3]), rgba[3] if len(rgba) > 3 else 1])
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
@@ -147,7 +147,7 @@ def _spread(visual: Any) -> float:
         return 0.0
 
 
-def _shown(values: np.ndarray) -> np.ndarray:
+def _srgb(values: np.ndarray) -> np.ndarray:
     """Linear colours as sRGB."""
     return np.where(values <= 0.0031308, 12.92 * values, 1.055 * np.maximum(values, 0) ** (1 / 2.4) - 0.055)
 
@@ -180,7 +180,7 @@ def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
         # What trimesh puts where a material or its texture is missing.
         return np.array(GREY)
     main = np.asarray(material.main_color, np.float64) / 255.0
-    return np.append(_shown(main[:3]), main[3:]) if is_linear else main
+    return np.append(_srgb(main[:3]), main[3:]) if is_linear else main
 
 
 def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:

@@ -19,7 +19,7 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.collada import collada_notes, collada_polygons, unit_of
 from cluttergen_jax.importing.readers.damage import check_whole, sound_stl, unreadable
 from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
-from cluttergen_jax.importing.readers.mesh_text import Companions, opened
+from cluttergen_jax.importing.readers.mesh_text import Companions, mesh_input
 from cluttergen_jax.importing.readers.polygons import cut_obj, cut_ply
 
 _RANDOM = re.compile(r"_[0-9a-f]{6}$")
@@ -65,7 +65,7 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     check_whole(path)
     beside = Companions(path)
     try:
-        scene, of_parsing = _parsed(path, beside)
+        scene, of_parsing = _parse(path, beside)
     except AssetError:
         raise
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
@@ -80,7 +80,7 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
         transform, name = scene.graph[node]
         geometry = scene.geometry[name]
         if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-            mesh = _sound(geometry, path).transformed(unit * transform[:3, :3], unit * transform[:3, 3])
+            mesh = _sound(geometry, path).transform(unit * transform[:3, :3], unit * transform[:3, 3])
             if np.linalg.det(transform[:3, :3]) < 0:
                 mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1])
             pieces.append(dresser.piece(mesh, geometry.visual))
@@ -94,9 +94,9 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     return MeshFile(pieces, notes)
 
 
-def _parsed(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
+def _parse(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
     """What trimesh makes of a file whose concave polygons are cut and whose counts are right, and notes."""
-    content = opened(path)
+    content = mesh_input(path)
     notes: list[str] = []
     if (mend := _MENDS.get(path.suffix.lower())) is not None:
         data, of_content = mend(content["file_obj"].getvalue())

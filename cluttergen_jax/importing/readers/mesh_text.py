@@ -30,7 +30,7 @@ ALL_MATERIALS = "*.mtl"
 _MTLLIB = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)(?:[ \t]+#.*?)?[ \t\r]*$", re.MULTILINE)
 
 
-def opened(path: Path) -> dict[str, Any]:
+def mesh_input(path: Path) -> dict[str, Any]:
     """A mesh file as `trimesh.load_scene` takes it: `file_obj`, and `file_type` where that is no path."""
     suffix = path.suffix.lower()
     if suffix in (".glb", ".gltf") and (plain := plain_glb(path)) is not None:
@@ -42,15 +42,15 @@ def opened(path: Path) -> dict[str, Any]:
     data = path.read_bytes()
     if suffix == ".ply":
         head, end, body = data.partition(_END_OF_HEADER)
-        data = (utf8(head) if end else head) + end + body
+        data = (as_utf8(head) if end else head) + end + body
     elif suffix == ".obj":
-        data = _plain_obj(utf8(data))
+        data = _plain_obj(as_utf8(data))
     elif is_text_stl(data, len(data)):
-        data = utf8(data)
+        data = as_utf8(data)
     return {"file_obj": io.BytesIO(data), "file_type": suffix[1:]}
 
 
-def utf8(data: bytes) -> bytes:
+def as_utf8(data: bytes) -> bytes:
     """Text in UTF-8: what is UTF-8 or UTF-16 stays as it is, all else is read as Windows-1252 or Latin-1."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", errors="replace").encode()
@@ -94,7 +94,7 @@ def companions(path: Path) -> Iterator[Path]:
                 yield found
                 yield from companions(found) if found.suffix.lower() == ".mtl" else ()
     elif pattern := _NAMED.get(suffix):
-        for name in re.findall(pattern, utf8(path.read_bytes()), re.MULTILINE):
+        for name in re.findall(pattern, as_utf8(path.read_bytes()), re.MULTILINE):
             if (found := find_named(path.parent, name.decode())) is not None:
                 yield found
 
@@ -104,7 +104,7 @@ def _material_files(obj: Path) -> Iterator[tuple[str, Path | None]]:
 
     A line names one file, whose name may hold spaces; or if that is not there, several.
     """
-    for line in material_lines(utf8(obj.read_bytes())):
+    for line in material_lines(as_utf8(obj.read_bytes())):
         names = [line] if find_named(obj.parent, line) else line.split()
         yield from ((name, find_named(obj.parent, name)) for name in names)
 
@@ -147,10 +147,10 @@ class Companions(trimesh.resolvers.FilePathResolver):
             if found is None:
                 self._miss(name)
             else:
-                texts.append(utf8(found.read_bytes()))
+                texts.append(as_utf8(found.read_bytes()))
         text = b"\n".join(texts)
         if texts:
-            used = dict.fromkeys(_USED.findall(utf8(self._path.read_bytes())))
+            used = dict.fromkeys(_USED.findall(as_utf8(self._path.read_bytes())))
             lost = [name.decode() for name in used if name not in set(_DEFINED.findall(text))]
             self.notes += [
                 f"{self._path.name} names material {name!r}, which is nowhere defined" for name in lost

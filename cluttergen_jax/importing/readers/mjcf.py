@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
-from cluttergen_jax.assets.mass import MassProperties, combined
+from cluttergen_jax.assets.mass import MassProperties, combine_masses
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece, is_convex, roles_of
 from cluttergen_jax.importing.readers.mjcf_pictures import picture_notes
-from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, frozen, frozen_note
+from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, describe_joint, frozen_note
 
 
 def compiled_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
@@ -26,7 +26,7 @@ def compiled_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[st
     try:
         return mujoco.MjModel.from_xml_path(str(path)), ()
     except ValueError:
-        if not (lost := _lost(path)):
+        if not (lost := _unreadable_pictures(path)):
             raise
     spec = mujoco.MjSpec.from_file(str(path))
     worn = {each for material in spec.materials for each in material.textures}
@@ -36,7 +36,7 @@ def compiled_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[st
     return spec.compile(), tuple(notes)
 
 
-def _lost(path: Path) -> dict[str, str]:
+def _unreadable_pictures(path: Path) -> dict[str, str]:
     """The files of the textures that MuJoCo cannot read, by the textures' names."""
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -124,7 +124,7 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
     return Model(
         pieces=[geom_piece(model, data, i, max_side) for i in roles.surface],
         parts=tuple(Mesh.points(each.vertices) for each in colliding) if is_usable else None,
-        stated=combined([_body_mass(model, data, i) for i in bodies]),
+        stated=combine_masses([_body_mass(model, data, i) for i in bodies]),
         notes=(*frozen_note(_frozen_joints(model, bodies)), *roles.notes, *dict.fromkeys(of_pictures)),
         colliding=colliding,
     )
@@ -136,7 +136,7 @@ def _frozen_joints(model: mujoco.MjModel, bodies: list[int]) -> Iterator[str]:
         if kind in _MOVABLE and int(model.jnt_bodyid[joint]) in bodies:
             is_ball = kind == _JOINT.mjJNT_BALL
             value = 0.0 if is_ball else float(model.qpos0[model.jnt_qposadr[joint]])
-            yield frozen(model.joint(joint).name, _MOVABLE[kind], value, kind != _JOINT.mjJNT_SLIDE)
+            yield describe_joint(model.joint(joint).name, _MOVABLE[kind], value, kind != _JOINT.mjJNT_SLIDE)
 
 
 def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassProperties:
@@ -146,7 +146,7 @@ def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassPro
     return MassProperties(float(model.body_mass[body]), data.xipos[body].copy(), inertia)
 
 
-def compiled(path: Path) -> mujoco.MjModel:
+def compile_mjcf(path: Path) -> mujoco.MjModel:
     """The first of `compiled_with_notes`."""
     return compiled_with_notes(path)[0]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from cluttergen_jax.assets.cloud import sample_surface
 from cluttergen_jax.assets.config import MAX_TEXTURE
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import sound_points
 from cluttergen_jax.assets.quality.deviation import is_within_parts
 from cluttergen_jax.assets.shape import Piece
@@ -63,7 +63,7 @@ def geom_piece(model: mujoco.MjModel, data: mujoco.MjData, geom: int, max_side: 
     if (found := with_picture(model, geom, _own_mesh(model, geom), picture, max_side)) is None:
         return Piece(geom_mesh(model, data, geom), colour)
     mesh, uv, texture = found
-    return Piece(_placed(model, data, geom, mesh), colour, uv, texture)
+    return Piece(_place(model, data, geom, mesh), colour, uv, texture)
 
 
 def geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: int = 32) -> Mesh:
@@ -72,7 +72,7 @@ def geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: i
     Raises:
       AssetError: it is a plane, or out of all bounds.
     """
-    return _placed(model, data, geom, _own_mesh(model, geom, sections))
+    return _place(model, data, geom, _own_mesh(model, geom, sections))
 
 
 def _own_mesh(model: mujoco.MjModel, geom: int, sections: int = 32) -> Mesh:
@@ -97,9 +97,9 @@ def _own_mesh(model: mujoco.MjModel, geom: int, sections: int = 32) -> Mesh:
     raise AssetError(f"a geom of type {kind.name}", "geoms with an inside: all kinds but planes")
 
 
-def _placed(model: mujoco.MjModel, data: mujoco.MjData, geom: int, mesh: Mesh) -> Mesh:
+def _place(model: mujoco.MjModel, data: mujoco.MjData, geom: int, mesh: Mesh) -> Mesh:
     """A mesh in the geom's frame, in the world frame; AssetError where that is out of all bounds."""
-    mesh = mesh.transformed(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
+    mesh = mesh.transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
     # A number that is NaN compares as no.
     if not (np.abs(mesh.vertices) <= _FARTHEST).all():
         name = model.geom(geom).name or f"number {geom}"
@@ -152,9 +152,9 @@ def roles_of(model: mujoco.MjModel, data: mujoco.MjData, geoms: Iterable[int]) -
     solid = [i for i in geoms if not is_plane(model, i)]
     colliding = [i for i in solid if collides(model, i)]
     others = [i for i in solid if i not in colliding]
-    shown = [i for i in others if is_seen(model, i)]
-    shown_colliding = [i for i in colliding if is_seen(model, i)]
-    stand_ins = _covered(model, data, shown_colliding, shown)
+    shown = [i for i in others if is_visible(model, i)]
+    shown_colliding = [i for i in colliding if is_visible(model, i)]
+    stand_ins = _find_stand_ins(model, data, shown_colliding, shown)
     surface = [i for i in solid if i in shown or (i in shown_colliding and i not in stand_ins)]
     told = {
         "left out, as planes have no inside": [i for i in geoms if i not in solid],
@@ -166,7 +166,7 @@ def roles_of(model: mujoco.MjModel, data: mujoco.MjData, geoms: Iterable[int]) -
     return Roles(tuple(surface or colliding), tuple(colliding), notes)
 
 
-def is_seen(model: mujoco.MjModel, geom: int) -> bool:
+def is_visible(model: mujoco.MjModel, geom: int) -> bool:
     """Whether MuJoCo draws a geom if nobody asks for other groups."""
     return int(model.geom_group[geom]) < _NUM_SEEN_GROUPS and geom_rgba(model, geom)[3] > 0
 
@@ -177,7 +177,7 @@ def collides(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom]) or is_paired
 
 
-def _covered(
+def _find_stand_ins(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], shown: Sequence[int]
 ) -> list[int]:
     """Those of `geoms` that stand in for what is shown: it fills a third of them, and reaches as far.
@@ -187,7 +187,7 @@ def _covered(
     if not (geoms and shown):
         return []
     others = [_convex(model, data, i) for i in shown]
-    lower, upper = joined(others).bounds
+    lower, upper = join_meshes(others).bounds
     reach = _BEYOND * float(np.linalg.norm(upper - lower))
     covered = []
     for geom in geoms:

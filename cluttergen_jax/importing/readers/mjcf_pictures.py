@@ -62,7 +62,7 @@ def laid_around(mesh: Mesh, directions: np.ndarray, is_one: bool, width: int) ->
             points, faces = _cut(points, faces, _at_plane(a, b, sign))
     for _ in range(_PASSES):
         before = len(faces)
-        points, faces = _cut(points, faces, _where_bent) if before < _MOST else (points, faces)
+        points, faces = _cut(points, faces, _middle_of_bent) if before < _MOST else (points, faces)
         if len(faces) == before:
             break
     corners = points[faces]
@@ -99,7 +99,7 @@ def _at_plane(a: int, b: int, sign: int) -> Callable[[np.ndarray, np.ndarray], n
     return share
 
 
-def _where_bent(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+def _middle_of_bent(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """The middle of edges along which the image does not run evenly."""
     middle = (start[:, 3:] + end[:, 3:]) / 2
     side = _side(middle)
@@ -221,11 +221,11 @@ def with_picture(
 def _texture(pixels: np.ndarray, max_side: int) -> Texture:
     """The image, made once for all geoms of an object."""
     height, width, _ = pixels.shape
-    return _encoded(pixels.tobytes(), (width, height), max_side)
+    return _encode(pixels.tobytes(), (width, height), max_side)
 
 
 @lru_cache(maxsize=4)
-def _encoded(data: bytes, size: tuple[int, int], max_side: int) -> Texture:
+def _encode(data: bytes, size: tuple[int, int], max_side: int) -> Texture:
     return Texture.of(Image.frombytes("RGB", size, data), max_side)
 
 

@@ -37,12 +37,12 @@ class Model:
 
 
 def frozen_note(joints: Iterable[str]) -> tuple[str, ...]:
-    """One note on all movable joints, each told by `frozen`; none where there is none."""
+    """One note on all movable joints, each told by `describe_joint`; none where there is none."""
     told = ", ".join(joints)
     return (f"frozen joints: {told}",) if told else ()
 
 
-def frozen(name: str, kind: str, value: float, is_turn: bool) -> str:
+def describe_joint(name: str, kind: str, value: float, is_turn: bool) -> str:
     """A movable joint in words; `value` in radians or metres."""
     place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
     return f"{name!r} ({kind}) at {place}"

@@ -133,13 +133,13 @@ def _forward(data: bytes) -> bytes:
             numbers[line[1]] += 1
             continue
         words = (zip(word.split(b"/"), numbers.values(), strict=False) for word in line[2].split())
-        corners = [b"/".join(_counted(name, number) for name, number in word) for word in words]
+        corners = [b"/".join(_count_from_first(name, number) for name, number in word) for word in words]
         parts += [data[end : line.start()], b"f " + b" ".join(corners)]
         end = line.end()
     return b"".join([*parts, data[end:]])
 
 
-def _counted(name: bytes, number: int) -> bytes:
+def _count_from_first(name: bytes, number: int) -> bytes:
     """A corner's index from the first on; `number` there are so far."""
     is_backward = name[:1] == b"-" and name[1:].isdigit() and 0 < int(name[1:]) <= number
     return b"%d" % (number + 1 + int(name)) if is_backward else name
@@ -231,7 +231,7 @@ def _cut(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     if not found and not (is_mixed and order):
         return data, notes
     rows[1] = [part for index, row in enumerate(rows[1]) for part in _triangles(row, place, found.get(index))]
-    written = _written_binary(rows, elements, order) if order else _written_text(rows, elements)
+    written = _write_binary(rows, elements, order) if order else _write_text(rows, elements)
     return _new_head(head, len(rows[1])) + written, notes
 
 
@@ -341,7 +341,7 @@ def _new_head(head: Sequence[str], number: int) -> bytes:
     return ("\n".join(lines) + "\n").encode("latin-1")
 
 
-def _written_text(rows: Sequence[Sequence[Row]], elements: Sequence[_Element]) -> bytes:
+def _write_text(rows: Sequence[Sequence[Row]], elements: Sequence[_Element]) -> bytes:
     lines = []
     for table, element in zip(rows, elements, strict=True):
         for row in table:
@@ -354,7 +354,7 @@ def _written_text(rows: Sequence[Sequence[Row]], elements: Sequence[_Element]) -
     return ("\n".join(lines) + "\n").encode("latin-1")
 
 
-def _written_binary(rows: Sequence[Sequence[Row]], elements: Sequence[_Element], order: str) -> bytes:
+def _write_binary(rows: Sequence[Sequence[Row]], elements: Sequence[_Element], order: str) -> bytes:
     parts = []
     for table, element in zip(rows, elements, strict=True):
         for row in table:

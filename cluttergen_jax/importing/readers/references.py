@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import stand_in
-from cluttergen_jax.importing.readers.mesh_text import utf8
-from cluttergen_jax.importing.readers.mjcf import compiled, world_bodies
+from cluttergen_jax.importing.readers.mesh_text import as_utf8
+from cluttergen_jax.importing.readers.mjcf import compile_mjcf, world_bodies
 from cluttergen_jax.importing.readers.places import folder_place, mesh_place
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of, models
 from cluttergen_jax.importing.readers.sdf import ROOTS as SDF_ROOTS
@@ -110,7 +110,7 @@ def _sdf(path: Path) -> ModelFile | str:
 
 def _mjcf(path: Path) -> ModelFile:
     includes = {path.resolve()}
-    root = _expanded(path, path.parent, includes)
+    root = _expand_includes(path, path.parent, includes)
     includes.discard(path.resolve())
     if root is None:
         return ModelFile(path, "mjcf", _named_in_text(path), is_whole=False)
@@ -146,7 +146,7 @@ def _shows_something(root: Element) -> bool:
 def _named_in_text(path: Path) -> frozenset[Path]:
     """Real paths of what a file names that is no well-formed XML, as far as it is there."""
     try:
-        text = utf8(path.read_bytes()).decode(errors="replace")
+        text = as_utf8(path.read_bytes()).decode(errors="replace")
     except OSError:
         return frozenset()
     places = (mesh_place(path, name) for name in dict.fromkeys(_NAMED.findall(text)))
@@ -159,7 +159,7 @@ def _bodies(path: Path, root: Element) -> tuple[str, ...]:
     if any(child.tag in _MADE_BY_MUJOCO for child in inside):
         # Whoever reads the file tells of one that cannot be compiled.
         with suppress(AssetError):
-            model = compiled(path)
+            model = compile_mjcf(path)
             return tuple(model.body(each).name for each in world_bodies(model))
     return tuple(child.get("name", "") for child in inside if child.tag == "body")
 
@@ -171,7 +171,7 @@ def _candidates(name: str, folders: set[Path]) -> Iterator[Path]:
         yield folder / Path(name).name
 
 
-def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
+def _expand_includes(path: Path, main: Path, includes: set[Path]) -> Element | None:
     """An MJCF tree with the content of included files, where they are there, in place of their <include>.
 
     None if it is broken.
@@ -195,6 +195,6 @@ def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
             parent.remove(child)
             if (file := next((each for each in there if each.resolve() not in includes), None)) is not None:
                 includes.add(file.resolve())
-                inner = _expanded(file, main, includes)
+                inner = _expand_includes(file, main, includes)
                 parent[place:place] = list(inner) if inner is not None else []
     return root

@@ -17,8 +17,8 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import refuse_stand_in
 from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, rigid
 from cluttergen_jax.importing.readers.materials import GREY, Rgba
-from cluttergen_jax.importing.readers.mesh_text import utf8
-from cluttergen_jax.importing.readers.model import Model, frozen, frozen_note
+from cluttergen_jax.importing.readers.mesh_text import as_utf8
+from cluttergen_jax.importing.readers.model import Model, describe_joint, frozen_note
 from cluttergen_jax.importing.readers.places import find_named, folder_place, mesh_place
 from cluttergen_jax.importing.readers.xml_tree import (
     BROKEN,
@@ -65,7 +65,7 @@ def read_paints(scripts: Iterable[Path]) -> dict[str, Paint]:
     paints = {f"Gazebo/{name}": Paint((*rgb, 1.0)) for name, rgb in _OWN.items()}
     found: dict[str, Paint] = {}
     for script in scripts:
-        text = _COMMENT.sub("", utf8(script.read_bytes()).decode())
+        text = _COMMENT.sub("", as_utf8(script.read_bytes()).decode())
         for start in _MATERIAL.finditer(text):
             name, parent = start[1], found.get(start[2] or "", Paint())
             found.setdefault(name, _paint(_block(text, start.end()), script.parent, parent))
@@ -123,7 +123,7 @@ def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE) -> Model:
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
     """
-    found = dict(models(_parsed(path)))
+    found = dict(models(_parse(path)))
     if not (model := found.get(name) if name else next(iter(found.values()), None)):
         told = f" called {name!r}" if name else ""
         raise AssetError(f"{path} holds no model{told}", "a <model> with links")
@@ -153,7 +153,7 @@ def config_of(path: Path) -> tuple[str, str]:
     return " ".join((root.findtext("name") or "").split()), versions.get(latest, "")
 
 
-def _parsed(path: Path) -> Element:
+def _parse(path: Path) -> Element:
     try:
         root = ElementTree.parse(path).getroot()
     except BROKEN as error:
@@ -178,13 +178,13 @@ def _links(path: Path, model: Element, pose: np.ndarray) -> Iterator[Link]:
         )
     frames = _Frames(path, model)
     for link in model.findall("link"):
-        yield Link(link, partial(_placed, frames, pose, link.get("name", "")))
+        yield Link(link, partial(_place, frames, pose, link.get("name", "")))
     for inner in model.findall("model"):
         yield from _links(path, inner, pose @ frames.pose_of(inner.get("name", "")))
 
 
-def _placed(frames: _Frames, pose: np.ndarray, link: str, element: Element) -> np.ndarray:
-    return pose @ frames.placed(element, link)
+def _place(frames: _Frames, pose: np.ndarray, link: str, element: Element) -> np.ndarray:
+    return pose @ frames.pose_of_element(element, link)
 
 
 class _Frames:
@@ -195,7 +195,7 @@ class _Frames:
         tags = ("link", "joint", "model", "frame")
         self._named = {each.get("name", ""): each for tag in tags for each in model.findall(tag)}
 
-    def placed(self, element: Element, parent: str, below: tuple[str, ...] = ()) -> np.ndarray:
+    def pose_of_element(self, element: Element, parent: str, below: tuple[str, ...] = ()) -> np.ndarray:
         """f64[4, 4] from an element to the model.
 
         Args:
@@ -210,7 +210,7 @@ class _Frames:
         return self.pose_of(other or parent, below) @ _pose(self._path, element)
 
     def pose_of(self, name: str, below: tuple[str, ...] = ()) -> np.ndarray:
-        """f64[4, 4] from a frame to the model; see `placed`."""
+        """f64[4, 4] from a frame to the model; see `pose_of_element`."""
         if name in ("", "__model__"):
             return np.eye(4)
         if name not in self._named or name in below:
@@ -218,7 +218,7 @@ class _Frames:
             raise AssetError(f"{self._path}: frame {name!r} {fault}", ", ".join(map(repr, self._named)))
         frame = self._named[name]
         parent = frame.findtext("child", "") if frame.tag == "joint" else frame.get("attached_to", "")
-        return self.placed(frame, parent.strip(), (*below, name))
+        return self.pose_of_element(frame, parent.strip(), (*below, name))
 
 
 def _pose(path: Path, element: Element) -> np.ndarray:
@@ -245,7 +245,7 @@ def _notes(model: Element) -> Iterator[str]:
         yield "its file says <static>: there it is scenery, which nothing moves"
     movable = [joint for joint in model.iter("joint") if joint.get("type", "fixed") != "fixed"]
     yield from frozen_note(
-        frozen(joint.get("name", ""), kind, 0.0, is_turn=kind != "prismatic")
+        describe_joint(joint.get("name", ""), kind, 0.0, is_turn=kind != "prismatic")
         for joint in movable
         if (kind := joint.get("type", ""))
     )

@@ -205,7 +205,7 @@ def _with_allowed_letters(text: str) -> str:
     return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_") or "object"
 
 
-def named_apart(sources: Sequence[ObjectFile]) -> list[ObjectFile]:
+def make_names_distinct(sources: Sequence[ObjectFile]) -> list[ObjectFile]:
     """Distinct names: where several objects share one, all but the first get the next free number.
 
     One called `support`, as the body of a scene's support is, gets a number too.

@@ -11,7 +11,13 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
-from cluttergen_jax.importing.readers.source import GENERIC, ObjectFile, label_of, make_source, named_apart
+from cluttergen_jax.importing.readers.source import (
+    GENERIC,
+    ObjectFile,
+    label_of,
+    make_names_distinct,
+    make_source,
+)
 from cluttergen_jax.importing.readers.urdf import XACRO, how_to_process
 from cluttergen_jax.importing.readers.ycb_scans import best_scans
 
@@ -72,7 +78,7 @@ def find_sources(path: str | Path) -> list[ObjectFile]:
 def survey(path: str | Path) -> Found:
     """`found_in`, with distinct names."""
     found = found_in(path)
-    return replace(found, sources=tuple(named_apart(found.sources)))
+    return replace(found, sources=tuple(make_names_distinct(found.sources)))
 
 
 def found_in(path: str | Path) -> Found:

@@ -76,7 +76,7 @@ def all_numbers(path: Path, element: Element, name: str, default: str | None = N
     Raises:
       AssetError: the attribute is absent and has no default, or holds something else.
     """
-    text = said(element, name)
+    text = attribute_text(element, name)
     text = default if text is None else text
     if text is None:
         # Whoever has elements within writes all as elements.
@@ -93,12 +93,12 @@ def all_numbers(path: Path, element: Element, name: str, default: str | None = N
 
 def wrong_attribute(path: Path, element: Element, name: str, allowed: str) -> AssetError:
     """What to raise for an attribute whose value cannot be taken."""
-    text = said(element, name) or ""
+    text = attribute_text(element, name) or ""
     inside = f"<{element.tag}><{name}>{text}</{name}>" if element.find(name) is not None else ""
     return AssetError(f"{path}: " + (inside or f'<{element.tag} {name}="{text}">'), allowed)
 
 
-def said(element: Element, name: str) -> str | None:
+def attribute_text(element: Element, name: str) -> str | None:
     """The text of an attribute, or as SDF has it of an element within; None if there is neither."""
     inside = element.find(name)
     return element.get(name, None if inside is None else inside.text or "")
