@@ -94,11 +94,11 @@ def laptop(rng: Rng = None) -> Shape:
     return assemble(
         name="laptop",
         pieces=(
-            cad.piece(shell, shade(rng, (rgb.SILVER, rgb.GREY, rgb.CHARCOAL, rgb.STEEL, rgb.NAVY))),
-            cad.piece(keys, shade(rng, (rgb.BLACK, rgb.CHARCOAL), 0.02)),
-            cad.piece(pad, rgb.GREY if rng is None else shade(rng, (rgb.STEEL, rgb.GREY))),
-            cad.piece(raise_lid(screen), choose(rng, (rgb.NAVY, rgb.TEAL, rgb.BLACK))),
-            *[cad.piece(raise_lid(solid), color) for solid, color in windows],
+            (shell, shade(rng, (rgb.SILVER, rgb.GREY, rgb.CHARCOAL, rgb.STEEL, rgb.NAVY))),
+            (keys, shade(rng, (rgb.BLACK, rgb.CHARCOAL), 0.02)),
+            (pad, rgb.GREY if rng is None else shade(rng, (rgb.STEEL, rgb.GREY))),
+            (raise_lid(screen), choose(rng, (rgb.NAVY, rgb.TEAL, rgb.BLACK))),
+            *[(raise_lid(solid), color) for solid, color in windows],
         ),
         parts=(
             part.box((width, depth, base)),
@@ -129,12 +129,12 @@ def mouse(rng: Rng = None) -> Shape:
         name="mouse",
         label="computer mouse",
         pieces=(
-            cad.piece(
+            (
                 body - front - ((groove + split) - core),
                 shade(rng, (rgb.CHARCOAL, rgb.WHITE, rgb.GREY, *rgb.BRIGHT[:2])),
             ),
-            cad.piece(front - groove - split, shade(rng, (rgb.GREY, rgb.CHARCOAL, rgb.BLACK))),
-            cad.piece(wheel, shade(rng, (rgb.RED, rgb.BLUE, rgb.GREEN, rgb.BLACK))),
+            (front - groove - split, shade(rng, (rgb.GREY, rgb.CHARCOAL, rgb.BLACK))),
+            (wheel, shade(rng, (rgb.RED, rgb.BLUE, rgb.GREEN, rgb.BLACK))),
         ),
         parts=(part.hull(outline),),
         mass=vary(rng, 0.10, 0.2),
@@ -176,13 +176,13 @@ def keyboard(rng: Rng = None) -> Shape:
         name="keyboard",
         label="computer keyboard",
         pieces=(
-            cad.piece(cad.hull(corners), shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.SILVER, rgb.NAVY))),
-            cad.piece(
+            (cad.hull(corners), shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.SILVER, rgb.NAVY))),
+            (
                 _on_slope(cad.union(*plain), front, back, slope),
                 shade(rng, (rgb.WHITE, rgb.PAPER, rgb.SKY), 0.03),
             ),
-            cad.piece(_on_slope(cad.union(*grey), front, back, slope), shade(rng, (rgb.GREY, rgb.TEAL))),
-            cad.piece(
+            (_on_slope(cad.union(*grey), front, back, slope), shade(rng, (rgb.GREY, rgb.TEAL))),
+            (
                 _on_slope(cad.union(*accent), front, back, slope),
                 shade(rng, (rgb.ORANGE, rgb.RED, rgb.BLUE, rgb.GREEN)),
             ),
@@ -219,8 +219,8 @@ def calculator(rng: Rng = None) -> Shape:
     return assemble(
         name="calculator",
         pieces=(
-            cad.piece(cad.hull(corners), shade(rng, (rgb.CHARCOAL, rgb.NAVY, rgb.TEAL, *rgb.BRIGHT))),
-            *[cad.piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
+            (cad.hull(corners), shade(rng, (rgb.CHARCOAL, rgb.NAVY, rgb.TEAL, *rgb.BRIGHT))),
+            *[(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
         ),
         parts=(part.hull(np.concatenate([corners, tops])),),
         mass=vary(rng, 0.22, 0.2),
@@ -254,10 +254,8 @@ def desk_phone(rng: Rng = None) -> Shape:
         name="desk_phone",
         label="desk telephone",
         pieces=(
-            cad.piece(
-                cad.hull(corners), shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.RED, rgb.GREEN, rgb.PAPER))
-            ),
-            *[cad.piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
+            (cad.hull(corners), shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.RED, rgb.GREEN, rgb.PAPER))),
+            *[(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
         ),
         parts=(
             part.hull(corners),

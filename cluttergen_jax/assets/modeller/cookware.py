@@ -8,12 +8,12 @@ from manifold3d import Manifold
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_rgb, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_colors, hex_rgb, shade, vary
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Cavity, Shape
 
-ENAMELS = tuple(hex_rgb(code) for code in ("b3262e", "2f6f8f", "d9822b", "3f6f4f", "c4c8cc", "2a2d33"))
-METALS = tuple(hex_rgb(code) for code in ("c4c8cc", "b9bdb9", "c98b5a", "9fa4aa"))
+ENAMELS = hex_colors("b3262e 2f6f8f d9822b 3f6f4f c4c8cc 2a2d33")
+METALS = hex_colors("c4c8cc b9bdb9 c98b5a 9fa4aa")
 DARK = hex_rgb("25282c")
 UP = (0.0, 0.0, 1.0)
 
@@ -36,10 +36,10 @@ def pot(rng: Rng = None) -> Shape:
         name="pot",
         label="cooking pot",
         pieces=(
-            cad.piece(outside, shade(rng, ENAMELS, 0.04)),
-            cad.piece(lining, hex_rgb("d4d6d8")),
-            cad.piece(cad.difference(rim, body.solid(), body.inside()), hex_rgb("b4b8bc")),
-            *(cad.piece(handle, DARK) for handle in handles),
+            (outside, shade(rng, ENAMELS, 0.04)),
+            (lining, hex_rgb("d4d6d8")),
+            (cad.difference(rim, body.solid(), body.inside()), hex_rgb("b4b8bc")),
+            *((handle, DARK) for handle in handles),
         ),
         parts=(*body.parts(8), *legs),
         cavity=body.cavity(),
@@ -74,9 +74,9 @@ def frying_pan(rng: Rng = None) -> Shape:
     return assemble(
         name="frying_pan",
         pieces=(
-            cad.piece(outside, shade(rng, (*ENAMELS[5:], *ENAMELS[:5]), 0.03)),
-            cad.piece(lining, hex_rgb("3a3d42")),
-            cad.piece(grip, shade(rng, (hex_rgb("6b4226"), DARK, hex_rgb("9a6a3a")), 0.03)),
+            (outside, shade(rng, (*ENAMELS[5:], *ENAMELS[:5]), 0.03)),
+            (lining, hex_rgb("3a3d42")),
+            (grip, shade(rng, (hex_rgb("6b4226"), DARK, hex_rgb("9a6a3a")), 0.03)),
         ),
         parts=(*body.parts(8), *part.sweep(stations, cad.ellipse(0.0125, 0.0070, 8), scales=scales)),
         cavity=body.cavity(),
@@ -105,7 +105,7 @@ def colander(rng: Rng = None) -> Shape:
     legs = [cell for path in ears for cell in part.sweep(part.thin_path(path, 3, 0.04), 0.0036, UP)]
     return assemble(
         name="colander",
-        pieces=(cad.piece(cad.union(shell, *wires), shade(rng, METALS, 0.03)),),
+        pieces=((cad.union(shell, *wires), shade(rng, METALS, 0.03)),),
         parts=(*body.parts(8), *legs),
         cavity=body.cavity(),
         mass=vary(rng, 0.42, 0.15),
@@ -118,7 +118,7 @@ def _hole(body: Vessel, z: float, turn: float) -> Manifold:
     return drill.translate((body.inner_radius(z) - 0.012, 0, z - 0.010)).rotate((0, 0, 360 * turn))
 
 
-TOASTER_BODIES = tuple(hex_rgb(code) for code in ("c9ccd0", "b3262e", "8fb7b0", "e6dfcf", "2e3238", "d9a441"))
+TOASTER_BODIES = hex_colors("c9ccd0 b3262e 8fb7b0 e6dfcf 2e3238 d9a441")
 TOASTER_DARK = hex_rgb("23262a")
 
 
@@ -147,10 +147,10 @@ def toaster(rng: Rng = None) -> Shape:
     return assemble(
         name="toaster",
         pieces=(
-            cad.piece(cad.difference(shell, *slots), shade(rng, TOASTER_BODIES, 0.04)),
-            cad.piece(cad.difference(frame, shell, *slots), TOASTER_DARK),
-            cad.piece(base, TOASTER_DARK),
-            cad.piece(cad.difference(cad.union(lever, track, dial), shell), TOASTER_DARK),
+            (cad.difference(shell, *slots), shade(rng, TOASTER_BODIES, 0.04)),
+            (cad.difference(frame, shell, *slots), TOASTER_DARK),
+            (base, TOASTER_DARK),
+            (cad.difference(cad.union(lever, track, dial), shell), TOASTER_DARK),
         ),
         parts=(
             part.box((width, depth, floor)),
@@ -166,9 +166,9 @@ def toaster(rng: Rng = None) -> Shape:
     )
 
 
-STEELS = tuple(hex_rgb(code) for code in ("c4c8cc", "b9bdb9", "d3b878", "8d9297"))
-GRIPS = tuple(hex_rgb(code) for code in ("25282d", "6b3f23", "8e1f2b", "2f4f6f"))
-WOODS = tuple(hex_rgb(code) for code in ("c08a4f", "a56b35", "d8b27c", "7a4a26"))
+STEELS = hex_colors("c4c8cc b9bdb9 d3b878 8d9297")
+GRIPS = hex_colors("25282d 6b3f23 8e1f2b 2f4f6f")
+WOODS = hex_colors("c08a4f a56b35 d8b27c 7a4a26")
 
 # By how much parts beside the ones that carry the body keep clear of the table.
 RAISE = 0.0004
@@ -198,7 +198,7 @@ def fork(rng: Rng = None) -> Shape:
     return assemble(
         name="fork",
         label="table fork",
-        pieces=(cad.piece(solid.translate((-length / 2, 0, 0)), shade(rng, STEELS, 0.03)),),
+        pieces=((solid.translate((-length / 2, 0, 0)), shade(rng, STEELS, 0.03)),),
         parts=tuple(parts),
         mass=vary(rng, 0.050, 0.15),
     )
@@ -208,7 +208,7 @@ def _ribbon(ends: np.ndarray, halves: np.ndarray, lifts: np.ndarray, thick: floa
     """A bent strip along x: half widths and heights of the underside at the stations `ends`."""
     x = np.linspace(ends[0], ends[-1], 65)
     low, half = _ease(x, ends, lifts), _ease(x, ends, halves)
-    side = cad.from_side(np.column_stack([np.append(x, x[::-1]), np.append(low, low[::-1] + thick)]), 1.0)
+    side = cad.upright(np.column_stack([np.append(x, x[::-1]), np.append(low, low[::-1] + thick)]), 1.0)
     plan = cad.extrude(np.column_stack([np.append(x, x[::-1]), np.append(-half, half[::-1])]), 0.2, -0.1)
     return side ^ plan
 
@@ -262,9 +262,9 @@ def knife(rng: Rng = None) -> Shape:
         name="knife",
         label="chef's knife",
         pieces=(
-            cad.piece(cad.difference(flat, handle), steel),
-            cad.piece(handle, shade(rng, GRIPS, 0.03)),
-            cad.piece(cad.difference(rivets, handle), steel),
+            (cad.difference(flat, handle), steel),
+            (handle, shade(rng, GRIPS, 0.03)),
+            (cad.difference(rivets, handle), steel),
         ),
         parts=(
             part.prism([(-0.004, spine), (0.70 * blade, spine), *belly[1:], (-0.004, -0.012)], 0.0024),
@@ -290,7 +290,7 @@ def wooden_spoon(rng: Rng = None) -> Shape:
     grip = [(x, y, z) for x, size in ends for y, z in _rod_corners(size)]
     return assemble(
         name="wooden_spoon",
-        pieces=(cad.piece(cad.difference(cad.union(bowl, stick), scoop), shade(rng, WOODS)),),
+        pieces=((cad.difference(cad.union(bowl, stick), scoop), shade(rng, WOODS)),),
         parts=(part.hull(np.concatenate(corners) + np.array([center, 0, 0])), part.hull(grip)),
         mass=vary(rng, 0.045, 0.2),
     )
@@ -328,8 +328,8 @@ def cutting_board(rng: Rng = None) -> Shape:
     return assemble(
         name="cutting_board",
         pieces=(
-            cad.piece(cad.difference(board, groove, hole, band), wood),
-            cad.piece(band, (dark[0], dark[1], dark[2])),
+            (cad.difference(board, groove, hole, band), wood),
+            (band, (dark[0], dark[1], dark[2])),
         ),
         parts=(part.box((width, depth, thick)), part.prism(tip, thick - RAISE, RAISE)),
         mass=thick * (width * depth + handle * span) * vary(rng, 650.0, 0.1),

@@ -43,11 +43,11 @@ def desk_lamp(rng: Rng = None) -> Shape:
     return assemble(
         name="desk_lamp",
         pieces=(
-            cad.piece(cad.revolve([(0, 0), *base, (0, 0.020 * size)]), color),
-            cad.piece(arms, shade(rng, (rgb.SILVER, rgb.GOLD, rgb.CHARCOAL))),
-            cad.piece(joints, rgb.BLACK),
-            cad.piece(shade_solid.rotate((0, pitch, 0)).translate(head), color),
-            cad.piece(glow.rotate((0, pitch, 0)).translate(head), WARM),
+            (cad.revolve([(0, 0), *base, (0, 0.020 * size)]), color),
+            (arms, shade(rng, (rgb.SILVER, rgb.GOLD, rgb.CHARCOAL))),
+            (joints, rgb.BLACK),
+            (shade_solid.rotate((0, pitch, 0)).translate(head), color),
+            (glow.rotate((0, pitch, 0)).translate(head), WARM),
         ),
         parts=tuple(parts),
         mass=vary(rng, 1.4, 0.2),
@@ -89,16 +89,14 @@ def candle(rng: Rng = None) -> Shape:
         name="candle",
         label="candle in a holder",
         pieces=(
-            cad.piece(
+            (
                 metal - cad.cylinder(radius, 0.1, z=floor),
                 shade(rng, (rgb.GOLD, rgb.TEAL, rgb.SILVER, rgb.CRIMSON)),
             ),
-            cad.piece(wax, shade(rng, (rgb.CREAM, rgb.WHITE, rgb.PINK, rgb.CRIMSON))),
-            cad.piece(cad.cylinder(0.0012, 0.012, z=floor + height, segments=10), rgb.BLACK),
-            cad.piece(flame, shade(rng, (rgb.ORANGE,))),
-            cad.piece(
-                flame.scale((1.02, 1.02, 1.0)).trim_by_plane((0, 0, -1), -wick_top - 0.002), rgb.YELLOW
-            ),
+            (wax, shade(rng, (rgb.CREAM, rgb.WHITE, rgb.PINK, rgb.CRIMSON))),
+            (cad.cylinder(0.0012, 0.012, z=floor + height, segments=10), rgb.BLACK),
+            (flame, shade(rng, (rgb.ORANGE,))),
+            (flame.scale((1.02, 1.02, 1.0)).trim_by_plane((0, 0, -1), -wick_top - 0.002), rgb.YELLOW),
         ),
         parts=(
             part.disc([(0.72 * dish, 0.0), (dish, lip)], 14, is_standing=True),
@@ -175,14 +173,11 @@ def globe(rng: Rng = None) -> Shape:
     return assemble(
         name="globe",
         pieces=(
-            cad.piece(skin.rotate(tilt).translate(at), sea),
-            cad.piece(
-                (land - ice).rotate(tilt).translate(at),
-                shade(rng, GROUND),
-            ),
-            cad.piece(ice.rotate(tilt).translate(at), rgb.WHITE),
-            cad.piece(cad.union(ring, pins).rotate(tilt).translate(at), brass),
-            cad.piece(
+            (skin.rotate(tilt).translate(at), sea),
+            ((land - ice).rotate(tilt).translate(at), shade(rng, GROUND)),
+            (ice.rotate(tilt).translate(at), rgb.WHITE),
+            (cad.union(ring, pins).rotate(tilt).translate(at), brass),
+            (
                 cad.union(cad.revolve(base), cad.revolve(stem)),
                 shade(rng, (rgb.DARK_WOOD, rgb.WOOD, rgb.CHARCOAL)),
             ),
@@ -236,8 +231,8 @@ def eyeglasses(rng: Rng = None) -> Shape:
     return assemble(
         name="eyeglasses",
         pieces=(
-            cad.piece(frame, shade(rng, (rgb.BLACK, rgb.CRIMSON, rgb.DARK_WOOD, rgb.NAVY))),
-            cad.piece(cad.union(*panes) - frame, tint, 0.45),
+            (frame, shade(rng, (rgb.BLACK, rgb.CRIMSON, rgb.DARK_WOOD, rgb.NAVY))),
+            (cad.union(*panes) - frame, tint, 0.45),
         ),
         parts=(*parts, part.box(*bridge)),
         mass=vary(rng, 0.035, 0.2),
@@ -286,11 +281,11 @@ def toy_car(rng: Rng = None) -> Shape:
     return assemble(
         name="toy_car",
         pieces=(
-            cad.piece(shell, paint),
-            cad.piece(glass, rgb.SKY),
-            cad.piece(cad.union(*tyres) - shell, rgb.BLACK),
-            cad.piece(cad.union(*caps) - cad.union(*tyres) - shell, rgb.STEEL),
-            cad.piece(lamps - shell, rgb.YELLOW),
+            (shell, paint),
+            (glass, rgb.SKY),
+            (cad.union(*tyres) - shell, rgb.BLACK),
+            (cad.union(*caps) - cad.union(*tyres) - shell, rgb.STEEL),
+            (lamps - shell, rgb.YELLOW),
         ),
         parts=(
             part.upright(body, width),
@@ -340,13 +335,13 @@ def photo_frame(rng: Rng = None) -> Shape:
     return assemble(
         name="photo_frame",
         pieces=(
-            cad.piece(
+            (
                 leaning(rim_open),
                 shade(rng, (rgb.DARK_WOOD, rgb.WOOD, rgb.GOLD, rgb.BLACK, rgb.WHITE, rgb.SILVER)),
             ),
-            cad.piece(leaning(mat), rgb.WHITE),
-            *[cad.piece(leaning(solid), color) for solid, color in scene],
-            cad.piece(cad.hull(strut) - back, rgb.BLACK),
+            (leaning(mat), rgb.WHITE),
+            *[(leaning(solid), color) for solid, color in scene],
+            (cad.hull(strut) - back, rgb.BLACK),
         ),
         parts=(part.corners_of(back), part.hull(strut)),
         mass=vary(rng, 0.35, 0.2),

@@ -40,11 +40,11 @@ def alarm_clock(rng: Rng = None) -> Shape:
     return assemble(
         name="alarm_clock",
         pieces=(
-            cad.piece(body, shade(rng, (rgb.RED, rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
-            cad.piece(facing(radius - 0.006, 0.001, (0, middle), front + 0.0035), rgb.WHITE),
-            cad.piece(_dial(rng, radius).translate((0, front + 0.003, middle)), rgb.BLACK),
-            cad.piece(cad.union(*bells, cad.tube(arch, 0.003)), metal),
-            cad.piece(stand, rgb.GREY if rng is None else metal),
+            (body, shade(rng, (rgb.RED, rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
+            (facing(radius - 0.006, 0.001, (0, middle), front + 0.0035), rgb.WHITE),
+            (_dial(rng, radius).translate((0, front + 0.003, middle)), rgb.BLACK),
+            (cad.union(*bells, cad.tube(arch, 0.003)), metal),
+            (stand, rgb.GREY if rng is None else metal),
         ),
         parts=(
             part.rotate_part(
@@ -121,13 +121,11 @@ def camera(rng: Rng = None) -> Shape:
     return assemble(
         name="camera",
         pieces=(
-            cad.piece(dark, shade(rng, (rgb.BLACK, *rgb.DARK, (0.42, 0.24, 0.15)), 0.02)),
-            cad.piece(cad.union(shell, *rings), trim),
-            cad.piece(facing(lens - 0.0075, 0.003, at, nose + 0.004), GLASS),
-            cad.piece(
-                cad.union(*knobs), rgb.RED if rng is None else shade(rng, (rgb.RED, rgb.BLACK, rgb.ORANGE))
-            ),
-            cad.piece(cad.box((0.020, 0.002, 0.010), (x, -0.34 * depth - 0.0005), height + 0.005), rgb.WHITE),
+            (dark, shade(rng, (rgb.BLACK, *rgb.DARK, (0.42, 0.24, 0.15)), 0.02)),
+            (cad.union(shell, *rings), trim),
+            (facing(lens - 0.0075, 0.003, at, nose + 0.004), GLASS),
+            (cad.union(*knobs), rgb.RED if rng is None else shade(rng, (rgb.RED, rgb.BLACK, rgb.ORANGE))),
+            (cad.box((0.020, 0.002, 0.010), (x, -0.34 * depth - 0.0005), height + 0.005), rgb.WHITE),
         ),
         parts=(
             part.box((width, depth, height)),
@@ -176,8 +174,8 @@ def remote_control(rng: Rng = None) -> Shape:
     return assemble(
         name="remote_control",
         pieces=(
-            cad.piece(body, shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.NAVY, rgb.STEEL))),
-            *[cad.piece(s, c) for s, c in tinted],
+            (body, shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.NAVY, rgb.STEEL))),
+            *[(s, c) for s, c in tinted],
         ),
         parts=(part.hull(footing + sides),),
         mass=vary(rng, 0.14, 0.2),

@@ -57,13 +57,13 @@ def spray_bottle(rng: Rng = None) -> Shape:
     return assemble(
         name="spray_bottle",
         pieces=(
-            cad.piece(body + neck, shade(rng, (rgb.SKY, rgb.TEAL, *rgb.BRIGHT))),
-            cad.piece(collar - body, rgb.WHITE),
-            cad.piece(grip, shade(rng, (rgb.WHITE, rgb.CHARCOAL, rgb.BLUE))),
-            cad.piece(cad.box((0.008, 0.018, 0.013), (-0.049, 0), head_at + 0.011) - grip, rgb.ORANGE),
-            cad.piece(cad.upright(trigger, 0.012) - grip, shade(rng, (rgb.ORANGE, *rgb.BRIGHT))),
-            cad.piece(panel, rgb.WHITE),
-            cad.piece(words, shade(rng, (rgb.NAVY, rgb.BLUE, rgb.TEAL))),
+            (body + neck, shade(rng, (rgb.SKY, rgb.TEAL, *rgb.BRIGHT))),
+            (collar - body, rgb.WHITE),
+            (grip, shade(rng, (rgb.WHITE, rgb.CHARCOAL, rgb.BLUE))),
+            (cad.box((0.008, 0.018, 0.013), (-0.049, 0), head_at + 0.011) - grip, rgb.ORANGE),
+            (cad.upright(trigger, 0.012) - grip, shade(rng, (rgb.ORANGE, *rgb.BRIGHT))),
+            (panel, rgb.WHITE),
+            (words, shade(rng, (rgb.NAVY, rgb.BLUE, rgb.TEAL))),
         ),
         parts=(
             body_part,
@@ -110,10 +110,10 @@ def soap_dispenser(rng: Rng = None) -> Shape:
     return assemble(
         name="soap_dispenser",
         pieces=(
-            cad.piece(body + neck, shade(rng, (rgb.TEAL, rgb.CREAM, *rgb.BRIGHT))),
-            cad.piece(cad.union(cap, stem, cad.hull(spout), cad.hull(tip), press) - (body + neck), metal),
-            cad.piece(panel, rgb.WHITE),
-            cad.piece(words, shade(rng, (rgb.TEAL, rgb.NAVY, rgb.BLUE))),
+            (body + neck, shade(rng, (rgb.TEAL, rgb.CREAM, *rgb.BRIGHT))),
+            (cad.union(cap, stem, cad.hull(spout), cad.hull(tip), press) - (body + neck), metal),
+            (panel, rgb.WHITE),
+            (words, shade(rng, (rgb.TEAL, rgb.NAVY, rgb.BLUE))),
         ),
         parts=(
             body_part,
@@ -153,13 +153,11 @@ def tissue_box(rng: Rng = None) -> Shape:
     return assemble(
         name="tissue_box",
         pieces=(
-            cad.piece(
-                cad.box((width, depth, height)), shade(rng, (rgb.SKY, rgb.PINK, rgb.CREAM, *rgb.BRIGHT))
-            ),
-            cad.piece(lower, shade(rng, (rgb.BLUE, rgb.TEAL, rgb.RED, rgb.GREEN))),
-            cad.piece(ring, rgb.WHITE),
-            cad.piece(slot - ring, rgb.GREY),
-            cad.piece(cad.union(*cells), rgb.WHITE),
+            (cad.box((width, depth, height)), shade(rng, (rgb.SKY, rgb.PINK, rgb.CREAM, *rgb.BRIGHT))),
+            (lower, shade(rng, (rgb.BLUE, rgb.TEAL, rgb.RED, rgb.GREEN))),
+            (ring, rgb.WHITE),
+            (slot - ring, rgb.GREY),
+            (cad.union(*cells), rgb.WHITE),
         ),
         parts=(
             part.box((width, depth, height)),
@@ -195,12 +193,12 @@ def tape_roll(rng: Rng = None) -> Shape:
         name="tape_roll",
         label="roll of tape",
         pieces=(
-            cad.piece(
+            (
                 tape + (cad.union(*tab) - cad.cylinder(outer - 0.0005, 1.0)),
                 shade(rng, (KRAFT, rgb.SKY, rgb.RED, rgb.GREEN, rgb.GREY)),
             ),
-            cad.piece(core, rgb.CREAM if rng is None else shade(rng, (rgb.CREAM, rgb.WHITE))),
-            cad.piece(seam, rgb.BLACK),
+            (core, rgb.CREAM if rng is None else shade(rng, (rgb.CREAM, rgb.WHITE))),
+            (seam, rgb.BLACK),
         ),
         parts=part.ring_sectors(section, 8),
         mass=vary(rng, 0.16, 0.25),
@@ -222,8 +220,8 @@ def flower_pot(rng: Rng = None) -> Shape:
     return assemble(
         name="flower_pot",
         pieces=(
-            cad.piece(cad.revolve(saucer) + pot.solid(), clay),
-            cad.piece(_trim(pot, band, height), (0.86 * clay[0], 0.86 * clay[1], 0.86 * clay[2])),
+            (cad.revolve(saucer) + pot.solid(), clay),
+            (_trim(pot, band, height), (0.86 * clay[0], 0.86 * clay[1], 0.86 * clay[2])),
         ),
         parts=(
             part.disc([(foot + 0.004, 0.0), (dish, floor)], 14, is_standing=True),
@@ -266,9 +264,9 @@ def basket(rng: Rng = None) -> Shape:
     return assemble(
         name="basket",
         pieces=(
-            cad.piece(tub.solid(), shade(rng, (KRAFT, (0.62, 0.44, 0.27), rgb.CREAM))),
-            cad.piece(_weave(tub, edge), shade(rng, (rgb.CREAM, rgb.WOOD, rgb.TEAL, rgb.WHITE))),
-            cad.piece(cad.union(handle, rim), shade(rng, (rgb.WOOD, (0.50, 0.33, 0.20)))),
+            (tub.solid(), shade(rng, (KRAFT, (0.62, 0.44, 0.27), rgb.CREAM))),
+            (_weave(tub, edge), shade(rng, (rgb.CREAM, rgb.WOOD, rgb.TEAL, rgb.WHITE))),
+            (cad.union(handle, rim), shade(rng, (rgb.WOOD, (0.50, 0.33, 0.20)))),
         ),
         parts=(*tub.parts(), *part.sweep(bow(6, 1.03), flat)),
         cavity=tub.cavity(),

@@ -30,9 +30,9 @@ def hardback_book(rng: Rng = None) -> Shape:
     return assemble(
         name="hardback_book",
         pieces=(
-            cad.piece(cover, shade(rng, (rgb.NAVY, *rgb.MUTED))),
-            cad.piece(pages - cover, shade(rng, (rgb.PAPER,), 0.03)),
-            cad.piece(title, shade(rng, (rgb.GOLD, rgb.CREAM, rgb.STEEL))),
+            (cover, shade(rng, (rgb.NAVY, *rgb.MUTED))),
+            (pages - cover, shade(rng, (rgb.PAPER,), 0.03)),
+            (title, shade(rng, (rgb.GOLD, rgb.CREAM, rgb.STEEL))),
         ),
         parts=(part.hull([*rounded[::4], *rounded[1::4], *_box_corners(width, depth, height)]),),
         mass=720.0 * width * depth * height,
@@ -72,7 +72,7 @@ def sticky_notes(rng: Rng = None) -> Shape:
     # The lower pads are bands around one block: surfaces inside a body would be sampled as if they were seen.
     core = (side - 0.002, side - 0.002, 1.0)
     pads = [
-        cad.piece(cad.box((side, side, high - low), z=low) - cad.box(core, z=low - 0.1), color)
+        (cad.box((side, side, high - low), z=low) - cad.box(core, z=low - 0.1), color)
         for low, high, color in zip(cuts[:2], cuts[1:3], colors[1:], strict=True)
     ]
     block = cad.union(cad.box((*core[:2], height)), cad.box((side, side, height - cuts[2]), z=cuts[2]))
@@ -83,10 +83,10 @@ def sticky_notes(rng: Rng = None) -> Shape:
     return assemble(
         name="sticky_notes",
         pieces=(
-            cad.piece(block, colors[0]),
+            (block, colors[0]),
             *pads,
-            cad.piece(_curled_sheet(side).translate((0, 0, height)), colors[0]),
-            cad.piece(note.translate((0, 0.02 * side, height)), rgb.NAVY),
+            (_curled_sheet(side).translate((0, 0, height)), colors[0]),
+            (note.translate((0, 0.02 * side, height)), rgb.NAVY),
         ),
         parts=(part.box((side, side, height)), _curl_part(side, height)),
         mass=700.0 * side * side * height,
@@ -137,16 +137,14 @@ def ring_binder(rng: Rng = None) -> Shape:
     return assemble(
         name="ring_binder",
         pieces=(
-            cad.piece(
+            (
                 cad.union(spine, *sides),
                 shade(rng, (rgb.CRIMSON, rgb.NAVY, rgb.FOREST, *rgb.BRIGHT[:3], rgb.CHARCOAL)),
             ),
-            cad.piece(pages, rgb.PAPER),
-            cad.piece(
-                cad.union(ring.rotate((90, 0, 0)).translate((0, -depth / 2 + 0.002, hole)), *arch), rgb.STEEL
-            ),
-            cad.piece(label, rgb.WHITE),
-            cad.piece(cad.union(words, *lines), rgb.CHARCOAL),
+            (pages, rgb.PAPER),
+            (cad.union(ring.rotate((90, 0, 0)).translate((0, -depth / 2 + 0.002, hole)), *arch), rgb.STEEL),
+            (label, rgb.WHITE),
+            (cad.union(words, *lines), rgb.CHARCOAL),
         ),
         parts=(
             part.box((width, 0.004, height), (0, -depth / 2 + 0.002)),
@@ -185,9 +183,9 @@ def stapler(rng: Rng = None) -> Shape:
     return assemble(
         name="stapler",
         pieces=(
-            cad.piece(cad.upright(base, width + 0.004), shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.GREY))),
-            cad.piece(metal, rgb.STEEL),
-            cad.piece(cad.upright(lid, width), shade(rng, (rgb.RED, rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
+            (cad.upright(base, width + 0.004), shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.GREY))),
+            (metal, rgb.STEEL),
+            (cad.upright(lid, width), shade(rng, (rgb.RED, rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
         ),
         parts=(
             part.upright(base, width + 0.004),
@@ -229,10 +227,10 @@ def tape_dispenser(rng: Rng = None) -> Shape:
     return assemble(
         name="tape_dispenser",
         pieces=(
-            cad.piece(frame, shade(rng, (rgb.CHARCOAL, *rgb.DARK, *rgb.BRIGHT))),
-            cad.piece(cad.union(spool, ribbon), TAPE),
-            cad.piece(core, rgb.WHITE),
-            cad.piece(cad.union(*teeth), rgb.STEEL),
+            (frame, shade(rng, (rgb.CHARCOAL, *rgb.DARK, *rgb.BRIGHT))),
+            (cad.union(spool, ribbon), TAPE),
+            (core, rgb.WHITE),
+            (cad.union(*teeth), rgb.STEEL),
         ),
         parts=(
             part.upright(base, width),
@@ -274,10 +272,10 @@ def hole_punch(rng: Rng = None) -> Shape:
     return assemble(
         name="hole_punch",
         pieces=(
-            cad.piece(tray, shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.GREY))),
-            cad.piece(metal, rgb.STEEL),
-            cad.piece(sheet - metal, rgb.WHITE),
-            cad.piece(lid, shade(rng, (rgb.BLUE, *rgb.BRIGHT, rgb.CHARCOAL))),
+            (tray, shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.GREY))),
+            (metal, rgb.STEEL),
+            (sheet - metal, rgb.WHITE),
+            (lid, shade(rng, (rgb.BLUE, *rgb.BRIGHT, rgb.CHARCOAL))),
         ),
         parts=(part.box((width, depth, 0.012)), part.box(*bar), part.box(*wall), part.hull(lever)),
         mass=vary(rng, 0.38, 0.2),
@@ -310,8 +308,8 @@ def scissors(rng: Rng = None) -> Shape:
     return assemble(
         name="scissors",
         pieces=(
-            cad.piece(handles, shade(rng, (rgb.RED, *rgb.BRIGHT, rgb.CHARCOAL))),
-            cad.piece(steel - handles, rgb.STEEL),
+            (handles, shade(rng, (rgb.RED, *rgb.BRIGHT, rgb.CHARCOAL))),
+            (steel - handles, rgb.STEEL),
         ),
         parts=tuple(parts),
         mass=vary(rng, 0.075, 0.2),

@@ -35,8 +35,8 @@ def round_table(rng: Rng = None) -> SupportAsset:
             ),
         ],
         [
-            cad.piece(joinery.plate(cad.ellipse(radius, radius, 96), low, top, 0.005), wood),
-            cad.piece(cad.union(*legs, apron), joinery.darker(wood, 0.82)),
+            (joinery.plate(cad.ellipse(radius, radius, 96), low, top, 0.005), wood),
+            (cad.union(*legs, apron), joinery.darker(wood, 0.82)),
         ],
     )
 
@@ -70,8 +70,8 @@ def oval_table(rng: Rng = None) -> SupportAsset:
         joinery.oval_region(rx, ry),
         [*joinery.oval_boxes(rx, ry, low, top), *boxes],
         [
-            cad.piece(joinery.plate(cad.ellipse(rx, ry, 96), low, top, 0.006), wood),
-            cad.piece(cad.union(*solids), joinery.darker(wood, 0.80)),
+            (joinery.plate(cad.ellipse(rx, ry, 96), low, top, 0.006), wood),
+            (cad.union(*solids), joinery.darker(wood, 0.80)),
         ],
         "oval dining table",
     )
@@ -99,12 +99,12 @@ def bar_table(rng: Rng = None) -> SupportAsset:
             joinery.slab((0.066, 0.066, low - 0.03), (0, 0), 0.03),
         ],
         [
-            cad.piece(
+            (
                 joinery.plate(cad.ellipse(0.992 * radius, 0.992 * radius, 96), low, top, 0.002),
                 shade(rng, joinery.WOODS[2:]),
             ),
-            cad.piece(_ring(radius, 0.988 * radius, low + 0.002, top - 0.003), joinery.DARK_STEEL),
-            cad.piece(cad.union(foot, column, collar, rail, *spokes), steel),
+            (_ring(radius, 0.988 * radius, low + 0.002, top - 0.003), joinery.DARK_STEEL),
+            (cad.union(foot, column, collar, rail, *spokes), steel),
         ],
     )
 
@@ -135,9 +135,9 @@ def coffee_table(rng: Rng = None) -> SupportAsset:
             joinery.slab((2 * x - side, 2 * y - side, shelf_high - shelf_low), (0, 0), shelf_low),
         ],
         [
-            cad.piece(joinery.plate(cad.rounded_rect(width, depth, radius, 10), low, top, 0.006), wood),
-            cad.piece(cad.union(*frame), paint),
-            cad.piece(cad.union(*slats), joinery.darker(wood, 0.92)),
+            (joinery.plate(cad.rounded_rect(width, depth, radius, 10), low, top, 0.006), wood),
+            (cad.union(*frame), paint),
+            (cad.union(*slats), joinery.darker(wood, 0.92)),
         ],
     )
 
@@ -189,7 +189,7 @@ def tray_table(rng: Rng = None) -> SupportAsset:
             *ends,
             *leg_boxes,
         ],
-        [cad.piece(cad.difference(walls, hole), wood), *leg_pieces, cad.piece(cad.union(*rails), paint)],
+        [(cad.difference(walls, hole), wood), *leg_pieces, (cad.union(*rails), paint)],
     )
 
 
@@ -222,7 +222,7 @@ def trestle_table(rng: Rng = None) -> SupportAsset:
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),
         [joinery.slab((width, depth, top - low), (0, 0), low), *boxes],
-        [*boards, cad.piece(cad.union(*solids), shade(rng, (joinery.WOODS[1], *joinery.PAINTS)))],
+        [*boards, (cad.union(*solids), shade(rng, (joinery.WOODS[1], *joinery.PAINTS)))],
     )
 
 
@@ -262,5 +262,5 @@ def picnic_table(rng: Rng = None) -> SupportAsset:
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),
         [*boxes, *frame],
-        [*pieces, cad.piece(cad.union(*solids), joinery.darker(wood, 0.85))],
+        [*pieces, (cad.union(*solids), joinery.darker(wood, 0.85))],
     )

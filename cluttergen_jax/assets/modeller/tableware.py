@@ -8,14 +8,12 @@ from manifold3d import Manifold
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_rgb, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_colors, hex_rgb, shade, vary
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Cavity, Shape
 
-PLATE_GLAZES = tuple(
-    hex_rgb(code) for code in ("4f86a6", "c9713f", "6f8f5a", "a43f4f", "e3ded2", "2f3e55", "d8b64c")
-)
-PORCELAIN = tuple(hex_rgb(code) for code in ("f1eee6", "e6ecef", "f3e6d6", "dfe7dc"))
+PLATE_GLAZES = hex_colors("4f86a6 c9713f 6f8f5a a43f4f e3ded2 2f3e55 d8b64c")
+PORCELAIN = hex_colors("f1eee6 e6ecef f3e6d6 dfe7dc")
 
 
 def bowl(rng: Rng = None) -> Shape:
@@ -33,7 +31,7 @@ def bowl(rng: Rng = None) -> Shape:
     return assemble(
         name="bowl",
         label="cereal bowl",
-        pieces=(cad.piece(outside, shade(rng, PLATE_GLAZES)), cad.piece(lining, (0.96, 0.94, 0.90))),
+        pieces=((outside, shade(rng, PLATE_GLAZES)), (lining, (0.96, 0.94, 0.90))),
         parts=body.parts(8, cuts=(floor + 0.33 * (height - floor),)),
         cavity=body.cavity(),
         mass=vary(rng, 0.38, 0.15),
@@ -55,8 +53,8 @@ def dinner_plate(rng: Rng = None) -> Shape:
     return assemble(
         name="dinner_plate",
         pieces=(
-            cad.piece(body.solid() - band, shade(rng, PORCELAIN, 0.02)),
-            cad.piece(band, shade(rng, PLATE_GLAZES)),
+            (body.solid() - band, shade(rng, PORCELAIN, 0.02)),
+            (band, shade(rng, PLATE_GLAZES)),
         ),
         parts=body.parts(10),
         cavity=body.cavity(),
@@ -64,10 +62,8 @@ def dinner_plate(rng: Rng = None) -> Shape:
     )
 
 
-MUG_GLAZES = tuple(
-    hex_rgb(code) for code in ("2f6f9f", "b8452f", "3f7f5f", "e0a63a", "7a4b8c", "37424e", "d9d3c7")
-)
-GLASS = tuple(hex_rgb(code) for code in ("a9d3e6", "b9dfd0", "c9c4e4", "d7e0e4"))
+MUG_GLAZES = hex_colors("2f6f9f b8452f 3f7f5f e0a63a 7a4b8c 37424e d9d3c7")
+GLASS = hex_colors("a9d3e6 b9dfd0 c9c4e4 d7e0e4")
 
 
 def mug(rng: Rng = None) -> Shape:
@@ -85,7 +81,7 @@ def mug(rng: Rng = None) -> Shape:
     return assemble(
         name="mug",
         label="coffee mug",
-        pieces=(cad.piece(outside, shade(rng, MUG_GLAZES)), cad.piece(lining, (0.95, 0.93, 0.89))),
+        pieces=((outside, shade(rng, MUG_GLAZES)), (lining, (0.95, 0.93, 0.89))),
         parts=(
             *body.parts(8),
             *part.sweep(part.thin_path(path, 4, 0.04), section[[1, 4, 6, 9, 11, 14, 16, 19]] * 1.04),
@@ -121,7 +117,7 @@ def water_glass(rng: Rng = None) -> Shape:
     body = Vessel(outer, inner)
     return assemble(
         name="water_glass",
-        pieces=(cad.piece(body.solid(), shade(rng, GLASS), 0.5),),
+        pieces=((body.solid(), shade(rng, GLASS), 0.5),),
         parts=body.parts(8),
         cavity=body.cavity(),
         mass=vary(rng, 0.25, 0.15),
@@ -143,7 +139,7 @@ def wine_glass(rng: Rng = None) -> Shape:
     cavity = cad.revolve([(0.0, body.floor), *body.inner, (0.0, rim)])
     return assemble(
         name="wine_glass",
-        pieces=(cad.piece(cad.revolve(profile), shade(rng, GLASS), 0.5),),
+        pieces=((cad.revolve(profile), shade(rng, GLASS), 0.5),),
         parts=(
             part.disc([(foot, 0.0), (foot, 0.0022), (0.25 * foot, 0.0060)], 8, is_standing=True),
             part.disc([(1.1 * radius, 0.004), (1.1 * radius, base + 0.001)], 6),
@@ -154,8 +150,8 @@ def wine_glass(rng: Rng = None) -> Shape:
     )
 
 
-TEAPOT_GLAZES = tuple(hex_rgb(code) for code in ("e8e2d4", "b3262e", "2f6f8f", "d9822b", "3f6f4f", "7a5a8c"))
-TRIMS = tuple(hex_rgb(code) for code in ("2f5f9f", "8a5a2b", "25282c"))
+TEAPOT_GLAZES = hex_colors("e8e2d4 b3262e 2f6f8f d9822b 3f6f4f 7a5a8c")
+TRIMS = hex_colors("2f5f9f 8a5a2b 25282c")
 
 
 def teapot(rng: Rng = None) -> Shape:
@@ -183,9 +179,9 @@ def teapot(rng: Rng = None) -> Shape:
     return assemble(
         name="teapot",
         pieces=(
-            cad.piece(vessel, shade(rng, TEAPOT_GLAZES, 0.04)),
-            cad.piece(_lid(neck, height), trim),
-            cad.piece(cad.difference(_band(body, height), vessel), trim),
+            (vessel, shade(rng, TEAPOT_GLAZES, 0.04)),
+            (_lid(neck, height), trim),
+            (cad.difference(_band(body, height), vessel), trim),
         ),
         parts=(
             *_belly([(base, 0.0), *belly[1:]]),
@@ -220,7 +216,7 @@ def _band(body: Manifold, height: float) -> Manifold:
     return cad.difference(grown.trim_by_plane((0, 0, -1), -0.66 * height), body)
 
 
-MILL_WOODS = tuple(hex_rgb(code) for code in ("8a4b25", "b9793f", "3b2417", "c8322b", "26282c", "ddb57a"))
+MILL_WOODS = hex_colors("8a4b25 b9793f 3b2417 c8322b 26282c ddb57a")
 
 
 def pepper_mill(rng: Rng = None) -> Shape:
@@ -242,11 +238,9 @@ def pepper_mill(rng: Rng = None) -> Shape:
     return assemble(
         name="pepper_mill",
         pieces=(
-            cad.piece(
-                cad.revolve([*body, *cad.smooth_path(ball, 20), (0.0, head)]), shade(rng, MILL_WOODS, 0.04)
-            ),
-            cad.piece(cad.revolve(ring), steel),
-            cad.piece(cad.revolve([(0.0, head), *cad.smooth_path(knob, 14), (0.0, height)]), steel),
+            (cad.revolve([*body, *cad.smooth_path(ball, 20), (0.0, head)]), shade(rng, MILL_WOODS, 0.04)),
+            (cad.revolve(ring), steel),
+            (cad.revolve([(0.0, head), *cad.smooth_path(knob, 14), (0.0, height)]), steel),
         ),
         parts=(
             part.disc([(radius, 0.0), (radius, 0.055 * height), (waist, 0.28 * height)], 8, is_standing=True),
