@@ -14,17 +14,11 @@ from cluttergen_jax.errors import AssetError
 
 @dataclass(frozen=True, eq=False)
 class MassProperties:
-    """A rigid body's mass in the frame of the mesh that it was taken from.
+    """A rigid body's mass in the frame of the mesh that it was taken from."""
 
-    Attributes:
-      mass: kilograms.
-      center: f64[3], metres.
-      inertia: f64[3, 3], kg m^2, about the centre, along the mesh's axes.
-    """
-
-    mass: float
-    center: np.ndarray
-    inertia: np.ndarray
+    mass: float  # Kilograms.
+    center: np.ndarray  # f64[3], metres.
+    inertia: np.ndarray  # f64[3, 3], kg m^2, about the centre, along the mesh's axes.
 
     def transform(self, rotation: np.ndarray, translation: np.ndarray) -> MassProperties:
         """The same body with every point p moved to rotation @ p + translation."""

@@ -23,17 +23,11 @@ _HAIR = 2e-4
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The space that an object takes.
+    """The space that an object takes."""
 
-    Attributes:
-      mesh: watertight and oriented outwards, without inner walls.
-      is_exact: whether it is made of the object's own triangles; else it was rebuilt from a grid.
-      surface: what was given: all triangles, welded.
-    """
-
-    mesh: Mesh
-    is_exact: bool
-    surface: Mesh
+    mesh: Mesh  # Watertight and oriented outwards, without inner walls.
+    is_exact: bool  # Whether it is made of the object's own triangles; else it was rebuilt from a grid.
+    surface: Mesh  # What was given: all triangles, welded.
 
     @property
     def volume(self) -> float:

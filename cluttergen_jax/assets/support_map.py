@@ -102,13 +102,9 @@ _GRID = 41
 
 
 class Reach(NamedTuple):
-    """Where a region's corners may lie: `lower` <= corner @ `axes` <= `upper`, world x and y, metres.
+    """Where a region's corners may lie: `lower` <= corner @ `axes` <= `upper`, world x and y, metres."""
 
-    Attributes:
-      axes: f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
-    """
-
-    axes: np.ndarray
+    axes: np.ndarray  # f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
     lower: np.ndarray
     upper: np.ndarray
 
@@ -171,19 +167,12 @@ Span = tuple[int, int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class Overhead:
-    """The highest surface over the centre of each cell.
+    """The highest surface over the centre of each cell."""
 
-    Attributes:
-      origin: f64[2], the grid's lower corner, metres.
-      cell: f64[2], a cell's sides, metres.
-      height: f64[X, Y], metres; -inf where nothing is.
-      is_level: bool[X, Y], whether the highest surface there is horizontal.
-    """
-
-    origin: np.ndarray
-    cell: np.ndarray
-    height: np.ndarray
-    is_level: np.ndarray
+    origin: np.ndarray  # f64[2], the grid's lower corner, metres.
+    cell: np.ndarray  # f64[2], a cell's sides, metres.
+    height: np.ndarray  # f64[X, Y], metres; -inf where nothing is.
+    is_level: np.ndarray  # bool[X, Y], whether the highest surface there is horizontal.
 
 
 def level_faces(mesh: Mesh) -> np.ndarray:

@@ -44,17 +44,11 @@ _TURNS = np.radians([90, 180])
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The usual poses of an object, the best first.
+    """The usual poses of an object, the best first."""
 
-    Attributes:
-      poses: with the marks of each.
-      authored: the one as authored; None if it does not rest so.
-      is_kept: whether the object stays as authored.
-    """
-
-    poses: tuple[tuple[Stance, float], ...]
-    authored: Stance | None
-    is_kept: bool
+    poses: tuple[tuple[Stance, float], ...]  # With the marks of each.
+    authored: Stance | None  # The one as authored; None if it does not rest so.
+    is_kept: bool  # Whether the object stays as authored.
 
 
 def usual_poses(solid: Solid, center: np.ndarray) -> Choice:

@@ -35,23 +35,15 @@ YCB = "ycb"
 
 @dataclass(frozen=True)
 class Planned:
-    """One object with everything that decides how it is read.
-
-    Attributes:
-      up: the vertical axis of its file, and who says so.
-      is_named: its name was chosen by the user, and stays.
-      out: why the layout of its set leaves it out; empty if it does not.
-      place: its file from the searched folder on, with "#" and the body where it holds several.
-      take: whether the user's settings take it or leave it out; None if they do not say.
-    """
+    """One object with everything that decides how it is read."""
 
     source: ObjectFile
     options: ReadOptions
-    up: UpAxis
-    is_named: bool = False
-    out: str = ""
-    place: str = ""
-    take: bool | None = None
+    up: UpAxis  # The vertical axis of its file, and who says so.
+    is_named: bool = False  # Its name was chosen by the user, and stays.
+    out: str = ""  # Why the layout of its set leaves it out; empty if it does not.
+    place: str = ""  # Its file from the searched folder on, with "#" and the body where it holds several.
+    take: bool | None = None  # Whether the user's settings take it or leave it out; None if they do not say.
 
 
 @dataclass(frozen=True)

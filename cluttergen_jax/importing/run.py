@@ -60,22 +60,15 @@ class ObjectConfig:
 
 @dataclass(frozen=True)
 class Job:
-    """One object to be made and stored in the cache under `key`.
-
-    Attributes:
-      fault: how the try before was lost; empty at the first.
-      num_lost: tries before.
-      limits: what is left out once it is read; None leaves nothing out.
-      place: see `LeftOut.name`.
-    """
+    """One object to be made and stored in the cache under `key`."""
 
     source: ObjectFile
     key: str
     config: ObjectConfig
-    fault: str = ""
-    num_lost: int = 0
-    limits: Limits | None = None
-    place: str = ""
+    fault: str = ""  # How the try before was lost; empty at the first.
+    num_lost: int = 0  # Tries before.
+    limits: Limits | None = None  # What is left out once it is read; None leaves nothing out.
+    place: str = ""  # See `LeftOut.name`.
 
 
 @dataclass(frozen=True)

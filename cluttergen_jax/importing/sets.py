@@ -59,15 +59,11 @@ class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class KnownSet:
-    """A set that was recognised, or that the user named.
-
-    Attributes:
-      home: the real folder that its patterns are relative to.
-    """
+    """A set that was recognised, or that the user named."""
 
     name: str
     layout: Layout
-    home: Path
+    home: Path  # The real folder that its patterns are relative to.
 
     def covers(self, source: ObjectFile) -> bool:
         """Whether an object lies in the set's home."""

@@ -18,17 +18,11 @@ _HAIR = 1e-4
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A body that could be read and is no object for a table.
+    """A body that could be read and is no object for a table."""
 
-    Attributes:
-      name: its file, from the folder on that was searched, and "#" with the body where it holds several.
-      reason: why it was left out, in words; the same for all of a kind.
-      detail: what is to be said of this one; may be empty.
-    """
-
-    name: str
-    reason: str
-    detail: str = ""
+    name: str  # Its file, from the folder on that was searched, and "#" with the body where it holds several.
+    reason: str  # Why it was left out, in words; the same for all of a kind.
+    detail: str = ""  # What is to be said of this one; may be empty.
 
 
 @dataclass(frozen=True)

@@ -27,15 +27,10 @@ _RINGS = 8
 
 @dataclass(frozen=True, eq=False)
 class _Neighbours:
-    """Pairs of triangles that share an edge and lie in one plane.
+    """Pairs of triangles that share an edge and lie in one plane."""
 
-    Attributes:
-      pairs: i64[N, 2], triangles.
-      is_fold: bool[N], where one lies over the other; else beside it.
-    """
-
-    pairs: np.ndarray
-    is_fold: np.ndarray
+    pairs: np.ndarray  # i64[N, 2], triangles.
+    is_fold: np.ndarray  # bool[N], where one lies over the other; else beside it.
 
 
 def num_folds(mesh: Mesh) -> int:

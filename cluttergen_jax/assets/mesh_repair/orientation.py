@@ -34,17 +34,12 @@ _SPOTS = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3],
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Points of a solid's surface, f64[N, 3] in a tree, and the directions in which it faces, f64[N, 3].
-
-    Attributes:
-      reach: metres within which a surface is taken for a part of the skin.
-      is_exact: see `Solid`.
-    """
+    """Points of a solid's surface, f64[N, 3] in a tree, and the directions in which it faces, f64[N, 3]."""
 
     tree: cKDTree
     normals: np.ndarray
-    reach: float
-    is_exact: bool
+    reach: float  # Metres within which a surface is taken for a part of the skin.
+    is_exact: bool  # See `Solid`.
 
     @staticmethod
     def of(solid: Solid) -> Skin:

@@ -27,17 +27,11 @@ _BALL_SECONDS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Hollow:
-    """A cavity as points of the space inside.
+    """A cavity as points of the space inside."""
 
-    Attributes:
-      points: f64[N, 3], a cubic grid of points inside, metres.
-      pitch: the grid's step, metres.
-      mouth: f64[3], in the opening's plane, where a ball can be dropped in.
-    """
-
-    points: np.ndarray
-    pitch: float
-    mouth: np.ndarray
+    points: np.ndarray  # f64[N, 3], a cubic grid of points inside, metres.
+    pitch: float  # The grid's step, metres.
+    mouth: np.ndarray  # f64[3], in the opening's plane, where a ball can be dropped in.
 
     def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Hollow:
         """The same cavity with every point p at rotation @ p + translation."""

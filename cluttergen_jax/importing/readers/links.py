@@ -36,15 +36,10 @@ _ENDLESS = ("plane", "empty")
 
 @dataclass(frozen=True)
 class Look:
-    """What a file says of a surface's looks.
+    """What a file says of a surface's looks."""
 
-    Attributes:
-      colour: for what has none of its own; grey where the file says nothing.
-      texture: for meshes that have texture coordinates and no image of their own.
-    """
-
-    colour: Rgba = GREY
-    texture: Texture | None = None
+    colour: Rgba = GREY  # For what has none of its own; grey where the file says nothing.
+    texture: Texture | None = None  # For meshes that have texture coordinates and no image of their own.
 
 
 @dataclass(frozen=True)
@@ -185,15 +180,10 @@ class Surfaces:
 
 @dataclass(frozen=True)
 class Link:
-    """A link of a model.
+    """A link of a model."""
 
-    Attributes:
-      element: its <link>.
-      place: of an element within, f64[4, 4] from that to the model.
-    """
-
-    element: Element
-    place: Callable[[Element], np.ndarray]
+    element: Element  # Its <link>.
+    place: Callable[[Element], np.ndarray]  # Of an element within, f64[4, 4] from that to the model.
 
     @property
     def name(self) -> str:

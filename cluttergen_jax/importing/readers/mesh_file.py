@@ -35,15 +35,10 @@ _MENDS: dict[str, Callable[[bytes], tuple[bytes, tuple[str, ...]]]] = {
 
 
 class MeshFile(NamedTuple):
-    """What a mesh file holds.
+    """What a mesh file holds."""
 
-    Attributes:
-      pieces: its surfaces, in the file's own frame, and unless it declares a unit in its own.
-      notes: what could not be kept of its materials, in words.
-    """
-
-    pieces: list[Piece]
-    notes: tuple[str, ...]
+    pieces: list[Piece]  # Its surfaces, in the file's own frame, and unless it declares a unit in its own.
+    notes: tuple[str, ...]  # What could not be kept of its materials, in words.
 
 
 def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:

@@ -49,16 +49,11 @@ _STANDS_IN = re.compile(GENERIC)
 
 @dataclass(frozen=True)
 class Skipped:
-    """A file or folder that was not imported, and why.
+    """A file or folder that was not imported, and why."""
 
-    Attributes:
-      name: its path, from the folder on that was searched.
-      is_piece: it belongs to an object, or to one that was left out.
-    """
-
-    name: str
+    name: str  # Its path, from the folder on that was searched.
     reason: str
-    is_piece: bool = False
+    is_piece: bool = False  # It belongs to an object, or to one that was left out.
 
 
 @dataclass(frozen=True)
