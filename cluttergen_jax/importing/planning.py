@@ -90,7 +90,7 @@ def plan_all(
       options: for every object, but for what its settings say.
       settings: a settings file for all sources, in place of the one in each folder.
       layout: the set that the sources are of: a name in sets.yaml, "none", or "auto" for what they show.
-      pool: a pool's folder; what it holds by names that earlier versions gave is called so again.
+      pool: a pool's folder; objects that it has already keep their names.
       take_all: scenery and actors (`scenery`) as well.
 
     Raises:
@@ -171,9 +171,8 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
         own = replace(own, up=FILE)
     label = {key: value for key, value in from_set.items() if key == "label"}
     naming = {key: value for key, value in {**label, **values}.items() if key not in OF_READING}
-    earlier = source.earlier[0], naming.get("label", source.earlier[1])
     parts = collision_files(source.path) if own.collision == "keep" and source.kind == "mesh" else ()
-    own_source = replace(source, earlier=earlier, parts=parts, **naming)
+    own_source = replace(source, parts=parts, **naming)
     # A file that is given itself is taken.
     sets = group.sets if group.is_folder else ()
     out = next((why for each in sets if (why := each.why_out(source))), "")
@@ -191,24 +190,22 @@ def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: 
 
 
 def _as_in_pool(planned: list[Planned], folder: Path | None) -> list[Planned]:
-    """The objects, those that a pool has already with the names, and labels, that it has them by."""
+    """The objects, those that a pool has already by the names that they have there."""
     try:
         held = {} if folder is None else {a.name: a.provenance.source for a in read_pool(folder).objects}
     except ClutterGenError:
         return planned
     free = {name: source for name, source in held.items() if name not in _chosen_names(planned)}
-    return [each if each.is_named else _renamed_as_held(each, free) for each in planned]
-
-
-def _renamed_as_held(planned: Planned, free: dict[str, str]) -> Planned:
-    """The object by a pool's name for it, in the letters of earlier versions or of this; that is used up."""
-    source, here = planned.source, public_path(planned.source.path)
-    for plain, label in (source.earlier, (source.plain, source.label)):
-        fitting = re.compile(re.escape(plain) + r"(-\d+)?")
-        for name in [each for each, path in free.items() if path == here and fitting.fullmatch(each)]:
-            del free[name]
-            return replace(planned, source=replace(source, name=name, label=label), is_named=True)
-    return planned
+    named = []
+    for each in planned:
+        source, pattern = each.source, re.compile(re.escape(each.source.plain) + r"(-\d+)?")
+        here = public_path(source.path)
+        fitting = [name for name, path in free.items() if path == here and pattern.fullmatch(name)]
+        if fitting and not each.is_named:
+            del free[fitting[0]]
+            each = replace(each, source=replace(source, name=fitting[0]), is_named=True)
+        named.append(each)
+    return named
 
 
 def _chosen_names(planned: Sequence[Planned]) -> list[str]:
@@ -227,13 +224,10 @@ def name_distinctly(planned: Sequence[Planned]) -> tuple[Planned, ...]:
             f"settings with name = {twice[0]!r} for {chosen.count(twice[0])} objects", "a name for one object"
         )
     order = sorted(range(len(planned)), key=lambda index: not planned[index].is_named)
-    plain = [planned[i].source if planned[i].is_named else _without_number(planned[i].source) for i in order]
+    sources = [(planned[i].source, planned[i].is_named) for i in order]
+    plain = [each if is_named else replace(each, name=each.plain or each.name) for each, is_named in sources]
     names = dict(zip(order, make_names_distinct(plain), strict=True))
     return tuple(replace(each, source=names[index]) for index, each in enumerate(planned))
-
-
-def _without_number(source: ObjectFile) -> ObjectFile:
-    return replace(source, name=source.plain or source.name)
 
 
 # Scans that do not show the object as it is.

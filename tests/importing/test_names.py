@@ -82,8 +82,8 @@ def planned(folder, pool=None):
 
 
 @pytest.fixture
-def earlier_pool(monkeypatch):
-    """A pool as an earlier version made it, told by the names and sources of its objects."""
+def pool_with(monkeypatch):
+    """A pool, given by the names and sources of its objects."""
 
     def make(sources):
         held = [Held(name=name, provenance=Held(source=source)) for name, source in sources.items()]
@@ -92,27 +92,21 @@ def earlier_pool(monkeypatch):
     return make
 
 
-def test_a_pool_of_an_earlier_version_keeps_its_names(tmp_path, earlier_pool):
+def test_what_a_pool_has_keeps_its_names(tmp_path, pool_with):
     folder = tmp_path / "set"
-    save_box(folder / "mug" / "model_normalized.obj")
-    save_box(folder / "杯.obj")
-    save_box(folder / "碗.obj")
+    save_box(folder / "a" / "mug.obj")
+    save_box(folder / "b" / "mug.obj")
     new = planned(folder)
-    assert {name for name, _ in new.values()} == {"mug", "bei", "wan"}
+    assert [name for name, _ in new.values()] == ["mug", "mug-2"]
     assert planned(folder, tmp_path / "pools" / "none") == new
-    place = f"{tmp_path.name}/set"
-    earlier_pool({"model_normalized": "set/mug/model_normalized.obj", "object": f"{place}/杯.obj"})
-    kept = planned(folder, tmp_path)
-    assert kept["mug/model_normalized.obj"] == ("model_normalized", "model normalized")
-    assert kept["杯.obj"] == ("object", "杯")
-    # What the pool does not have is new.
-    assert kept["碗.obj"] == ("wan", "碗")
-    earlier_pool({"object": f"{place}/杯.obj", "object-2": f"{place}/碗.obj"})
-    kept = planned(folder, tmp_path)
-    assert [kept[name][0] for name in ("杯.obj", "碗.obj")] == ["object", "object-2"]
-    # The same name from another file is another object.
-    earlier_pool({"object": "elsewhere/杯.obj"})
-    assert planned(folder, tmp_path) == new
+    pool_with({"mug": "set/b/mug.obj", "mug-7": "set/a/mug.obj"})
+    assert {path: name for path, (name, _) in planned(folder, tmp_path).items()} == {
+        "a/mug.obj": "mug-7",
+        "b/mug.obj": "mug",
+    }
+    # What the pool does not have is new, and the same name from another file is another object.
+    pool_with({"mug-7": "set/a/mug.obj", "mug": "elsewhere/mug.obj"})
+    assert [name for name, _ in planned(folder, tmp_path).values()] == ["mug-7", "mug"]
 
 
 @pytest.mark.slow
@@ -124,12 +118,12 @@ def test_an_import_again_renames_nothing(tmp_path, monkeypatch):
     (asset,) = read_pool(path).objects
     assert (asset.name, asset.label) == ("bei", "杯")
     write_pool(
-        path, Pool("mine", (replace(asset, name="object"),), licence=read_pool(path).licence), overwrite=True
+        path, Pool("mine", (replace(asset, name="bei-2"),), licence=read_pool(path).licence), overwrite=True
     )
     before = read_pool(path).hash
     for add in (False, True):
         import_sources([tmp_path / "杯.obj"], "mine", replace(config, add=add))
-        assert read_pool(path).names == ("object",)
+        assert read_pool(path).names == ("bei-2",)
         assert read_pool(path).hash == before
     import_sources([tmp_path / "杯.obj"], "mine", replace(config, force=True))
     assert read_pool(path).names == ("bei",)

@@ -84,10 +84,8 @@ GENERIC = (
     r"mobility|model|models|object|mesh|meshes|textured|nontextured|textured_objs|visual|collision"
     r"|scene|base|main|urdf|mjcf|google_\d+k|textured_simple(_reordered)?|assets|untitled"
 )
-_SAID_NOTHING = re.compile(r"\d{1,2}|" + GENERIC)
-"""Names that earlier versions passed over."""
 _SAYS_NOTHING = re.compile(
-    rf"{_SAID_NOTHING.pattern}|(model|mesh|textured)[-_ ](normali[sz]ed|simplified|watertight)|normali[sz]ed"
+    rf"\d{{1,2}}|{GENERIC}|(model|mesh|textured)[-_ ](normali[sz]ed|simplified|watertight)|normali[sz]ed"
     r"|(base|root)[-_ ]?link|root|world|body|objects|(visual|collision|textured)[-_ ]mesh(es)?"
     r"|visuals|collisions|objs?|stls?|glbs?|gltfs?|dae|ply"
 )
@@ -149,7 +147,6 @@ class ObjectFile:
       label: what people call it.
       body: the body's or model's name, where an MJCF or SDF file holds several objects.
       parts: files of collision shapes that are to be its parts.
-      earlier: name and label that earlier versions gave, by which a pool of theirs has it.
       plain: the name without the number that sets it apart from others.
       notes: known faults, passed on as flags.
     """
@@ -161,7 +158,6 @@ class ObjectFile:
     body: str = ""
     provenance: Provenance | None = None
     notes: tuple[str, ...] = ()
-    earlier: tuple[str, str] = ("", "")
     parts: tuple[Path, ...] = ()
     plain: str = ""
 
@@ -173,22 +169,16 @@ def make_source(path: Path, kind: str, title: str = "", behind: str = "") -> Obj
       title: what it is called; if that says nothing, the part of its path is taken that says most.
       behind: what follows that part, where there is no title.
     """
-    earlier = title or (path.stem + behind if behind else _telling(path, _SAID_NOTHING))
     if not title or _SAYS_NOTHING.fullmatch(title.lower()):
         title = telling_name(path) + behind
-    names = _with_allowed_letters(earlier), label_of(earlier)
     name = plain_name(title)
-    return ObjectFile(path, kind, name, label_of(title), earlier=names, plain=name)
+    return ObjectFile(path, kind, name, label_of(title), plain=name)
 
 
 def telling_name(path: Path) -> str:
     """The innermost part of a path that says what the object is."""
-    return _telling(path, _SAYS_NOTHING)
-
-
-def _telling(path: Path, says_nothing: re.Pattern[str]) -> str:
     parts = [path.stem, *(each.name for each in path.resolve().parents)]
-    return next((part for part in parts if part and not says_nothing.fullmatch(part.lower())), path.stem)
+    return next((part for part in parts if part and not _SAYS_NOTHING.fullmatch(part.lower())), path.stem)
 
 
 def label_of(title: str) -> str:
@@ -198,10 +188,7 @@ def label_of(title: str) -> str:
 
 def plain_name(text: str) -> str:
     """`text` in the letters allowed for names: other scripts and accents as their nearest Latin letters."""
-    return _with_allowed_letters(anyascii(unicodedata.normalize("NFC", text))[:_LONGEST])
-
-
-def _with_allowed_letters(text: str) -> str:
+    text = anyascii(unicodedata.normalize("NFC", text))[:_LONGEST]
     return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_") or "object"
 
 
