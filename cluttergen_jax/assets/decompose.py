@@ -14,7 +14,7 @@ from cluttergen_jax.assets.cloud import sample_solid, sample_surface
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.quality.deviation import hull_deviation
+from cluttergen_jax.assets.quality.deviation import deviation
 from cluttergen_jax.assets.quality.hollow import find_hollow
 from cluttergen_jax.assets.solid import Solid, simplify_solid
 from cluttergen_jax.assets.voxels import Voxels
@@ -143,7 +143,7 @@ def decompositions(
         )
     one = [solid.mesh.vertices[hull.vertices]]
     is_convex = solid.volume >= config.one_hull_volume * hull.volume
-    if config.max_parts == 1 or (is_convex and hull_deviation(one[0], solid) <= config.one_hull_deviation):
+    if config.max_parts == 1 or (is_convex and deviation(one, solid) <= config.one_deviation):
         yield one
         return
     enough = parts_enough(solid)

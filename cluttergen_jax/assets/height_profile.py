@@ -21,7 +21,7 @@ _OUTLINE_WEIGHT = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class HeightProfile:
     """The object's collision parts cut into columns, object frame, metres.
 
     The columns stand on a grid and, as closely, along the outline of the footprint, so that they tell where
@@ -43,7 +43,7 @@ class Columns:
     surface: np.ndarray
 
 
-def cut_columns(asset: ObjectAsset, spacing: float, num_samples: int) -> Columns:
+def height_profile_of(asset: ObjectAsset, spacing: float, num_samples: int) -> HeightProfile:
     """Cuts an asset into columns at most `spacing` metres apart.
 
     Raises:
@@ -63,7 +63,7 @@ def cut_columns(asset: ObjectAsset, spacing: float, num_samples: int) -> Columns
     weight = np.where(np.arange(len(xy)) < len(outline), _OUTLINE_WEIGHT, 1.0)
     xy, top = xy[hit], highest[hit]
     sample = farthest_first(xy, num_samples, weight[hit])
-    return Columns(xy, lowest[hit], top, sample, _grown_surface(xy, top, asset.half_extents[:2]))
+    return HeightProfile(xy, lowest[hit], top, sample, _grown_surface(xy, top, asset.half_extents[:2]))
 
 
 def _grown_surface(xy: np.ndarray, top: np.ndarray, half: np.ndarray) -> np.ndarray:

@@ -71,17 +71,22 @@ def reduce_vertices(
     if bottom is not None:
         low = np.flatnonzero(points[:, 2] < bottom + 1e-6)
         chosen = list(dict.fromkeys(chosen + _outline(points, low, count // 2)))[:count]
+    return points[_grow_hull(points, chosen, count, 1e-6)]
+
+
+def _grow_hull(points: np.ndarray, chosen: list[int], count: int, tolerance: float) -> list[int]:
+    """More of f64[N, D], each the farthest outside of the hull so far; up to `count`, or none is so far."""
     while len(chosen) < count:
         hull = hull_of(points[chosen])
         if hull is None:
             break
-        outside = (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1)
+        outside = (points @ hull.equations[:, :-1].T + hull.equations[:, -1]).max(1)
         outside[chosen] = -np.inf
         farthest = int(outside.argmax())
-        if outside[farthest] < 1e-6:
+        if outside[farthest] < tolerance:
             break
         chosen.append(farthest)
-    return points[chosen]
+    return chosen
 
 
 def _outline(points: np.ndarray, low: np.ndarray, count: int) -> list[int]:
@@ -145,15 +150,7 @@ def _corners(outline: np.ndarray, count: int) -> list[int]:
     second = int(np.linalg.norm(outline - outline[first], axis=1).argmax())
     normal = (outline[second] - outline[first])[::-1] * (1, -1)
     kept = [first, second, int(np.abs((outline - outline[first]) @ normal).argmax())]
-    while len(kept) < count:
-        hull = hull_of(outline[kept])
-        if hull is None:
-            break
-        outside = (outline @ hull.equations[:, :2].T + hull.equations[:, 2]).max(1)
-        if outside.max() < _OUTLINE_TOLERANCE:
-            break
-        kept.append(int(outside.argmax()))
-    return kept
+    return _grow_hull(outline, kept, count, _OUTLINE_TOLERANCE)
 
 
 def finish_parts(

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import grey_closing
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rectangle_corners, turned
 
@@ -101,7 +101,7 @@ _LEVEL = 0.002
 _GRID = 41
 
 
-class Reach(NamedTuple):
+class TopBounds(NamedTuple):
     """Where a region's corners may lie: `lower` <= corner @ `axes` <= `upper`, world x and y, metres."""
 
     axes: np.ndarray  # f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
@@ -109,22 +109,23 @@ class Reach(NamedTuple):
     upper: np.ndarray
 
 
-def reach_of(support: SupportAsset) -> Reach:
+def top_bounds_of(support: SupportAsset) -> TopBounds:
     """The smallest rectangle that holds all boxes of the support's top, and a centimetre more."""
-    level = [box for box in support.boxes if _is_top(box, support)]
+    tops = (abs(box.center[2] + box.half_extents[2] - support.top) < _LEVEL for box in support.boxes)
+    level = [box for box, is_top in zip(support.boxes, tops, strict=True) if is_top]
     tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
     axes = turned(np.eye(2), -support.region.yaw)
     rim = np.concatenate([top.corners for top in tops]) @ axes
-    return Reach(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
+    return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
 
 
-def check_reach(region: Rectangle, support: SupportAsset) -> None:
+def check_region(region: Rectangle, support: SupportAsset) -> None:
     """Refuses a region that reaches over the edges of the support's top by more than a centimetre.
 
     Raises:
       ConfigError: it does.
     """
-    reach = reach_of(support)
+    reach = top_bounds_of(support)
     corners = region.corners @ reach.axes
     if (corners < reach.lower).any() or (corners > reach.upper).any():
         raise ConfigError(
@@ -152,10 +153,6 @@ def check_keep_out(boxes: Sequence[Rectangle], region: Rectangle) -> None:
             "boxes that leave some of the queried region free",
             "smaller ones: X,Y,W,D are a centre and whole sides, in metres",
         )
-
-
-def _is_top(box: Box, support: SupportAsset) -> bool:
-    return abs(box.center[2] + box.half_extents[2] - support.top) < _LEVEL
 
 
 # The steepest slope that still counts as level: 2 degrees.

@@ -13,7 +13,7 @@ from flax import struct
 
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.assets.support_map import reach_of
+from cluttergen_jax.assets.support_map import top_bounds_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.arguments import check_call, check_key, is_known
 from cluttergen_jax.generation.recipes import recipe_text, required_recipe
@@ -206,7 +206,7 @@ def _is_on_top(region: Region, support: SupportAsset) -> Array:
     """bool: all corners are within the support's reach (`assets.reach`)."""
     signs = jnp.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
     corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
-    reach = reach_of(support)
+    reach = top_bounds_of(support)
     local = corners[:, :2] @ reach.axes
     return jnp.all((local >= reach.lower - _ROUNDING) & (local <= reach.upper + _ROUNDING))
 

@@ -18,7 +18,7 @@ from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import rotation_matrix, transformed
-from cluttergen_jax.importing.readers.mjcf import compiled_with_notes
+from cluttergen_jax.importing.readers.mjcf import compile_with_notes
 from cluttergen_jax.importing.readers.mjcf_geoms import Roles, geom_mesh, geom_piece, roles_of
 from cluttergen_jax.scene.scene import Scene
 
@@ -40,7 +40,7 @@ def read_mjcf_scene_with_notes(path: str | Path) -> tuple[Scene, tuple[str, ...]
       AssetError: MuJoCo cannot compile the file, or no body in it is free and has a surface.
     """
     path = Path(path)
-    model, notes = compiled_with_notes(path)
+    model, notes = compile_with_notes(path)
     data = mujoco.MjData(model)
     if model.nkey:
         named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")

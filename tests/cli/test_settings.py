@@ -11,7 +11,7 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.assets.support_file import find_support, list_supports
-from cluttergen_jax.assets.support_map import check_reach
+from cluttergen_jax.assets.support_map import check_region
 from cluttergen_jax.cli.main import main, run
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ConfigError
@@ -101,10 +101,10 @@ def test_rectangles_are_finite(value):
 @pytest.mark.parametrize("name", sorted(list_supports()))
 def test_own_regions_lie_on_their_supports(name):
     support = find_support(name)
-    check_reach(support.region, support)
+    check_region(support.region, support)
     x, y = support.region.half_extents
     with pytest.raises(ConfigError, match="beyond support"):
-        check_reach(replace(support.region, half_extents=(2 * x, 2 * y)), support)
+        check_region(replace(support.region, half_extents=(2 * x, 2 * y)), support)
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.5])
@@ -127,10 +127,10 @@ def test_regions_lie_on_the_top_however_they_and_it_are_turned(region, fits, tur
     region = replace(region, center=center, yaw=region.yaw + turn)
     table = replace(own, boxes=(replace(own.boxes[0], yaw=turn),), region=replace(own.region, yaw=turn))
     if fits:
-        check_reach(region, table)
+        check_region(region, table)
         return
     with pytest.raises(ConfigError, match="beyond support"):
-        check_reach(region, table)
+        check_region(region, table)
 
 
 def test_a_problem_whose_region_is_beyond_the_table_is_refused():

@@ -268,9 +268,9 @@ def toy_car(rng: Rng = None) -> Shape:
     hubs = [nose + 0.23 * length, tail - 0.23 * length]
     places = [(x, s * (width / 2 - 0.002)) for x in hubs for s in (-1, 1)]
     tread = 0.014
-    tyres = [cad.above(_roller(wheel, tread).translate((x, y, axle))) for x, y in places]
-    caps = [_roller(0.5 * wheel, tread + 0.002).translate((x, y, axle)) for x, y in places]
-    lamp = _roller(0.0055, 0.003).rotate((0, 0, 90))
+    tyres = [cad.above(cad.facing(wheel, tread).translate((x, y, axle))) for x, y in places]
+    caps = [cad.facing(0.5 * wheel, tread + 0.002).translate((x, y, axle)) for x, y in places]
+    lamp = cad.facing(0.0055, 0.003).rotate((0, 0, 90))
     lamps = cad.union(*[lamp.translate((nose + 0.0015, s * 0.3 * width, 0.62 * waist)) for s in (-1, 1)])
     shell = cad.union(cad.upright(body, width), cad.upright(cabin, 0.86 * width))
     paint = shade(rng, (rgb.RED, *rgb.BRIGHT))
@@ -352,8 +352,3 @@ def _along(low: tuple[float, float], high: tuple[float, float], z: float) -> np.
     """The point (x, z) at a height on the line between two points."""
     share = (z - low[1]) / (high[1] - low[1])
     return (1 - share) * np.array(low) + share * np.array(high)
-
-
-def _roller(radius: float, width: float) -> Manifold:
-    """A disc around the origin with its axis along y."""
-    return cad.cylinder(radius, width, -width / 2).rotate((90, 0, 0))

@@ -111,6 +111,14 @@ def cylinder(
     return Manifold.cylinder(height, radius, upper, segments).translate((center[0], center[1], z))
 
 
+def facing(
+    radius: float, depth: float, center: Sequence[float] = (0, 0), front: float | None = None
+) -> Manifold:
+    """A disc that faces the front (-y): its centre at (x, z), its face at y = `front`, or -depth / 2."""
+    back = depth / 2 if front is None else front + depth
+    return cylinder(radius, depth).rotate((90, 0, 0)).translate((center[0], back, center[1]))
+
+
 def sweep(
     path: Sequence[Sequence[float]] | np.ndarray,
     section: Points2,

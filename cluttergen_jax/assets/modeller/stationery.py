@@ -212,9 +212,9 @@ def tape_dispenser(rng: Rng = None) -> Shape:
     slot = 2 * (side - 0.0048)
     # The roll is solid but for a recess on either side, where its core shows above the cheeks.
     cover = cad.upright(cheek, 1.0)
-    recesses = [_wheel(roll - 0.010, 0.004, hub).translate((0, s * slot / 2, 0)) - cover for s in (-1, 1)]
-    core = _wheel(roll - 0.0095, slot - 0.002, hub) - _wheel(roll - 0.014, 1.0, hub) - cover
-    spool = cad.difference(_wheel(roll, slot, hub), *recesses)
+    recesses = [cad.facing(roll - 0.010, 0.004, hub).translate((0, s * slot / 2, 0)) - cover for s in (-1, 1)]
+    core = cad.facing(roll - 0.0095, slot - 0.002, hub) - cad.facing(roll - 0.014, 1.0, hub) - cover
+    spool = cad.difference(cad.facing(roll, slot, hub), *recesses)
     cheeks = [cad.upright(cheek, 0.010, s * side) for s in (-1, 1)]
     frame = cad.union(cad.upright(base, width), cad.upright(post, slot + 0.006), *cheeks)
     # The tape's free end runs from the roll to the teeth; its part is thicker, below.
@@ -243,11 +243,6 @@ def tape_dispenser(rng: Rng = None) -> Shape:
         ),
         mass=vary(rng, 0.75, 0.2),
     )
-
-
-def _wheel(radius: float, width: float, center: tuple[float, float]) -> Manifold:
-    """A disc with its axis along y, around (x, z)."""
-    return cad.cylinder(radius, width, -width / 2).rotate((90, 0, 0)).translate((center[0], 0, center[1]))
 
 
 def hole_punch(rng: Rng = None) -> Shape:
@@ -300,8 +295,8 @@ def scissors(rng: Rng = None) -> Shape:
         # Each blade runs on through the pivot into the loop of the other side.
         center = np.array([side * 0.025, -0.072]) * size
         roots = np.array([(8, -8), (-8, -8), (side * 25 - 10, -42), (side * 25 + 10, -46)]) * 0.001 * size
-        grips += [ring.rotate(spin).translate((*center, 0)), cad.hull(_flat(roots, 0.0, thick).vertices)]
-        parts += [part.rotate_part(_flat(outline, z, 0.003), turn), _flat(roots, 0.0, thick)]
+        grips += [ring.rotate(spin).translate((*center, 0)), cad.hull(part.prism(roots, thick).vertices)]
+        parts += [part.rotate_part(part.prism(outline, 0.003, z), turn), part.prism(roots, thick)]
         parts += [part.rotate_part(cell, spin, (*center, 0.0)) for cell in cells]
     handles = cad.union(*grips)
     steel = cad.union(*blades, cad.cylinder(0.0045 * size, 0.0085, segments=24))
@@ -314,8 +309,3 @@ def scissors(rng: Rng = None) -> Shape:
         parts=tuple(parts),
         mass=vary(rng, 0.075, 0.2),
     )
-
-
-def _flat(outline: np.ndarray, z: float, height: float) -> Mesh:
-    """The prism over the convex hull of an outline."""
-    return part.hull([(x, y, level) for level in (z, z + height) for x, y in outline])

@@ -69,11 +69,6 @@ def deviation(parts: Sequence[np.ndarray], solid: Solid, seed: int = 0) -> float
     return float(max(there.max(initial=0.0), back) / solid.diagonal)
 
 
-def hull_deviation(points: np.ndarray, solid: Solid) -> float:
-    """`deviation` of a single hull."""
-    return deviation([points], solid)
-
-
 def size_alarm(surface: np.ndarray, colliding: np.ndarray) -> str:
     """Why what is seen and what collides can hardly be one object; empty if they can.
 

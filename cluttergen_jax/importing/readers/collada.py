@@ -14,7 +14,7 @@ import numpy as np
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.polygons import CROSSING, cuts
-from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
+from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_numbers, parse_xml, plain_tag
 
 
 def unit_of(path: Path) -> float:
@@ -24,11 +24,8 @@ def unit_of(path: Path) -> float:
       AssetError: the unit is no length.
     """
     text = _declared_unit(path)
-    try:
-        unit = float(text)
-    except ValueError:
-        unit = math.nan
-    if not (math.isfinite(unit) and unit > 0):
+    unit, *more = parse_numbers(text) or [math.nan]
+    if more or not (math.isfinite(unit) and unit > 0):
         raise AssetError(f'{path}: <unit meter="{text}">', "metres in one unit: a number above 0")
     return unit
 

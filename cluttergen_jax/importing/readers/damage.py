@@ -13,6 +13,8 @@ from urllib.parse import unquote
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.gltf_file import DTYPES, WIDTHS
+from cluttergen_jax.importing.readers.xml_tree import parse_numbers
 
 _HEAD = 84
 _RECORD = np.dtype([("normal", "<3f4"), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -114,8 +116,6 @@ _AGAIN = "fetching or exporting the file again"
 # OBJ counts from one (or backwards from -1); a zero would be taken for the last vertex.
 _OBJ_ZERO = re.compile(rb"^[ \t]*f[^\n]*[ \t][+-]?0+(?=[/\s]|$)", re.MULTILINE)
 _PLY_COUNT = re.compile(rb"^element\s+\S+\s+(\d+)", re.MULTILINE)
-_COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
-_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _MOST_ZEROS = 16_000_000
 """Elements of an accessor without data of its own, which stands for zeros or for what is compressed."""
 
@@ -132,10 +132,19 @@ def check_whole(path: Path) -> None:
     if path.stat().st_size == 0:
         raise AssetError(f"{path} is empty", "a mesh file with triangles", _AGAIN)
     refuse_stand_in(path)
-    _check_sizes(path)
-    check = {".stl": _check_stl, ".ply": _check_ply, ".obj": _check_obj}.get(path.suffix.lower())
-    if check is not None:
-        check(path, path.read_bytes())
+    checks = {
+        ".glb": _check_glb,
+        ".gltf": _check_gltf,
+        ".stl": _check_stl,
+        ".ply": _check_ply,
+        ".obj": _check_obj,
+    }
+    if (check := checks.get(path.suffix.lower())) is None:
+        return
+    try:
+        check(path)
+    except (TypeError, LookupError, AttributeError, ValueError, struct.error, RecursionError) as error:
+        raise AssetError(f"{path} cannot be read as a mesh: its header is damaged ({error!r})") from error
 
 
 def unreadable(path: Path, error: Exception) -> AssetError:
@@ -149,26 +158,8 @@ def unreadable(path: Path, error: Exception) -> AssetError:
     return AssetError(f"{path} cannot be read as a mesh: {reason}", "a whole file", _AGAIN)
 
 
-def _check_stl(path: Path, data: bytes) -> None:
-    """Of text; the length of binary files is checked with their sizes."""
-    if b"\0" not in data[:512] and data.count(b"endfacet") < data.count(b"facet normal"):
-        raise AssetError(f"{path} is cut short: its last triangle has no end", hint=_AGAIN)
-
-
-def _check_ply(path: Path, data: bytes) -> None:
-    head, found, body = data.partition(b"end_header")
-    if not found or b"format ascii" not in head:
-        return
-    promised = sum(int(count) for count in _PLY_COUNT.findall(head))
-    held = sum(bool(line.strip()) for line in body.splitlines())
-    if held < promised:
-        raise AssetError(
-            f"{path} is cut short: its head promises {promised:,} vertices and faces, it has {held:,}",
-            hint=_AGAIN,
-        )
-
-
-def _check_obj(path: Path, data: bytes) -> None:
+def _check_obj(path: Path) -> None:
+    data = path.read_bytes()
     if found := _OBJ_ZERO.search(data):
         line = data.count(b"\n", 0, found.start()) + 1
         raise AssetError(
@@ -195,29 +186,7 @@ def _obj_fault(path: Path) -> str:
 
 
 def _is_finite(word: str) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
-
-
-def _check_sizes(path: Path) -> None:
-    """Looks at the counts in a file's header, before anything is made of that size."""
-    check = {".glb": _check_glb, ".gltf": _check_gltf, ".stl": _check_stl_size, ".ply": _check_ply_size}
-    if (look := check.get(path.suffix.lower())) is None:
-        return
-    try:
-        look(path)
-    except (
-        TypeError,
-        KeyError,
-        AttributeError,
-        ValueError,
-        IndexError,
-        struct.error,
-        RecursionError,
-    ) as error:
-        raise AssetError(f"{path} cannot be read as a mesh: its header is damaged ({error!r})") from error
+    return all(map(math.isfinite, parse_numbers(word) or [math.nan]))
 
 
 def _too_short(path: Path, what: str, needed: int, held: int) -> AssetError:
@@ -276,7 +245,7 @@ def _check_accessor(path: Path, name: str, accessor: dict[str, Any], views: list
             raise AssetError(f"{path}: {name} of {count:,} elements", f"up to {_MOST_ZEROS:,} without data")
         return
     view = views[accessor["bufferView"]]
-    element = _COMPONENT_BYTES[accessor["componentType"]] * _COMPONENTS[accessor["type"]]
+    element = np.dtype(DTYPES[accessor["componentType"]]).itemsize * WIDTHS[accessor["type"]]
     stride = _count(view.get("byteStride", 0)) or element
     needed = _count(accessor.get("byteOffset", 0)) + (stride * (count - 1) + element if count else 0)
     if needed > view["byteLength"]:
@@ -301,18 +270,20 @@ def _buffer_size(path: Path, uri: str | None, binary: int) -> int:
     raise AssetError(f"{path} names buffer {uri!r}, which is not there", hint="restoring the file")
 
 
-def _check_stl_size(path: Path) -> None:
+def _check_stl(path: Path) -> None:
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(1084)
-    if len(head) < 84 or is_text_stl(head, size):
-        return
-    count = announced_count(head)
-    if size != 84 + 50 * count and num_triangles(path.read_bytes(), count) is None:
-        raise _too_short(path, f"a binary STL file of {count:,} triangles", 84 + 50 * count, size)
+    if len(head) >= 84 and not is_text_stl(head, size):
+        count = announced_count(head)
+        if size != 84 + 50 * count and num_triangles(path.read_bytes(), count) is None:
+            raise _too_short(path, f"a binary STL file of {count:,} triangles", 84 + 50 * count, size)
+    data = path.read_bytes()
+    if b"\0" not in head[:512] and data.count(b"endfacet") < data.count(b"facet normal"):
+        raise AssetError(f"{path} is cut short: its last triangle has no end", hint=_AGAIN)
 
 
-def _check_ply_size(path: Path) -> None:
+def _check_ply(path: Path) -> None:
     """A row takes at least the bytes of its properties, or in text a digit and a space for each."""
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -331,3 +302,11 @@ def _check_ply_size(path: Path) -> None:
             needed += count * (2 if is_text else _PLY_BYTES.get(words[2 if words[1] == "list" else 1], 4))
     if needed > size - len(text):
         raise _too_short(path, "what its header announces", needed, size - len(text))
+    head, _, body = path.read_bytes().partition(b"end_header")
+    promised = sum(int(number) for number in _PLY_COUNT.findall(head))
+    held = sum(bool(line.strip()) for line in body.splitlines()) if b"format ascii" in head else promised
+    if held < promised:
+        raise AssetError(
+            f"{path} is cut short: its head promises {promised:,} vertices and faces, it has {held:,}",
+            hint=_AGAIN,
+        )

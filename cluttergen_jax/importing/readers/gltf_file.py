@@ -15,6 +15,8 @@ from cluttergen_jax.importing.readers.places import find_named
 
 Document = dict[str, Any]
 """glTF's own JSON: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html"""
+DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
 def read_document(path: Path) -> Document:

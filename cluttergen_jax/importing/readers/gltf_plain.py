@@ -16,16 +16,15 @@ import trimesh
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.gltf_file import (
     DRACO,
+    DTYPES,
     INSTANCING,
+    WIDTHS,
     Buffers,
     Document,
     check_understood,
     glb,
     read_document,
 )
-
-_DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
 class Arrays:
@@ -48,7 +47,7 @@ class Arrays:
         array = self._dense(accessor) if raw is None else raw
         array = self._with_sparse(array, accessor["sparse"]) if "sparse" in accessor else array
         if accessor.get("normalized") and array.dtype.kind in "iu":
-            return np.maximum(array / np.iinfo(np.dtype(_DTYPES[accessor["componentType"]])).max, -1.0)
+            return np.maximum(array / np.iinfo(np.dtype(DTYPES[accessor["componentType"]])).max, -1.0)
         return array
 
     def primitive(self, primitive: dict[str, Any]) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
@@ -67,14 +66,14 @@ class Arrays:
         return "bufferView" in self._document["accessors"][index]
 
     def _dense(self, accessor: dict[str, Any]) -> np.ndarray:
-        shape = accessor["count"], _WIDTHS[accessor["type"]]
+        shape = accessor["count"], WIDTHS[accessor["type"]]
         if "bufferView" not in accessor:
-            return np.zeros(shape, _DTYPES[accessor["componentType"]])
+            return np.zeros(shape, DTYPES[accessor["componentType"]])
         stride = self._document["bufferViews"][accessor["bufferView"]].get("byteStride", 0)
         return self._read(accessor["bufferView"], accessor, shape, stride)
 
     def _read(self, view: int, where: dict[str, Any], shape: tuple[int, int], stride: int = 0) -> np.ndarray:
-        dtype, data = np.dtype(_DTYPES[where["componentType"]]), self._buffers.view(view)
+        dtype, data = np.dtype(DTYPES[where["componentType"]]), self._buffers.view(view)
         strides = stride or dtype.itemsize * shape[1], dtype.itemsize
         return np.ndarray(shape, dtype, data, where.get("byteOffset", 0), strides).copy()
 
@@ -82,7 +81,7 @@ class Arrays:
         """The array with the elements replaced that are stored beside it."""
         places, values = sparse["indices"], sparse["values"]
         index = self._read(places["bufferView"], places, (sparse["count"], 1))[:, 0]
-        new = {**values, "componentType": next(k for k, v in _DTYPES.items() if array.dtype == np.dtype(v))}
+        new = {**values, "componentType": next(k for k, v in DTYPES.items() if array.dtype == np.dtype(v))}
         array = array.copy()
         array[index] = self._read(values["bufferView"], new, (sparse["count"], array.shape[1]))
         return array

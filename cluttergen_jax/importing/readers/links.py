@@ -27,6 +27,7 @@ from cluttergen_jax.importing.readers.xml_tree import (
     length,
     number,
     numbers,
+    parse_numbers,
     wrong_attribute,
 )
 
@@ -272,18 +273,9 @@ def _link_mass(path: Path, link: Link) -> MassProperties | None:
 def _weight(path: Path, element: Element, name: str, absent: str = "nan") -> float:
     """A mass or a moment: `absent` where it is missing, NaN where it is one word that is no number."""
     text = attribute_text(element, name)
-    words = [absent] if text is None else text.split()
-    if len(words) == 1 and not _is_number(words[0]):
+    if text is not None and len(text.split()) == 1 and parse_numbers(text) is None:
         return math.nan
     return number(path, element, name, absent, is_finite=False)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _holder(parent: Element, child: Element) -> tuple[Element, str]:

@@ -17,7 +17,7 @@ from cluttergen_jax.importing.readers.mjcf_pictures import picture_notes
 from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, describe_joint, frozen_note
 
 
-def compiled_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+def _compile_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     """The model of an MJCF file, without the pictures that MuJoCo cannot read, and notes of these.
 
     Raises:
@@ -103,7 +103,7 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
       AssetError: MuJoCo cannot compile the file (its own message is kept), or nothing of the body is seen
         or collides.
     """
-    model, of_pictures = compiled_with_notes(path)
+    model, of_pictures = compile_with_notes(path)
     if model.nflex and not model.ngeom:
         raise AssetError(f"{path} holds soft bodies alone (flex)", "rigid bodies with geoms")
     data = mujoco.MjData(model)
@@ -146,19 +146,14 @@ def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassPro
     return MassProperties(float(model.body_mass[body]), data.xipos[body].copy(), inertia)
 
 
-def compile_mjcf(path: Path) -> mujoco.MjModel:
-    """The first of `compiled_with_notes`."""
-    return compiled_with_notes(path)[0]
-
-
-def compiled_with_notes(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+def compile_with_notes(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     """The model of an MJCF file, whose names are text, and which pictures it has to do without.
 
     Raises:
       AssetError: MuJoCo cannot compile it (its own message is kept), or a name is not UTF-8.
     """
     try:
-        model, notes = compiled_without_lost_pictures(path)
+        model, notes = _compile_without_lost_pictures(path)
         # MuJoCo takes any bytes for a name; they would come to light wherever one is first read.
         model.names.decode()
     except (ValueError, OSError) as error:

@@ -16,18 +16,13 @@ from cluttergen_jax.assets.quality.deviation import is_within_parts
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import primitives
-from cluttergen_jax.importing.readers.mjcf_pictures import flat_colour, picture_id, with_picture
+from cluttergen_jax.importing.readers.mjcf_pictures import flat_colour, geom_kind, picture_id, with_picture
 
 _GEOM = mujoco.mjtGeom
 _FARTHEST = 1e6
 """Metres; beyond, the arithmetic of hulls breaks down."""
 # What MuJoCo takes for "no colour given": a material's colour holds then.
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
-
-
-def geom_kind(model: mujoco.MjModel, geom: int) -> mujoco.mjtGeom:
-    """A geom's type, as a member of the enum: the model's own integers are not found `in` a tuple of them."""
-    return _GEOM(int(model.geom_type[geom]))
 
 
 def is_plane(model: mujoco.MjModel, geom: int) -> bool:

@@ -229,7 +229,8 @@ def _encode(data: bytes, size: tuple[int, int], max_side: int) -> Texture:
     return Texture.of(Image.frombytes("RGB", size, data), max_side)
 
 
-def _kind(model: mujoco.MjModel, geom: int) -> mujoco.mjtGeom:
+def geom_kind(model: mujoco.MjModel, geom: int) -> mujoco.mjtGeom:
+    """A geom's type, as a member of the enum: the model's own integers are not found `in` a tuple of them."""
     return _GEOM(int(model.geom_type[geom]))
 
 
@@ -245,7 +246,7 @@ def _is_darker(model: mujoco.MjModel, picture: int) -> bool:
 
 def _has_own_places(model: mujoco.MjModel, geom: int) -> bool:
     """Whether a geom is a mesh with texture coordinates."""
-    is_mesh = _kind(model, geom) == _GEOM.mjGEOM_MESH
+    is_mesh = geom_kind(model, geom) == _GEOM.mjGEOM_MESH
     return is_mesh and bool(model.mesh_texcoordnum[model.geom_dataid[geom]] > 0)
 
 
@@ -275,16 +276,16 @@ def _own_places(model: mujoco.MjModel, geom: int) -> np.ndarray:
 def _size(model: mujoco.MjModel, geom: int) -> np.ndarray:
     """f64[3]: half of what a geom measures, of a capsule without its ends."""
     x, y, z = (float(each) for each in model.geom_size[geom])
-    if _kind(model, geom) == _GEOM.mjGEOM_SPHERE:
+    if geom_kind(model, geom) == _GEOM.mjGEOM_SPHERE:
         return np.full(3, x)
     return np.array(
-        [x, x, y] if _kind(model, geom) in (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE) else [x, y, z]
+        [x, x, y] if geom_kind(model, geom) in (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE) else [x, y, z]
     )
 
 
 def _flat_places(model: mujoco.MjModel, geom: int, corners: Mesh) -> np.ndarray:
     """f64[3 F, 2]: where MuJoCo lays the corners of triangles in a picture of type 2d, right and down."""
-    material, size, kind = int(model.geom_matid[geom]), _size(model, geom), _kind(model, geom)
+    material, size, kind = int(model.geom_matid[geom]), _size(model, geom), geom_kind(model, geom)
     repeat = np.array(model.mat_texrepeat[material], np.float64)
     if model.mat_texuniform[material]:
         repeat = repeat * size[:2]
@@ -332,7 +333,7 @@ def _down_a_capsule(height: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 def _directions(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
     """f64[V, 3]: where MuJoCo sees the points of a geom from the middle of a cube map."""
-    size, kind = _size(model, geom), _kind(model, geom)
+    size, kind = _size(model, geom), geom_kind(model, geom)
     is_uniform = bool(model.mat_texuniform[int(model.geom_matid[geom])])
     if kind in _PROJECTED:
         return points * size if is_uniform else points

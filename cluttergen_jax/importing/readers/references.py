@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import stand_in
 from cluttergen_jax.importing.readers.mesh_text import as_utf8
-from cluttergen_jax.importing.readers.mjcf import compile_mjcf, world_bodies
+from cluttergen_jax.importing.readers.mjcf import compile_with_notes, world_bodies
 from cluttergen_jax.importing.readers.places import folder_place, mesh_place
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of, models
 from cluttergen_jax.importing.readers.sdf import ROOTS as SDF_ROOTS
@@ -159,7 +159,7 @@ def _bodies(path: Path, root: Element) -> tuple[str, ...]:
     if any(child.tag in _MADE_BY_MUJOCO for child in inside):
         # Whoever reads the file tells of one that cannot be compiled.
         with suppress(AssetError):
-            model = compile_mjcf(path)
+            model = compile_with_notes(path)[0]
             return tuple(model.body(each).name for each in world_bodies(model))
     return tuple(child.get("name", "") for child in inside if child.tag == "body")
 

@@ -25,6 +25,7 @@ from cluttergen_jax.importing.readers.xml_tree import (
     Element,
     number,
     numbers,
+    parse_numbers,
     parse_xml,
     wrong_attribute,
 )
@@ -93,11 +94,8 @@ def _paint(block: str, folder: Path, parent: Paint) -> Paint:
 
 def _rgba(text: str) -> Rgba | None:
     """Three or four numbers; None where they are others."""
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        return None
-    if len(values) not in (3, 4):
+    values = parse_numbers(text)
+    if values is None or len(values) not in (3, 4):
         return None
     r, g, b, a = np.clip([*values, 1.0][:4], 0, 1).tolist()
     return (r, g, b, a)

@@ -85,10 +85,17 @@ def all_numbers(path: Path, element: Element, name: str, default: str | None = N
         raise AssetError(
             f"{path}: a <{element.tag}> without the attribute {name!r}", f"<{element.tag} {name}=...>"
         )
+    if (values := parse_numbers(text)) is None:
+        raise wrong_attribute(path, element, name, "numbers with spaces between them")
+    return values
+
+
+def parse_numbers(text: str) -> list[float] | None:
+    """The numbers of a text with spaces between them; None where a word is none."""
     try:
         return [float(word) for word in text.split()]
-    except ValueError as error:
-        raise wrong_attribute(path, element, name, "numbers with spaces between them") from error
+    except ValueError:
+        return None
 
 
 def wrong_attribute(path: Path, element: Element, name: str, allowed: str) -> AssetError:
