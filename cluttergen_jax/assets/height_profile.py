@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from cluttergen_jax.assets.cloud import farthest_first
-from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import AssetError
 
@@ -49,7 +48,7 @@ def height_profile_of(asset: ObjectAsset, spacing: float, num_samples: int) -> H
     Raises:
       AssetError: no vertical line meets the object.
     """
-    planes = [_planes(part) for part in asset.parts]
+    planes = [ConvexHull(part.vertices).equations for part in asset.parts]
     outline = _outline(asset, spacing)
     xy = np.concatenate([outline, _grid(asset.half_extents[:2], spacing)])
     lowest, highest = np.full(len(xy), np.inf), np.full(len(xy), -np.inf)
@@ -109,11 +108,6 @@ def _along_edge(shadow: ConvexHull, spacing: float) -> np.ndarray:
     points = np.concatenate(runs)
     inwards = corners.mean(0) - points
     return points + _INSET * inwards / np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
-
-
-def _planes(part: Mesh) -> np.ndarray:
-    """f64[F, 4]: a convex part's faces, outward normals and offsets."""
-    return ConvexHull(part.vertices).equations
 
 
 def _part_range(planes: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.cloud import coloured_points
-from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
 
@@ -48,8 +47,9 @@ def turn_symmetry(asset: ObjectAsset) -> int:
 
     What is drawn of it decides; of an object without surfaces, its collision parts.
     """
-    meshes = [piece.mesh for piece in asset.pieces] or [_hull(part.vertices) for part in asset.parts]
-    surface = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes])
+    surfaces = [trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces) for piece in asset.pieces]
+    surfaces = surfaces or [trimesh.convex.convex_hull(part.vertices) for part in asset.parts]
+    surface = trimesh.util.concatenate(surfaces)
     dense, _ = trimesh.sample.sample_surface(surface, _NUM_POINTS, seed=0)
     tree, sparse = cKDTree(dense), dense[: _NUM_POINTS // 20]
     for order in _ORDERS:
@@ -57,11 +57,6 @@ def turn_symmetry(asset: ObjectAsset) -> int:
         if all(tree.query(points)[0].max() <= TOLERANCE for points in turned):
             return order
     return 1
-
-
-def _hull(vertices: np.ndarray) -> Mesh:
-    hull = trimesh.convex.convex_hull(vertices)
-    return Mesh(np.asarray(hull.vertices), np.asarray(hull.faces))
 
 
 def _angles(order: int) -> np.ndarray:

@@ -117,16 +117,21 @@ def _facts(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> BodyFacts:
     seen = [geom for geom in geoms if geom.group < _NUM_SEEN_GROUPS and _rgba(spec, geom)[3] > 0]
     shown = seen or hitting
     names = {body.name for body in bodies} - {""}
+    mocaps = tuple(body.name for body in spec.worldbody.bodies if body.mocap and body.name)
     is_free = _is_free(root)
+
+    def colour(geom: mujoco.MjsGeom) -> tuple[str, list[float]]:
+        return geom.material, np.round(_rgba(spec, geom), 3).tolist()
+
     return BodyFacts(
         name=root.name,
         is_free=is_free and not _has_tie(spec, names, _WORLD),
         is_mocap=bool(root.mocap),
-        is_driven=_has_motor(spec, bodies) or _has_tie(spec, names, _mocaps(spec)),
+        is_driven=_has_motor(spec, bodies) or _has_tie(spec, names, mocaps),
         chain=_chain(root, 0 if is_free else min(len(root.joints), 1)),
         has_joints=any(body.joints for body in bodies),
         shape=_digest(_form(spec, root, geom) for geom in shown),
-        looks=_digest((_form(spec, root, geom), _colour(spec, geom)) for geom in shown),
+        looks=_digest((_form(spec, root, geom), colour(geom)) for geom in shown),
         collides=bool(hitting),
         is_translucent=bool(seen) and all(_rgba(spec, geom)[3] < 1 for geom in seen),
     )
@@ -146,10 +151,6 @@ def _is_free(body: mujoco.MjsBody) -> bool:
 
 def _chain(body: mujoco.MjsBody, own: int) -> int:
     return own + max((_chain(child, len(child.joints)) for child in body.bodies), default=0)
-
-
-def _mocaps(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    return tuple(body.name for body in spec.worldbody.bodies if body.mocap and body.name)
 
 
 def _has_tie(spec: mujoco.MjSpec, names: set[str], others: tuple[str, ...]) -> bool:
@@ -173,10 +174,6 @@ def _has_motor(spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody]) -> bool:
 def _rgba(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> np.ndarray:
     material = spec.material(geom.material) if geom.material else None
     return material.rgba if material is not None and np.array_equal(geom.rgba, _UNSAID) else geom.rgba
-
-
-def _colour(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> tuple[str, list[float]]:
-    return geom.material, np.round(_rgba(spec, geom), 3).tolist()
 
 
 def _form(spec: mujoco.MjSpec, root: mujoco.MjsBody, geom: mujoco.MjsGeom) -> tuple[object, ...]:

@@ -83,8 +83,8 @@ class KnownSet:
     def read(self, options: ReadOptions, found: Mapping[str, str]) -> ReadOptions:
         """Options with the set's values, and with what was found, wherever the user has left the default."""
         values = {**self.layout.values, **{key: value for key, value in found.items() if key != "label"}}
-        free = {key: value for key, value in values.items() if _is_default(options, key)}
-        return replace(options, **free)  # type: ignore[arg-type]
+        free = [key for key in values if getattr(options, key) == getattr(_DEFAULTS, key)]
+        return replace(options, **{key: values[key] for key in free})  # type: ignore[arg-type]
 
     def look_up(self, source: ObjectFile) -> dict[str, str]:
         """What stands beside an object, or above it: its label, its licence."""
@@ -152,10 +152,6 @@ def _home(file: Path, steps: list[str]) -> Path | None:
         return None
     fits = all(fnmatchcase(*pair) for pair in zip(file.parts[-len(steps) :], steps, strict=True))
     return file.parents[len(steps) - 1] if fits else None
-
-
-def _is_default(options: ReadOptions, key: str) -> bool:
-    return getattr(options, key) == getattr(_DEFAULTS, key)
 
 
 def _look_up(where: Lookup, path: Path) -> str:

@@ -102,7 +102,9 @@ def support_from_mesh(shape: Shape) -> SupportAsset:
     closed = ndimage.binary_closing(np.pad(flat, 1), np.ones((3, 3)))[1:-1, 1:-1] & ~risen
     spans = cover(closed)
     boxes = [_box(view, span, max(top - _THICKNESS, 0.0), top, yaw) for span in spans]
-    boxes += [_box(view, span, top, _highest(view, span), yaw) for span in cover(risen, 0.01)]
+    for span in cover(risen, 0.01):
+        highest = float(view.height[span[0] : span[1], span[2] : span[3]].max())
+        boxes.append(_box(view, span, top, highest, yaw))
     region = _box(view, largest_rectangle(closed), 0.0, top, yaw)
     return SupportAsset(
         name=shape.name,
@@ -180,10 +182,6 @@ def _top_yaw(mesh: Mesh, top: float) -> float:
         return 0.0
     quarter = math.pi / 2
     return float(angles[best] - quarter * round(float(angles[best]) / quarter))
-
-
-def _highest(view: Overhead, span: Span) -> float:
-    return float(view.height[span[0] : span[1], span[2] : span[3]].max())
 
 
 def _box(view: Overhead, span: Span, low: float, high: float, yaw: float) -> Box:

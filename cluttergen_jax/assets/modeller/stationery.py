@@ -26,6 +26,7 @@ def hardback_book(rng: Rng = None) -> Shape:
     boards = [cad.box((width, depth, BOARD), z=z) for z in (0.0, height - BOARD)]
     cover = cad.union(*boards, cad.hull([*rounded, *[(x, -depth / 2 + 0.001, z) for x, _, z in rounded]]))
     pages = cad.box((width - 0.010, depth - 0.008, height - 2 * BOARD), (0, 0.002), BOARD)
+    corners = [(x * width, y * depth, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, height)]
     title = _cover_art(choose(rng, ("ATLAS", "FABLES", "DUNES", "TALES")), width, depth, height)
     return assemble(
         name="hardback_book",
@@ -34,13 +35,9 @@ def hardback_book(rng: Rng = None) -> Shape:
             (pages - cover, shade(rng, (rgb.PAPER,), 0.03)),
             (title, shade(rng, (rgb.GOLD, rgb.CREAM, rgb.STEEL))),
         ),
-        parts=(part.hull([*rounded[::4], *rounded[1::4], *_box_corners(width, depth, height)]),),
+        parts=(part.hull([*rounded[::4], *rounded[1::4], *corners]),),
         mass=720.0 * width * depth * height,
     )
-
-
-def _box_corners(width: float, depth: float, height: float) -> list[tuple[float, float, float]]:
-    return [(x * width, y * depth, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, height)]
 
 
 def _cover_art(word: str, width: float, depth: float, height: float) -> Manifold:

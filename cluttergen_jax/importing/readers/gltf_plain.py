@@ -55,15 +55,12 @@ class Arrays:
         attributes, indices = primitive["attributes"], None
         raw: dict[str, np.ndarray] = {}
         compressed = primitive.get("extensions", {}).get(DRACO)
-        if compressed is not None and not self._has_bytes(attributes["POSITION"]):
+        if compressed is not None and "bufferView" not in self._document["accessors"][attributes["POSITION"]]:
             raw, indices = self._draco(compressed)
         arrays = {name: self.accessor(index, raw.get(name)) for name, index in attributes.items()}
         if indices is None and "indices" in primitive:
             indices = self.accessor(primitive["indices"]).reshape(-1)
         return arrays, indices
-
-    def _has_bytes(self, index: int) -> bool:
-        return "bufferView" in self._document["accessors"][index]
 
     def _dense(self, accessor: dict[str, Any]) -> np.ndarray:
         shape = accessor["count"], WIDTHS[accessor["type"]]
@@ -92,14 +89,10 @@ class Arrays:
         except ImportError as error:
             raise AssetError(f"{self._buffers.path} with {DRACO}", hint="pip install DracoPy") from error
         decoded = DracoPy.decode(self._buffers.view(compressed["bufferView"]))
-        by_id = {each["unique_id"]: _as_columns(each["data"]) for each in decoded.attributes}
+        by_id = {each["unique_id"]: np.asarray(each["data"]) for each in decoded.attributes}
+        by_id = {index: data.reshape(len(data), -1) for index, data in by_id.items()}
         arrays = {name: by_id[index] for name, index in compressed["attributes"].items() if index in by_id}
         return arrays, np.asarray(decoded.faces).reshape(-1)
-
-
-def _as_columns(values: Any) -> np.ndarray:
-    array = np.asarray(values)
-    return array.reshape(len(array), -1)
 
 
 Node = dict[str, Any]

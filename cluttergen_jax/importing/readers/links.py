@@ -184,7 +184,12 @@ class Link:
     """A link of a model."""
 
     element: Element  # Its <link>.
-    place: Callable[[Element], np.ndarray]  # Of an element within, f64[4, 4] from that to the model.
+    pose: np.ndarray  # f64[4, 4], from the frame of `local` to the model.
+    local: Callable[[Element], np.ndarray]  # f64[4, 4] from an element within.
+
+    def place(self, element: Element) -> np.ndarray:
+        """f64[4, 4] from an element within to the model."""
+        return self.pose @ self.local(element)
 
     @property
     def name(self) -> str:

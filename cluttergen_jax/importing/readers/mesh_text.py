@@ -136,7 +136,8 @@ class Companions(trimesh.resolvers.FilePathResolver):
             try:
                 Image.open(io.BytesIO(data))
             except Exception as error:  # Pillow's decoders raise whatever they do.
-                self.notes.append(f"{found.name} cannot be read as an image ({_short(error)})")
+                reason = re.sub(r" <_io.*?>", "", str(error)) or type(error).__name__
+                self.notes.append(f"{found.name} cannot be read as an image ({reason})")
                 raise
         return data
 
@@ -160,7 +161,3 @@ class Companions(trimesh.resolvers.FilePathResolver):
 
     def _miss(self, name: str) -> None:
         self.notes.append(f"{self._path.name} names {name!r}, which is not there")
-
-
-def _short(error: Exception) -> str:
-    return re.sub(r" <_io.*?>", "", str(error)) or type(error).__name__

@@ -14,7 +14,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece, is_convex, roles_of
 from cluttergen_jax.importing.readers.mjcf_pictures import picture_notes
-from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, describe_joint, frozen_note
+from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, frozen_note
 
 
 def _compile_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
@@ -130,13 +130,13 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
     )
 
 
-def _frozen_joints(model: mujoco.MjModel, bodies: list[int]) -> Iterator[str]:
+def _frozen_joints(model: mujoco.MjModel, bodies: list[int]) -> Iterator[tuple[str, str, float, bool]]:
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
         if kind in _MOVABLE and int(model.jnt_bodyid[joint]) in bodies:
             is_ball = kind == _JOINT.mjJNT_BALL
             value = 0.0 if is_ball else float(model.qpos0[model.jnt_qposadr[joint]])
-            yield describe_joint(model.joint(joint).name, _MOVABLE[kind], value, kind != _JOINT.mjJNT_SLIDE)
+            yield (model.joint(joint).name, _MOVABLE[kind], value, kind != _JOINT.mjJNT_SLIDE)
 
 
 def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassProperties:

@@ -210,10 +210,7 @@ def _inner_points(hull: Mesh) -> np.ndarray:
 
 def _names(model: mujoco.MjModel, geoms: Sequence[int]) -> str:
     """The first few geoms by their names, or else by their kinds."""
-    told = [repr(model.geom(i).name) if model.geom(i).name else _kind(model, i) for i in geoms[:_MOST_NAMES]]
+    kinds = {i: geom_kind(model, i).name.removeprefix("mjGEOM_").lower() for i in geoms}
+    told = [repr(model.geom(i).name) if model.geom(i).name else f"a {kinds[i]}" for i in geoms[:_MOST_NAMES]]
     more = [f"{len(geoms) - _MOST_NAMES} more"] if len(geoms) > _MOST_NAMES else []
     return ", ".join([*told, *more])
-
-
-def _kind(model: mujoco.MjModel, geom: int) -> str:
-    return f"a {geom_kind(model, geom).name.removeprefix('mjGEOM_').lower()}"

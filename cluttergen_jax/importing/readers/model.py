@@ -36,16 +36,17 @@ class Model:
     colliding: tuple[Mesh, ...] = ()
 
 
-def frozen_note(joints: Iterable[str]) -> tuple[str, ...]:
-    """One note on all movable joints, each told by `describe_joint`; none where there is none."""
-    told = ", ".join(joints)
-    return (f"frozen joints: {told}",) if told else ()
+def frozen_note(joints: Iterable[tuple[str, str, float, bool]]) -> tuple[str, ...]:
+    """One note on all movable joints; none where there is none.
 
-
-def describe_joint(name: str, kind: str, value: float, is_turn: bool) -> str:
-    """A movable joint in words; `value` in radians or metres."""
-    place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
-    return f"{name!r} ({kind}) at {place}"
+    Args:
+      joints: name, kind, value in radians or metres, and whether it turns.
+    """
+    told = []
+    for name, kind, value, is_turn in joints:
+        place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
+        told.append(f"{name!r} ({kind}) at {place}")
+    return (f"frozen joints: {', '.join(told)}",) if told else ()
 
 
 def convex_parts(meshes: list[Mesh], tolerance: float = 0.02) -> tuple[Mesh, ...] | None:
@@ -55,14 +56,8 @@ def convex_parts(meshes: list[Mesh], tolerance: float = 0.02) -> tuple[Mesh, ...
     """
     if not 0 < len(meshes) <= MAX_PARTS:
         return None
-    return (
-        tuple(Mesh.points(mesh.vertices) for mesh in meshes)
-        if all(_is_convex(mesh, tolerance) for mesh in meshes)
-        else None
-    )
-
-
-def _is_convex(mesh: Mesh, tolerance: float = 0.02) -> bool:
-    """Whether the triangles enclose all of the hull but a share of `tolerance`."""
-    hull = hull_of(mesh.vertices)
-    return hull is not None and bool(abs(mesh.volume) > (1 - tolerance) * hull.volume)
+    for mesh in meshes:
+        hull = hull_of(mesh.vertices)
+        if hull is None or not abs(mesh.volume) > (1 - tolerance) * hull.volume:
+            return None
+    return tuple(Mesh.points(mesh.vertices) for mesh in meshes)

@@ -18,7 +18,7 @@ from cluttergen_jax.importing.readers.damage import refuse_stand_in
 from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, rigid
 from cluttergen_jax.importing.readers.materials import GREY, Rgba
 from cluttergen_jax.importing.readers.mesh_text import as_utf8
-from cluttergen_jax.importing.readers.model import Model, describe_joint, frozen_note
+from cluttergen_jax.importing.readers.model import Model, frozen_note
 from cluttergen_jax.importing.readers.places import find_named, folder_place, mesh_place
 from cluttergen_jax.importing.readers.xml_tree import (
     BROKEN,
@@ -176,13 +176,9 @@ def _links(path: Path, model: Element, pose: np.ndarray) -> Iterator[Link]:
         )
     frames = _Frames(path, model)
     for link in model.findall("link"):
-        yield Link(link, partial(_place, frames, pose, link.get("name", "")))
+        yield Link(link, pose, partial(frames.pose_of_element, parent=link.get("name", "")))
     for inner in model.findall("model"):
         yield from _links(path, inner, pose @ frames.pose_of(inner.get("name", "")))
-
-
-def _place(frames: _Frames, pose: np.ndarray, link: str, element: Element) -> np.ndarray:
-    return pose @ frames.pose_of_element(element, link)
 
 
 class _Frames:
@@ -243,7 +239,7 @@ def _notes(model: Element) -> Iterator[str]:
         yield "its file says <static>: there it is scenery, which nothing moves"
     movable = [joint for joint in model.iter("joint") if joint.get("type", "fixed") != "fixed"]
     yield from frozen_note(
-        describe_joint(joint.get("name", ""), kind, 0.0, is_turn=kind != "prismatic")
+        (joint.get("name", ""), kind, 0.0, kind != "prismatic")
         for joint in movable
         if (kind := joint.get("type", ""))
     )

@@ -18,7 +18,7 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import refuse_stand_in
 from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, rigid
 from cluttergen_jax.importing.readers.materials import GREY
-from cluttergen_jax.importing.readers.model import Model, describe_joint, frozen_note
+from cluttergen_jax.importing.readers.model import Model, frozen_note
 from cluttergen_jax.importing.readers.places import mesh_place
 from cluttergen_jax.importing.readers.xml_tree import (
     BROKEN,
@@ -216,12 +216,8 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE) -> Model:
     poses = joints.link_poses()
     scale = _global_scaling(path)
     surfaces = Surfaces(path, max_side, notes=joints.notes)
-    links = [Link(link, partial(_place, path, poses[link.get("name", "")])) for link in robot.findall("link")]
+    links = [Link(link, poses[link.get("name", "")], partial(origin, path)) for link in robot.findall("link")]
     return rigid(links, surfaces, _Looks(_materials(robot), surfaces).of, _notes(robot, joints), scale)
-
-
-def _place(path: Path, pose: np.ndarray, element: Element) -> np.ndarray:
-    return pose @ origin(path, element)
 
 
 def _parse(path: Path) -> Element:
@@ -249,7 +245,7 @@ def _materials(robot: Element) -> dict[str, Element]:
 def _notes(robot: Element, joints: Joints) -> tuple[str, ...]:
     movable = [joint for joint in robot.findall("joint") if joint.get("type") in _MOVABLE]
     return frozen_note(
-        describe_joint(joint.get("name", ""), kind, joints.value(joint), is_turn=kind != "prismatic")
+        (joint.get("name", ""), kind, joints.value(joint), kind != "prismatic")
         for joint in movable
         if (kind := joint.get("type", ""))
     )
