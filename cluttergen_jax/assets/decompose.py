@@ -143,7 +143,7 @@ def decompositions(
         )
     one = [solid.mesh.vertices[hull.vertices]]
     is_convex = solid.volume >= config.one_hull_volume * hull.volume
-    if config.max_parts == 1 or (is_convex and deviation(one, solid) <= config.one_deviation):
+    if config.max_parts == 1 or (is_convex and deviation(one, solid) <= config.one_hull_deviation):
         yield one
         return
     enough = parts_enough(solid)

@@ -9,8 +9,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ _MOST_UNBORN = 3
 """So many workers may end, one after another, before they take a job."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Outcome:
     """What became of a job.
 
@@ -51,6 +51,8 @@ class Outcome:
 
 Again = Callable[[Any, str], Any]
 """From a job and the fault by which it was lost to the job that is tried in its stead."""
+Watch = Callable[[list[int]], None]
+"""Hears which jobs are at work, by index."""
 
 
 def run_all(
@@ -60,12 +62,9 @@ def run_all(
 
     Left early, as by Ctrl-C, it ends its workers.
     """
-    crew = Crew(function, num_processes)
-    try:
+    with closing(Crew(function, num_processes)) as crew:
         for index, outcome in crew.outcomes(jobs):
             yield index, outcome.fault or outcome.result
-    finally:
-        crew.close()
 
 
 class Crew:
@@ -93,7 +92,7 @@ class Crew:
         limit: float | None = None,
         again: Again | None = None,
         most_tries: int = 2,
-        watch: Callable[[list[int]], None] | None = None,
+        watch: Watch | None = None,
     ) -> None:
         self._function, self._num, self._limit, self._again = function, num_processes, limit, again
         self._most_tries = most_tries if again is not None else 1
@@ -171,15 +170,15 @@ class Crew:
             said = worker.pipe.recv()
         except (EOFError, OSError):
             return self._retry_or_give_up(worker)
-        if isinstance(said, _Begun):
+        if isinstance(said, float):
             self._num_unborn = 0
-            worker.began, worker.cpu_before = time.monotonic(), said.cpu_seconds
+            worker.began, worker.cpu_before = time.monotonic(), said
             return None
         worker.task, worker.began = None, 0.0
         task.add_cost(said.seconds, said.cpu_seconds, said.cpu_seconds)
         if said.error is not None:
             raise said.error
-        task.result = said.result
+        task.outcome.result, task.outcome.fault = said.result, ""
         return task
 
     def _retry_or_give_up(self, worker: _Worker, is_late: bool = False) -> _Task | None:
@@ -196,18 +195,16 @@ class Crew:
             return None
         task.tries += 1
         task.add_cost(seconds, cpu_seconds if worker.began else 0.0, used)
-        task.is_late, task.is_killed = is_late, not is_late and worker.exit_code == _KILLED
-        task.fault = (
-            f"it was not done after {task.spent:.{0 if task.spent >= 10 else 1}f} s"
-            if is_late
-            else death(worker.exit_code)
-        )
-        if task.tries >= (2 if task.is_killed else self._most_tries):
+        outcome = task.outcome
+        outcome.is_late, outcome.is_killed = is_late, not is_late and worker.exit_code == _KILLED
+        late = f"it was not done after {task.spent:.{0 if task.spent >= 10 else 1}f} s"
+        outcome.fault = late if is_late else death(worker.exit_code)
+        if task.tries >= (2 if outcome.is_killed else self._most_tries):
             return task
-        if task.is_killed:
+        if outcome.is_killed:
             self._last.append(task.again(task.job, is_alone=True))
         elif self._again is not None:
-            self._waiting.appendleft(task.again(self._again(task.job, task.fault)))
+            self._waiting.appendleft(task.again(self._again(task.job, outcome.fault)))
         return None
 
     def _check_start(self, worker: _Worker) -> None:
@@ -235,13 +232,6 @@ def death(exit_code: int | None) -> str:
 
 
 @dataclass(frozen=True)
-class _Begun:
-    """Said by a worker that has a job and all that it needs for it."""
-
-    cpu_seconds: float
-
-
-@dataclass(frozen=True)
 class _Done:
     """Said by a worker when a job is over."""
 
@@ -260,26 +250,17 @@ class _Task:
     is_alone: bool = False
     tries: int = 0
     spent: float = 0.0
-    seconds: float = 0.0
-    cpu_seconds: float = 0.0
-    result: Any = None
-    fault: str = ""
-    is_late: bool = False
-    is_killed: bool = False
-
-    @property
-    def outcome(self) -> Outcome:
-        return Outcome(self.result, self.fault, self.seconds, self.cpu_seconds, self.is_late, self.is_killed)
+    outcome: Outcome = field(default_factory=Outcome)
 
     def add_cost(self, seconds: float, cpu_seconds: float, used: float) -> None:
-        self.seconds += seconds
-        self.cpu_seconds += cpu_seconds
+        self.outcome.seconds += seconds
+        self.outcome.cpu_seconds += cpu_seconds
         self.spent += used
 
     def again(self, job: Any, is_alone: bool = False) -> _Task:
         """Of time, what was spent counts, but not in the company of others that took the memory."""
-        spent = 0.0 if is_alone else self.spent
-        return _Task(self.index, job, is_alone, self.tries, spent, self.seconds, self.cpu_seconds)
+        cost = Outcome(seconds=self.outcome.seconds, cpu_seconds=self.outcome.cpu_seconds)
+        return _Task(self.index, job, is_alone, self.tries, 0.0 if is_alone else self.spent, cost)
 
 
 class _Worker:
@@ -360,7 +341,8 @@ def _serve(pipe: Connection) -> None:
         function = pipe.recv()
         while True:
             job = pipe.recv()
-            pipe.send(_Begun(time.process_time()))
+            # It has a job and all that it needs for it.
+            pipe.send(time.process_time())
             pipe.send(_run_job(function, job))
     except EOFError:
         return

@@ -20,7 +20,7 @@ from cluttergen_jax.config import check_positive, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
-from cluttergen_jax.importing.processes import Crew, Outcome
+from cluttergen_jax.importing.processes import Crew, Outcome, Watch
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
 from cluttergen_jax.importing.readers.read import public_path
 from cluttergen_jax.importing.readers.source import UpAxis
@@ -111,38 +111,29 @@ def next_try(job: Job, fault: str) -> Job:
     return replace(job, fault=fault, num_lost=job.num_lost + 1)
 
 
-Watch = Callable[[list[int]], None]
-"""Hears which jobs are at work, by index."""
-
-
 def _outcomes(
     jobs: Sequence[Job], config: ImportConfig, watch: Watch | None = None
 ) -> Generator[tuple[int, Outcome], None, None]:
     """What became of each job as they come, from processes of this machine, or of a cluster unwatched."""
-    if config.cluster is not None:
-        yield from _outcomes_on(config.cluster, jobs, config.time_limit)
+    if config.cluster is None:
+        crew = Crew(
+            make_job, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, len(_WAYS), watch
+        )
+        with closing(crew):
+            yield from crew.outcomes(jobs)
         return
-    crew = Crew(make_job, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, len(_WAYS), watch)
-    with closing(crew):
-        yield from crew.outcomes(jobs)
+    # One thread each, as in processes of this machine (`processes`).
+    settings = {"OMP_NUM_THREADS": "1"}
+    lost = Outcome(fault=f"its worker on the cluster ended, {MOST_DEATHS} times")
+    make = partial(_maker, config.time_limit)
+    with closing(each_on(config.cluster, make, jobs, "object", settings=settings, if_lost=lost)) as done:
+        yield from done
 
 
 def _maker(limit: float) -> Callable[[Job], Outcome]:
     """On a cluster, each worker has a process of its own that can be ended."""
     crew = Crew(make_job, 1, limit, next_try, len(_WAYS))
     return lambda job: next(crew.outcomes([job]))[1]
-
-
-def _outcomes_on(
-    cluster: Cluster, jobs: Sequence[Job], limit: float
-) -> Generator[tuple[int, Outcome], None, None]:
-    # One thread each, as in processes of this machine (`processes`).
-    lost = Outcome(fault=f"its worker on the cluster ended, {MOST_DEATHS} times")
-    done: Generator[tuple[int, Outcome], None, None]
-    make = partial(_maker, limit)
-    done = each_on(cluster, make, jobs, "object", settings={"OMP_NUM_THREADS": "1"}, if_lost=lost)
-    with closing(done):
-        yield from done
 
 
 @dataclass(frozen=True)
