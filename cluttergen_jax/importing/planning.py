@@ -15,7 +15,7 @@ from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Ski
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import public_path
 from cluttergen_jax.importing.readers.source import AUTO, AXES, FILE, UpAxis, make_names_distinct, own_up
-from cluttergen_jax.importing.readers.tree import find_sources, found_in
+from cluttergen_jax.importing.readers.tree import find_all, find_sources
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
 from cluttergen_jax.importing.scenery import why_no_objects
 from cluttergen_jax.importing.sets import AUTO as ANY_SET
@@ -131,10 +131,10 @@ def _objects_among(planned: list[Planned], take_all: bool) -> tuple[list[Planned
     left_out = tuple(LeftOut(planned[index].place, *why[index]) for index in sorted(why))
     files = {planned[index].source.path for index in why}
     kept = [each for index, each in enumerate(planned) if index not in why]
-    return [_called_after_file(each, kept) if each.source.path in files else each for each in kept], left_out
+    return [_rename_after_file(each, kept) if each.source.path in files else each for each in kept], left_out
 
 
-def _called_after_file(planned: Planned, kept: Sequence[Planned]) -> Planned:
+def _rename_after_file(planned: Planned, kept: Sequence[Planned]) -> Planned:
     """The only body without a name that is left of its file, without the number that it had there."""
     source = planned.source
     unnamed = [each for each in kept if each.source.path == source.path and each.source.body.startswith("#")]
@@ -150,7 +150,7 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
     if str(given) == YCB and not path.exists():
         found = Found(tuple(ycb_sources()))
         return _Group(found.sources[0].path.parent, found, settings)
-    found = found_in(path)
+    found = find_all(path)
     root = path if path.is_dir() else path.parent
     sets = known_sets(root, found.files if path.is_dir() else root.iterdir(), layout)
     if settings is None and (settings := settings_for(root)) is not None and path.is_dir():

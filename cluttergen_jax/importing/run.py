@@ -85,7 +85,7 @@ def make_job(job: Job) -> ObjectAsset | LeftOut | str:
         # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
         with silent_log():
             shape = read_shape(job.source, job.config.read)
-            beyond = job.limits and job.limits.beyond_as_read(job.place, shape)
+            beyond = job.limits and job.limits.why_shape_left_out(job.place, shape)
             if beyond:
                 return beyond
             asset = measured_object(shape, _body(job), job.config.trials)
@@ -332,7 +332,7 @@ def _too_large_bodies(jobs: Sequence[Job], made: dict[str, ObjectAsset]) -> dict
     for job in jobs:
         asset = made.get(job.source.name)
         if job.limits is not None and asset is not None:
-            told[job.source.name] = job.limits.beyond_as_made(job.place, asset)
+            told[job.source.name] = job.limits.why_body_left_out(job.place, asset)
     return {name: each for name, each in told.items() if each is not None}
 
 

@@ -43,7 +43,7 @@ class Limits:
     def __post_init__(self) -> None:
         check_positive(self, "size", "mass")
 
-    def beyond(self, name: str, sides: np.ndarray, mass: float = 0.0) -> LeftOut | None:
+    def why_left_out(self, name: str, sides: np.ndarray, mass: float = 0.0) -> LeftOut | None:
         """What is said of an object that is too large or too heavy; None if it is neither.
 
         Args:
@@ -60,7 +60,7 @@ class Limits:
             return LeftOut(name, f"too heavy for a table: more than {self.mass:g} kg (`max_mass`)", detail)
         return None
 
-    def beyond_as_read(self, name: str, shape: Shape) -> LeftOut | None:
+    def why_shape_left_out(self, name: str, shape: Shape) -> LeftOut | None:
         """The same of a shape before a body is made of it; it is weighed only where it may be too heavy."""
         whole = join_meshes([piece.mesh for piece in shape.pieces])
         sides = np.ptp(whole.vertices[np.unique(whole.faces)], axis=0)
@@ -69,8 +69,8 @@ class Limits:
         is_light = max(mass, sides.prod() * shape.density) <= self.mass
         if sides.max() <= self.size - _HAIR and not is_light:
             mass = with_mass(shape)[2].mass
-        return self.beyond(name, sides, mass)
+        return self.why_left_out(name, sides, mass)
 
-    def beyond_as_made(self, name: str, asset: ObjectAsset) -> LeftOut | None:
+    def why_body_left_out(self, name: str, asset: ObjectAsset) -> LeftOut | None:
         """The same of a body."""
-        return self.beyond(name, 2 * np.asarray(asset.half_extents), asset.mass)
+        return self.why_left_out(name, 2 * np.asarray(asset.half_extents), asset.mass)

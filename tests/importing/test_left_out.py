@@ -200,15 +200,15 @@ def shape_of(size, density=500.0, mass=None):
     ],
 )
 def test_limits_of_size_and_mass(size, density, mass, word):
-    left = Limits().beyond_as_read("box", shape_of(size, density, mass))
+    left = Limits().why_shape_left_out("box", shape_of(size, density, mass))
     assert (left is None) if word is None else (word in left.reason)
 
 
 def test_limits_are_asked_for():
     shape = shape_of((0.7, 0.1, 0.1), mass=25.0)
-    assert "large" in Limits(0.65).beyond_as_read("box", shape).reason
-    assert "heavy" in Limits(0.8).beyond_as_read("box", shape).reason
-    assert Limits(0.8, 30.0).beyond_as_read("box", shape) is None
+    assert "large" in Limits(0.65).why_shape_left_out("box", shape).reason
+    assert "heavy" in Limits(0.8).why_shape_left_out("box", shape).reason
+    assert Limits(0.8, 30.0).why_shape_left_out("box", shape) is None
     with pytest.raises(ConfigError):
         Limits(size=0.0)
 

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.gltf_file import DTYPES, WIDTHS
+from cluttergen_jax.importing.readers.gltf_file import DTYPES, WIDTHS, Json
 from cluttergen_jax.importing.readers.xml_tree import parse_numbers
 
 _HEAD = 84
@@ -216,7 +216,7 @@ def _check_gltf(path: Path) -> None:
     _check_document(path, json.loads(path.read_bytes()), 0)
 
 
-def _check_document(path: Path, document: dict[str, Any], binary: int) -> None:
+def _check_document(path: Path, document: Json, binary: int) -> None:
     """Every accessor lies in its view, every view in its buffer, and every buffer in what is there."""
     buffers = []
     for index, buffer in enumerate(document.get("buffers", [])):
@@ -233,7 +233,7 @@ def _check_document(path: Path, document: dict[str, Any], binary: int) -> None:
         _check_accessor(path, f"accessor {index}", accessor, views)
 
 
-def _check_accessor(path: Path, name: str, accessor: dict[str, Any], views: list[dict[str, Any]]) -> None:
+def _check_accessor(path: Path, name: str, accessor: Json, views: list[Json]) -> None:
     count = _count(accessor["count"])
     if sparse := accessor.get("sparse"):
         # Each of its elements takes at least a byte, of indices as of values.

@@ -13,13 +13,13 @@ from urllib.parse import unquote_to_bytes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.places import find_named
 
-Document = dict[str, Any]
-"""glTF's own JSON: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html"""
+Json = dict[str, Any]
+"""An object of glTF's own JSON, such as the document: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html"""
 DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
-def read_document(path: Path) -> Document:
+def read_document(path: Path) -> Json:
     """The JSON of a glTF file; empty if it is none."""
     data = path.read_bytes()
     if data[:4] == b"glTF" and len(data) >= 20:
@@ -42,7 +42,7 @@ class Buffers:
       path: the file.
     """
 
-    def __init__(self, path: Path, document: Document) -> None:
+    def __init__(self, path: Path, document: Json) -> None:
         self.path, self._document = path, document
         self._read: dict[int, bytes] = {}
 
@@ -86,7 +86,7 @@ def _binary_chunk(path: Path) -> bytes:
     return data[28 + length :][: struct.unpack("<I4s", head)[0]] if len(head) == 8 else b""
 
 
-def glb(document: Document, binary: bytes) -> bytes:
+def glb(document: Json, binary: bytes) -> bytes:
     """A GLB file of a document whose only buffer is `binary`."""
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
@@ -111,7 +111,7 @@ _NO_SURFACE = (0, 1, 2, 3)
 """Modes of primitives that are points and lines."""
 
 
-def check_understood(path: Path, document: Document) -> None:
+def check_understood(path: Path, document: Json) -> None:
     """Refuses a file whose shape cannot be read without an extension that is not understood.
 
     Raises:
@@ -130,7 +130,7 @@ def check_understood(path: Path, document: Document) -> None:
         )
 
 
-def extension_notes(document: Document) -> Iterator[str]:
+def extension_notes(document: Json) -> Iterator[str]:
     """What is not followed, or was decided, of extensions and of surfaces that are no triangles."""
     required, used = _names(document, "extensionsRequired"), _names(document, "extensionsUsed")
     for name in required:
@@ -148,7 +148,7 @@ def extension_notes(document: Document) -> Iterator[str]:
         yield "its morph targets are drawn with the weights that the file gives"
 
 
-def _names(document: Document, key: str) -> list[str]:
+def _names(document: Json, key: str) -> list[str]:
     names = document.get(key)
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
@@ -157,7 +157,7 @@ def _is_followed(name: str) -> bool:
     return name in _UNDERSTOOD or name.startswith(_OF_LOOKS)
 
 
-def _is_all_that_there_is(name: str, document: Document) -> bool:
+def _is_all_that_there_is(name: str, document: Json) -> bool:
     """Whether a view's bytes are there in the extension's form alone: its buffer stands for no bytes."""
     buffers = document.get("buffers", [])
     views = [view for view in document.get("bufferViews", []) if name in view.get("extensions", {})]

@@ -93,12 +93,13 @@ def _parse(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
     """What trimesh makes of a file whose concave polygons are cut and whose counts are right, and notes."""
     content = mesh_input(path)
     notes: list[str] = []
-    if (mend := _MENDS.get(path.suffix.lower())) is not None:
-        data, of_content = mend(content["file_obj"].getvalue())
-        content["file_obj"] = io.BytesIO(data)
+    mend = _MENDS.get(path.suffix.lower())
+    if mend is not None and not isinstance(content.file_obj, str):
+        data, of_content = mend(content.file_obj.getvalue())
+        content = content._replace(file_obj=io.BytesIO(data))
         notes += of_content
     with collada_polygons(path) as of_polygons:
-        scene = trimesh.load_scene(**content, resolver=beside, process=False)
+        scene = trimesh.load_scene(**content._asdict(), resolver=beside, process=False)
     return scene, [*notes, *of_polygons]
 
 

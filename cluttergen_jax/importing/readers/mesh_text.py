@@ -12,7 +12,7 @@ import io
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import trimesh
 from PIL import Image
@@ -30,15 +30,22 @@ ALL_MATERIALS = "*.mtl"
 _MTLLIB = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)(?:[ \t]+#.*?)?[ \t\r]*$", re.MULTILINE)
 
 
-def mesh_input(path: Path) -> dict[str, Any]:
-    """A mesh file as `trimesh.load_scene` takes it: `file_obj`, and `file_type` where that is no path."""
+class MeshInput(NamedTuple):
+    """A mesh file as `trimesh.load_scene` takes it: its content and suffix, or its path."""
+
+    file_obj: io.BytesIO | str
+    file_type: str | None = None
+
+
+def mesh_input(path: Path) -> MeshInput:
+    """A mesh file in a form that trimesh understands."""
     suffix = path.suffix.lower()
     if suffix in (".glb", ".gltf") and (plain := plain_glb(path)) is not None:
-        return {"file_obj": io.BytesIO(plain), "file_type": "glb"}
+        return MeshInput(io.BytesIO(plain), "glb")
     if suffix == ".dae" and (named := with_image_paths(path)) is not None:
-        return {"file_obj": io.BytesIO(named), "file_type": "dae"}
+        return MeshInput(io.BytesIO(named), "dae")
     if suffix not in (".obj", ".ply", ".stl"):
-        return {"file_obj": str(path)}
+        return MeshInput(str(path))
     data = path.read_bytes()
     if suffix == ".ply":
         head, end, body = data.partition(_END_OF_HEADER)
@@ -47,7 +54,7 @@ def mesh_input(path: Path) -> dict[str, Any]:
         data = _plain_obj(as_utf8(data))
     elif is_text_stl(data, len(data)):
         data = as_utf8(data)
-    return {"file_obj": io.BytesIO(data), "file_type": suffix[1:]}
+    return MeshInput(io.BytesIO(data), suffix[1:])
 
 
 def as_utf8(data: bytes) -> bytes:

@@ -43,7 +43,7 @@ def one_image(sides: np.ndarray) -> np.ndarray:
     return rows.reshape(2 * width, 3 * width, 3)
 
 
-def laid_around(mesh: Mesh, directions: np.ndarray, is_one: bool, width: int) -> tuple[Mesh, np.ndarray]:
+def wrap_cube_map(mesh: Mesh, directions: np.ndarray, is_one: bool, width: int) -> tuple[Mesh, np.ndarray]:
     """The mesh, each triangle with vertices of its own and on one side of the cube, and their uv.
 
     Neighbours are cut at the same places, so that what was closed stays closed.
@@ -214,7 +214,7 @@ def with_picture(
     image = one_image(np.broadcast_to(pixels.reshape(-1, width, width, 3), (6, width, width, 3)))
     is_one = image.shape[1] == width
     side = min(width, max_side if is_one else max_side // 3)
-    mesh, uv = laid_around(mesh, _directions(model, geom, mesh.vertices), is_one, side)
+    mesh, uv = wrap_cube_map(mesh, _directions(model, geom, mesh.vertices), is_one, side)
     return mesh, uv, _texture(image, max_side)
 
 

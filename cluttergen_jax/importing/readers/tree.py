@@ -71,12 +71,12 @@ def find_sources(path: str | Path) -> list[ObjectFile]:
 
 
 def survey(path: str | Path) -> Found:
-    """`found_in`, with distinct names."""
-    found = found_in(path)
+    """`find_all`, with distinct names."""
+    found = find_all(path)
     return replace(found, sources=tuple(make_names_distinct(found.sources)))
 
 
-def found_in(path: str | Path) -> Found:
+def find_all(path: str | Path) -> Found:
     """Every object that `path` holds, and every file that is none; several objects may have one name.
 
     The meshes that a URDF, SDF or MJCF file names are its pieces; all others are objects of their own. One
