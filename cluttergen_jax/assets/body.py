@@ -118,7 +118,7 @@ def with_mass(shape: Shape) -> tuple[Shape, Solid, MassProperties]:
 def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[ObjectAsset]:
     """`make_object`'s body, then the same with ever fewer corners on the plane on which it stands.
 
-    For whoever measures how it stands: some outlines make MuJoCo change its choice of contacts from step
+    For callers that measure its stability: some outlines make MuJoCo change its choice of contacts from step
     to step. They are yielded as they are made; the parts are found only once.
     """
     config = config or BodyConfig()
@@ -139,8 +139,8 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
     if best is None or first is None:
         raise AssetError(f"{shape.label!r} has no convex part")
     if shape.parts and best is not first:
-        told = f"its file's own parts were not taken ({'; '.join(_faults(first, config))})"
-        shape = replace(shape, notes=(*shape.notes, told))
+        text = f"its file's own parts were not taken ({'; '.join(_faults(first, config))})"
+        shape = replace(shape, notes=(*shape.notes, text))
     yield _asset(shape, solid, mass, best, config)
     for corners in _FEWER_CORNERS:
         fewer = _candidate(best.raw, shape, solid, mass, config, corners)
@@ -175,7 +175,7 @@ def turned_variants(asset: ObjectAsset, rotation: np.ndarray) -> Iterator[Object
 
 
 def _usual_turn(solid: Solid, mass: MassProperties) -> tuple[np.ndarray, str] | None:
-    """The turn into the pose in which people put an object, and what is told of it; None to stay as authored.
+    """The turn into the pose in which people put an object, and a note on it; None to stay as authored.
 
     A pose is taken if the object's hull stays there in plain MuJoCo.
     """
@@ -188,8 +188,8 @@ def _usual_turn(solid: Solid, mass: MassProperties) -> tuple[np.ndarray, str] | 
         if tilt_of(settled_turn(_draft(hull, mass.transform(turn, np.zeros(3))))) <= MAX_TILT:
             heights = [f"{1000 * each.height:.0f}" for each, _ in choice.poses if each is not stance]
             others = f"; it would rest {', '.join(heights[:4])} mm tall as well" if heights else ""
-            told = f"turned by {np.degrees(tilt_of(turn)):.0f} degrees, as people put it"
-            return turn, f"{told}: {1000 * stance.height:.0f} mm tall{others}"
+            text = f"turned by {np.degrees(tilt_of(turn)):.0f} degrees, as people put it"
+            return turn, f"{text}: {1000 * stance.height:.0f} mm tall{others}"
     return None
 
 
@@ -221,7 +221,7 @@ def _candidate(
     if shape.cavity is not None:
         hollow: Hollow | None = known_hollow(shape.cavity).transform(rotation, np.zeros(3))
     elif shape.parts is not None and not shape.is_from_file:
-        # Whoever models the parts knows the object, and says nothing of a hollow.
+        # A modelled object without a cavity has none.
         hollow = None
     else:
         hollow = find_hollow(turned)

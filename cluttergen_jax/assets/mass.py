@@ -124,9 +124,9 @@ def choose_mass(
     share = mass / uniform.mass
     even = MassProperties(mass, uniform.center, uniform.inertia * share)
     if reason := _why_no_mass(stated, density * share, even):
-        told = f" of {_kilograms(mass)}" if np.isfinite(mass) else ""
+        text = f" of {_kilograms(mass)}" if np.isfinite(mass) else ""
         return uniform, (
-            f"its stated mass{told} is not taken: {reason}; "
+            f"its stated mass{text} is not taken: {reason}; "
             f"{uniform.mass:.3g} kg by volume and density instead"
         )
     if reason := _why_no_inertia(stated, solid, even):
@@ -153,13 +153,13 @@ def mass_alarm(stated: StatedMass, solid: Mesh) -> str:
     low, high = _LIKELY_DENSITY
     over_hull, over_mesh = mass / hull.volume, mass / solid.volume
     if not low <= over_hull <= high:
-        told = f"{_density(over_hull)} over its convex hull, where {low:g} to {high:,.0f} are likely"
+        text = f"{_density(over_hull)} over its convex hull, where {low:g} to {high:,.0f} are likely"
     elif not MIN_DENSITY <= over_mesh <= MAX_DENSITY:
-        told = f"{_density(over_mesh)} over the volume of its mesh"
+        text = f"{_density(over_mesh)} over the volume of its mesh"
     else:
         return ""
     instead = 'mass="volume" takes its volume times density'
-    return f"its stated mass of {_kilograms(mass)} does not fit its size: {told} ({instead})"
+    return f"its stated mass of {_kilograms(mass)} does not fit its size: {text} ({instead})"
 
 
 def _kilograms(mass: float) -> str:

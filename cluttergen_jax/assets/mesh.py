@@ -1,4 +1,4 @@
-"""A triangle mesh as two arrays, and what can be told and mended of its triangles alone."""
+"""A triangle mesh as two arrays, and what its triangles alone tell and need."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def _add_visual(body: mujoco.MjsBody, mesh: mujoco.MjsMesh, piece: Piece, materi
 def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") -> str:
     """Adds an image and a material that shows it, once; the material's name, empty if there is no image.
 
-    The image is a file among `spec.assets`: whoever saves the spec as XML saves these beside it.
+    The image is a file among `spec.assets`: to save the spec as XML, save these beside it.
 
     Args:
       folder: where the file will lie, relative to the XML, such as `../textures/`.

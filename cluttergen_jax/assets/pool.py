@@ -227,7 +227,7 @@ def without_exclusions(text: str) -> str:
 
 
 def public_name(text: str | Path) -> str:
-    """The text that names a pool, but without folders: where files lie is nobody else's business."""
+    """The text that names a pool, but without folders: where a user keeps files stays private."""
     union, mark, without = str(text).partition(_WITHOUT)
     return _AND.join(Path(each).name for each in union.split(_AND)) + mark + without
 
@@ -291,8 +291,8 @@ def _union(name: str, pools: list[Pool]) -> Pool:
     if not pools:
         raise PoolError(f"pool {name!r} is the union of the embedded pools, and none of them is installed")
     if len({pool.name for pool in pools}) < len(pools) or len({pool.tier for pool in pools}) > 1:
-        told = ", ".join(f"{pool.name} (tier {pool.tier})" for pool in pools)
-        raise PoolError(f"the union of pools {told}", "pools of different names and of one tier")
+        listed = ", ".join(f"{pool.name} (tier {pool.tier})" for pool in pools)
+        raise PoolError(f"the union of pools {listed}", "pools of different names and of one tier")
     names = [each for pool in pools for each in pool.names]
     objects = tuple(
         replace(asset, name=f"{pool.name}-{asset.name}") if names.count(asset.name) > 1 else asset

@@ -107,7 +107,7 @@ class Shape:
       friction: sliding coefficient wherever the object touches something; None for the contact's.
       notes: what its reader decided on the user's behalf, in words.
       colliding: all that collides according to its file, whether or not it can serve as `parts`.
-      scale: by what factor its reader was told to multiply the file's lengths.
+      scale: the factor on the file's lengths that was asked for.
       is_pose_free: whether its authored pose may give way to the one in which people put it (`upright`).
       is_from_file: whether a file is all that is known of it: whether it is hollow is looked for.
       keeps_parts: whether `parts` are asked for, sound or not.

@@ -84,7 +84,7 @@ def read_support(folder: str | Path) -> SupportAsset:
     if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
-        # What leads out of the folder is told as that, whatever the checksums say.
+        # A path that leads out of the folder is reported first, before any checksum.
         support = _support(typed(record, _Stored), Path(folder))
         checked_record(data)
         for name, digest in typed(record.get("files", {}), dict[str, str]).items():

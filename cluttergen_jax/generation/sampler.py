@@ -203,7 +203,7 @@ def _fits(region: Region, usual: Region, support: SupportAsset) -> Array:
 
 
 def _is_on_top(region: Region, support: SupportAsset) -> Array:
-    """bool: all corners are within the support's reach (`assets.reach`)."""
+    """bool: all corners are within the support's reach (`assets.support_map`)."""
     signs = jnp.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
     corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
     reach = top_bounds_of(support)

@@ -93,7 +93,7 @@ def load(key: str, name: str) -> ObjectAsset | None:
 
 
 def store(key: str, asset: ObjectAsset) -> None:
-    """Puts a body into the cache: whole or not at all, whoever else is writing the same."""
+    """Puts a body into the cache: whole or not at all, whatever else writes the same."""
     root = cache_root()
     with own_folder(root / key) as scratch:
         write_object(scratch / key, asset)

@@ -78,7 +78,7 @@ class Crew:
     Args:
       function: of a job, for all workers; it and the jobs are pickled.
       num_processes: at a time.
-      limit: seconds that a job may take, all tries together, the processor's where the system tells them;
+      limit: seconds that a job may take, all tries together, of the processor where the system reports them;
         None for as long as it likes.
       again: makes the next job.
       most_tries: of a job, where `again` is given.
@@ -139,7 +139,7 @@ class Crew:
             busy.append(free.pop())
             busy[-1].give(self._waiting.popleft())
         if self._last and not self._waiting and not busy:
-            # Whoever rests holds memory, of which there may have been too little.
+            # Idle workers hold memory, of which there may have been too little.
             self.close()
             self._workers = [_Worker(self._function)]
             self._workers[0].give(self._last.popleft())
@@ -221,14 +221,14 @@ def death(exit_code: int | None) -> str:
     if exit_code is None or exit_code >= 0:
         return f"its worker process ended with status {exit_code}"
     try:
-        name, told = signal.Signals(-exit_code).name, signal.strsignal(-exit_code) or ""
+        name, meaning = signal.Signals(-exit_code).name, signal.strsignal(-exit_code) or ""
     except ValueError:
-        name, told = f"signal {-exit_code}", ""
+        name, meaning = f"signal {-exit_code}", ""
     if name == "SIGKILL":
         return "its worker process was killed from outside (SIGKILL), perhaps for want of memory"
     if name in ("SIGTERM", "SIGINT", "SIGHUP"):
         return f"its worker process was ended from outside ({name})"
-    return f"its worker process crashed ({name}{f': {told.lower()}' if told else ''})"
+    return f"its worker process crashed ({name}{f': {meaning.lower()}' if meaning else ''})"
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ class _Worker:
             self.pipe.send(what)
 
     def seconds_used(self) -> float:
-        """Seconds of its task so far: the processor's, where the system tells them."""
+        """Seconds of its task so far: the processor's, where the system reports them."""
         passed, cpu = time.monotonic() - self.began, _cpu_seconds(self._process.pid)
         return passed if cpu is None else max(cpu - self.cpu_before, passed / _PATIENCE)
 
@@ -322,7 +322,7 @@ class _Worker:
 
 
 def _cpu_seconds(pid: int | None) -> float | None:
-    """Processor seconds of a process so far; None where the system does not tell."""
+    """Processor seconds of a process so far; None where the system does not report them."""
     try:
         words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
@@ -331,7 +331,7 @@ def _cpu_seconds(pid: int | None) -> float | None:
 
 
 def _serve(pipe: Connection) -> None:
-    """In a worker: first the function comes, then jobs, until nobody sends any more."""
+    """In a worker: first the function comes, then jobs, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # One thread each, and no GPU; before anything heavy is loaded, as the function and the jobs do.
     os.environ["OMP_NUM_THREADS"] = "1"

@@ -93,7 +93,7 @@ def make_job(job: Job) -> ObjectAsset | LeftOut | str:
             return replace(asset, flags=(*job.source.notes, *lost, *asset.flags))
     except ClutterGenError as error:
         return str(error)
-    except Exception as error:  # One object that nobody foresaw must not end a run of hundreds.
+    except Exception as error:  # One unforeseen object must not end a run of hundreds.
         return f"{job.source.path}: {type(error).__name__}: {error}"
 
 
@@ -271,7 +271,7 @@ def import_sources(
 def _final_names(planned: Sequence[Planned], kept: Sequence[Planned]) -> dict[str, str]:
     """What each object is called in the end, by its name of before: only those that were made share numbers.
 
-    Of the others, one whose name is taken now is told with its file.
+    Of the others, one whose name is taken now gets its file behind it.
     """
     names = {old.source.name: new.source.name for old, new in zip(kept, name_distinctly(kept), strict=True)}
     taken = set(names.values())
@@ -328,12 +328,12 @@ def _load_cached(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
 
 def _too_large_bodies(jobs: Sequence[Job], made: dict[str, ObjectAsset]) -> dict[str, LeftOut]:
     """By name, what is said of bodies beyond the limits."""
-    told = {}
+    reasons = {}
     for job in jobs:
         asset = made.get(job.source.name)
         if job.limits is not None and asset is not None:
-            told[job.source.name] = job.limits.why_body_left_out(job.place, asset)
-    return {name: each for name, each in told.items() if each is not None}
+            reasons[job.source.name] = job.limits.why_body_left_out(job.place, asset)
+    return {name: each for name, each in reasons.items() if each is not None}
 
 
 def _make(

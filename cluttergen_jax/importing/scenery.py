@@ -41,7 +41,7 @@ class BodyFacts:
     Attributes:
       name: its name; empty if it has none.
       is_free: it moves in all six directions, by a free joint or by sliders and hinges, and nothing holds it.
-      is_mocap: whoever runs the file says where it is.
+      is_mocap: the program that runs the file moves it.
       is_driven: an actuator moves one of its joints, or a mocap body carries it.
       chain: joints one after another, at most; all by which it moves as a whole are one, or none if free.
       has_joints: whether it moves at all.
@@ -205,8 +205,8 @@ def _mesh(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh) -> tuple[str, list[float]]:
 
 def _digest(parts: Iterator[object]) -> str:
     """One for the same parts in any order; empty if there are none."""
-    told = sorted(map(repr, parts))
-    return hashlib.sha256("\n".join(told).encode()).hexdigest() if told else ""
+    texts = sorted(map(repr, parts))
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest() if texts else ""
 
 
 MIN_CHAIN = 4
@@ -238,11 +238,11 @@ class _Body:
 def why_no_objects(sources: Sequence[ObjectFile]) -> dict[int, tuple[str, str]]:
     """Reason and detail, in words, by the index of each source that is no object of its own."""
     bodies = _bodies(sources)
-    told = {i: (why, "") for i, body in enumerate(bodies) if (why := _why_alone(body))}
-    told |= {i: why for i, why in _ghosts(bodies).items() if i not in told}
-    told |= {i: why for i, why in _in_many_files(bodies).items() if i not in told}
-    rest = {i: body for i, body in enumerate(bodies) if i not in told}
-    return told | _copies(rest)
+    reasons = {i: (why, "") for i, body in enumerate(bodies) if (why := _why_alone(body))}
+    reasons |= {i: why for i, why in _ghosts(bodies).items() if i not in reasons}
+    reasons |= {i: why for i, why in _in_many_files(bodies).items() if i not in reasons}
+    rest = {i: body for i, body in enumerate(bodies) if i not in reasons}
+    return reasons | _copies(rest)
 
 
 def _bodies(sources: Sequence[ObjectFile]) -> list[_Body]:
@@ -293,7 +293,7 @@ def _why_actor(facts: BodyFacts) -> str:
 
 
 def _ghosts(bodies: Sequence[_Body]) -> dict[int, tuple[str, str]]:
-    told = {}
+    reasons = {}
     for i, body in enumerate(bodies):
         facts = body.facts
         title = body.source.body or body.source.path.stem
@@ -303,8 +303,11 @@ def _ghosts(bodies: Sequence[_Body]) -> dict[int, tuple[str, str]]:
             continue
         twin = next((each for each in bodies if each is not body and _is_twin(each, body)), None)
         if twin is not None:
-            told[i] = "a likeness of another body, which collides with nothing", f"of {twin.source.path.name}"
-    return told
+            reasons[i] = (
+                "a likeness of another body, which collides with nothing",
+                f"of {twin.source.path.name}",
+            )
+    return reasons
 
 
 def _is_twin(other: _Body, ghost: _Body) -> bool:
@@ -324,7 +327,7 @@ def _in_many_files(bodies: Sequence[_Body]) -> dict[int, tuple[str, str]]:
     for body in bodies:
         if body.is_of_several:
             files[body.folder][body.source.path] = body.siblings
-    told = {}
+    reasons = {}
     for i, body in enumerate(bodies):
         if body.facts is None or not body.is_of_several or body.facts.has_joints:
             continue
@@ -332,8 +335,8 @@ def _in_many_files(bodies: Sequence[_Body]) -> dict[int, tuple[str, str]]:
         count = _num_files(body.facts.shape, here)
         has_others = any(each.shape and _num_files(each.shape, here) < count for each in body.siblings)
         if count >= max(2, len(here) / 2) and has_others:
-            told[i] = "stands alike in several files", ""
-    return told
+            reasons[i] = "stands alike in several files", ""
+    return reasons
 
 
 def _num_files(shape: str, files: Sequence[tuple[BodyFacts, ...]]) -> int:
@@ -343,11 +346,11 @@ def _num_files(shape: str, files: Sequence[tuple[BodyFacts, ...]]) -> int:
 def _copies(bodies: dict[int, _Body]) -> dict[int, tuple[str, str]]:
     """Bodies that look like one of another file; a file's only body comes first, and always stays."""
     first: dict[str, _Body] = {}
-    told = {}
+    reasons = {}
     for i, body in sorted(bodies.items(), key=lambda item: item[1].is_of_several):
         if body.facts is None or not body.facts.looks:
             continue
         twin = first.setdefault(body.facts.looks, body)
         if body.is_of_several and twin.source.path != body.source.path:
-            told[i] = "alike in another file", f"in {twin.source.path.name}"
-    return told
+            reasons[i] = "alike in another file", f"in {twin.source.path.name}"
+    return reasons

@@ -74,9 +74,9 @@ class Settings:
         skipped = {Path(each.name).name: each.reason for _, found in groups for each in found.skipped}
         wrong = unused[0]
         reason = next((why for name, why in skipped.items() if _fits(name, Path(wrong).name)), None)
-        told = f" (it is skipped: {reason})" if reason else did_you_mean(wrong, known)
+        why = f" (it is skipped: {reason})" if reason else did_you_mean(wrong, known)
         raise ConfigError(
-            f"{self.path}: [{wrong!r}] fits no object{told}",
+            f"{self.path}: [{wrong!r}] fits no object{why}",
             "paths or names of files that are imported, such as " + ", ".join(sorted(set(known))[:5]),
         )
 

@@ -92,7 +92,7 @@ def _orient(piece: Piece, patches: _Patches, skin: Skin | None) -> Piece:
     # What is open in a solid that had to be rebuilt may have a back that nothing covers.
     may_gape = skin is not None and not skin.is_exact and patches.holes > _GAPING
     is_sheet = ~closed & is_seen & (~is_told | may_gape)
-    # What nobody sees stays as it is, and so does what has only one side.
+    # What cannot be seen stays as it is, and so does what has only one side.
     is_kept = (~closed & ~is_seen) | patches.is_one_sided
     flips = np.where(is_kept[patches.label], False, patches.is_turned ^ faces_in[patches.label])
     return _add_back_sides(replace(piece, mesh=_flip(mesh, flips)), is_sheet[patches.label])

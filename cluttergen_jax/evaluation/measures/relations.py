@@ -190,8 +190,8 @@ class Hollow:
 def vessel_of(asset: ObjectAsset) -> Hollow | None:
     """An object's hollow, or None if it has none.
 
-    By the importer's rule (`assets.hollow`): as deep as 15 mm and a fifth of its width, and open to a ball of
-    10 mm. A plate is no vessel.
+    By the importer's rule (`assets.quality.hollow`): as deep as 15 mm and a fifth of its width, and open to
+    a ball of 10 mm. A plate is no vessel.
     """
     mesh = join_meshes([part.hull() for part in asset.parts])
     hollow = find_hollow(Solid(mesh, True, mesh))

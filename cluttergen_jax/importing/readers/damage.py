@@ -1,4 +1,4 @@
-"""Damaged mesh files, told in words: cut short, announcing more than they hold, or naming what they lack."""
+"""Damaged mesh files: cut short, announcing more than they hold, or naming what they lack."""
 
 from __future__ import annotations
 

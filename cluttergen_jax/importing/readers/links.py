@@ -148,8 +148,8 @@ class Surfaces:
                 f"{self.path}: a <mesh> that names no file", f"one that is named by {self.named_by!r}"
             )
         if (part := form.find("submesh")) is not None:
-            told = part.findtext("name", "").strip()
-            raise AssetError(f"{self.path}: <submesh> {told!r} of {name!r}", "a mesh file as a whole")
+            submesh = part.findtext("name", "").strip()
+            raise AssetError(f"{self.path}: <submesh> {submesh!r} of {name!r}", "a mesh file as a whole")
         if (file := mesh_place(self.path, name)) is None:
             raise AssetError(
                 f"{self.path} names mesh file {name!r}, which is not there", hint="restoring the file"
@@ -226,12 +226,12 @@ def rigid(
         raise AssetError(f"{surfaces.path} has neither visual nor collision geometry")
     masses = {link.name: mass for link in links if (mass := _link_mass(surfaces.path, link)) is not None}
     stated = combine_masses(list(masses.values()))
-    told = [*notes, *_weightless(links, masses)]
+    own_notes = [*notes, *_weightless(links, masses)]
     return Model(
         pieces=_visible(visuals, surfaces.notes) or collisions,
         parts=convex_parts([piece.mesh for piece in collisions]),
         stated=None if stated is None else stated.convert(np.eye(3), scale),
-        notes=tuple(dict.fromkeys([*told, *surfaces.notes])),
+        notes=tuple(dict.fromkeys([*own_notes, *surfaces.notes])),
         density=_density(surfaces.path, links),
         colliding=tuple(piece.mesh for piece in collisions),
     )

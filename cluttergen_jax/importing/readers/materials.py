@@ -24,7 +24,7 @@ _MTL_MAP = re.compile(r"map_(?!k[ad]$).+|bump|norm|disp|decal|refl")
 _MANY = 0.02
 """Spread of vertex colours, of 1, above which one colour for all is a loss."""
 _LIGHT = 0.5
-"""A grey Kd from here on is what exporters write beside an image: nothing is told of it."""
+"""A grey Kd from here on is what exporters write beside an image: it gets no note."""
 
 
 class Dresser:
@@ -93,8 +93,8 @@ class Dresser:
         if kept is not None:
             colour = _numbers(kept.get("kd"), 3)
             if colour is not None and (max(colour) < _LIGHT or max(colour) - min(colour) > _MANY):
-                told = " ".join(f"{each:g}" for each in colour)
-                self._note(f"an image is drawn as it is, not multiplied by its material's colour (Kd {told})")
+                text = " ".join(f"{each:g}" for each in colour)
+                self._note(f"an image is drawn as it is, not multiplied by its material's colour (Kd {text})")
             return _rgba([1.0, 1.0, 1.0, (_numbers(kept.get("d"), 1) or [1.0])[0]])
         factor = getattr(material, "baseColorFactor", None)
         if factor is None:

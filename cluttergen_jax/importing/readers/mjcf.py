@@ -31,8 +31,8 @@ def _compile_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[st
     spec = mujoco.MjSpec.from_file(str(path))
     worn = {each for material in spec.materials for each in material.textures}
     _drop(spec, lost)
-    told = dict.fromkeys(file for name, file in lost.items() if name in worn)
-    notes = (f"the image {file!r} cannot be read: its surface has its material's colour" for file in told)
+    files = dict.fromkeys(file for name, file in lost.items() if name in worn)
+    notes = (f"the image {file!r} cannot be read: its surface has its material's colour" for file in files)
     return spec.compile(), tuple(notes)
 
 
@@ -113,9 +113,9 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
     geoms = [i for i in range(model.ngeom) if model.geom_bodyid[i] in bodies]
     roles = roles_of(model, data, geoms)
     if not roles.surface:
-        told = "; ".join(roles.notes) or "it has no geoms"
+        why = "; ".join(roles.notes) or "it has no geoms"
         raise AssetError(
-            f"{path}: nothing of body {model.body(root).name or body!r} can be an object: {told}",
+            f"{path}: nothing of body {model.body(root).name or body!r} can be an object: {why}",
             "geoms in groups 0 to 2 with an alpha above 0, or geoms that collide; planes do not count",
         )
     of_pictures = (*of_pictures, *picture_notes(model, roles.surface))
@@ -157,8 +157,8 @@ def compile_with_notes(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
         # MuJoCo takes any bytes for a name; they would come to light wherever one is first read.
         model.names.decode()
     except (ValueError, OSError) as error:
-        told = " ".join(str(error).split())
-        raise AssetError(f"{path} cannot be compiled as MJCF: {told}", "an MJCF file") from error
+        message = " ".join(str(error).split())
+        raise AssetError(f"{path} cannot be compiled as MJCF: {message}", "an MJCF file") from error
     return model, notes
 
 

@@ -151,13 +151,13 @@ def roles_of(model: mujoco.MjModel, data: mujoco.MjData, geoms: Iterable[int]) -
     shown_colliding = [i for i in colliding if is_visible(model, i)]
     stand_ins = _find_stand_ins(model, data, shown_colliding, shown)
     surface = [i for i in solid if i in shown or (i in shown_colliding and i not in stand_ins)]
-    told = {
+    reasons = {
         "left out, as planes have no inside": [i for i in geoms if i not in solid],
         "left out, as they are not seen and do not collide": [i for i in others if i not in shown],
         "taken for collision alone, as what is seen covers them": stand_ins,
         "taken for the surface, as nothing else is there to be seen": [] if surface else colliding,
     }
-    notes = tuple(f"{reason}: {_names(model, which)}" for reason, which in told.items() if which)
+    notes = tuple(f"{reason}: {_names(model, which)}" for reason, which in reasons.items() if which)
     return Roles(tuple(surface or colliding), tuple(colliding), notes)
 
 
@@ -211,6 +211,6 @@ def _inner_points(hull: Mesh) -> np.ndarray:
 def _names(model: mujoco.MjModel, geoms: Sequence[int]) -> str:
     """The first few geoms by their names, or else by their kinds."""
     kinds = {i: geom_kind(model, i).name.removeprefix("mjGEOM_").lower() for i in geoms}
-    told = [repr(model.geom(i).name) if model.geom(i).name else f"a {kinds[i]}" for i in geoms[:_MOST_NAMES]]
+    names = [repr(model.geom(i).name) if model.geom(i).name else f"a {kinds[i]}" for i in geoms[:_MOST_NAMES]]
     more = [f"{len(geoms) - _MOST_NAMES} more"] if len(geoms) > _MOST_NAMES else []
-    return ", ".join([*told, *more])
+    return ", ".join([*names, *more])

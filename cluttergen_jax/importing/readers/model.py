@@ -42,11 +42,11 @@ def frozen_note(joints: Iterable[tuple[str, str, float, bool]]) -> tuple[str, ..
     Args:
       joints: name, kind, value in radians or metres, and whether it turns.
     """
-    told = []
+    described = []
     for name, kind, value, is_turn in joints:
         place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
-        told.append(f"{name!r} ({kind}) at {place}")
-    return (f"frozen joints: {', '.join(told)}",) if told else ()
+        described.append(f"{name!r} ({kind}) at {place}")
+    return (f"frozen joints: {', '.join(described)}",) if described else ()
 
 
 def convex_parts(meshes: list[Mesh], tolerance: float = 0.02) -> tuple[Mesh, ...] | None:

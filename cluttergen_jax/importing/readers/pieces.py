@@ -59,7 +59,7 @@ def _is_visible(stem: str) -> bool:
 
 
 class Belonging:
-    """The files of a tree, to tell of each whether it belongs to another.
+    """The files of a tree, and which of them belong to others.
 
     Args:
       files: by folder.

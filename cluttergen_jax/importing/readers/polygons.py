@@ -223,7 +223,7 @@ def _cut(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     axes = [[each.name for each in vertex.properties].index(axis) for axis in "xyz"]
     points = np.array([[row[axis] for axis in axes] for row in rows[0]]).astype(np.float64)
     named = np.concatenate(polygons)
-    # Of corners that are not there `_sound` tells, once the parser has read the file.
+    # Corners that are not there are reported by `_sound`, once the parser has read the file.
     is_there = bool(len(named)) and 0 <= named.min() <= named.max() < len(points)
     found, is_crossing = cuts(points, polygons) if is_there else ({}, False)
     notes = (CROSSING,) if is_crossing else ()

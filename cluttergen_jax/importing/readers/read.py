@@ -42,8 +42,8 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
     density = options.density if model.density is None else model.density
     mass, stated = (None, None) if options.mass == "volume" else (options.mass, model.stated)
     if stated is not model.stated:
-        told = "the mass that its file states is not asked for"
-        notes = (*notes, f"{told}: it is its volume times {density:g} kg/m^3")
+        reason = "the mass that its file states is not asked for"
+        notes = (*notes, f"{reason}: it is its volume times {density:g} kg/m^3")
     elif source.kind != "mesh" and stated is None and mass is None:
         what = "mass" if model.density is None else "mass but a density"
         notes = (*notes, f"its file states no {what}: it is its volume times {density:g} kg/m^3")
@@ -98,7 +98,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Sh
 
 def _unfold(piece: Piece) -> Piece:
     mesh = piece.mesh
-    # Vertices that are not finite are told by `_check_size`.
+    # `_check_size` reports vertices that are not finite.
     mended = without_folds(mesh, piece.uv) if np.isfinite(mesh.vertices).all() else mesh
     return piece if mended is mesh else replace(piece, mesh=mended)
 
@@ -156,7 +156,7 @@ def with_kept_parts(model: Model, files: Sequence[Path]) -> Model:
     Raises:
       AssetError: a file cannot be read.
     """
-    told = files[0].name if len(files) == 1 else f"{len(files)} files like {files[0].name}"
+    named = files[0].name if len(files) == 1 else f"{len(files)} files like {files[0].name}"
     shapes = [
         shape
         for file in files
@@ -165,9 +165,9 @@ def with_kept_parts(model: Model, files: Sequence[Path]) -> Model:
     parts = convex_parts(shapes)
     if parts is None:
         why = "they are not convex" if len(shapes) <= MAX_PARTS else f"they are more than {MAX_PARTS}"
-        note = f"the collision shapes of {told} were not kept: {why}"
+        note = f"the collision shapes of {named} were not kept: {why}"
     else:
-        note = f"its collision parts are those of {told}"
+        note = f"its collision parts are those of {named}"
     return Model(model.pieces, parts, model.stated, (*model.notes, note), model.density, tuple(shapes))
 
 

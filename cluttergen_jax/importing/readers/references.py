@@ -157,7 +157,7 @@ def _bodies(path: Path, root: Element) -> tuple[str, ...]:
     """What the bodies of an MJCF file's world are called; MuJoCo says, where they are not all written out."""
     inside = [child for world in root.iter("worldbody") for child in world]
     if any(child.tag in _MADE_BY_MUJOCO for child in inside):
-        # Whoever reads the file tells of one that cannot be compiled.
+        # The reader reports a file that cannot be compiled.
         with suppress(AssetError):
             model = compile_with_notes(path)[0]
             return tuple(model.body(each).name for each in world_bodies(model))

@@ -123,8 +123,8 @@ def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE) -> Model:
     """
     found = dict(models(_parse(path)))
     if not (model := found.get(name) if name else next(iter(found.values()), None)):
-        told = f" called {name!r}" if name else ""
-        raise AssetError(f"{path} holds no model{told}", "a <model> with links")
+        named = f" called {name!r}" if name else ""
+        raise AssetError(f"{path} holds no model{named}", "a <model> with links")
     surfaces = Surfaces(path, max_side, "uri", _FORMS)
     links = list(_links(path, model, _pose(path, model)))
     return rigid(links, surfaces, _Looks(surfaces, model).of, list(_notes(model)))

@@ -136,8 +136,8 @@ class Joints:
         below = {self._link_of(joint, "child") for joint in self._joints}
         roots = [name for name in self._links if name not in below]
         if len(roots) > 1:
-            told = ", ".join(map(repr, roots))
-            self.notes.append(f"its links {told} hang on no joint: all are put at the model's origin")
+            names = ", ".join(map(repr, roots))
+            self.notes.append(f"its links {names} hang on no joint: all are put at the model's origin")
         poses = {name: np.eye(4) for name in roots}
         todo = list(poses)
         while todo:

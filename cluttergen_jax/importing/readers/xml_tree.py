@@ -16,7 +16,7 @@ BROKEN = (OSError, ElementTree.ParseError, ValueError, LookupError)
 
 
 def parse_xml(path: Path) -> Element | None:
-    """The root of a file; None where it is no XML, of which whoever reads it for good tells."""
+    """The root of a file; None where it is no XML, which the format's own reader reports."""
     try:
         return ElementTree.parse(path).getroot()
     except BROKEN:
@@ -79,7 +79,7 @@ def all_numbers(path: Path, element: Element, name: str, default: str | None = N
     text = attribute_text(element, name)
     text = default if text is None else text
     if text is None:
-        # Whoever has elements within writes all as elements.
+        # Formats with elements inside write all values as elements.
         if len(element):
             raise AssetError(f"{path}: a <{element.tag}> without <{name}>")
         raise AssetError(
