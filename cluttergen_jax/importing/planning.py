@@ -42,7 +42,7 @@ class Planned:
     up: UpAxis  # The vertical axis of its file, and who says so.
     is_named: bool = False  # Its name was chosen by the user, and stays.
     out: str = ""  # Why the layout of its set leaves it out; empty if it does not.
-    place: str = ""  # Its file from the searched folder on, with "#" and the body where it holds several.
+    place: str = ""  # See `LeftOut.name`.
     take: bool | None = None  # Whether the user's settings take it or leave it out; None if they do not say.
 
 

@@ -31,22 +31,14 @@ _MOST_UNBORN = 3
 
 @dataclass
 class Outcome:
-    """What became of a job.
+    """What became of a job."""
 
-    Attributes:
-      result: what the function returned; None if there is none.
-      fault: why there is none; empty if there is one.
-      seconds, cpu_seconds: what it cost, all tries together, without the start of a process.
-      is_late: whether it was ended for its time.
-      is_killed: whether something outside has killed its worker.
-    """
-
-    result: Any = None
-    fault: str = ""
-    seconds: float = 0.0
+    result: Any = None  # What the function returned; None if there is none.
+    fault: str = ""  # Why there is none; empty if there is one.
+    seconds: float = 0.0  # What it cost, all tries together, without the start of a process.
     cpu_seconds: float = 0.0
-    is_late: bool = False
-    is_killed: bool = False
+    is_late: bool = False  # Whether it was ended for its time.
+    is_killed: bool = False  # Whether something outside has killed its worker.
 
 
 Again = Callable[[Any, str], Any]

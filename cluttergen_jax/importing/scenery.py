@@ -36,31 +36,18 @@ _UNSAID = np.array([0.5, 0.5, 0.5, 1.0])
 
 @dataclass(frozen=True)
 class BodyFacts:
-    """One body that hangs on the world of an MJCF file, with all that hangs on it.
+    """One body that hangs on the world of an MJCF file, with all that hangs on it."""
 
-    Attributes:
-      name: its name; empty if it has none.
-      is_free: it moves in all six directions, by a free joint or by sliders and hinges, and nothing holds it.
-      is_mocap: the program that runs the file moves it.
-      is_driven: an actuator moves one of its joints, or a mocap body carries it.
-      chain: joints one after another, at most; all by which it moves as a whole are one, or none if free.
-      has_joints: whether it moves at all.
-      shape: digest of what is seen of it, or else of what collides, in its own frame; empty if nothing is.
-      looks: digest of the shape with its colours.
-      collides: whether any of it collides.
-      is_translucent: whether one can look through all that is seen.
-    """
-
-    name: str
-    is_free: bool
-    is_mocap: bool
-    is_driven: bool
-    chain: int
-    has_joints: bool
-    shape: str
-    looks: str
-    collides: bool
-    is_translucent: bool
+    name: str  # Empty if it has none.
+    is_free: bool  # It moves in all six directions (free joint, or sliders and hinges), and nothing holds it.
+    is_mocap: bool  # The program that runs the file moves it.
+    is_driven: bool  # An actuator moves one of its joints, or a mocap body carries it.
+    chain: int  # Joints one after another, at most; all by which it moves as a whole are one, none if free.
+    has_joints: bool  # Whether it moves at all.
+    shape: str  # Digest of what is seen of it, or else of what collides, in its own frame; "" if nothing is.
+    looks: str  # Digest of the shape with its colours.
+    collides: bool  # Whether any of it collides.
+    is_translucent: bool  # Whether one can look through all that is seen.
 
 
 def world_facts(path: Path) -> list[BodyFacts]:

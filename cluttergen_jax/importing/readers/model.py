@@ -17,23 +17,14 @@ MAX_PARTS = 32
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model of several links or bodies as one rigid thing, all its joints frozen.
+    """A model of several links or bodies as one rigid thing, all its joints frozen."""
 
-    Attributes:
-      pieces: the surfaces that are shown.
-      parts: convex collision parts, or None if the file has none that can be used.
-      stated: mass and inertia, or None if the file has none.
-      density: kg/m^3 as the file has it, for where it has no mass; None if it has none.
-      notes: what was decided about the model, in words.
-      colliding: all that collides as the file has it, convex or not; empty where it tells nothing apart.
-    """
-
-    pieces: list[Piece]
-    parts: tuple[Mesh, ...] | None
-    stated: StatedMass | None
-    notes: tuple[str, ...] = ()
-    density: float | None = None
-    colliding: tuple[Mesh, ...] = ()
+    pieces: list[Piece]  # The surfaces that are shown.
+    parts: tuple[Mesh, ...] | None  # Convex collision parts; None if the file has none that can be used.
+    stated: StatedMass | None  # Mass and inertia; None if the file has none.
+    notes: tuple[str, ...] = ()  # What was decided about the model, in words.
+    density: float | None = None  # kg/m^3 as the file has it, for where it has no mass.
+    colliding: tuple[Mesh, ...] = ()  # All that collides as the file has it, convex or not.
 
 
 def frozen_note(joints: Iterable[tuple[str, str, float, bool]]) -> tuple[str, ...]:

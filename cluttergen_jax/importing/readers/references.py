@@ -28,26 +28,15 @@ _NAMED = re.compile(r"\bfile(?:name)?\s*=\s*[\"']([^\"'<>]+)")
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A URDF, SDF or MJCF file.
-
-    Attributes:
-      path: the file.
-      kind: "urdf", "sdf" or "mjcf".
-      files: real paths of the meshes and textures that it names and that are there.
-      includes: real paths of the MJCF files that are part of it.
-      bodies: names of the bodies that hang on the world body, "" where one has none, or of the models of an
-        SDF; () of a URDF.
-      is_whole: all that it names is there.
-      fault: why it is no object, though it names files: a part for others to include, or broken.
-    """
+    """A URDF, SDF or MJCF file; files by their real paths."""
 
     path: Path
-    kind: str
-    files: frozenset[Path] = frozenset()
-    includes: frozenset[Path] = frozenset()
-    bodies: tuple[str, ...] = ()
-    is_whole: bool = True
-    fault: str = ""
+    kind: str  # "urdf", "sdf" or "mjcf".
+    files: frozenset[Path] = frozenset()  # Meshes and textures that it names and that are there.
+    includes: frozenset[Path] = frozenset()  # MJCF files that are part of it.
+    bodies: tuple[str, ...] = ()  # Names of bodies of the world ("" for none) or of an SDF's models.
+    is_whole: bool = True  # All that it names is there.
+    fault: str = ""  # Why it is no object: a part for others to include, or broken.
 
 
 def model_file(path: Path) -> ModelFile | str:

@@ -138,28 +138,17 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class ObjectFile:
-    """One object to be read.
+    """One object to be read."""
 
-    Attributes:
-      path: the mesh, URDF, SDF or MJCF file.
-      kind: "mesh", "urdf", "sdf" or "mjcf".
-      name: `[a-z0-9_-]+`, unique among the sources found together.
-      label: what people call it.
-      body: the body's or model's name, where an MJCF or SDF file holds several objects.
-      parts: files of collision shapes that are to be its parts.
-      plain: the name without the number that sets it apart from others.
-      notes: known faults, passed on as flags.
-    """
-
-    path: Path
-    kind: str
-    name: str
-    label: str
-    body: str = ""
+    path: Path  # The mesh, URDF, SDF or MJCF file.
+    kind: str  # "mesh", "urdf", "sdf" or "mjcf".
+    name: str  # `[a-z0-9_-]+`, unique among the sources found together.
+    label: str  # What people call it.
+    body: str = ""  # The body's or model's name, where an MJCF or SDF file holds several objects.
     provenance: Provenance | None = None
-    notes: tuple[str, ...] = ()
-    parts: tuple[Path, ...] = ()
-    plain: str = ""
+    notes: tuple[str, ...] = ()  # Known faults, passed on as flags.
+    parts: tuple[Path, ...] = ()  # Files of collision shapes that are to be its parts.
+    plain: str = ""  # The name without the number that sets it apart from others.
 
 
 def make_source(path: Path, kind: str, title: str = "", behind: str = "") -> ObjectFile:
