@@ -111,8 +111,8 @@ class TopBounds(NamedTuple):
 
 def top_bounds_of(support: SupportAsset) -> TopBounds:
     """The smallest rectangle that holds all boxes of the support's top, and a centimetre more."""
-    tops = (abs(box.center[2] + box.half_extents[2] - support.top) < _LEVEL for box in support.boxes)
-    level = [box for box, is_top in zip(support.boxes, tops, strict=True) if is_top]
+    heights = [box.center[2] + box.half_extents[2] for box in support.boxes]
+    level = [box for box, z in zip(support.boxes, heights, strict=True) if abs(z - support.top) < _LEVEL]
     tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
     axes = turned(np.eye(2), -support.region.yaw)
     rim = np.concatenate([top.corners for top in tops]) @ axes

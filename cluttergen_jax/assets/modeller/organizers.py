@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import palette as rgb
@@ -58,7 +59,7 @@ def _around(angle: float, radius: float, z: float) -> np.ndarray:
 
 def _pencil(
     start: np.ndarray, end: np.ndarray, length: float, color: cad.Rgb
-) -> tuple[list[cad.Painted], Mesh]:
+) -> tuple[list[tuple[Manifold, cad.Rgb]], Mesh]:
     """A sharpened pencil of a given length from `start` towards `end`, and its part."""
     along = (end - start) / np.linalg.norm(end - start)
     stations = [start + along * s for s in (0.0, length - 0.022, length - 0.006, length)]
@@ -108,7 +109,7 @@ def pen_holder(rng: Rng = None) -> Shape:
     )
 
 
-def _pen(start: np.ndarray, end: np.ndarray, color: cad.Rgb) -> tuple[list[cad.Painted], Mesh]:
+def _pen(start: np.ndarray, end: np.ndarray, color: cad.Rgb) -> tuple[list[tuple[Manifold, cad.Rgb]], Mesh]:
     """A pen with its cap up, and its part."""
     neck = start + 0.62 * (end - start)
     outline = cad.ellipse(0.0042, 0.0042, 12)
