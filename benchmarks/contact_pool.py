@@ -12,7 +12,7 @@ from benchmarks.sampled import make_block_sampler, placed_poses
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.importing.solo import solo_poses
+from cluttergen_jax.importing.solo_stability import solo_poses
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import geometry_of, region_of

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.cloud import sample_surface
-from cluttergen_jax.assets.inertia import mass_properties
+from cluttergen_jax.assets.mass import mass_properties
 from cluttergen_jax.assets.pool import EMBEDDED, find_pool
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid, solid_of
@@ -96,7 +96,7 @@ def _tried(
 ) -> tuple[bool, bool, bool]:
     """Whether the object comes back as it was, or so that it looks like it, and whether it can rest so."""
     turn = np.eye(3) if seed is None else Rotation.random(random_state=seed).as_matrix()
-    mesh = solid.mesh.transformed(turn, np.zeros(3))
+    mesh = solid.mesh.transform(turn, np.zeros(3))
     start = time.process_time()
     choice = usual_poses(Solid(mesh, solid.is_exact, mesh), turn @ center)
     seconds.append(time.process_time() - start)

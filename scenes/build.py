@@ -5,7 +5,7 @@ from pathlib import Path
 from cluttergen_jax.assets.modeller.catalog import POOLS, make_shape
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.importing.solo import measured_object
+from cluttergen_jax.importing.solo_stability import measured_object
 
 LICENCE = "Apache-2.0"
 

@@ -10,19 +10,17 @@ import numpy as np
 from cluttergen_jax.assets.cloud import surface_cloud
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose, decompositions
-from cluttergen_jax.assets.deviation import deviation, size_alarm
-from cluttergen_jax.assets.facing import faced
-from cluttergen_jax.assets.gaps import gap_alarm
-from cluttergen_jax.assets.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
-from cluttergen_jax.assets.inertia import MassProperties, mass_properties
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mass import MassProperties, choose_mass, mass_alarm, mass_properties
+from cluttergen_jax.assets.mesh import join_meshes
+from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
+from cluttergen_jax.assets.mesh_repair.simplify import simplify_pieces
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
-from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finished, hull_of
-from cluttergen_jax.assets.pieces import drawn
-from cluttergen_jax.assets.rest import resting_poses, settled_turn, tilt_of, upright_turn
+from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finish_parts, hull_of
+from cluttergen_jax.assets.quality.deviation import deviation, gap_alarm, size_alarm
+from cluttergen_jax.assets.quality.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
+from cluttergen_jax.assets.settle import resting_poses, settled_turn, tilt_of, upright_turn
 from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
-from cluttergen_jax.assets.stated_mass import believed, mass_alarm
 from cluttergen_jax.assets.upright import usual_poses
 from cluttergen_jax.errors import AssetError, ConfigError
 
@@ -112,7 +110,7 @@ def with_mass(shape: Shape) -> tuple[Shape, Solid, MassProperties]:
     solid = solid_of([piece.mesh for piece in shape.pieces])
     mass = mass_properties(solid.mesh, shape.density, shape.mass)
     if shape.mass is None and shape.stated is not None:
-        mass, refusal = believed(shape.stated, solid.mesh, mass, shape.density)
+        mass, refusal = choose_mass(shape.stated, solid.mesh, mass, shape.density)
         shape = replace(shape, notes=(*shape.notes, *([refusal] if refusal else ())))
     return shape, solid, mass
 
@@ -120,15 +118,15 @@ def with_mass(shape: Shape) -> tuple[Shape, Solid, MassProperties]:
 def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[ObjectAsset]:
     """`make_object`'s body, then the same with ever fewer corners on the plane on which it stands.
 
-    For whoever measures how it stands: some outlines make MuJoCo change its choice of contacts from step
+    For callers that measure its stability: some outlines make MuJoCo change its choice of contacts from step
     to step. They are yielded as they are made; the parts are found only once.
     """
     config = config or BodyConfig()
     shape, solid, mass = with_mass(shape)
     if shape.is_pose_free and (turn := _usual_turn(solid, mass)) is not None:
         rotation, note = turn
-        shape = replace(shape.turned(rotation), notes=(*shape.notes, note))
-        solid, mass = _turned(solid, rotation), mass.moved(rotation, np.zeros(3))
+        shape = replace(shape.rotate(rotation), notes=(*shape.notes, note))
+        solid, mass = _rotate_solid(solid, rotation), mass.transform(rotation, np.zeros(3))
     best: _Candidate | None = None
     first: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
@@ -141,8 +139,8 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
     if best is None or first is None:
         raise AssetError(f"{shape.label!r} has no convex part")
     if shape.parts and best is not first:
-        told = f"its file's own parts were not taken ({'; '.join(_faults(first, config))})"
-        shape = replace(shape, notes=(*shape.notes, told))
+        text = f"its file's own parts were not taken ({'; '.join(_faults(first, config))})"
+        shape = replace(shape, notes=(*shape.notes, text))
     yield _asset(shape, solid, mass, best, config)
     for corners in _FEWER_CORNERS:
         fewer = _candidate(best.raw, shape, solid, mass, config, corners)
@@ -161,9 +159,9 @@ def turned_variants(asset: ObjectAsset, rotation: np.ndarray) -> Iterator[Object
     """
     config = BodyConfig(tier=asset.tier)
     still = np.zeros(3)
-    shape = Shape(asset.name, asset.label, asset.pieces, asset.provenance).turned(rotation)
+    shape = Shape(asset.name, asset.label, asset.pieces, asset.provenance).rotate(rotation)
     solid = solid_of([piece.mesh for piece in shape.pieces])
-    mass = MassProperties(asset.mass, asset.center_of_mass, asset.inertia).moved(rotation, still)
+    mass = MassProperties(asset.mass, asset.center_of_mass, asset.inertia).transform(rotation, still)
     raw = [part.vertices @ rotation.T for part in asset.parts]
     flags = tuple(flag for flag in asset.flags if not flag.startswith(_OF_POSE))
     loose = replace(asset, pieces=shape.pieces, cloud=asset.cloud @ rotation.T, flags=flags)
@@ -177,7 +175,7 @@ def turned_variants(asset: ObjectAsset, rotation: np.ndarray) -> Iterator[Object
 
 
 def _usual_turn(solid: Solid, mass: MassProperties) -> tuple[np.ndarray, str] | None:
-    """The turn into the pose in which people put an object, and what is told of it; None to stay as authored.
+    """The turn into the pose in which people put an object, and a note on it; None to stay as authored.
 
     A pose is taken if the object's hull stays there in plain MuJoCo.
     """
@@ -186,12 +184,12 @@ def _usual_turn(solid: Solid, mass: MassProperties) -> tuple[np.ndarray, str] | 
         if stance is choice.authored:
             break
         turn = upright_turn(stance.up)
-        hull = finished([solid.mesh.vertices @ turn.T], MAX_BASE_CORNERS)
-        if tilt_of(settled_turn(_draft(hull, mass.moved(turn, np.zeros(3))))) <= MAX_TILT:
+        hull = finish_parts([solid.mesh.vertices @ turn.T], MAX_BASE_CORNERS)
+        if tilt_of(settled_turn(_draft(hull, mass.transform(turn, np.zeros(3))))) <= MAX_TILT:
             heights = [f"{1000 * each.height:.0f}" for each, _ in choice.poses if each is not stance]
             others = f"; it would rest {', '.join(heights[:4])} mm tall as well" if heights else ""
-            told = f"turned by {np.degrees(tilt_of(turn)):.0f} degrees, as people put it"
-            return turn, f"{told}: {1000 * stance.height:.0f} mm tall{others}"
+            text = f"turned by {np.degrees(tilt_of(turn)):.0f} degrees, as people put it"
+            return turn, f"{text}: {1000 * stance.height:.0f} mm tall{others}"
     return None
 
 
@@ -219,11 +217,11 @@ def _candidate(
     corners: int = MAX_BASE_CORNERS,
 ) -> _Candidate:
     parts, rotation = _at_rest(raw, mass, corners)
-    turned = _turned(solid, rotation)
+    turned = _rotate_solid(solid, rotation)
     if shape.cavity is not None:
-        hollow: Hollow | None = known_hollow(shape.cavity).moved(rotation, np.zeros(3))
+        hollow: Hollow | None = known_hollow(shape.cavity).transform(rotation, np.zeros(3))
     elif shape.parts is not None and not shape.is_from_file:
-        # Whoever models the parts knows the object, and says nothing of a hollow.
+        # A modelled object without a cavity has none.
         hollow = None
     else:
         hollow = find_hollow(turned)
@@ -247,17 +245,17 @@ def _at_rest(
     The bottom is made flat in the pose found without flattening, so that a leaning object is not cut
     to its lean; only if it topples is the bottom of the authored pose tried.
     """
-    rotation = settled_turn(_draft(finished(raw, None), mass))
+    rotation = settled_turn(_draft(finish_parts(raw, None), mass))
     if tilt_of(rotation) > MAX_TILT:
-        kept = settled_turn(_draft(finished(raw, corners), mass))
+        kept = settled_turn(_draft(finish_parts(raw, corners), mass))
         rotation = kept if tilt_of(kept) < tilt_of(rotation) else rotation
     for _ in range(4):
-        parts = finished([points @ rotation.T for points in raw], corners)
-        more = settled_turn(_draft(parts, mass.moved(rotation, np.zeros(3))))
+        parts = finish_parts([points @ rotation.T for points in raw], corners)
+        more = settled_turn(_draft(parts, mass.transform(rotation, np.zeros(3))))
         if tilt_of(more) < _FLAT:
             return parts, rotation
         rotation = more @ rotation
-    return finished([points @ rotation.T for points in raw], corners), rotation
+    return finish_parts([points @ rotation.T for points in raw], corners), rotation
 
 
 def _draft(parts: list[np.ndarray], mass: MassProperties) -> ObjectAsset:
@@ -276,17 +274,17 @@ def _draft(parts: list[np.ndarray], mass: MassProperties) -> ObjectAsset:
     )
 
 
-def _turned(solid: Solid, rotation: np.ndarray) -> Solid:
+def _rotate_solid(solid: Solid, rotation: np.ndarray) -> Solid:
     still = np.zeros(3)
     return Solid(
-        solid.mesh.transformed(rotation, still), solid.is_exact, solid.surface.transformed(rotation, still)
+        solid.mesh.transform(rotation, still), solid.is_exact, solid.surface.transform(rotation, still)
     )
 
 
 def _asset(
     shape: Shape, solid: Solid, mass: MassProperties, best: _Candidate, config: BodyConfig
 ) -> ObjectAsset:
-    surfaces = drawn(shape.pieces)
+    surfaces = simplify_pieces(shape.pieces)
     num_drawn = sum(len(piece.mesh.faces) for piece in surfaces)
     notes = shape.notes
     if num_drawn < _MUCH_FEWER * len(solid.surface.faces):
@@ -295,7 +293,7 @@ def _asset(
         _draft([], mass),
         name=shape.name,
         label=shape.label,
-        pieces=faced(surfaces, solid),
+        pieces=orient_faces(surfaces, solid),
         cloud=surface_cloud(solid, config.seed),
         provenance=shape.provenance,
         tier=config.tier,
@@ -312,10 +310,10 @@ def _set_down(loose: ObjectAsset, mass: MassProperties, best: _Candidate, config
     vertices = np.concatenate(best.parts)
     shift = -(vertices.min(0) + vertices.max(0)) / 2
     rotation = best.rotation
-    moved = mass.moved(rotation, shift)
+    moved = mass.transform(rotation, shift)
     asset = replace(
         loose,
-        pieces=tuple(piece.transformed(rotation, shift) for piece in loose.pieces),
+        pieces=tuple(piece.transform(rotation, shift) for piece in loose.pieces),
         parts=as_meshes([points + shift for points in best.parts]),
         mass=moved.mass,
         center_of_mass=moved.center,
@@ -334,7 +332,7 @@ def _set_down(loose: ObjectAsset, mass: MassProperties, best: _Candidate, config
 def _alarms(shape: Shape, solid: Solid) -> Iterator[str]:
     """Where an object's file contradicts itself: what it holds may not be the object that is meant."""
     colliding = shape.colliding or shape.parts
-    if colliding and (alarm := size_alarm(solid.surface.vertices, joined(colliding).vertices)):
+    if colliding and (alarm := size_alarm(solid.surface.vertices, join_meshes(colliding).vertices)):
         yield alarm
     if alarm := gap_alarm(solid):
         yield alarm

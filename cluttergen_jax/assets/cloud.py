@@ -1,15 +1,21 @@
-"""Points of surfaces: uniform samples, and clouds whose every prefix is a good sample."""
+"""Points of surfaces: samples, clouds whose every prefix is a good sample, and whole scenes as PLY."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.object import CLOUD_SIZE
+from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset
+from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid
+from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.voxels import Voxels
+from cluttergen_jax.geometry import rotate_in_plane, transform_points
 
 
 class Samples(NamedTuple):
@@ -74,3 +80,96 @@ def farthest_first(
         distance = np.minimum(distance, ((points - points[current]) ** 2).sum(1))
         current = int((distance * weight**2).argmax())
     return order
+
+
+_DENSE = 8
+"""Surface samples per cloud point from which a point's colour is taken."""
+_PER_SQUARE_METRE = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of a scene."""
+
+    points: np.ndarray  # f32[P, 3], metres, world frame.
+    colours: np.ndarray  # uint8[P, 3].
+    labels: np.ndarray  # i32[P]: 1 for the support's top, 2 + k for object k (as in `sensing.rays`).
+
+
+def cloud_colours(asset: ObjectAsset) -> np.ndarray:
+    """uint8[1024, 3]: the colour of the surface next to each point of the asset's cloud."""
+    if not asset.pieces:
+        return np.full((len(asset.cloud), 3), 180, np.uint8)
+    areas = np.array([np.linalg.norm(piece.mesh.normals, axis=1).sum() for piece in asset.pieces])
+    counts = np.ceil(_DENSE * len(asset.cloud) * areas / max(areas.sum(), 1e-30)).astype(int)
+    spots, shades = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    for seed, (piece, count) in enumerate(zip(asset.pieces, counts.tolist(), strict=True)):
+        if count:
+            points, shade = coloured_points(piece, count, seed)
+            spots.append(points)
+            shades.append(shade)
+    nearest = cKDTree(np.concatenate(spots)).query(asset.cloud)[1]
+    return np.round(255 * np.clip(np.concatenate(shades)[nearest], 0, 1)).astype(np.uint8)
+
+
+def coloured_points(piece: Piece, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """f64[count, 3], even over the area, and f64[count, 3], the colours there, each in [0, 1]."""
+    points, faces, weights = sample_faces(piece.mesh, count, seed)
+    shade = np.tile(np.array(piece.rgba[:3]), (count, 1))
+    if piece.uv is not None and piece.texture is not None:
+        uv = np.einsum("nk,nkd->nd", weights, piece.uv[piece.mesh.faces[faces]])
+        shade *= piece.texture.at(uv)
+    return points, shade
+
+
+def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None) -> Cloud:
+    """The surface points of all objects (1,024 each) and of the support's region (4,000 per square metre).
+
+    These are whole surfaces, hidden sides included; what one camera sees follows from `sensors.Sensed`.
+    """
+    points, colours, labels = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)], [np.zeros(0, np.int32)]
+    if support is not None and (support.pieces or support.boxes):
+        top = top_points(support)
+        rgba = support.pieces[0].mean_rgba if support.pieces else support.boxes[0].rgba
+        points.append(top)
+        colours.append(np.tile(np.round(255 * np.array(rgba[:3])).astype(np.uint8), (len(top), 1)))
+        labels.append(np.full(len(top), 1, np.int32))
+    known: dict[int, np.ndarray] = {}
+    for number, (asset, pose) in enumerate(zip(objects, poses, strict=True)):
+        if id(asset) not in known:
+            known[id(asset)] = cloud_colours(asset)
+        points.append(transform_points(pose, asset.cloud))
+        colours.append(known[id(asset)])
+        labels.append(np.full(len(asset.cloud), 2 + number, np.int32))
+    return Cloud(np.concatenate(points).astype(np.float32), np.concatenate(colours), np.concatenate(labels))
+
+
+def top_points(support: SupportAsset) -> np.ndarray:
+    """f64[P, 3]: an even grid over the support's default region, at its top, world frame."""
+    region = support.region
+    half = np.array(region.half_extents)
+    counts = np.maximum(np.round(2 * half * np.sqrt(_PER_SQUARE_METRE)), 2).astype(int)
+    x, y = (np.linspace(-h, h, n) for h, n in zip(half, counts, strict=True))
+    flat = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    return np.column_stack(
+        [rotate_in_plane(flat, region.yaw) + region.center, np.full(len(flat), support.top)]
+    )
+
+
+def ply_of(cloud: Cloud) -> bytes:
+    """A binary PLY file: x, y, z in metres (float), red, green, blue (uchar), label (int)."""
+    kind = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3), ("label", "<i4")])
+    rows = np.empty(len(cloud.points), kind)
+    rows["xyz"], rows["rgb"], rows["label"] = cloud.points, cloud.colours, cloud.labels
+    properties = [f"property float {axis}" for axis in "xyz"]
+    properties += [f"property uchar {colour}" for colour in ("red", "green", "blue")]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment metres, world frame, z up; label 1 is the support's top, 2 + k is object k",
+        f"element vertex {len(rows)}",
+        *properties,
+        "property int label",
+        "end_header",
+    ]
+    return "\n".join(lines).encode() + b"\n" + rows.tobytes()

@@ -1,21 +1,115 @@
-"""Convex decomposition with CoACD, or one hull where that is enough."""
+"""Convex decomposition with CoACD, or one hull where that is enough; neighbouring parts are merged."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import coacd
 import numpy as np
+from scipy.spatial import cKDTree
 
+from cluttergen_jax.assets.cloud import sample_solid, sample_surface
 from cluttergen_jax.assets.config import DecompositionConfig
-from cluttergen_jax.assets.deviation import hull_deviation
-from cluttergen_jax.assets.merging import ALWAYS, FEW, merge_parts, parts_enough
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.solid import Solid, simplified
+from cluttergen_jax.assets.quality.deviation import deviation
+from cluttergen_jax.assets.quality.hollow import find_hollow
+from cluttergen_jax.assets.solid import Solid, simplify_solid
+from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError
+
+ALWAYS = 0.02
+"""Parts that are one hull at the cost of this deviation or less, over the diagonal, become one."""
+FEW, _OTHER_PARTS, _CONVEX_SHARE = 4, 16, 0.8
+"""What fills so much of its hull, as cans and bottles do, is merged to 4 parts, other things to 16."""
+_REACH = 0.03
+_NUM_BURIED, _NUM_DENSE, _NUM_ON_HULL = 2000, 40_000, 250
+_CELLS = 100
+
+
+def parts_enough(solid: Solid) -> int:
+    """How many parts an object needs at most: what is nearly its hull and not hollow 4, else 16."""
+    hull = hull_of(solid.mesh.vertices)
+    is_full = hull is not None and solid.volume >= _CONVEX_SHARE * hull.volume
+    return FEW if is_full and find_hollow(solid) is None else _OTHER_PARTS
+
+
+def merge_parts(
+    parts: Sequence[np.ndarray], solid: Solid, limits: Sequence[float], enough: int, most: int
+) -> list[list[np.ndarray]]:
+    """For each limit, the parts with neighbours made one, the pair first whose hull is nearest to the solid.
+
+    It goes on while a hull is within `ALWAYS`; within the limit while there are more parts than `enough`;
+    and however far it is while there are more than `most`.
+
+    Args:
+      parts: f64[V, 3] each, convex.
+      limits: over the diagonal.
+    """
+    judge, kept = _Judge(solid, max(limits)), dict(enumerate(parts))
+    unions: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
+    pairs: Iterable[tuple[int, int]] = combinations(kept, 2)
+    done: dict[float, list[np.ndarray]] = {}
+    for fresh in range(len(parts), 2 * len(parts)):
+        near = [pair for pair in pairs if _gap(kept, pair) < _REACH * solid.diagonal]
+        if not near and not unions and len(kept) > most:
+            near = list(combinations(kept, 2))
+        unions |= {(one, other): judge.union(kept[one], kept[other]) for one, other in near}
+        if not unions:
+            break
+        best = min(unions, key=lambda pair: unions[pair][0])
+        cost, points = unions[best]
+        if len(kept) <= most:
+            over = [each for each in limits if cost > (each if len(kept) > enough else ALWAYS)]
+            done |= {limit: list(kept.values()) for limit in over if limit not in done}
+            if len(done) == len(set(limits)):
+                break
+        kept = {index: part for index, part in kept.items() if index not in best}
+        unions = {pair: union for pair, union in unions.items() if not set(pair) & set(best)}
+        pairs = [(index, fresh) for index in kept]
+        kept[fresh] = points
+    return [done.get(limit, list(kept.values())) for limit in limits]
+
+
+def _gap(parts: dict[int, np.ndarray], pair: tuple[int, int]) -> float:
+    """Metres between the boxes around two parts; below zero where they overlap."""
+    one, other = (parts[index] for index in pair)
+    return float(np.maximum(one.min(0) - other.max(0), other.min(0) - one.max(0)).max())
+
+
+class _Judge:
+    """How far the hull of two parts would be from the surface of a solid."""
+
+    def __init__(self, solid: Solid, limit: float) -> None:
+        self._limit, self._diagonal = limit, solid.diagonal
+        self._voxels = Voxels.of(solid.mesh if solid.is_exact else solid.surface, _CELLS)
+        dense = sample_solid(solid, _NUM_DENSE, 0)
+        # Nothing can get between pieces that nearly touch.
+        dense = dense[self._voxels.is_exposed(dense)]
+        self._some, self._tree = dense[:_NUM_BURIED], cKDTree(dense)
+
+    def union(self, one: np.ndarray, other: np.ndarray) -> tuple[float, np.ndarray]:
+        """The hull's distance over the diagonal, and its vertices f64[V, 3].
+
+        The larger of two: how deep the hull buries a point of the surface, and, where that is within the
+        limit, how far a point of the hull that is outside of the solid is from it.
+        """
+        points = np.concatenate([one, other])
+        hull = hull_of(points)
+        if hull is None:
+            return np.inf, points
+        near = self._some[((self._some > hull.min_bound) & (self._some < hull.max_bound)).all(1)]
+        depth = -(near @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1, initial=-np.inf)
+        corners = points[hull.vertices]
+        if depth.max(initial=0.0) > self._limit * self._diagonal:
+            return float(depth.max() / self._diagonal), corners
+        spots = sample_surface(Mesh(hull.points, hull.simplices), _NUM_ON_HULL, 0)
+        spots = spots[self._voxels.outside[self._voxels.index(spots)]]
+        away = self._tree.query(spots)[0] if len(spots) else np.zeros(0)
+        return float(max(depth.max(initial=0.0), away.max(initial=0.0)) / self._diagonal), corners
+
 
 _MOST_RAW = 96
 _LIMITS = (0.055, 0.05, 0.045, 0.03, ALWAYS)
@@ -49,7 +143,7 @@ def decompositions(
         )
     one = [solid.mesh.vertices[hull.vertices]]
     is_convex = solid.volume >= config.one_hull_volume * hull.volume
-    if config.max_parts == 1 or (is_convex and hull_deviation(one[0], solid) <= config.one_hull_deviation):
+    if config.max_parts == 1 or (is_convex and deviation(one, solid) <= config.one_hull_deviation):
         yield one
         return
     enough = parts_enough(solid)
@@ -78,7 +172,7 @@ def _others(config: DecompositionConfig) -> list[DecompositionConfig]:
 
 
 def _run(solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.ndarray]:
-    mesh = simplified(solid.mesh, config.simplify * solid.diagonal)
+    mesh = simplify_solid(solid.mesh, config.simplify * solid.diagonal)
     if jitter:
         reach, rng = jitter * solid.diagonal, np.random.default_rng(config.seed)
         mesh = Mesh(mesh.vertices + rng.uniform(-reach, reach, mesh.vertices.shape), mesh.faces)

@@ -1,4 +1,4 @@
-"""A triangle mesh as two arrays, and what can be told and mended of its triangles alone."""
+"""A triangle mesh as two arrays, and what its triangles alone tell and need."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ class Mesh:
         faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
         return Mesh(self.vertices, faces)
 
-    def transformed(self, rotation: np.ndarray, translation: np.ndarray) -> Mesh:
+    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Mesh:
         """The mesh with every vertex v moved to rotation @ v + translation."""
         return Mesh(self.vertices @ np.asarray(rotation).T + np.asarray(translation), self.faces)
 
 
-def joined(meshes: list[Mesh] | tuple[Mesh, ...]) -> Mesh:
+def join_meshes(meshes: list[Mesh] | tuple[Mesh, ...]) -> Mesh:
     """All triangles of several meshes as one mesh, nothing welded."""
     offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
     return Mesh(
@@ -73,7 +73,7 @@ def joined(meshes: list[Mesh] | tuple[Mesh, ...]) -> Mesh:
     )
 
 
-def cleaned(mesh: Mesh, is_closed: bool = False) -> Mesh:
+def clean_mesh(mesh: Mesh, is_closed: bool = False) -> Mesh:
     """The mesh with equal vertices welded; collapsed and doubled triangles and unused vertices dropped.
 
     Slivers stay: to drop one would open a closed surface. Of coinciding triangles one stays; of a surface

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.shading import shaded
+from cluttergen_jax.assets.shading import shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.texture import Texture
@@ -72,7 +72,7 @@ def set_surface(mesh: mujoco.MjsMesh, piece: Piece) -> None:
     vertices, faces = piece.mesh.vertices, piece.mesh.faces
     if piece.uv is not None:
         # MuJoCo's own normals would show each seam of the image as an edge.
-        vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
+        vertices, normals, faces, uv = shade(piece.mesh, piece.uv)
         assert uv is not None
         mesh.usernormal = normals.ravel()
         # Its v runs down the image.
@@ -107,7 +107,7 @@ def _add_visual(body: mujoco.MjsBody, mesh: mujoco.MjsMesh, piece: Piece, materi
 def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") -> str:
     """Adds an image and a material that shows it, once; the material's name, empty if there is no image.
 
-    The image is a file among `spec.assets`: whoever saves the spec as XML saves these beside it.
+    The image is a file among `spec.assets`: to save the spec as XML, save these beside it.
 
     Args:
       folder: where the file will lie, relative to the XML, such as `../textures/`.

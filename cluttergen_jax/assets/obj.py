@@ -8,7 +8,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.shading import shaded
+from cluttergen_jax.assets.shading import shade
 from cluttergen_jax.assets.shape import Piece
 
 
@@ -41,7 +41,7 @@ def surface_text(piece: Piece, digits: int) -> str:
     vertices = lines("v", np.round(piece.mesh.vertices, 6) + 0.0, f".{digits}g")
     if piece.uv is None:
         return text(vertices + lines("f", piece.mesh.faces + 1, "d"))
-    number = _numbered(vertices)
+    number = _line_numbers(vertices)
     corners = [f"{number[line]}/{index}" for index, line in enumerate(vertices, 1)]
     return text([*number, *_uv_lines(piece.uv), *_face_lines(corners, piece.mesh.faces)])
 
@@ -52,10 +52,10 @@ def shaded_text(piece: Piece, material: tuple[str, str] | None = None) -> str:
     Args:
       material: an MTL file, and the name of a material in it.
     """
-    vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
+    vertices, normals, faces, uv = shade(piece.mesh, piece.uv)
     places, turns = lines("v", vertices, ".7g"), lines("vn", normals + np.float32(0), ".4f")
     shown = [] if uv is None else _uv_lines(uv)
-    place, turn, show = _numbered(places), _numbered(turns), _numbered(shown)
+    place, turn, show = _line_numbers(places), _line_numbers(turns), _line_numbers(shown)
     images = [str(show[line]) for line in shown] or [""] * len(places)
     corners = [f"{place[p]}/{i}/{turn[t]}" for p, i, t in zip(places, images, turns, strict=True)]
     head, use = ([f"mtllib {material[0]}"], [f"usemtl {material[1]}"]) if material else ([], [])
@@ -73,7 +73,7 @@ def text(lines: list[str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _numbered(lines: list[str]) -> dict[str, int]:
+def _line_numbers(lines: list[str]) -> dict[str, int]:
     """Each line once, in order, and its number from 1."""
     return {line: index for index, line in enumerate(dict.fromkeys(lines), 1)}
 
@@ -97,16 +97,16 @@ def parse_surface(text: str) -> tuple[Mesh, np.ndarray | None]:
     uv = np.array([row[1:3] for row in rows if row and row[0] == "vt"], np.float32)
     corners = [row[1:4] for row in rows if row and row[0] == "f"]
     if not len(uv):
-        return Mesh(vertices, _checked(corners, len(vertices))), None
+        return Mesh(vertices, _checked_faces(corners, len(vertices))), None
     pairs = [[corner.split("/") for corner in row] for row in corners]
-    place = _checked([[first for first, _ in row] for row in pairs], len(vertices))
-    faces = _checked([[second for _, second in row] for row in pairs], len(uv))
+    place = _checked_faces([[first for first, _ in row] for row in pairs], len(vertices))
+    faces = _checked_faces([[second for _, second in row] for row in pairs], len(uv))
     own = np.zeros(len(uv), np.int32)
     own[faces] = place
     return Mesh(vertices[own], faces), uv
 
 
-def _checked(corners: list[list[str]], count: int) -> np.ndarray:
+def _checked_faces(corners: list[list[str]], count: int) -> np.ndarray:
     """i32[F, 3], counted from 0."""
     faces = np.array(corners, np.int32) - 1
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:

@@ -16,13 +16,13 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
@@ -33,7 +33,7 @@ from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError, PoolError
 from cluttergen_jax.files import inside, write_atomically
-from cluttergen_jax.schema import Numbers, SchemaError, check_numbers, parse_json
+from cluttergen_jax.schema import Numbers, SchemaError, check_numbers, convert, parse_json
 
 FORMAT = 1
 NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
@@ -121,17 +121,18 @@ def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:
         raise PoolError(
             f"{folder / _RECORD}: an object called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'"
         )
+    try:
+        stored = convert(record, _Stored)
+    except SchemaError as error:
+        raise PoolError(f"{folder / _RECORD} cannot be understood: {error!r}", hint=_REWRITE) from error
     blobs: dict[str, bytes] = {}
-    digests = record.get("files")
-    if not isinstance(digests, dict) or not all(_FILE.fullmatch(name) for name in digests):
-        raise PoolError(f"{folder / _RECORD} is damaged: its list of files is none", hint=_REWRITE)
-    for name, digest in digests.items():
+    for name, digest in stored.files.items():
         path = inside(images if images is not None and name.endswith(".png") else folder, name)
         blobs[name] = read_bytes(path)
         if _digest(blobs[name]) != digest:
             raise PoolError(f"{path} does not match its digest in {_RECORD}", hint=_REWRITE)
     try:
-        return _asset(record, blobs)
+        return _asset(stored, blobs)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise PoolError(f"{folder / _RECORD} cannot be understood: {error!r}", hint=_REWRITE) from error
 
@@ -147,7 +148,7 @@ def _canonical(record: Mapping[str, Any]) -> bytes:
     return json.dumps(record, sort_keys=True, separators=(",", ":")).encode()
 
 
-def _rounded(values: np.ndarray, digits: int) -> Any:
+def _round(values: np.ndarray, digits: int) -> Any:
     # Adding zero turns a rounded -0.0 into 0.0, so that equal bodies are equal bytes.
     return (np.round(np.asarray(values, np.float64), digits) + 0.0).tolist()
 
@@ -170,9 +171,9 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
             "label": asset.label,
             "tier": asset.tier,
             "mass": float(asset.mass),
-            "center_of_mass": _rounded(asset.center_of_mass, 7),
+            "center_of_mass": _round(asset.center_of_mass, 7),
             "inertia": [[float(f"{value:.6e}") for value in row] for row in np.asarray(asset.inertia)],
-            "parts": [_rounded(part.vertices, 7) for part in asset.parts],
+            "parts": [_round(part.vertices, 7) for part in asset.parts],
             "rgba": [list(map(float, piece.rgba)) for piece in asset.pieces],
             "resting": [asdict(pose) for pose in asset.resting],
             "provenance": asdict(asset.provenance),
@@ -183,46 +184,58 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
     )
 
 
-def _asset(record: dict[str, Any], blobs: dict[str, bytes]) -> ObjectAsset:
-    files = record.get("textures", [None] * len(record["rgba"]))
+_Positive = Annotated[float, msgspec.Meta(gt=0)]
+
+
+class _Stored(msgspec.Struct):
+    """What `object.json` holds."""
+
+    name: str
+    label: str
+    tier: str
+    mass: float
+    center_of_mass: tuple[float, float, float]
+    inertia: list[tuple[float, float, float]]
+    parts: list[list[tuple[float, float, float]]]
+    rgba: list[tuple[float, float, float, float]]
+    resting: list[RestingPose]
+    provenance: Provenance
+    quality: Quality
+    flags: tuple[str, ...]
+    files: dict[Annotated[str, msgspec.Meta(pattern=f"^{_FILE.pattern}$")], str]
+    textures: list[str | None] | None = None
+    notes: tuple[str, ...] = ()
+    friction: _Positive | None = None
+    scale: _Positive = 1.0
+
+
+def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
+    files = stored.textures or [None] * len(stored.rgba)
     textures = {name: Texture(blobs[name]) for name in files if name is not None}
     pieces = []
-    for i, (rgba, name) in enumerate(zip(record["rgba"], files, strict=True)):
+    for i, (rgba, name) in enumerate(zip(stored.rgba, files, strict=True)):
         mesh, uv = parse_surface(blobs[f"visual-{i}.obj"].decode("ascii"))
-        r, g, b, a = map(float, rgba)
-        pieces.append(Piece(mesh, (r, g, b, a), uv, None if name is None else textures[name]))
+        pieces.append(Piece(mesh, rgba, uv, None if name is None else textures[name]))
     cloud = np.load(io.BytesIO(blobs[_CLOUD]), allow_pickle=False)
     check_numbers({"cloud": cloud}, {"cloud": Numbers("f4", (CLOUD_SIZE, 3))})
-    resting = tuple(
-        RestingPose(tuple(pose["quaternion"]), pose["height"], pose["likelihood"])
-        for pose in record["resting"]
-    )
     return ObjectAsset(
-        name=record["name"],
-        label=record["label"],
+        name=stored.name,
+        label=stored.label,
         pieces=tuple(pieces),
-        parts=tuple(Mesh.points(np.array(part, np.float64)) for part in record["parts"]),
-        mass=record["mass"],
-        center_of_mass=np.array(record["center_of_mass"], np.float64),
-        inertia=np.array(record["inertia"], np.float64).reshape(3, 3),
+        parts=tuple(Mesh.points(np.array(part, np.float64)) for part in stored.parts),
+        mass=stored.mass,
+        center_of_mass=np.array(stored.center_of_mass, np.float64),
+        inertia=np.array(stored.inertia, np.float64).reshape(3, 3),
         cloud=cloud,
-        resting=resting,
-        provenance=Provenance(**record["provenance"]),
-        tier=record["tier"],
-        quality=Quality(**record["quality"]),
-        flags=tuple(record["flags"]),
-        notes=tuple(record.get("notes", ())),
-        friction=None if record.get("friction") is None else _positive(record, "friction"),
-        scale=_positive(record, "scale") if "scale" in record else 1.0,
+        resting=tuple(stored.resting),
+        provenance=stored.provenance,
+        tier=stored.tier,
+        quality=stored.quality,
+        flags=stored.flags,
+        notes=stored.notes,
+        friction=stored.friction,
+        scale=stored.scale,
     )
-
-
-def _positive(record: dict[str, Any], name: str) -> float:
-    """ValueError for what is no number above zero."""
-    value = record[name]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise ValueError(f"{name} {value!r}")
-    return float(value)
 
 
 def read_bytes(path: Path, hint: str = _REWRITE) -> bytes:

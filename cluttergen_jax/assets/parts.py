@@ -49,7 +49,9 @@ def sound_points(points: np.ndarray) -> np.ndarray:
     return points if hull is None else points[hull.vertices]
 
 
-def reduced(points: np.ndarray, bottom: float | None = None, count: int = MAX_PART_VERTICES) -> np.ndarray:
+def reduce_vertices(
+    points: np.ndarray, bottom: float | None = None, count: int = MAX_PART_VERTICES
+) -> np.ndarray:
     """At most `count` of the hull's vertices, chosen to lose as little as possible.
 
     Starts with the extremes in 14 directions and, of the vertices at height `bottom`, the outline; then
@@ -69,17 +71,22 @@ def reduced(points: np.ndarray, bottom: float | None = None, count: int = MAX_PA
     if bottom is not None:
         low = np.flatnonzero(points[:, 2] < bottom + 1e-6)
         chosen = list(dict.fromkeys(chosen + _outline(points, low, count // 2)))[:count]
+    return points[_grow_hull(points, chosen, count, 1e-6)]
+
+
+def _grow_hull(points: np.ndarray, chosen: list[int], count: int, tolerance: float) -> list[int]:
+    """More of f64[N, D], each the farthest outside of the hull so far; up to `count`, or none is so far."""
     while len(chosen) < count:
         hull = hull_of(points[chosen])
         if hull is None:
             break
-        outside = (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1)
+        outside = (points @ hull.equations[:, :-1].T + hull.equations[:, -1]).max(1)
         outside[chosen] = -np.inf
         farthest = int(outside.argmax())
-        if outside[farthest] < 1e-6:
+        if outside[farthest] < tolerance:
             break
         chosen.append(farthest)
-    return points[chosen]
+    return chosen
 
 
 def _outline(points: np.ndarray, low: np.ndarray, count: int) -> list[int]:
@@ -96,7 +103,7 @@ def bottom_height(parts: Sequence[np.ndarray]) -> float:
     return float(min(points[:, 2].min() for points in parts))
 
 
-def flattened(parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+def flatten_bottoms(parts: Sequence[np.ndarray]) -> list[np.ndarray]:
     """The parts with every vertex that is within 3 mm of the bottom laid onto the bottom plane.
 
     An object thinner than 2 cm gives up less, so that what is flat stays as it is.
@@ -143,18 +150,10 @@ def _corners(outline: np.ndarray, count: int) -> list[int]:
     second = int(np.linalg.norm(outline - outline[first], axis=1).argmax())
     normal = (outline[second] - outline[first])[::-1] * (1, -1)
     kept = [first, second, int(np.abs((outline - outline[first]) @ normal).argmax())]
-    while len(kept) < count:
-        hull = hull_of(outline[kept])
-        if hull is None:
-            break
-        outside = (outline @ hull.equations[:, :2].T + hull.equations[:, 2]).max(1)
-        if outside.max() < _OUTLINE_TOLERANCE:
-            break
-        kept.append(int(outside.argmax()))
-    return kept
+    return _grow_hull(outline, kept, count, _OUTLINE_TOLERANCE)
 
 
-def finished(
+def finish_parts(
     parts: Sequence[np.ndarray], base_corners: int | None, count: int = MAX_PART_VERTICES
 ) -> list[np.ndarray]:
     """Parts of at most `count` vertices each; their common bottom flat, with at most `base_corners`.
@@ -162,15 +161,15 @@ def finished(
     With `base_corners` None bottoms are left as they are.
     """
     if base_corners is None:
-        return [reduced(points, None, count) for points in parts]
-    parts = flattened(parts)
+        return [reduce_vertices(points, None, count) for points in parts]
+    parts = flatten_bottoms(parts)
     bottom = bottom_height(parts)
     hulls = [sound_points(points) for points in parts]
     feet = [points[points[:, 2] < bottom + 1e-6] for points in hulls]
     wide = _FOOT_SHARE * _width(np.concatenate(feet))
     corners = [base_corners if _width(foot) >= wide else _FOOT_CORNERS for foot in feet]
     return [
-        reduced(with_plain_bottom(points, bottom, most), bottom, count)
+        reduce_vertices(with_plain_bottom(points, bottom, most), bottom, count)
         for points, most in zip(hulls, corners, strict=True)
     ]
 

@@ -208,7 +208,7 @@ def find_pool(name_or_path: str | Path, exclude: Sequence[str] = (), names: Sequ
       PoolError: nothing is called so (the message lists what exists), or its files are damaged; the pools
         have one name or different tiers; or there is no such object to leave out.
     """
-    text = composed(name_or_path, exclude)
+    text = join_pool_names(name_or_path, exclude)
     if names and len(folders := _folders(text)) == 1:
         return read_pool(folders[0], names)
     union, *without = [text] if _folders(text) else text.split(_WITHOUT)
@@ -222,7 +222,7 @@ def find_pool(name_or_path: str | Path, exclude: Sequence[str] = (), names: Sequ
     return replace(pool, objects=tuple(each for each in pool.objects if each.name not in without))
 
 
-def composed(name_or_path: str | Path, exclude: Sequence[str] = ()) -> str:
+def join_pool_names(name_or_path: str | Path, exclude: Sequence[str] = ()) -> str:
     """The text that names a pool without some of its objects."""
     return _WITHOUT.join([str(name_or_path), *exclude])
 
@@ -233,7 +233,7 @@ def without_exclusions(text: str) -> str:
 
 
 def public_name(text: str | Path) -> str:
-    """The text that names a pool, but without folders: where files lie is nobody else's business."""
+    """The text that names a pool, but without folders: where a user keeps files stays private."""
     union, mark, without = str(text).partition(_WITHOUT)
     return _AND.join(Path(each).name for each in union.split(_AND)) + mark + without
 
@@ -297,8 +297,8 @@ def _union(name: str, pools: list[Pool]) -> Pool:
     if not pools:
         raise PoolError(f"pool {name!r} is the union of the embedded pools, and none of them is installed")
     if len({pool.name for pool in pools}) < len(pools) or len({pool.tier for pool in pools}) > 1:
-        told = ", ".join(f"{pool.name} (tier {pool.tier})" for pool in pools)
-        raise PoolError(f"the union of pools {told}", "pools of different names and of one tier")
+        listed = ", ".join(f"{pool.name} (tier {pool.tier})" for pool in pools)
+        raise PoolError(f"the union of pools {listed}", "pools of different names and of one tier")
     names = [each for pool in pools for each in pool.names]
     objects = tuple(
         replace(asset, name=f"{pool.name}-{asset.name}") if names.count(asset.name) > 1 else asset

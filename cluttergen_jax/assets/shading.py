@@ -32,7 +32,7 @@ class Shaded(NamedTuple):
     uv: np.ndarray | None
 
 
-def shaded(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) -> Shaded:
+def shade(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) -> Shaded:
     """The mesh with normals; a vertex on an edge, or on a seam of its image, comes once for each side.
 
     Triangles without area are left out.
@@ -47,7 +47,7 @@ def shaded(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) ->
     area = np.linalg.norm(normals, axis=1)
     keep = area > 1e-14
     faces, normals, area = faces[keep], normals[keep] / area[keep, None], area[keep]
-    smooth = _smoothed(faces, normals, area, len(points), math.cos(crease))
+    smooth = _smooth_normals(faces, normals, area, len(points), math.cos(crease))
     corner_uv = None if uv is None else np.asarray(uv, np.float32)[mesh.faces[keep].ravel()]
     # Equal normals at one vertex, with equal uv, become one vertex again.
     keys = [faces.ravel(), np.round(smooth * 1e4).astype(np.int64)]
@@ -62,7 +62,7 @@ def shaded(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) ->
     )
 
 
-def _smoothed(
+def _smooth_normals(
     faces: np.ndarray, normals: np.ndarray, area: np.ndarray, num_points: int, least: float
 ) -> np.ndarray:
     """f64[3 F, 3]: at each corner the mean normal of the faces around it that are nearly parallel."""
@@ -81,10 +81,10 @@ def _smoothed(
 def linear(rgba: Sequence[float]) -> tuple[float, float, float, float]:
     """An sRGB colour as shown, in the linear values that glTF and USD store; alpha as it is."""
     red, green, blue, alpha = (float(value) for value in rgba)
-    return (*(_decoded(value) for value in (red, green, blue)), alpha)  # type: ignore[return-value]
+    return (*(_linear_channel(value) for value in (red, green, blue)), alpha)  # type: ignore[return-value]
 
 
-def _decoded(value: float) -> float:
+def _linear_channel(value: float) -> float:
     return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
 
 

@@ -12,7 +12,7 @@ from cluttergen_jax.assets.texture import Texture
 
 if TYPE_CHECKING:
     # Of use to importers alone, and slow to load.
-    from cluttergen_jax.assets.stated_mass import StatedMass
+    from cluttergen_jax.assets.mass import StatedMass
 
 
 _FLAT = 1e-5
@@ -45,9 +45,9 @@ class Piece:
                 raise ValueError(f"uv {uv.shape} of {len(self.mesh.vertices)} vertices, or not finite")
             object.__setattr__(self, "uv", uv)
 
-    def transformed(self, rotation: np.ndarray, translation: np.ndarray) -> Piece:
-        """The piece with its mesh transformed: see `Mesh.transformed`."""
-        return replace(self, mesh=self.mesh.transformed(rotation, translation))
+    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Piece:
+        """The piece with its mesh transformed: see `Mesh.transform`."""
+        return replace(self, mesh=self.mesh.transform(rotation, translation))
 
     @property
     def is_flat(self) -> bool:
@@ -107,7 +107,7 @@ class Shape:
       friction: sliding coefficient wherever the object touches something; None for the contact's.
       notes: what its reader decided on the user's behalf, in words.
       colliding: all that collides according to its file, whether or not it can serve as `parts`.
-      scale: by what factor its reader was told to multiply the file's lengths.
+      scale: the factor on the file's lengths that was asked for.
       is_pose_free: whether its authored pose may give way to the one in which people put it (`upright`).
       is_from_file: whether a file is all that is known of it: whether it is hollow is looked for.
       keeps_parts: whether `parts` are asked for, sound or not.
@@ -130,22 +130,22 @@ class Shape:
     is_from_file: bool = False
     keeps_parts: bool = False
 
-    def turned(self, rotation: np.ndarray) -> Shape:
+    def rotate(self, rotation: np.ndarray) -> Shape:
         """The shape with every point p at rotation @ p."""
         still = np.zeros(3)
         cavity = self.cavity
         if cavity is not None:
             x, y, z = (rotation @ cavity.mouth).tolist()
-            cavity = Cavity(cavity.solid.transformed(rotation, still), (x, y, z))
+            cavity = Cavity(cavity.solid.transform(rotation, still), (x, y, z))
         return replace(
             self,
-            pieces=tuple(piece.transformed(rotation, still) for piece in self.pieces),
-            parts=None if self.parts is None else _transformed(self.parts, rotation),
+            pieces=tuple(piece.transform(rotation, still) for piece in self.pieces),
+            parts=None if self.parts is None else _rotate_meshes(self.parts, rotation),
             cavity=cavity,
-            stated=None if self.stated is None else self.stated.scaled(rotation, 1.0),
-            colliding=_transformed(self.colliding, rotation),
+            stated=None if self.stated is None else self.stated.convert(rotation, 1.0),
+            colliding=_rotate_meshes(self.colliding, rotation),
         )
 
 
-def _transformed(meshes: tuple[Mesh, ...], rotation: np.ndarray) -> tuple[Mesh, ...]:
-    return tuple(mesh.transformed(rotation, np.zeros(3)) for mesh in meshes)
+def _rotate_meshes(meshes: tuple[Mesh, ...], rotation: np.ndarray) -> tuple[Mesh, ...]:
+    return tuple(mesh.transform(rotation, np.zeros(3)) for mesh in meshes)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.mesh import Mesh, cleaned, joined
+from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError
@@ -23,17 +23,11 @@ _HAIR = 2e-4
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The space that an object takes.
+    """The space that an object takes."""
 
-    Attributes:
-      mesh: watertight and oriented outwards, without inner walls.
-      is_exact: whether it is made of the object's own triangles; else it was rebuilt from a grid.
-      surface: what was given: all triangles, welded.
-    """
-
-    mesh: Mesh
-    is_exact: bool
-    surface: Mesh
+    mesh: Mesh  # Watertight and oriented outwards, without inner walls.
+    is_exact: bool  # Whether it is made of the object's own triangles; else it was rebuilt from a grid.
+    surface: Mesh  # What was given: all triangles, welded.
 
     @property
     def volume(self) -> float:
@@ -60,23 +54,23 @@ def solid_of(meshes: Sequence[Mesh]) -> Solid:
     Raises:
       AssetError: nothing with a volume can be made of them.
     """
-    surface = cleaned(joined(list(meshes)))
+    surface = clean_mesh(join_meshes(list(meshes)))
     if hull_of(surface.vertices) is None:
         raise AssetError(
             "a surface that lies in a plane or on a line", "a mesh of an object with some thickness"
         )
-    united = _united(meshes) if len(meshes) <= _MAX_PIECES else None
+    united = _unite(meshes) if len(meshes) <= _MAX_PIECES else None
     is_exact = united is not None and _covers(united, surface)
-    mesh = united if united is not None and is_exact else _rebuilt(surface)
+    mesh = united if united is not None and is_exact else _rebuild(surface)
     if len(mesh.faces) == 0:
         raise AssetError("a surface that encloses nothing", "a mesh of an object with some thickness")
     solid = Solid(mesh, is_exact, surface)
     if len(mesh.faces) <= _MAX_FACES:
         return solid
-    return replace(solid, mesh=simplified(mesh, _HAIR * solid.diagonal))
+    return replace(solid, mesh=simplify_solid(mesh, _HAIR * solid.diagonal))
 
 
-def simplified(mesh: Mesh, tolerance: float) -> Mesh:
+def simplify_solid(mesh: Mesh, tolerance: float) -> Mesh:
     """The closed mesh with fewer triangles, nowhere moved by more than `tolerance` metres."""
     return _as_mesh(_as_manifold(mesh).simplify(tolerance))
 
@@ -105,11 +99,11 @@ def _covers(united: Mesh, surface: Mesh) -> bool:
     return bool(is_near.all() and solid[voxels.index(surface.vertices)].all())
 
 
-def _united(meshes: Sequence[Mesh]) -> Mesh | None:
+def _unite(meshes: Sequence[Mesh]) -> Mesh | None:
     """The union of surfaces; None if one of them is neither closed nor easily mended."""
     solids: list[manifold3d.Manifold] = []
     for mesh in meshes:
-        shells = _shells(cleaned(mesh, is_closed=True)) or _shells(_mended(mesh))
+        shells = _shells(clean_mesh(mesh, is_closed=True)) or _shells(_mend(mesh))
         if not shells:
             return None
         solids += shells
@@ -127,21 +121,21 @@ def _shells(mesh: Mesh) -> list[manifold3d.Manifold]:
     return []
 
 
-def _mended(mesh: Mesh) -> Mesh:
+def _mend(mesh: Mesh) -> Mesh:
     """The surface with small holes filled and faces turned alike."""
     # Loaded when an object is imported: it takes as long as JAX, and placing objects needs none of it.
     import trimesh
 
-    mesh = cleaned(mesh)
+    mesh = clean_mesh(mesh)
     if not len(mesh.faces):
         return mesh
     tri = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     trimesh.repair.fill_holes(tri)
     trimesh.repair.fix_normals(tri)
-    return cleaned(Mesh(tri.vertices, tri.faces), is_closed=True)
+    return clean_mesh(Mesh(tri.vertices, tri.faces), is_closed=True)
 
 
-def _rebuilt(surface: Mesh, cells: int = 80) -> Mesh:
+def _rebuild(surface: Mesh, cells: int = 80) -> Mesh:
     """A closed surface just around all triangles, drawn back onto them.
 
     The level set lies most of a cell outside of the samples, so that sheets without thickness and small

@@ -23,19 +23,12 @@ _MOST_TRIED = 60
 
 @dataclass(frozen=True, eq=False)
 class Stance:
-    """One pose at rest.
+    """One pose at rest."""
 
-    Attributes:
-      up: f64[3], unit: the direction of the body's frame that points up.
-      tip: radians by which the body can be tilted, in the weakest direction, and comes back.
-      likelihood: share of all directions from which it rolls into this pose, if it rolls slowly.
-      height: metres from the plane to the highest point.
-    """
-
-    up: np.ndarray
-    tip: float
-    likelihood: float
-    height: float
+    up: np.ndarray  # f64[3], unit: the direction of the body's frame that points up.
+    tip: float  # Radians by which the body can be tilted, in the weakest direction, and comes back.
+    likelihood: float  # Share of all directions from which it rolls into this pose, if it rolls slowly.
+    height: float  # Metres from the plane to the highest point.
 
 
 def stances(points: np.ndarray, center: np.ndarray) -> list[Stance]:
@@ -68,19 +61,12 @@ def stances(points: np.ndarray, center: np.ndarray) -> list[Stance]:
 
 @dataclass(frozen=True, eq=False)
 class _Faces:
-    """A hull's triangles about the centre of mass.
+    """A hull's triangles about the centre of mass."""
 
-    Attributes:
-      corners: f64[F, 3, 3].
-      normals: f64[F, 3], outward.
-      heights: f64[F], of the centre of mass over each.
-      neighbors: i64[F, 3], over the edge opposite of each corner.
-    """
-
-    corners: np.ndarray
-    normals: np.ndarray
-    heights: np.ndarray
-    neighbors: np.ndarray
+    corners: np.ndarray  # f64[F, 3, 3].
+    normals: np.ndarray  # f64[F, 3], outward.
+    heights: np.ndarray  # f64[F], of the centre of mass over each.
+    neighbors: np.ndarray  # i64[F, 3], over the edge opposite of each corner.
 
     @staticmethod
     def of(points: np.ndarray) -> _Faces:

@@ -84,7 +84,7 @@ def read_support(folder: str | Path) -> SupportAsset:
     if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
-        # What leads out of the folder is told as that, whatever the checksums say.
+        # A path that leads out of the folder is reported first, before any checksum.
         support = _support(convert(record, _Stored), Path(folder))
         checked_record(data)
         for name, digest in convert(record.get("files", {}), dict[str, str]).items():
@@ -150,14 +150,14 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
     )
 
 
-def _rounded(value: Any) -> Any:
+def _round(value: Any) -> Any:
     """Numbers to a tenth of a micrometre, through lists, tuples and dicts; -0.0 becomes 0.0."""
     if isinstance(value, float):
         return round(value, 7) + 0.0
     if isinstance(value, list | tuple):
-        return [_rounded(each) for each in value]
+        return [_round(each) for each in value]
     if isinstance(value, dict):
-        return {key: _rounded(each) for key, each in value.items()}
+        return {key: _round(each) for key, each in value.items()}
     return value
 
 
@@ -166,13 +166,13 @@ def _record(support: SupportAsset) -> dict[str, Any]:
         "format": FORMAT,
         "name": support.name,
         "label": support.label,
-        "top": _rounded(support.top),
-        "region": _rounded(asdict(support.region)),
-        "boxes": [_rounded(asdict(box)) for box in support.boxes],
+        "top": _round(support.top),
+        "region": _round(asdict(support.region)),
+        "boxes": [_round(asdict(box)) for box in support.boxes],
         "pieces": [
             {
                 "file": f"visual-{index}.obj",
-                "rgba": _rounded(piece.rgba),
+                "rgba": _round(piece.rgba),
                 # A digest, so that the record tells one image from another.
                 **({} if piece.texture is None else {"texture": piece.texture.digest}),
             }

@@ -10,9 +10,8 @@ import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.cloud import coloured_points
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.scene_cloud import coloured_points
 from cluttergen_jax.assets.shape import Piece
 
 TOLERANCE = 0.005
@@ -36,16 +35,11 @@ class Symmetries:
     """Rigid motions of an object onto itself, in its own frame, as BOP states them.
 
     Any of them may be followed by any turn about one of the axes.
-
-    Attributes:
-      axes: f64[A, 3], unit vectors: the axis of a body of revolution, or three of a ball.
-      point: f64[3], metres: all axes go through it, and no motion moves it.
-      motions: f64[M, 4, 4], metres; the one that moves nothing is left out.
     """
 
-    axes: np.ndarray
-    point: np.ndarray
-    motions: np.ndarray
+    axes: np.ndarray  # f64[A, 3], unit vectors: the axis of a body of revolution, or three of a ball.
+    point: np.ndarray  # f64[3], metres: all axes go through it, and no motion moves it.
+    motions: np.ndarray  # f64[M, 4, 4], metres; the one that moves nothing is left out.
 
 
 def turn_symmetry(asset: ObjectAsset) -> int:
@@ -53,8 +47,9 @@ def turn_symmetry(asset: ObjectAsset) -> int:
 
     What is drawn of it decides; of an object without surfaces, its collision parts.
     """
-    meshes = [piece.mesh for piece in asset.pieces] or [_hull(part.vertices) for part in asset.parts]
-    surface = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes])
+    surfaces = [trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces) for piece in asset.pieces]
+    surfaces = surfaces or [trimesh.convex.convex_hull(part.vertices) for part in asset.parts]
+    surface = trimesh.util.concatenate(surfaces)
     dense, _ = trimesh.sample.sample_surface(surface, _NUM_POINTS, seed=0)
     tree, sparse = cKDTree(dense), dense[: _NUM_POINTS // 20]
     for order in _ORDERS:
@@ -62,11 +57,6 @@ def turn_symmetry(asset: ObjectAsset) -> int:
         if all(tree.query(points)[0].max() <= TOLERANCE for points in turned):
             return order
     return 1
-
-
-def _hull(vertices: np.ndarray) -> Mesh:
-    hull = trimesh.convex.convex_hull(vertices)
-    return Mesh(np.asarray(hull.vertices), np.asarray(hull.faces))
 
 
 def _angles(order: int) -> np.ndarray:

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.rest import upright_turn
+from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.assets.stances import Stance, stances
 from cluttergen_jax.assets.voxels import Voxels
@@ -44,17 +44,11 @@ _TURNS = np.radians([90, 180])
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The usual poses of an object, the best first.
+    """The usual poses of an object, the best first."""
 
-    Attributes:
-      poses: with the marks of each.
-      authored: the one as authored; None if it does not rest so.
-      is_kept: whether the object stays as authored.
-    """
-
-    poses: tuple[tuple[Stance, float], ...]
-    authored: Stance | None
-    is_kept: bool
+    poses: tuple[tuple[Stance, float], ...]  # With the marks of each.
+    authored: Stance | None  # The one as authored; None if it does not rest so.
+    is_kept: bool  # Whether the object stays as authored.
 
 
 def usual_poses(solid: Solid, center: np.ndarray) -> Choice:
@@ -77,7 +71,7 @@ class _Look:
     """An object as it looks from its poses; points are about the centre of mass."""
 
     def __init__(self, solid: Solid, center: np.ndarray) -> None:
-        self._mesh = solid.mesh.transformed(np.eye(3), -center)
+        self._mesh = solid.mesh.transform(np.eye(3), -center)
         hull = ConvexHull(self._mesh.vertices)
         self._corners, self._volume = hull.points[hull.vertices], float(hull.volume)
         self._points = sample_faces(self._mesh, _NUM_POINTS, 0)[0]
@@ -120,7 +114,7 @@ class _Look:
 
     def _water(self, turn: np.ndarray) -> float:
         """What it would hold, over its hull, with all surfaces thicker by one cell."""
-        voxels = Voxels.of(self._mesh.transformed(turn, np.zeros(3)), _CELLS)
+        voxels = Voxels.of(self._mesh.transform(turn, np.zeros(3)), _CELLS)
         thick = replace(voxels, outside=~binary_dilation(voxels.solid, np.ones((3, 3, 3), bool)))
         return float(thick.water().sum() * voxels.pitch**3 / self._volume)
 

@@ -88,7 +88,7 @@ def evaluate(
       PoolError: there is no such pool or support.
       ClutterGenError: no row can be made.
     """
-    from cluttergen_jax.assets.pool import composed
+    from cluttergen_jax.assets.pool import join_pool_names
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.evaluation.comparison import compare, open_runner
     from cluttergen_jax.evaluation.studies.rules import with_rules_of
@@ -123,7 +123,7 @@ def evaluate(
         for pool in pools or (asked.pool,)
         for trial in grid(
             base,
-            pool=(composed(pool, asked.exclude),),
+            pool=(join_pool_names(pool, asked.exclude),),
             support=supports,
             method=methods or methods_of(str(pool)),
         )

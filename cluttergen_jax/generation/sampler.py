@@ -13,8 +13,8 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.assets.pool import public_name
-from cluttergen_jax.assets.reach import reach_of
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support_map import top_bounds_of
 from cluttergen_jax.config import check_range, check_whole
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.arguments import check_call, check_key, is_known, recipe_text, required_recipe
@@ -207,10 +207,10 @@ def _fits(region: Region, usual: Region, support: SupportAsset) -> Array:
 
 
 def _is_on_top(region: Region, support: SupportAsset) -> Array:
-    """bool: all corners are within the support's reach (`assets.reach`)."""
+    """bool: all corners are within the support's reach (`assets.support_map`)."""
     signs = jnp.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
     corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
-    reach = reach_of(support)
+    reach = top_bounds_of(support)
     local = corners[:, :2] @ reach.axes
     return jnp.all((local >= reach.lower - _ROUNDING) & (local <= reach.upper + _ROUNDING))
 

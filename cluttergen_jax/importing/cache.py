@@ -15,7 +15,7 @@ from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.files import cache_home, remove, scratch_folder
 from cluttergen_jax.importing.readers import ObjectFile
-from cluttergen_jax.importing.readers.companions import companions
+from cluttergen_jax.importing.readers.mesh_text import companions
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 
 BODY_VERSION = 4
@@ -93,7 +93,7 @@ def load(key: str, name: str) -> ObjectAsset | None:
 
 
 def store(key: str, asset: ObjectAsset) -> None:
-    """Puts a body into the cache: whole or not at all, whoever else is writing the same."""
+    """Puts a body into the cache: whole or not at all, whatever else writes the same."""
     root = cache_root()
     with scratch_folder(root / key) as scratch:
         write_object(scratch / key, asset)

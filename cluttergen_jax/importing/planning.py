@@ -12,15 +12,14 @@ from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
-from cluttergen_jax.importing.readers.axes import AUTO, AXES, FILE, UpAxis, own_up
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import public_path
-from cluttergen_jax.importing.readers.source import named_apart
-from cluttergen_jax.importing.readers.tree import find_sources, found_in
+from cluttergen_jax.importing.readers.source import AUTO, AXES, FILE, UpAxis, make_names_distinct, own_up
+from cluttergen_jax.importing.readers.tree import find_all, find_sources
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
 from cluttergen_jax.importing.scenery import why_no_objects
 from cluttergen_jax.importing.sets import AUTO as ANY_SET
-from cluttergen_jax.importing.sets import KnownSet, known_sets, told
+from cluttergen_jax.importing.sets import KnownSet, describe_sets, known_sets
 from cluttergen_jax.importing.settings import (
     OF_READING,
     TAKE,
@@ -36,23 +35,15 @@ YCB = "ycb"
 
 @dataclass(frozen=True)
 class Planned:
-    """One object with everything that decides how it is read.
-
-    Attributes:
-      up: the vertical axis of its file, and who says so.
-      is_named: its name was chosen by the user, and stays.
-      out: why the layout of its set leaves it out; empty if it does not.
-      place: its file from the searched folder on, with "#" and the body where it holds several.
-      take: whether the user's settings take it or leave it out; None if they do not say.
-    """
+    """One object with everything that decides how it is read."""
 
     source: ObjectFile
     options: ReadOptions
-    up: UpAxis
-    is_named: bool = False
-    out: str = ""
-    place: str = ""
-    take: bool | None = None
+    up: UpAxis  # The vertical axis of its file, and who says so.
+    is_named: bool = False  # Its name was chosen by the user, and stays.
+    out: str = ""  # Why the layout of its set leaves it out; empty if it does not.
+    place: str = ""  # See `LeftOut.name`.
+    take: bool | None = None  # Whether the user's settings take it or leave it out; None if they do not say.
 
 
 @dataclass(frozen=True)
@@ -99,7 +90,7 @@ def plan_all(
       options: for every object, but for what its settings say.
       settings: a settings file for all sources, in place of the one in each folder.
       layout: the set that the sources are of: a name in sets.yaml, "none", or "auto" for what they show.
-      pool: a pool's folder; what it holds by names that earlier versions gave is called so again.
+      pool: a pool's folder; objects that it has already keep their names.
       take_all: scenery and actors (`scenery`) as well.
 
     Raises:
@@ -120,13 +111,13 @@ def plan_all(
     for group in groups:
         for source in group.found.sources:
             try:
-                planned.append(_planned(source, group, options))
+                planned.append(_plan_source(source, group, options))
             except OSError as error:
                 failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
     skipped = tuple(each for group in groups for each in group.found.skipped)
-    lines = tuple(told([known for group in groups for known in group.sets]))
+    lines = tuple(describe_sets([known for group in groups for known in group.sets]))
     kept, left_out = _objects_among(planned, take_all)
-    return Plan(named_anew(_as_in_pool(kept, pool)), skipped, tuple(failures), lines, left_out)
+    return Plan(name_distinctly(_as_in_pool(kept, pool)), skipped, tuple(failures), lines, left_out)
 
 
 def _objects_among(planned: list[Planned], take_all: bool) -> tuple[list[Planned], tuple[LeftOut, ...]]:
@@ -140,10 +131,10 @@ def _objects_among(planned: list[Planned], take_all: bool) -> tuple[list[Planned
     left_out = tuple(LeftOut(planned[index].place, *why[index]) for index in sorted(why))
     files = {planned[index].source.path for index in why}
     kept = [each for index, each in enumerate(planned) if index not in why]
-    return [_called_after_file(each, kept) if each.source.path in files else each for each in kept], left_out
+    return [_rename_after_file(each, kept) if each.source.path in files else each for each in kept], left_out
 
 
-def _called_after_file(planned: Planned, kept: Sequence[Planned]) -> Planned:
+def _rename_after_file(planned: Planned, kept: Sequence[Planned]) -> Planned:
     """The only body without a name that is left of its file, without the number that it had there."""
     source = planned.source
     unnamed = [each for each in kept if each.source.path == source.path and each.source.body.startswith("#")]
@@ -159,7 +150,7 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
     if str(given) == YCB and not path.exists():
         found = Found(tuple(ycb_sources()))
         return _Group(found.sources[0].path.parent, found, settings)
-    found = found_in(path)
+    found = find_all(path)
     root = path if path.is_dir() else path.parent
     sets = known_sets(root, found.files if path.is_dir() else root.iterdir(), layout)
     if settings is None and (settings := settings_for(root)) is not None and path.is_dir():
@@ -167,22 +158,21 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
     return _Group(root, found, settings, sets, path.is_dir())
 
 
-def _planned(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned:
+def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned:
     """A source with the options of the command line, but for what its set and the settings say."""
     values = {} if group.settings is None else group.settings.of(source, group.root)
     take = values.pop(TAKE, None)
     reading = {key: value for key, value in values.items() if key in OF_READING}
     known = next((each for each in group.sets if each.covers(source)), None)
-    from_set = {} if known is None else known.found(source)
+    from_set = {} if known is None else known.look_up(source)
     own = replace(options if known is None else known.read(options, from_set), **reading)
     if own.up == AUTO and source.provenance is not None:
         # The YCB objects stand as they stood when they were scanned.
         own = replace(own, up=FILE)
     label = {key: value for key, value in from_set.items() if key == "label"}
     naming = {key: value for key, value in {**label, **values}.items() if key not in OF_READING}
-    earlier = source.earlier[0], naming.get("label", source.earlier[1])
     parts = collision_files(source.path) if own.collision == "keep" and source.kind == "mesh" else ()
-    own_source = replace(source, earlier=earlier, parts=parts, **naming)
+    own_source = replace(source, parts=parts, **naming)
     # A file that is given itself is taken.
     sets = group.sets if group.is_folder else ()
     out = next((why for each in sets if (why := each.why_out(source))), "")
@@ -200,31 +190,29 @@ def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: 
 
 
 def _as_in_pool(planned: list[Planned], folder: Path | None) -> list[Planned]:
-    """The objects, those that a pool has already with the names, and labels, that it has them by."""
+    """The objects, those that a pool has already by the names that they have there."""
     try:
         held = {} if folder is None else {a.name: a.provenance.source for a in read_pool(folder).objects}
     except ClutterGenError:
         return planned
     free = {name: source for name, source in held.items() if name not in _chosen_names(planned)}
-    return [each if each.is_named else _as_held(each, free) for each in planned]
-
-
-def _as_held(planned: Planned, free: dict[str, str]) -> Planned:
-    """The object by a pool's name for it, in the letters of earlier versions or of this; that is used up."""
-    source, here = planned.source, public_path(planned.source.path)
-    for plain, label in (source.earlier, (source.plain, source.label)):
-        fitting = re.compile(re.escape(plain) + r"(-\d+)?")
-        for name in [each for each, path in free.items() if path == here and fitting.fullmatch(each)]:
-            del free[name]
-            return replace(planned, source=replace(source, name=name, label=label), is_named=True)
-    return planned
+    named = []
+    for each in planned:
+        source, pattern = each.source, re.compile(re.escape(each.source.plain) + r"(-\d+)?")
+        here = public_path(source.path)
+        fitting = [name for name, path in free.items() if path == here and pattern.fullmatch(name)]
+        if fitting and not each.is_named:
+            del free[fitting[0]]
+            each = replace(each, source=replace(source, name=fitting[0]), is_named=True)
+        named.append(each)
+    return named
 
 
 def _chosen_names(planned: Sequence[Planned]) -> list[str]:
     return [each.source.name for each in planned if each.is_named]
 
 
-def named_anew(planned: Sequence[Planned]) -> tuple[Planned, ...]:
+def name_distinctly(planned: Sequence[Planned]) -> tuple[Planned, ...]:
     """Distinct names, with numbers only where these objects share one; those that the user chose stay.
 
     Raises:
@@ -236,13 +224,10 @@ def named_anew(planned: Sequence[Planned]) -> tuple[Planned, ...]:
             f"settings with name = {twice[0]!r} for {chosen.count(twice[0])} objects", "a name for one object"
         )
     order = sorted(range(len(planned)), key=lambda index: not planned[index].is_named)
-    plain = [planned[i].source if planned[i].is_named else _without_number(planned[i].source) for i in order]
-    names = dict(zip(order, named_apart(plain), strict=True))
+    sources = [(planned[i].source, planned[i].is_named) for i in order]
+    plain = [each if is_named else replace(each, name=each.plain or each.name) for each, is_named in sources]
+    names = dict(zip(order, make_names_distinct(plain), strict=True))
     return tuple(replace(each, source=names[index]) for index, each in enumerate(planned))
-
-
-def _without_number(source: ObjectFile) -> ObjectFile:
-    return replace(source, name=source.plain or source.name)
 
 
 # Scans that do not show the object as it is.

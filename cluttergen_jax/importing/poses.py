@@ -8,10 +8,10 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool, read_pool, user_pool_folder, write_pool
-from cluttergen_jax.assets.rest import upright_turn
+from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.stances import stances
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.importing.solo import turned_object
+from cluttergen_jax.importing.solo_stability import turned_object
 from cluttergen_jax.physics.log import silent_log
 
 _SAME = np.cos(np.radians(12))

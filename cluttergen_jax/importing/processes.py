@@ -9,8 +9,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -29,28 +29,22 @@ _MOST_UNBORN = 3
 """So many workers may end, one after another, before they take a job."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Outcome:
-    """What became of a job.
+    """What became of a job."""
 
-    Attributes:
-      result: what the function returned; None if there is none.
-      fault: why there is none; empty if there is one.
-      seconds, cpu_seconds: what it cost, all tries together, without the start of a process.
-      is_late: whether it was ended for its time.
-      is_killed: whether something outside has killed its worker.
-    """
-
-    result: Any = None
-    fault: str = ""
-    seconds: float = 0.0
+    result: Any = None  # What the function returned; None if there is none.
+    fault: str = ""  # Why there is none; empty if there is one.
+    seconds: float = 0.0  # What it cost, all tries together, without the start of a process.
     cpu_seconds: float = 0.0
-    is_late: bool = False
-    is_killed: bool = False
+    is_late: bool = False  # Whether it was ended for its time.
+    is_killed: bool = False  # Whether something outside has killed its worker.
 
 
 Again = Callable[[Any, str], Any]
 """From a job and the fault by which it was lost to the job that is tried in its stead."""
+Watch = Callable[[list[int]], None]
+"""Hears which jobs are at work, by index."""
 
 
 def run_all(
@@ -60,12 +54,9 @@ def run_all(
 
     Left early, as by Ctrl-C, it ends its workers.
     """
-    crew = Crew(function, num_processes)
-    try:
+    with closing(Crew(function, num_processes)) as crew:
         for index, outcome in crew.outcomes(jobs):
             yield index, outcome.fault or outcome.result
-    finally:
-        crew.close()
 
 
 class Crew:
@@ -79,7 +70,7 @@ class Crew:
     Args:
       function: of a job, for all workers; it and the jobs are pickled.
       num_processes: at a time.
-      limit: seconds that a job may take, all tries together, the processor's where the system tells them;
+      limit: seconds that a job may take, all tries together, of the processor where the system reports them;
         None for as long as it likes.
       again: makes the next job.
       most_tries: of a job, where `again` is given.
@@ -93,7 +84,7 @@ class Crew:
         limit: float | None = None,
         again: Again | None = None,
         most_tries: int = 2,
-        watch: Callable[[list[int]], None] | None = None,
+        watch: Watch | None = None,
     ) -> None:
         self._function, self._num, self._limit, self._again = function, num_processes, limit, again
         self._most_tries = most_tries if again is not None else 1
@@ -119,7 +110,7 @@ class Crew:
             self._hand_out()
             if self._watch is not None:
                 self._watch([worker.task.index for worker in self._workers if worker.task is not None])
-            for worker in self._heard():
+            for worker in self._workers_to_hear():
                 if (task := self._over(worker)) is not None:
                     num_left -= 1
                     yield task.index, task.outcome
@@ -140,12 +131,12 @@ class Crew:
             busy.append(free.pop())
             busy[-1].give(self._waiting.popleft())
         if self._last and not self._waiting and not busy:
-            # Whoever rests holds memory, of which there may have been too little.
+            # Idle workers hold memory, of which there may have been too little.
             self.close()
             self._workers = [_Worker(self._function)]
             self._workers[0].give(self._last.popleft())
 
-    def _heard(self) -> list[_Worker]:
+    def _workers_to_hear(self) -> list[_Worker]:
         """Workers that have said something, have died, or have had their time."""
         busy = [worker for worker in self._workers if worker.task is not None]
         left = [self._time_of(worker.task) - worker.seconds_used() for worker in busy if worker.began]
@@ -166,48 +157,46 @@ class Crew:
         task = worker.task
         assert task is not None
         if not worker.pipe.poll() and worker.began:
-            return self._lost(worker, is_late=True)
+            return self._retry_or_give_up(worker, is_late=True)
         try:
             said = worker.pipe.recv()
         except (EOFError, OSError):
-            return self._lost(worker)
-        if isinstance(said, _Begun):
+            return self._retry_or_give_up(worker)
+        if isinstance(said, float):
             self._num_unborn = 0
-            worker.began, worker.cpu_before = time.monotonic(), said.cpu_seconds
+            worker.began, worker.cpu_before = time.monotonic(), said
             return None
         worker.task, worker.began = None, 0.0
         task.add_cost(said.seconds, said.cpu_seconds, said.cpu_seconds)
         if said.error is not None:
             raise said.error
-        task.result = said.result
+        task.outcome.result, task.outcome.fault = said.result, ""
         return task
 
-    def _lost(self, worker: _Worker, is_late: bool = False) -> _Task | None:
+    def _retry_or_give_up(self, worker: _Worker, is_late: bool = False) -> _Task | None:
         """The task of a worker that has died, or has to, if it is not tried again."""
         task = worker.task
         assert task is not None
         self._workers.remove(worker)
         seconds = time.monotonic() - worker.began if worker.began else 0.0
         used = worker.seconds_used() if worker.began else 0.0
-        cpu_seconds = worker.ended(is_late)
+        cpu_seconds = worker.wait_for_end(is_late)
         if not worker.began and worker.exit_code != _KILLED:
             self._check_start(worker)
             self._waiting.appendleft(task.again(task.job))
             return None
         task.tries += 1
         task.add_cost(seconds, cpu_seconds if worker.began else 0.0, used)
-        task.is_late, task.is_killed = is_late, not is_late and worker.exit_code == _KILLED
-        task.fault = (
-            f"it was not done after {task.spent:.{0 if task.spent >= 10 else 1}f} s"
-            if is_late
-            else death(worker.exit_code)
-        )
-        if task.tries >= (2 if task.is_killed else self._most_tries):
+        outcome = task.outcome
+        outcome.is_late, outcome.is_killed = is_late, not is_late and worker.exit_code == _KILLED
+        late = f"it was not done after {task.spent:.{0 if task.spent >= 10 else 1}f} s"
+        outcome.fault = late if is_late else death(worker.exit_code)
+        if task.tries >= (2 if outcome.is_killed else self._most_tries):
             return task
-        if task.is_killed:
+        if outcome.is_killed:
             self._last.append(task.again(task.job, is_alone=True))
         elif self._again is not None:
-            self._waiting.appendleft(task.again(self._again(task.job, task.fault)))
+            self._waiting.appendleft(task.again(self._again(task.job, outcome.fault)))
         return None
 
     def _check_start(self, worker: _Worker) -> None:
@@ -224,21 +213,14 @@ def death(exit_code: int | None) -> str:
     if exit_code is None or exit_code >= 0:
         return f"its worker process ended with status {exit_code}"
     try:
-        name, told = signal.Signals(-exit_code).name, signal.strsignal(-exit_code) or ""
+        name, meaning = signal.Signals(-exit_code).name, signal.strsignal(-exit_code) or ""
     except ValueError:
-        name, told = f"signal {-exit_code}", ""
+        name, meaning = f"signal {-exit_code}", ""
     if name == "SIGKILL":
         return "its worker process was killed from outside (SIGKILL), perhaps for want of memory"
     if name in ("SIGTERM", "SIGINT", "SIGHUP"):
         return f"its worker process was ended from outside ({name})"
-    return f"its worker process crashed ({name}{f': {told.lower()}' if told else ''})"
-
-
-@dataclass(frozen=True)
-class _Begun:
-    """Said by a worker that has a job and all that it needs for it."""
-
-    cpu_seconds: float
+    return f"its worker process crashed ({name}{f': {meaning.lower()}' if meaning else ''})"
 
 
 @dataclass(frozen=True)
@@ -260,26 +242,17 @@ class _Task:
     is_alone: bool = False
     tries: int = 0
     spent: float = 0.0
-    seconds: float = 0.0
-    cpu_seconds: float = 0.0
-    result: Any = None
-    fault: str = ""
-    is_late: bool = False
-    is_killed: bool = False
-
-    @property
-    def outcome(self) -> Outcome:
-        return Outcome(self.result, self.fault, self.seconds, self.cpu_seconds, self.is_late, self.is_killed)
+    outcome: Outcome = field(default_factory=Outcome)
 
     def add_cost(self, seconds: float, cpu_seconds: float, used: float) -> None:
-        self.seconds += seconds
-        self.cpu_seconds += cpu_seconds
+        self.outcome.seconds += seconds
+        self.outcome.cpu_seconds += cpu_seconds
         self.spent += used
 
     def again(self, job: Any, is_alone: bool = False) -> _Task:
         """Of time, what was spent counts, but not in the company of others that took the memory."""
-        spent = 0.0 if is_alone else self.spent
-        return _Task(self.index, job, is_alone, self.tries, spent, self.seconds, self.cpu_seconds)
+        cost = Outcome(seconds=self.outcome.seconds, cpu_seconds=self.outcome.cpu_seconds)
+        return _Task(self.index, job, is_alone, self.tries, 0.0 if is_alone else self.spent, cost)
 
 
 class _Worker:
@@ -316,7 +289,7 @@ class _Worker:
             self.pipe.send(what)
 
     def seconds_used(self) -> float:
-        """Seconds of its task so far: the processor's, where the system tells them."""
+        """Seconds of its task so far: the processor's, where the system reports them."""
         passed, cpu = time.monotonic() - self.began, _cpu_seconds(self._process.pid)
         return passed if cpu is None else max(cpu - self.cpu_before, passed / _PATIENCE)
 
@@ -325,7 +298,7 @@ class _Worker:
         self._process.kill()
         self._process.join()
 
-    def ended(self, is_late: bool) -> float:
+    def wait_for_end(self, is_late: bool) -> float:
         """Processor seconds of its task, once it is over; 0 where the system does not say.
 
         Args:
@@ -341,7 +314,7 @@ class _Worker:
 
 
 def _cpu_seconds(pid: int | None) -> float | None:
-    """Processor seconds of a process so far; None where the system does not tell."""
+    """Processor seconds of a process so far; None where the system does not report them."""
     try:
         words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
@@ -350,7 +323,7 @@ def _cpu_seconds(pid: int | None) -> float | None:
 
 
 def _serve(pipe: Connection) -> None:
-    """In a worker: first the function comes, then jobs, until nobody sends any more."""
+    """In a worker: first the function comes, then jobs, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # One thread each, and no GPU; before anything heavy is loaded, as the function and the jobs do.
     os.environ["OMP_NUM_THREADS"] = "1"
@@ -360,13 +333,14 @@ def _serve(pipe: Connection) -> None:
         function = pipe.recv()
         while True:
             job = pipe.recv()
-            pipe.send(_Begun(time.process_time()))
-            pipe.send(_done(function, job))
+            # It has a job and all that it needs for it.
+            pipe.send(time.process_time())
+            pipe.send(_run_job(function, job))
     except EOFError:
         return
 
 
-def _done(function: Callable[[Any], Any], job: Any) -> _Done:
+def _run_job(function: Callable[[Any], Any], job: Any) -> _Done:
     start, cpu_start = time.perf_counter(), time.process_time()
     result, failure = None, None
     try:

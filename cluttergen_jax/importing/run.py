@@ -19,12 +19,12 @@ from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.config import check_positive, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.planning import YCB, Failure, Planned, named_anew, plan_all
-from cluttergen_jax.importing.processes import Crew, Outcome
+from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
+from cluttergen_jax.importing.processes import Crew, Outcome, Watch
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
-from cluttergen_jax.importing.readers.axes import UpAxis
 from cluttergen_jax.importing.readers.read import public_path
-from cluttergen_jax.importing.solo import measured_object
+from cluttergen_jax.importing.readers.source import UpAxis
+from cluttergen_jax.importing.solo_stability import measured_object
 from cluttergen_jax.importing.table_top import LeftOut, Limits
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import Progress
@@ -60,22 +60,15 @@ class ObjectConfig:
 
 @dataclass(frozen=True)
 class Job:
-    """One object to be made and stored in the cache under `key`.
-
-    Attributes:
-      fault: how the try before was lost; empty at the first.
-      num_lost: tries before.
-      limits: what is left out once it is read; None leaves nothing out.
-      place: see `LeftOut.name`.
-    """
+    """One object to be made and stored in the cache under `key`."""
 
     source: ObjectFile
     key: str
     config: ObjectConfig
-    fault: str = ""
-    num_lost: int = 0
-    limits: Limits | None = None
-    place: str = ""
+    fault: str = ""  # How the try before was lost; empty at the first.
+    num_lost: int = 0  # Tries before.
+    limits: Limits | None = None  # What is left out once it is read; None leaves nothing out.
+    place: str = ""  # See `LeftOut.name`.
 
 
 @dataclass(frozen=True)
@@ -86,13 +79,13 @@ class Cost:
     cpu_seconds: float
 
 
-def made(job: Job) -> ObjectAsset | LeftOut | str:
+def make_job(job: Job) -> ObjectAsset | LeftOut | str:
     """The object, or what is said of it if it is beyond the limits, or why it could not be made."""
     try:
         # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
         with silent_log():
             shape = read_shape(job.source, job.config.read)
-            beyond = job.limits and job.limits.beyond_as_read(job.place, shape)
+            beyond = job.limits and job.limits.why_shape_left_out(job.place, shape)
             if beyond:
                 return beyond
             asset = measured_object(shape, _body(job), job.config.trials)
@@ -100,7 +93,7 @@ def made(job: Job) -> ObjectAsset | LeftOut | str:
             return replace(asset, flags=(*job.source.notes, *lost, *asset.flags))
     except ClutterGenError as error:
         return str(error)
-    except Exception as error:  # One object that nobody foresaw must not end a run of hundreds.
+    except Exception as error:  # One unforeseen object must not end a run of hundreds.
         return f"{job.source.path}: {type(error).__name__}: {error}"
 
 
@@ -118,38 +111,29 @@ def next_try(job: Job, fault: str) -> Job:
     return replace(job, fault=fault, num_lost=job.num_lost + 1)
 
 
-Watch = Callable[[list[int]], None]
-"""Hears which jobs are at work, by index."""
-
-
 def _outcomes(
     jobs: Sequence[Job], config: ImportConfig, watch: Watch | None = None
 ) -> Generator[tuple[int, Outcome], None, None]:
     """What became of each job as they come, from processes of this machine, or of a cluster unwatched."""
-    if config.cluster is not None:
-        yield from _outcomes_on(config.cluster, jobs, config.time_limit)
+    if config.cluster is None:
+        crew = Crew(
+            make_job, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, len(_WAYS), watch
+        )
+        with closing(crew):
+            yield from crew.outcomes(jobs)
         return
-    crew = Crew(made, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, len(_WAYS), watch)
-    with closing(crew):
-        yield from crew.outcomes(jobs)
+    # One thread each, as in processes of this machine (`processes`).
+    settings = {"OMP_NUM_THREADS": "1"}
+    lost = Outcome(fault=f"its worker on the cluster ended, {MOST_DEATHS} times")
+    make = partial(_maker, config.time_limit)
+    with closing(each_on(config.cluster, make, jobs, "object", settings=settings, if_lost=lost)) as done:
+        yield from done
 
 
 def _maker(limit: float) -> Callable[[Job], Outcome]:
     """On a cluster, each worker has a process of its own that can be ended."""
-    crew = Crew(made, 1, limit, next_try, len(_WAYS))
+    crew = Crew(make_job, 1, limit, next_try, len(_WAYS))
     return lambda job: next(crew.outcomes([job]))[1]
-
-
-def _outcomes_on(
-    cluster: Cluster, jobs: Sequence[Job], limit: float
-) -> Generator[tuple[int, Outcome], None, None]:
-    # One thread each, as in processes of this machine (`processes`).
-    lost = Outcome(fault=f"its worker on the cluster ended, {MOST_DEATHS} times")
-    done: Generator[tuple[int, Outcome], None, None]
-    make = partial(_maker, limit)
-    done = each_on(cluster, make, jobs, "object", settings={"OMP_NUM_THREADS": "1"}, if_lost=lost)
-    with closing(done):
-        yield from done
 
 
 @dataclass(frozen=True)
@@ -256,19 +240,19 @@ def import_sources(
     planned = plan_all(sources, config.object.read, config.settings, known, config.layout, config.take_all)
     _check_name_is_free(known, planned.objects, config)
     jobs, unreadable = _jobs(planned.objects, config)
-    made: dict[str, ObjectAsset] = {} if config.force else _loaded(jobs)
+    made: dict[str, ObjectAsset] = {} if config.force else _load_cached(jobs)
     missing = [job for job in jobs if job.source.name not in made]
     cached = set(made)
     if config.force:
         for job in missing:
             cache.drop(job.key)
     lost, beyond, costs = _make(missing, config)
-    made |= _loaded(missing)
+    made |= _load_cached(missing)
     # What was made by other limits is in the cache.
-    beyond |= _beyond_as_made(jobs, made)
+    beyond |= _too_large_bodies(jobs, made)
     kept = [each for each in planned.objects if each.source.name in made.keys() - beyond.keys()]
     failures = (*planned.failures, *unreadable, *lost)
-    called = _called(planned.objects, kept)
+    called = _final_names(planned.objects, kept)
     objects = tuple(replace(made[name], name=called[name]) for name in (each.source.name for each in kept))
     path = _write(pool_name, objects, old, config) if objects else None
     return ImportReport(
@@ -284,12 +268,12 @@ def import_sources(
     )
 
 
-def _called(planned: Sequence[Planned], kept: Sequence[Planned]) -> dict[str, str]:
+def _final_names(planned: Sequence[Planned], kept: Sequence[Planned]) -> dict[str, str]:
     """What each object is called in the end, by its name of before: only those that were made share numbers.
 
-    Of the others, one whose name is taken now is told with its file.
+    Of the others, one whose name is taken now gets its file behind it.
     """
-    names = {old.source.name: new.source.name for old, new in zip(kept, named_anew(kept), strict=True)}
+    names = {old.source.name: new.source.name for old, new in zip(kept, name_distinctly(kept), strict=True)}
     taken = set(names.values())
     others = {each.source.name: each.place for each in planned if each.source.name not in names}
     return names | {name: f"{name} ({place})" if name in taken else name for name, place in others.items()}
@@ -312,10 +296,10 @@ def _check_name_is_free(known: Path | None, planned: Sequence[Planned], config: 
     except ClutterGenError:
         return
     if held.isdisjoint(public_path(each.source.path) for each in planned):
-        raise _name_taken(known.name)
+        raise _name_error(known.name)
 
 
-def _name_taken(name: str) -> PoolError:
+def _name_error(name: str) -> PoolError:
     return PoolError(
         f"pool {name!r} exists and holds something else",
         "a new name",
@@ -337,19 +321,19 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
     return jobs, failures
 
 
-def _loaded(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
+def _load_cached(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
     pairs = ((job.source.name, cache.load(job.key, job.source.name)) for job in jobs)
     return {name: asset for name, asset in pairs if asset is not None}
 
 
-def _beyond_as_made(jobs: Sequence[Job], made: dict[str, ObjectAsset]) -> dict[str, LeftOut]:
+def _too_large_bodies(jobs: Sequence[Job], made: dict[str, ObjectAsset]) -> dict[str, LeftOut]:
     """By name, what is said of bodies beyond the limits."""
-    told = {}
+    reasons = {}
     for job in jobs:
         asset = made.get(job.source.name)
         if job.limits is not None and asset is not None:
-            told[job.source.name] = job.limits.beyond_as_made(job.place, asset)
-    return {name: each for name, each in told.items() if each is not None}
+            reasons[job.source.name] = job.limits.why_body_left_out(job.place, asset)
+    return {name: each for name, each in reasons.items() if each is not None}
 
 
 def _make(
@@ -374,7 +358,7 @@ def _make(
                 for index, outcome in outcomes:
                     job, cost = jobs[index], Cost(outcome.seconds, outcome.cpu_seconds)
                     costs[job.source.name] = cost
-                    reason = _kept(job, outcome)
+                    reason = _store_result(job, outcome)
                     if reason:
                         reasons[index] = reason
                     elif isinstance(outcome.result, LeftOut):
@@ -394,7 +378,7 @@ def _show_at_work(progress: Progress, jobs: Sequence[Job], indices: list[int]) -
     progress.note(f"at work: {', '.join(names[:_MOST_NAMED])}{more}")
 
 
-def _kept(job: Job, outcome: Outcome) -> str:
+def _store_result(job: Job, outcome: Outcome) -> str:
     """Stores the object that was made in the cache. The empty string, or why it failed."""
     if outcome.fault:
         return str(AssetError(f"{job.source.path}: {outcome.fault}", hint=_hint(outcome)))
@@ -432,17 +416,17 @@ def _line(name: str, cost: Cost, asset: ObjectAsset | LeftOut | str | None, reas
 def _write(name: str, objects: tuple[ObjectAsset, ...], old: Pool | None, config: ImportConfig) -> Path:
     path = user_root() / name
     if old is not None:
-        objects = _added(old, objects, config)
+        objects = _merge_pool(old, objects, config)
     licences = sorted({asset.provenance.licence for asset in objects})
     pool = Pool(name, objects, config.object.body.tier, "; ".join(licences))
     if path.exists() and (not config.force or old is not None) and _is_same(path, pool):
         return path
     if path.exists() and not config.force and old is None:
-        raise _name_taken(name)
+        raise _name_error(name)
     return write_pool(path, pool, overwrite=config.force or old is not None)
 
 
-def _added(old: Pool, objects: tuple[ObjectAsset, ...], config: ImportConfig) -> tuple[ObjectAsset, ...]:
+def _merge_pool(old: Pool, objects: tuple[ObjectAsset, ...], config: ImportConfig) -> tuple[ObjectAsset, ...]:
     """The old objects, new ones in place of those of the same name, then the rest."""
     if old.tier != config.object.body.tier:
         raise PoolError(

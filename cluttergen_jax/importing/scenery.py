@@ -12,14 +12,189 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
-from collections import defaultdict
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import mujoco
+import numpy as np
+
 from cluttergen_jax.importing.readers import ObjectFile
-from cluttergen_jax.importing.readers.bodies import BodyFacts, is_limbed, world_facts
+from cluttergen_jax.importing.readers.xml_tree import Element, parse_xml, plain_tag
+
+_JOINT, _GEOM, _PULL = mujoco.mjtJoint, mujoco.mjtGeom, mujoco.mjtTrn
+_TIES = (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
+_WORLD = ("", "world")
+_MOVABLE = ("revolute", "prismatic", "continuous", "revolute2", "universal", "screw", "ball")
+_NUM_SEEN_GROUPS = 3
+_UNSAID = np.array([0.5, 0.5, 0.5, 1.0])
+"""MuJoCo's colour of a geom that says none; a material's goes before it."""
+
+
+@dataclass(frozen=True)
+class BodyFacts:
+    """One body that hangs on the world of an MJCF file, with all that hangs on it."""
+
+    name: str  # Empty if it has none.
+    is_free: bool  # It moves in all six directions (free joint, or sliders and hinges), and nothing holds it.
+    is_mocap: bool  # The program that runs the file moves it.
+    is_driven: bool  # An actuator moves one of its joints, or a mocap body carries it.
+    chain: int  # Joints one after another, at most; all by which it moves as a whole are one, none if free.
+    has_joints: bool  # Whether it moves at all.
+    shape: str  # Digest of what is seen of it, or else of what collides, in its own frame; "" if nothing is.
+    looks: str  # Digest of the shape with its colours.
+    collides: bool  # Whether any of it collides.
+    is_translucent: bool  # Whether one can look through all that is seen.
+
+
+def world_facts(path: Path) -> list[BodyFacts]:
+    """Of each body that hangs on the world, in the file's order; [] where MuJoCo cannot parse the file."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, OSError):
+        return []
+    try:
+        return [_facts(spec, body) for body in spec.worldbody.bodies]
+    except UnicodeDecodeError:
+        return []
+
+
+def has_limbs(path: Path, in_a_row: int) -> bool:
+    """Whether a URDF or SDF file has limbs as robots do, and states masses, as lamps of many joints do not.
+
+    That is `in_a_row` movable joints one after another, or three limbs with one fewer.
+    """
+    root = parse_xml(path)
+    elements = [] if root is None else list(root.iter())
+    above: dict[str, tuple[str, int]] = {}
+    for joint in elements:
+        if plain_tag(joint) == "joint":
+            is_own = joint.get("type") in _MOVABLE and joint.find("mimic") is None
+            above[_link(joint, "child")] = _link(joint, "parent"), int(is_own)
+    ends = above.keys() - {parent for parent, _ in above.values()}
+    limbs = [_joints_above(link, above) for link in ends]
+    is_weighed = sum(plain_tag(each) == "inertial" for each in elements) >= in_a_row
+    is_long = max(limbs, default=0) >= in_a_row
+    return is_weighed and (is_long or sum(limb >= in_a_row - 1 for limb in limbs) >= 3)
+
+
+def _link(joint: Element, tag: str) -> str:
+    """The link that a joint names: URDF's in an attribute, SDF's as text."""
+    found = joint.find(tag)
+    return "" if found is None else (found.get("link") or found.text or "").strip()
+
+
+def _joints_above(link: str, above: dict[str, tuple[str, int]]) -> int:
+    count, seen = 0, set()
+    while link in above and link not in seen:
+        seen.add(link)
+        link, own = above[link]
+        count += own
+    return count
+
+
+def _facts(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> BodyFacts:
+    bodies = list(_below(root))
+    geoms = [geom for body in bodies for geom in body.geoms if geom.type != _GEOM.mjGEOM_PLANE]
+    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)} - {""}
+    hitting = [geom for geom in geoms if geom.contype or geom.conaffinity or geom.name in paired]
+    seen = [geom for geom in geoms if geom.group < _NUM_SEEN_GROUPS and _rgba(spec, geom)[3] > 0]
+    shown = seen or hitting
+    names = {body.name for body in bodies} - {""}
+    mocaps = tuple(body.name for body in spec.worldbody.bodies if body.mocap and body.name)
+    is_free = _is_free(root)
+
+    def colour(geom: mujoco.MjsGeom) -> tuple[str, list[float]]:
+        return geom.material, np.round(_rgba(spec, geom), 3).tolist()
+
+    return BodyFacts(
+        name=root.name,
+        is_free=is_free and not _has_tie(spec, names, _WORLD),
+        is_mocap=bool(root.mocap),
+        is_driven=_has_motor(spec, bodies) or _has_tie(spec, names, mocaps),
+        chain=_chain(root, 0 if is_free else min(len(root.joints), 1)),
+        has_joints=any(body.joints for body in bodies),
+        shape=_digest(_form(spec, root, geom) for geom in shown),
+        looks=_digest((_form(spec, root, geom), colour(geom)) for geom in shown),
+        collides=bool(hitting),
+        is_translucent=bool(seen) and all(_rgba(spec, geom)[3] < 1 for geom in seen),
+    )
+
+
+def _below(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
+    yield body
+    for child in body.bodies:
+        yield from _below(child)
+
+
+def _is_free(body: mujoco.MjsBody) -> bool:
+    kinds = Counter(joint.type for joint in body.joints)
+    turns = kinds[_JOINT.mjJNT_HINGE] + 3 * kinds[_JOINT.mjJNT_BALL]
+    return kinds[_JOINT.mjJNT_FREE] > 0 or (kinds[_JOINT.mjJNT_SLIDE] >= 3 and turns >= 3)
+
+
+def _chain(body: mujoco.MjsBody, own: int) -> int:
+    return own + max((_chain(child, len(child.joints)) for child in body.bodies), default=0)
+
+
+def _has_tie(spec: mujoco.MjSpec, names: set[str], others: tuple[str, ...]) -> bool:
+    """Whether an equality holds one of the bodies `names` to one of the others."""
+    ties = [{tie.name1, tie.name2} for tie in spec.equalities if tie.type in _TIES and tie.active]
+    return any(tie & names and (tie - names) & set(others) for tie in ties)
+
+
+def _has_motor(spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody]) -> bool:
+    joints = {joint.name for body in bodies for joint in body.joints} - {""}
+    sites = {site.name for body in bodies for site in body.sites} - {""}
+    parts = {
+        _PULL.mjTRN_JOINT: joints,
+        _PULL.mjTRN_JOINTINPARENT: joints,
+        _PULL.mjTRN_SITE: sites,
+        _PULL.mjTRN_BODY: {body.name for body in bodies} - {""},
+    }
+    return any(motor.target in parts.get(motor.trntype, ()) for motor in spec.actuators)
+
+
+def _rgba(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> np.ndarray:
+    material = spec.material(geom.material) if geom.material else None
+    return material.rgba if material is not None and np.array_equal(geom.rgba, _UNSAID) else geom.rgba
+
+
+def _form(spec: mujoco.MjSpec, root: mujoco.MjsBody, geom: mujoco.MjsGeom) -> tuple[object, ...]:
+    """What decides the form of a geom, and where it stands in the body `root`."""
+    places = [_place(geom)]
+    body = geom.parent
+    while body.id != root.id:
+        places.append(_place(body))
+        body = body.parent
+    mesh = spec.mesh(geom.meshname) if geom.meshname else None
+    size = np.round(np.nan_to_num([*geom.size, *geom.fromto]), 6).tolist()
+    return int(geom.type), size, places, None if mesh is None else _mesh(spec, mesh)
+
+
+def _place(thing: mujoco.MjsBody | mujoco.MjsGeom) -> list[float]:
+    turn = thing.alt
+    numbers = [*thing.pos, *thing.quat, *turn.axisangle, *turn.xyaxes, *turn.zaxis, *turn.euler]
+    return np.round(np.nan_to_num(numbers), 6).tolist()
+
+
+def _mesh(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh) -> tuple[str, list[float]]:
+    """A mesh by the bytes of its file, or by its own numbers where the model holds them."""
+    folder = Path(spec.modelfiledir)
+    places = (folder / spec.meshdir / mesh.file, folder / mesh.file)
+    file = next((each for each in places if mesh.file and each.is_file()), None)
+    content = np.asarray(mesh.uservert).tobytes() if file is None else file.read_bytes()
+    return hashlib.sha256(mesh.file.encode() * (not content) + content).hexdigest(), list(mesh.scale)
+
+
+def _digest(parts: Iterator[object]) -> str:
+    """One for the same parts in any order; empty if there are none."""
+    texts = sorted(map(repr, parts))
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest() if texts else ""
+
 
 MIN_CHAIN = 4
 """Joints one after another: doors, drawers, phones and lids have fewer, arms and legs more."""
@@ -50,11 +225,11 @@ class _Body:
 def why_no_objects(sources: Sequence[ObjectFile]) -> dict[int, tuple[str, str]]:
     """Reason and detail, in words, by the index of each source that is no object of its own."""
     bodies = _bodies(sources)
-    told = {i: (why, "") for i, body in enumerate(bodies) if (why := _why_alone(body))}
-    told |= {i: why for i, why in _ghosts(bodies).items() if i not in told}
-    told |= {i: why for i, why in _in_many_files(bodies).items() if i not in told}
-    rest = {i: body for i, body in enumerate(bodies) if i not in told}
-    return told | _copies(rest)
+    reasons = {i: (why, "") for i, body in enumerate(bodies) if (why := _why_alone(body))}
+    reasons |= {i: why for i, why in _ghosts(bodies).items() if i not in reasons}
+    reasons |= {i: why for i, why in _in_many_files(bodies).items() if i not in reasons}
+    rest = {i: body for i, body in enumerate(bodies) if i not in reasons}
+    return reasons | _copies(rest)
 
 
 def _bodies(sources: Sequence[ObjectFile]) -> list[_Body]:
@@ -64,11 +239,11 @@ def _bodies(sources: Sequence[ObjectFile]) -> list[_Body]:
     found = []
     for source in sources:
         siblings = of_file.get(source.path, ())
-        found.append(_Body(source, _chosen(siblings, source.body), siblings))
+        found.append(_Body(source, _find_body(siblings, source.body), siblings))
     return found
 
 
-def _chosen(siblings: Sequence[BodyFacts], body: str) -> BodyFacts | None:
+def _find_body(siblings: Sequence[BodyFacts], body: str) -> BodyFacts | None:
     if body.startswith("#"):
         index = int(body[1:])
         return siblings[index] if index < len(siblings) else None
@@ -82,7 +257,7 @@ def _why_alone(body: _Body) -> str:
     if _GRIPPER.search((body.source.body.removeprefix("#") or body.source.path.stem).lower()):
         return "a robot's gripper, finger or hand, by its name"
     if facts is None:
-        is_robot = body.source.kind in ("urdf", "sdf") and is_limbed(body.source.path, MIN_CHAIN)
+        is_robot = body.source.kind in ("urdf", "sdf") and has_limbs(body.source.path, MIN_CHAIN)
         return _ROBOT if is_robot else ""
     if actor := _why_actor(facts):
         return actor
@@ -105,7 +280,7 @@ def _why_actor(facts: BodyFacts) -> str:
 
 
 def _ghosts(bodies: Sequence[_Body]) -> dict[int, tuple[str, str]]:
-    told = {}
+    reasons = {}
     for i, body in enumerate(bodies):
         facts = body.facts
         title = body.source.body or body.source.path.stem
@@ -115,8 +290,11 @@ def _ghosts(bodies: Sequence[_Body]) -> dict[int, tuple[str, str]]:
             continue
         twin = next((each for each in bodies if each is not body and _is_twin(each, body)), None)
         if twin is not None:
-            told[i] = "a likeness of another body, which collides with nothing", f"of {twin.source.path.name}"
-    return told
+            reasons[i] = (
+                "a likeness of another body, which collides with nothing",
+                f"of {twin.source.path.name}",
+            )
+    return reasons
 
 
 def _is_twin(other: _Body, ghost: _Body) -> bool:
@@ -136,7 +314,7 @@ def _in_many_files(bodies: Sequence[_Body]) -> dict[int, tuple[str, str]]:
     for body in bodies:
         if body.is_of_several:
             files[body.folder][body.source.path] = body.siblings
-    told = {}
+    reasons = {}
     for i, body in enumerate(bodies):
         if body.facts is None or not body.is_of_several or body.facts.has_joints:
             continue
@@ -144,8 +322,8 @@ def _in_many_files(bodies: Sequence[_Body]) -> dict[int, tuple[str, str]]:
         count = _num_files(body.facts.shape, here)
         has_others = any(each.shape and _num_files(each.shape, here) < count for each in body.siblings)
         if count >= max(2, len(here) / 2) and has_others:
-            told[i] = "stands alike in several files", ""
-    return told
+            reasons[i] = "stands alike in several files", ""
+    return reasons
 
 
 def _num_files(shape: str, files: Sequence[tuple[BodyFacts, ...]]) -> int:
@@ -155,11 +333,11 @@ def _num_files(shape: str, files: Sequence[tuple[BodyFacts, ...]]) -> int:
 def _copies(bodies: dict[int, _Body]) -> dict[int, tuple[str, str]]:
     """Bodies that look like one of another file; a file's only body comes first, and always stays."""
     first: dict[str, _Body] = {}
-    told = {}
+    reasons = {}
     for i, body in sorted(bodies.items(), key=lambda item: item[1].is_of_several):
         if body.facts is None or not body.facts.looks:
             continue
         twin = first.setdefault(body.facts.looks, body)
         if body.is_of_several and twin.source.path != body.source.path:
-            told[i] = "alike in another file", f"in {twin.source.path.name}"
-    return told
+            reasons[i] = "alike in another file", f"in {twin.source.path.name}"
+    return reasons

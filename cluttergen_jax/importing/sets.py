@@ -59,15 +59,11 @@ class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class KnownSet:
-    """A set that was recognised, or that the user named.
-
-    Attributes:
-      home: the real folder that its patterns are relative to.
-    """
+    """A set that was recognised, or that the user named."""
 
     name: str
     layout: Layout
-    home: Path
+    home: Path  # The real folder that its patterns are relative to.
 
     def covers(self, source: ObjectFile) -> bool:
         """Whether an object lies in the set's home."""
@@ -87,13 +83,13 @@ class KnownSet:
     def read(self, options: ReadOptions, found: Mapping[str, str]) -> ReadOptions:
         """Options with the set's values, and with what was found, wherever the user has left the default."""
         values = {**self.layout.values, **{key: value for key, value in found.items() if key != "label"}}
-        free = {key: value for key, value in values.items() if _is_default(options, key)}
-        return replace(options, **free)  # type: ignore[arg-type]
+        free = [key for key in values if getattr(options, key) == getattr(_DEFAULTS, key)]
+        return replace(options, **{key: values[key] for key in free})  # type: ignore[arg-type]
 
-    def found(self, source: ObjectFile) -> dict[str, str]:
+    def look_up(self, source: ObjectFile) -> dict[str, str]:
         """What stands beside an object, or above it: its label, its licence."""
-        told = {key: _looked_up(each, source.path) for key, each in self.layout.lookups.items()}
-        return {key: value for key, value in told.items() if value}
+        found = {key: _look_up(each, source.path) for key, each in self.layout.lookups.items()}
+        return {key: value for key, value in found.items() if value}
 
 
 @cache
@@ -129,7 +125,7 @@ def known_sets(root: Path, files: Iterable[Path], name: str = AUTO) -> tuple[Kno
     return found or (() if name == AUTO else (KnownSet(name, layouts()[name], root.resolve()),))
 
 
-def told(sets: Sequence[KnownSet]) -> Iterator[str]:
+def describe_sets(sets: Sequence[KnownSet]) -> Iterator[str]:
     """One line for each set."""
     for name in dict.fromkeys(each.name for each in sets):
         homes = [each.home.name for each in sets if each.name == name]
@@ -158,11 +154,7 @@ def _home(file: Path, steps: list[str]) -> Path | None:
     return file.parents[len(steps) - 1] if fits else None
 
 
-def _is_default(options: ReadOptions, key: str) -> bool:
-    return getattr(options, key) == getattr(_DEFAULTS, key)
-
-
-def _looked_up(where: Lookup, path: Path) -> str:
+def _look_up(where: Lookup, path: Path) -> str:
     if where.folder:
         return label_of(path.resolve().parents[where.folder].name)
     words = {"stem": path.stem, "folder": path.resolve().parent.name}

@@ -74,9 +74,9 @@ class Settings:
         skipped = {Path(each.name).name: each.reason for _, found in groups for each in found.skipped}
         wrong = unused[0]
         reason = next((why for name, why in skipped.items() if _fits(name, Path(wrong).name)), None)
-        told = f" (it is skipped: {reason})" if reason else did_you_mean(wrong, known)
+        why = f" (it is skipped: {reason})" if reason else did_you_mean(wrong, known)
         raise ConfigError(
-            f"{self.path}: [{wrong!r}] fits no object{told}",
+            f"{self.path}: [{wrong!r}] fits no object{why}",
             "paths or names of files that are imported, such as " + ", ".join(sorted(set(known))[:5]),
         )
 
@@ -99,10 +99,12 @@ def read_settings(path: Path) -> Settings:
         raise ConfigError(f"settings {path} cannot be read ({error.strerror})") from error
     except ValueError as error:
         raise ConfigError(f"settings {path} are not TOML: {error}") from error
-    return Settings(path, {pattern: _checked(path, pattern, table) for pattern, table in document.items()})
+    return Settings(
+        path, {pattern: _check_table(path, pattern, table) for pattern, table in document.items()}
+    )
 
 
-def _checked(path: Path, pattern: str, table: Any) -> dict[str, Any]:
+def _check_table(path: Path, pattern: str, table: Any) -> dict[str, Any]:
     where = f"{path}: [{pattern!r}]" if pattern != DEFAULT else f"{path}: [{DEFAULT}]"
     if not isinstance(table, dict):
         raise ConfigError(

@@ -15,9 +15,8 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from cluttergen_jax.assets.facing import faced
-from cluttergen_jax.assets.mesh import Mesh, joined
-from cluttergen_jax.assets.overhead import Overhead, Span, cover, largest_rectangle, level_faces, look_down
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
+from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import (
@@ -28,6 +27,7 @@ from cluttergen_jax.assets.support_file import (
     user_supports,
     write_support,
 )
+from cluttergen_jax.assets.support_map import Overhead, Span, cover, largest_rectangle, level_faces, look_down
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
@@ -90,19 +90,21 @@ def support_from_mesh(shape: Shape) -> SupportAsset:
     Raises:
       AssetError: no level area of at least 10 cm x 10 cm.
     """
-    whole = joined([piece.mesh for piece in shape.pieces])
+    whole = join_meshes([piece.mesh for piece in shape.pieces])
     shift = -np.append(whole.bounds.mean(0)[:2], whole.bounds[0, 2])
-    mesh = whole.transformed(np.eye(3), shift)
+    mesh = whole.transform(np.eye(3), shift)
     top = _top_height(shape.name, mesh)
     yaw = _top_yaw(mesh, top)
-    aligned = mesh.transformed(yaw_matrix(-yaw), np.zeros(3))
+    aligned = mesh.transform(yaw_matrix(-yaw), np.zeros(3))
     view = _view(aligned, top)
     risen = view.height > top + _SAME_HEIGHT
     flat = view.is_level & (np.abs(view.height - top) <= _SAME_HEIGHT)
     closed = ndimage.binary_closing(np.pad(flat, 1), np.ones((3, 3)))[1:-1, 1:-1] & ~risen
     spans = cover(closed)
     boxes = [_box(view, span, max(top - _THICKNESS, 0.0), top, yaw) for span in spans]
-    boxes += [_box(view, span, top, _highest(view, span), yaw) for span in cover(risen, 0.01)]
+    for span in cover(risen, 0.01):
+        highest = float(view.height[span[0] : span[1], span[2] : span[3]].max())
+        boxes.append(_box(view, span, top, highest, yaw))
     region = _box(view, largest_rectangle(closed), 0.0, top, yaw)
     return SupportAsset(
         name=shape.name,
@@ -111,7 +113,7 @@ def support_from_mesh(shape: Shape) -> SupportAsset:
         top=top,
         region=Rectangle(region.center[:2], region.half_extents[:2], yaw),
         provenance=shape.provenance,
-        pieces=faced([piece.transformed(np.eye(3), shift) for piece in shape.pieces], None),
+        pieces=orient_faces([piece.transform(np.eye(3), shift) for piece in shape.pieces], None),
     )
 
 
@@ -180,10 +182,6 @@ def _top_yaw(mesh: Mesh, top: float) -> float:
         return 0.0
     quarter = math.pi / 2
     return float(angles[best] - quarter * round(float(angles[best]) / quarter))
-
-
-def _highest(view: Overhead, span: Span) -> float:
-    return float(view.height[span[0] : span[1], span[2] : span[3]].max())
 
 
 def _box(view: Overhead, span: Span, low: float, high: float, yaw: float) -> Box:

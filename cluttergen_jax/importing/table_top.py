@@ -8,7 +8,7 @@ import numpy as np
 
 from cluttergen_jax.assets.body import with_mass
 from cluttergen_jax.assets.config import MAX_MASS, MAX_SIZE
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.config import check_positive
@@ -18,17 +18,11 @@ _HAIR = 1e-4
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A body that could be read and is no object for a table.
+    """A body that could be read and is no object for a table."""
 
-    Attributes:
-      name: its file, from the folder on that was searched, and "#" with the body where it holds several.
-      reason: why it was left out, in words; the same for all of a kind.
-      detail: what is to be said of this one; may be empty.
-    """
-
-    name: str
-    reason: str
-    detail: str = ""
+    name: str  # Its file, from the folder on that was searched, and "#" with the body where it holds several.
+    reason: str  # Why it was left out, in words; the same for all of a kind.
+    detail: str = ""  # What is to be said of this one; may be empty.
 
 
 @dataclass(frozen=True)
@@ -49,7 +43,7 @@ class Limits:
     def __post_init__(self) -> None:
         check_positive(self, "size", "mass")
 
-    def beyond(self, name: str, sides: np.ndarray, mass: float = 0.0) -> LeftOut | None:
+    def why_left_out(self, name: str, sides: np.ndarray, mass: float = 0.0) -> LeftOut | None:
         """What is said of an object that is too large or too heavy; None if it is neither.
 
         Args:
@@ -66,17 +60,17 @@ class Limits:
             return LeftOut(name, f"too heavy for a table: more than {self.mass:g} kg (`max_mass`)", detail)
         return None
 
-    def beyond_as_read(self, name: str, shape: Shape) -> LeftOut | None:
+    def why_shape_left_out(self, name: str, shape: Shape) -> LeftOut | None:
         """The same of a shape before a body is made of it; it is weighed only where it may be too heavy."""
-        whole = joined([piece.mesh for piece in shape.pieces])
+        whole = join_meshes([piece.mesh for piece in shape.pieces])
         sides = np.ptp(whole.vertices[np.unique(whole.faces)], axis=0)
         stated = 0.0 if shape.stated is None else shape.stated.body.mass
         mass = stated if shape.mass is None else shape.mass
         is_light = max(mass, sides.prod() * shape.density) <= self.mass
         if sides.max() <= self.size - _HAIR and not is_light:
             mass = with_mass(shape)[2].mass
-        return self.beyond(name, sides, mass)
+        return self.why_left_out(name, sides, mass)
 
-    def beyond_as_made(self, name: str, asset: ObjectAsset) -> LeftOut | None:
+    def why_body_left_out(self, name: str, asset: ObjectAsset) -> LeftOut | None:
         """The same of a body."""
-        return self.beyond(name, 2 * np.asarray(asset.half_extents), asset.mass)
+        return self.why_left_out(name, 2 * np.asarray(asset.half_extents), asset.mass)

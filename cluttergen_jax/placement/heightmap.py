@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.assets.ground import VOID, map_cells, reach_beyond
+from cluttergen_jax.assets.support_map import VOID, map_cells, reach_beyond
 from cluttergen_jax.placement.region import Region, from_pose
 from cluttergen_jax.placement.support_map import SupportMap, top_boxes_of
 from cluttergen_jax.placement.types import Geometry

@@ -10,12 +10,12 @@ import jax
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from cluttergen_jax.assets.columns import Columns
+from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.reach import check_keep_out, check_reach
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.assets.support_map import check_keep_out, check_region
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
@@ -89,7 +89,7 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
     support = find_support(config.support)
     region = config.region or support.region
-    check_reach(region, support)
+    check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
     if (crowded := crowding(chosen, config.placement.num_objects, region)) > MOST_CROWDED:
         x, y = region.half_extents
@@ -224,12 +224,12 @@ def _own_margin(asset: ObjectAsset) -> float:
     return support_margin(bottom[:, :2] - asset.center_of_mass[:2])
 
 
-def num_runs_of(columns: Columns) -> int:
+def num_runs_of(columns: HeightProfile) -> int:
     """In how many runs an object's upper surface stands in `Geometry.surface`."""
     return -(-len(columns.surface) // _RUN)
 
 
-def _surface_runs(columns: Columns) -> np.ndarray:
+def _surface_runs(columns: HeightProfile) -> np.ndarray:
     """f64[M, 64, 3]: an object's grown upper surface, padded with its first point."""
     padding = np.repeat(columns.surface[:1], -len(columns.surface) % _RUN, axis=0)
     return np.concatenate([columns.surface, padding]).reshape(-1, _RUN, 3)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.assets.ground import VOID, ground_heights, top_boxes
+from cluttergen_jax.assets.support_map import VOID, ground_heights, top_boxes
 from cluttergen_jax.placement.region import from_pose
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.types import Array

@@ -17,7 +17,7 @@ class Geometry(struct.PyTreeNode):
       own_margin: f32[K], metres, each object's support margin as it is released, on a flat table.
       cloud: f32[K, P, 3], surface points, object frame, farthest-point ordered.
       column_xy: f32[K, C, 2]; column_bottom: f32[K, C]; is_column: bool[K, C]: each object's under-side, a
-        sample of its columns (`assets.columns`), farthest-point ordered, padded.
+        sample of its columns (`assets.height_profile`), farthest-point ordered, padded.
       surface: f32[M, 64, 3]; surface_owner: i32[M]: the grown upper surfaces of all objects, points in the
         object frame, metres, in runs of one object each; a run that is not full repeats a point.
       boxes: f32[B, 7]: the support's boxes: centre, half extents, yaw; world, metres, radians.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluttergen_jax.assets.columns import Columns, cut_columns
+from cluttergen_jax.assets.height_profile import HeightProfile, height_profile_of
 from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
@@ -37,7 +37,7 @@ class World:
     objects: tuple[ObjectAsset, ...]
     support: SupportAsset
     layout: Layout
-    columns: tuple[Columns, ...]
+    columns: tuple[HeightProfile, ...]
 
     @property
     def num_objects(self) -> int:
@@ -65,9 +65,9 @@ def repeat_objects(objects: Sequence[ObjectAsset], num_objects: int) -> tuple[Ob
     return tuple(objects) * -(-num_objects // len(objects))
 
 
-def columns_of(asset: ObjectAsset) -> Columns:
+def columns_of(asset: ObjectAsset) -> HeightProfile:
     """An asset's columns as worlds have them."""
-    return cut_columns(asset, COLUMN_SPACING, NUM_COLUMN_SAMPLES)
+    return height_profile_of(asset, COLUMN_SPACING, NUM_COLUMN_SAMPLES)
 
 
 def make_world(
@@ -75,7 +75,7 @@ def make_world(
     support: SupportAsset,
     stability: StabilityConfig,
     contact: ContactConfig,
-    cut: Callable[[ObjectAsset], Columns] = columns_of,
+    cut: Callable[[ObjectAsset], HeightProfile] = columns_of,
 ) -> World:
     """Compiles a world.
 

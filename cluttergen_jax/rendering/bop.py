@@ -20,7 +20,6 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.shading import shaded
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.symmetry import symmetries_of
@@ -230,7 +229,7 @@ def model_ply(asset: ObjectAsset) -> bytes:
     """The surfaces as one ASCII PLY: millimetres, object frame, normals and colours at the vertices."""
     rows, faces, count = [], [], 0
     for piece in drawn_pieces(asset):
-        surface = shaded(piece.mesh, piece.uv)
+        surface = shade(piece.mesh, piece.uv)
         colour = np.tile(np.array(piece.rgba[:3]), (len(surface.vertices), 1))
         if piece.texture is not None and surface.uv is not None:
             colour = colour * piece.texture.at(surface.uv)

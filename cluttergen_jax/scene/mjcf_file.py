@@ -12,15 +12,14 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.cloud import farthest_first, sample_surface
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, RestingPose
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import rotation_matrix, transform_points
-from cluttergen_jax.importing.readers.mjcf import compiled_with_notes
-from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece
-from cluttergen_jax.importing.readers.mjcf_roles import Roles, roles_of
+from cluttergen_jax.importing.readers.mjcf import compile_with_notes
+from cluttergen_jax.importing.readers.mjcf_geoms import Roles, geom_mesh, geom_piece, roles_of
 from cluttergen_jax.scene.scene import Scene
 
 _FLAT = 0.01
@@ -41,7 +40,7 @@ def read_mjcf_scene_with_notes(path: str | Path) -> tuple[Scene, tuple[str, ...]
       AssetError: MuJoCo cannot compile the file, or no body in it is free and has a surface.
     """
     path = Path(path)
-    model, notes = compiled_with_notes(path)
+    model, notes = compile_with_notes(path)
     data = mujoco.MjData(model)
     if model.nkey:
         named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")
@@ -75,9 +74,9 @@ def _object(
 ) -> ObjectAsset:
     turn, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
     name = model.body(body).name or f"body-{body}"
-    pieces = tuple(geom_piece(model, data, i).transformed(turn.T, -turn.T @ origin) for i in roles.surface)
+    pieces = tuple(geom_piece(model, data, i).transform(turn.T, -turn.T @ origin) for i in roles.surface)
     meshes = (geom_mesh(model, data, i) for i in roles.colliding or roles.surface)
-    parts = tuple(Mesh.points(mesh.transformed(turn.T, -turn.T @ origin).vertices) for mesh in meshes)
+    parts = tuple(Mesh.points(mesh.transform(turn.T, -turn.T @ origin).vertices) for mesh in meshes)
     axes = rotation_matrix(model.body_iquat[body])
     return ObjectAsset(
         name=name,
@@ -87,7 +86,7 @@ def _object(
         mass=float(model.body_mass[body]),
         center_of_mass=model.body_ipos[body].copy(),
         inertia=axes @ np.diag(model.body_inertia[body]) @ axes.T,
-        cloud=_cloud(joined([piece.mesh for piece in pieces])),
+        cloud=_cloud(join_meshes([piece.mesh for piece in pieces])),
         resting=(RestingPose((1.0, 0.0, 0.0, 0.0), float(-parts[0].vertices[:, 2].min()), 1.0),),
         provenance=provenance,
     )

@@ -10,8 +10,15 @@ import numpy as np
 from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets.ground import VOID, boxes_of, ground_heights, map_cells, reach_beyond, top_boxes
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support_map import (
+    VOID,
+    boxes_of,
+    ground_heights,
+    map_cells,
+    reach_beyond,
+    top_boxes,
+)
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.sensing.camera import Camera

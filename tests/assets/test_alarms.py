@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
-from cluttergen_jax.assets.deviation import size_alarm
-from cluttergen_jax.assets.inertia import MassProperties
-from cluttergen_jax.assets.mesh import joined
-from cluttergen_jax.assets.stated_mass import combined, mass_alarm
+from cluttergen_jax.assets.mass import MassProperties, combine_masses, mass_alarm
+from cluttergen_jax.assets.mesh import join_meshes
+from cluttergen_jax.assets.quality.deviation import size_alarm
 from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.pool_table import pool_table
@@ -41,7 +40,7 @@ def test_what_collides_is_about_what_is_seen(colliding, told):
 
 
 def test_hollow_things_thin_shells_and_coarse_boxes_raise_no_alarm():
-    tray = joined(open_box_slabs()).vertices
+    tray = join_meshes(open_box_slabs()).vertices
     assert size_alarm(tray, points((0.05, 0.04, 0.03), (0, 0, 0.03))) == ""
     # A bent wire, whose hull is a sixth of the box that stands in for it.
     bow = np.concatenate([points((0.05, 0.001, 0.001)), points((0.001, 0.001, 0.02), (0.049, 0, 0.019))])
@@ -66,7 +65,7 @@ def test_hollow_things_thin_shells_and_coarse_boxes_raise_no_alarm():
     ],
 )
 def test_a_mass_that_does_not_fit_the_size(mass, told):
-    alarm = mass_alarm(combined([MassProperties(mass, np.zeros(3), np.eye(3))]), slab(CARTON))
+    alarm = mass_alarm(combine_masses([MassProperties(mass, np.zeros(3), np.eye(3))]), slab(CARTON))
     assert bool(alarm) == bool(told)
     assert told in alarm
 

@@ -9,22 +9,22 @@ import trimesh
 from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.assets.config import MAX_PART_VERTICES, DecompositionConfig
-from cluttergen_jax.assets.deviation import deviation, is_within_parts
-from cluttergen_jax.assets.inertia import mass_properties
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mass import mass_properties
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import CLOUD_SIZE
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.parts import (
-    finished,
+    finish_parts,
     hull_of,
-    reduced,
+    reduce_vertices,
     with_plain_bottom,
 )
-from cluttergen_jax.assets.rest import settled_turn, tilt_of
+from cluttergen_jax.assets.quality.deviation import deviation, is_within_parts
+from cluttergen_jax.assets.settle import settled_turn, tilt_of
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid
-from cluttergen_jax.importing.solo import solo_stability, with_solo
+from cluttergen_jax.importing.solo_stability import solo_stability, with_solo
 from tests.helpers.shapes import open_box, open_box_slabs, shape_of, slab
 
 
@@ -38,14 +38,14 @@ def rotation_about(axis, degrees):
 def test_overlapping_pieces_count_once():
     a, b = slab((0.05, 0.02, 0.02)), slab((0.05, 0.02, 0.02), (0.05, 0, 0))
     assert solid_of([a, b]).volume == pytest.approx(0.15 * 0.04 * 0.04)
-    assert solid_of([joined([a, b])]).is_exact
+    assert solid_of([join_meshes([a, b])]).is_exact
 
 
 def test_a_hole_is_mended_and_a_void_is_filled():
     ball, void = ellipsoid(np.full(3, 0.05)), ellipsoid(np.full(3, 0.02))
     holed = Mesh(ball.vertices, ball.faces[1:])
     assert solid_of([holed]).volume == pytest.approx(solid_of([ball]).volume, rel=1e-3)
-    hollow = joined([ball, Mesh(void.vertices, void.faces[:, ::-1])])
+    hollow = join_meshes([ball, Mesh(void.vertices, void.faces[:, ::-1])])
     assert solid_of([hollow]).volume == pytest.approx(solid_of([ball]).volume, rel=1e-6)
 
 
@@ -55,7 +55,7 @@ def test_a_soup_is_rebuilt_on_its_own_surface():
     # Every triangle for itself, a little apart from its neighbours.
     corners = corners.mean(1, keepdims=True) + 0.97 * (corners - corners.mean(1, keepdims=True))
     soup = Mesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
-    solid = solid_of([joined([soup, slab((0.02, 0.02, 0.02))])])
+    solid = solid_of([join_meshes([soup, slab((0.02, 0.02, 0.02))])])
     assert not solid.is_exact
     assert solid.volume == pytest.approx(4 / 3 * np.pi * 0.05**3, rel=0.06)
     radius = np.linalg.norm(solid.mesh.vertices, axis=1)
@@ -86,9 +86,9 @@ def test_mass_and_inertia_of_a_box_and_a_cylinder():
 def test_moving_mass_keeps_its_moments():
     before = mass_properties(slab((0.05, 0.03, 0.02), (0.1, 0, 0)), density=500)
     turn = rotation_about([1, 2, 3], 40)
-    after = before.moved(turn, np.array([0.0, 0.0, 1.0]))
+    after = before.transform(turn, np.array([0.0, 0.0, 1.0]))
     direct = mass_properties(
-        slab((0.05, 0.03, 0.02), (0.1, 0, 0)).transformed(turn, np.array([0.0, 0.0, 1.0])), density=500
+        slab((0.05, 0.03, 0.02), (0.1, 0, 0)).transform(turn, np.array([0.0, 0.0, 1.0])), density=500
     )
     np.testing.assert_allclose(after.center, direct.center, atol=1e-9)
     np.testing.assert_allclose(after.inertia, direct.inertia, atol=1e-9)
@@ -102,7 +102,7 @@ def test_reduced_hulls_lie_inside_and_lose_little(seed):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(300, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    few = reduced(points * [1, 0.6, 1.5])
+    few = reduce_vertices(points * [1, 0.6, 1.5])
     assert len(few) <= MAX_PART_VERTICES
     whole, small = hull_of(points * [1, 0.6, 1.5]), hull_of(few)
     assert len(small.vertices) == len(few)
@@ -114,7 +114,7 @@ def test_bottoms_become_flat_and_stay_wide():
     rng = np.random.default_rng(0)
     can = cylinder(0.03, 0.05, sections=64).vertices
     rough = can + np.where(can[:, 2:] < 0, rng.uniform(0, 0.0025, (len(can), 1)) * [0, 0, 1], 0)
-    (part,) = finished([rough], 12)
+    (part,) = finish_parts([rough], 12)
     bottom = part[part[:, 2] == part[:, 2].min()]
     assert len(part) <= MAX_PART_VERTICES
     assert len(bottom) >= 8
@@ -165,7 +165,7 @@ def test_every_prefix_of_the_order_is_spread_out():
 @pytest.mark.parametrize("degrees", [3, 10])
 def test_a_leaning_object_gets_the_frame_in_which_it_rests(degrees):
     turn = rotation_about([1, 1, 0], degrees)
-    mesh = slab((0.03, 0.04, 0.05)).transformed(turn, np.array([0.3, 0.1, -0.4]))
+    mesh = slab((0.03, 0.04, 0.05)).transform(turn, np.array([0.3, 0.1, -0.4]))
     asset = make_object(shape_of(mesh))
     np.testing.assert_allclose(asset.half_extents[2], 0.05, atol=2e-4)
     assert asset.flags == ()
@@ -173,7 +173,7 @@ def test_a_leaning_object_gets_the_frame_in_which_it_rests(degrees):
 
 
 def test_a_toppling_object_is_flagged():
-    stick = slab((0.004, 0.004, 0.1)).transformed(rotation_about([0, 1, 0], 40), np.zeros(3))
+    stick = slab((0.004, 0.004, 0.1)).transform(rotation_about([0, 1, 0], 40), np.zeros(3))
     asset = make_object(shape_of(stick))
     assert any("does not stand as authored" in flag for flag in asset.flags)
 

@@ -7,7 +7,7 @@ import pytest
 from cluttergen_jax.assets.config import MAX_PART_VERTICES
 from cluttergen_jax.assets.modeller.catalog import POOLS, make_shape
 from cluttergen_jax.assets.pool import EMBEDDED, embedded_root, find_pool
-from cluttergen_jax.importing.solo import measured_object, solo_stability
+from cluttergen_jax.importing.solo_stability import measured_object, solo_stability
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cluttergen_jax.assets.facing import faced
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
+from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.solid import simplified, solid_of
+from cluttergen_jax.assets.solid import simplify_solid, solid_of
 from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid
 from tests.helpers.shapes import open_box_slabs, slab
 
@@ -22,8 +22,8 @@ def inverted(mesh, which=slice(None)):
 
 def turned_outwards(*meshes):
     """All surfaces of the pieces after they have been faced."""
-    pieces = faced([Piece(mesh) for mesh in meshes], solid_of(meshes))
-    return joined([piece.mesh for piece in pieces])
+    pieces = orient_faces([Piece(mesh) for mesh in meshes], solid_of(meshes))
+    return join_meshes([piece.mesh for piece in pieces])
 
 
 def winding(mesh, points):
@@ -37,7 +37,7 @@ def winding(mesh, points):
 
 def facing_out(mesh, solid, step=5e-4):
     """The share of the surface's area that has air, not the solid, before it, seen at 200 triangles."""
-    solid = simplified(solid, 2e-4)
+    solid = simplify_solid(solid, 2e-4)
     corners = mesh.vertices[mesh.faces[np.linspace(0, len(mesh.faces) - 1, 200).astype(int)]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -66,15 +66,15 @@ def test_an_inverted_surface_is_turned_outwards(mesh):
 def test_what_faces_outwards_stays_as_it_is():
     for meshes in ([BALL], [slab((0.05, 0.04, 0.03)), BALL], open_box_slabs()):
         after = turned_outwards(*meshes)
-        np.testing.assert_array_equal(after.faces, joined(meshes).faces)
+        np.testing.assert_array_equal(after.faces, join_meshes(meshes).faces)
 
 
 def test_sides_of_several_colours_are_turned_by_what_they_enclose():
     box = slab((0.05, 0.04, 0.03))
     sides = [Mesh(box.vertices, box.faces[[i, i + 1]]) for i in range(0, 12, 2)]
     wrong = [inverted(each) if index % 2 else each for index, each in enumerate(sides)]
-    pieces = faced([Piece(mesh) for mesh in wrong], solid_of([box]))
-    assert facing_out(joined([piece.mesh for piece in pieces]), box) == 1.0
+    pieces = orient_faces([Piece(mesh) for mesh in wrong], solid_of([box]))
+    assert facing_out(join_meshes([piece.mesh for piece in pieces]), box) == 1.0
     assert sum(len(piece.mesh.faces) for piece in pieces) == 12
 
 
@@ -93,5 +93,5 @@ def test_a_bowl_of_one_sheet_is_seen_from_both_sides():
     # The second side lies inside the first, where it belongs.
     radius = np.linalg.norm(corners.mean(1), axis=1)
     np.testing.assert_allclose(radius[:num] - radius[num:], 0.0002, atol=2e-5)
-    (again,) = faced([Piece(bowl)], None)
+    (again,) = orient_faces([Piece(bowl)], None)
     assert len(again.mesh.faces) == 2 * num

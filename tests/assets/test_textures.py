@@ -12,8 +12,8 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mesh_repair.simplify import simplify_pieces
 from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
-from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.assets.texture import Texture
@@ -222,7 +222,7 @@ def test_welding_keeps_seams_and_simplifying_keeps_the_image():
     stripes = Image.fromarray(np.repeat(np.arange(256, dtype=np.uint8)[None], 64, axis=0)).convert("RGB")
     faces = np.arange(len(corners)).reshape(-1, 3)
     piece = Piece(Mesh(corners, faces), (1.0, 1.0, 1.0, 1.0), corner_uv, Texture.of(stripes))
-    (small,) = drawn([piece], max_textured=3000)
+    (small,) = simplify_pieces([piece], max_textured=3000)
     assert len(faces) > 6_500
     assert 2_000 < len(small.mesh.faces) <= 3_000
     assert len(small.mesh.vertices) < 0.6 * len(small.mesh.faces)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.voxels import Voxels, scan_lines
 from cluttergen_jax.importing.readers.primitives import box
 
@@ -23,7 +23,7 @@ def open_box(half=(0.05, 0.04, 0.03), wall=0.004):
     slabs = [((x, y, wall), (0, 0, wall))]
     slabs += [((wall, y, z), (side * (x - wall), 0, z)) for side in (-1, 1)]
     slabs += [((x, wall, z), (0, side * (y - wall), z)) for side in (-1, 1)]
-    return joined([Mesh(box(np.array(h)).vertices + c, box(np.array(h)).faces) for h, c in slabs])
+    return join_meshes([Mesh(box(np.array(h)).vertices + c, box(np.array(h)).faces) for h, c in slabs])
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -35,7 +35,7 @@ def test_a_closed_surface_does_not_leak(seed):
         trimesh.creation.box(rng.uniform(0.02, 0.2, 3)),
         trimesh.convex.convex_hull(rng.normal(size=(30, 3))),
     ][seed % 4]
-    mesh = as_mesh(tri).transformed(random_rotation(seed), rng.normal(size=3))
+    mesh = as_mesh(tri).transform(random_rotation(seed), rng.normal(size=3))
     voxels = Voxels.of(mesh, 40)
     filled = voxels.solid.sum() * voxels.pitch**3
     skin = voxels.surface.sum() * voxels.pitch**3
@@ -61,6 +61,6 @@ def test_water_stays_in_an_open_box_and_nowhere_else():
     water = voxels.water().sum() * voxels.pitch**3
     inside = (0.1 - 0.016) * (0.08 - 0.016) * (0.06 - 0.008)
     assert 0.75 * inside < water <= inside
-    upside_down = mesh.transformed(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    upside_down = mesh.transform(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
     assert Voxels.of(upside_down, 60).water().sum() == 0
     assert Voxels.of(box(np.array([0.05, 0.04, 0.03])), 60).water().sum() == 0

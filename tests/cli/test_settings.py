@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.reach import check_reach
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
+from cluttergen_jax.assets.support_map import check_region
 from cluttergen_jax.cli.main import main, run
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ConfigError
@@ -111,10 +111,10 @@ def test_regions_lie_on_the_top_however_they_and_it_are_turned(region, fits, tur
     region = replace(region, center=center, yaw=region.yaw + turn)
     table = replace(own, boxes=(replace(own.boxes[0], yaw=turn),), region=replace(own.region, yaw=turn))
     if fits:
-        check_reach(region, table)
+        check_region(region, table)
         return
     with pytest.raises(ConfigError, match="beyond support"):
-        check_reach(region, table)
+        check_region(region, table)
 
 
 def test_regions_that_grow_in_evaluation_may_be_wider_than_the_top(tmp_path):

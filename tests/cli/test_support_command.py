@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.modeller.furniture import make_support
 from cluttergen_jax.assets.support_file import find_support, list_supports, user_supports
 from cluttergen_jax.cli.main import main
@@ -17,7 +17,7 @@ DESK = make_support("drawer_desk")
 @pytest.fixture
 def file(tmp_path):
     """A desk of our own as a bare mesh, in centimetres, somewhere."""
-    mesh = joined([piece.mesh for piece in DESK.pieces])
+    mesh = join_meshes([piece.mesh for piece in DESK.pieces])
     path = tmp_path / "Old Desk.obj"
     trimesh.Trimesh(100 * (mesh.vertices + np.array([3, -2, 0])), mesh.faces, process=False).export(path)
     return path

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from cluttergen_jax.importing.processes import Outcome
-from cluttergen_jax.importing.run import ImportConfig, Job, Watch, made
+from cluttergen_jax.importing.run import ImportConfig, Job, Watch, make_job
 
 
 def made_here(
@@ -13,4 +13,4 @@ def made_here(
 ) -> Iterator[tuple[int, Outcome]]:
     """In place of `run._outcomes`: jobs are done in this process."""
     for index, job in enumerate(jobs):
-        yield index, Outcome(made(job))
+        yield index, Outcome(make_job(job))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.pieces import MAX_TRIANGLES
+from cluttergen_jax.assets.mesh_repair.simplify import MAX_TRIANGLES
 from cluttergen_jax.assets.pool import find_pool
 
 pytestmark = pytest.mark.slow

@@ -7,7 +7,7 @@ import trimesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.importing.cache import BODY_VERSION
 from cluttergen_jax.importing.readers import find_sources, read_shape
-from cluttergen_jax.importing.solo import measured_object
+from cluttergen_jax.importing.solo_stability import measured_object
 
 # By BODY_VERSION: the figures of each body below. Where the test fails after a change of code, and the new
 # bodies are meant: raise BODY_VERSION and put the new figures under its number, in place of the old ones.

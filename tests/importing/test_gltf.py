@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
@@ -14,7 +14,7 @@ from tests.helpers.gltf import POINTS, Gltf
 
 def corners(path):
     """The file's vertices, in its own frame, sorted."""
-    mesh = joined([piece.mesh for piece in read_mesh_file(path).pieces])
+    mesh = join_meshes([piece.mesh for piece in read_mesh_file(path).pieces])
     return np.unique(mesh.vertices.round(5) + 0.0, axis=0)
 
 
@@ -29,7 +29,7 @@ def sorted_rows(points):
 @pytest.mark.parametrize("name", ["draco.glb", "quant_norm.glb"])
 def test_compressed_boxes_have_their_size(name):
     (shape,) = read_source(CASES / "08_glb_compressed" / name)
-    whole = joined([piece.mesh for piece in shape.pieces])
+    whole = join_meshes([piece.mesh for piece in shape.pieces])
     np.testing.assert_allclose(np.ptp(whole.bounds, axis=0), [0.1, 0.06, 0.04], atol=1e-4)
 
 

@@ -14,9 +14,9 @@ import trimesh
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
-from cluttergen_jax.assets.deviation import is_within_parts
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.quality.deviation import is_within_parts
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.inspect_ import Inspect
@@ -80,7 +80,7 @@ def test_what_is_lost_twice_becomes_one_hull_and_says_so(tmp_path):
     trimesh.boolean.union([beam, post]).export(tmp_path / "cross.stl")
     (source,) = find_sources(tmp_path / "cross.stl")
     job = run.Job(source, "key", ObjectConfig(trials=8))
-    asset = run.made(
+    asset = run.make_job(
         run.next_try(run.next_try(job, "it was not done after 80 s"), "it was not done after 107 s")
     )
     assert len(asset.parts) == 1

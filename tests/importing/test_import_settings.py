@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
-from cluttergen_jax.importing.readers.axes import AXES, turn_of
+from cluttergen_jax.importing.readers.source import AXES, turn_of
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 from tests.helpers.imports import made_here
 
@@ -41,7 +41,7 @@ def planned(folder, text="", options=None, settings=None):
 
 def size_of(plan):
     shape = read_shape(plan.source, plan.options)
-    return np.ptp(joined([piece.mesh for piece in shape.pieces]).bounds, axis=0).round(6).tolist()
+    return np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).bounds, axis=0).round(6).tolist()
 
 
 def test_the_axis_and_who_says_so(folder, tmp_path):

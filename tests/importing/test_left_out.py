@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.gaps import piece_gaps
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.quality.deviation import piece_gaps
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import, print_report
@@ -151,7 +151,7 @@ def shape_of(size, density=500.0, mass=None):
     ],
 )
 def test_limits_of_size_and_mass(size, density, mass, word):
-    left = Limits().beyond_as_read("box", shape_of(size, density, mass))
+    left = Limits().why_shape_left_out("box", shape_of(size, density, mass))
     assert (left is None) if word is None else (word in left.reason)
 
 
@@ -161,7 +161,7 @@ CONFIG = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 def at_once(jobs, config, watch=None):
     """The jobs one by one in this process: no test here is about processes."""
     for index, job in enumerate(jobs):
-        yield index, run.Outcome(run.made(job))
+        yield index, run.Outcome(run.make_job(job))
 
 
 def plain_body(shape, config, trials):

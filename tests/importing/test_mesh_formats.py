@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.readers import find_sources, read_source
@@ -20,7 +20,7 @@ SIZES = {"inch_die": [0.019, 0.0114, 0.0076], "mm_named": [0.1, 0.06, 0.04]}
 
 def size_of(path):
     (shape,) = read_source(path)
-    return np.ptp(joined([piece.mesh for piece in shape.pieces]).bounds, axis=0)
+    return np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).bounds, axis=0)
 
 
 @pytest.mark.parametrize("name", SIZES)

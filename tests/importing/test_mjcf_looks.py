@@ -8,10 +8,10 @@ import pytest
 import trimesh
 from PIL import Image
 
-from cluttergen_jax.assets.mesh import Mesh, cleaned
+from cluttergen_jax.assets.mesh import Mesh, clean_mesh
 from cluttergen_jax.importing.readers import read_source
-from cluttergen_jax.importing.readers.cube_maps import laid_around
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
+from cluttergen_jax.importing.readers.mjcf_pictures import wrap_cube_map
 from tests.helpers.drawing import needs_gl
 from tests.helpers.mujoco_pictures import beside
 from tests.helpers.textured import picture
@@ -124,8 +124,8 @@ def test_each_side_of_a_cube_map_shows_its_own_picture(tmp_path):
 def test_what_is_cut_for_a_cube_map_stays_closed_and_shows_the_right_places(make, size):
     solid = make(0.5, 1, 1) if make is trimesh.creation.annulus else make()
     solid.apply_scale(size)
-    mesh, uv = laid_around(Mesh(solid.vertices, solid.faces), np.asarray(solid.vertices), True, 512)
-    whole = cleaned(mesh)
+    mesh, uv = wrap_cube_map(Mesh(solid.vertices, solid.faces), np.asarray(solid.vertices), True, 512)
+    whole = clean_mesh(mesh)
     tri = trimesh.Trimesh(whole.vertices, whole.faces, process=False)
     assert tri.is_watertight
     assert tri.volume == pytest.approx(solid.volume, rel=1e-6)

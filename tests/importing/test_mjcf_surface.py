@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 
@@ -17,7 +17,7 @@ GHOST = "contype='0' conaffinity='0'"
 
 def size_of(shape):
     """Millimetres."""
-    return 1000 * np.ptp(joined([piece.mesh for piece in shape.pieces]).vertices, axis=0)
+    return 1000 * np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).vertices, axis=0)
 
 
 def read_body(tmp_path, geoms, more=""):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.folds import num_folds, without_folds
-from cluttergen_jax.assets.mesh import Mesh, cleaned
+from cluttergen_jax.assets.mesh import Mesh, clean_mesh
+from cluttergen_jax.assets.mesh_repair.folds import num_folds, without_folds
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.polygons import cut_obj
 
@@ -99,7 +99,7 @@ def test_an_l_bracket_is_one(name):
     mesh = shape.pieces[0].mesh
     assert mesh.volume == pytest.approx(1.53e-4, rel=1e-6)
     assert area(mesh) == pytest.approx(0.0222, rel=1e-6)
-    assert num_folds(cleaned(mesh)) == 0
+    assert num_folds(clean_mesh(mesh)) == 0
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -110,7 +110,7 @@ def test_every_format_covers_an_outline_once(name, seed, tmp_path):
     for start in range(0, len(points), 3):
         (tmp_path / name).write_bytes(WRITERS[name](*prism(points, start)))
         (shape,) = read_source(tmp_path / name)
-        mesh = cleaned(shape.pieces[0].mesh)
+        mesh = clean_mesh(shape.pieces[0].mesh)
         assert mesh.volume == pytest.approx(inside * HEIGHT, rel=1e-4)
         assert area(mesh) == pytest.approx(2 * inside + around * HEIGHT, rel=1e-4)
         assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
@@ -134,7 +134,7 @@ def test_corners_that_count_back_do_so_from_their_own_line(is_quad, tmp_path):
             lines += ["f " + " ".join(f"{i}/-1" for i in range(-len(part), 0))]
     (tmp_path / "box.obj").write_text("\n".join(lines))
     (shape,) = read_source(tmp_path / "box.obj")
-    assert cleaned(shape.pieces[0].mesh).volume == pytest.approx(0.1 * 0.1 * HEIGHT)
+    assert clean_mesh(shape.pieces[0].mesh).volume == pytest.approx(0.1 * 0.1 * HEIGHT)
 
 
 def fanned(points, start):
@@ -153,7 +153,7 @@ def test_what_arrives_folded_is_cut_anew(seed, is_soup):
         if is_soup:
             mesh = Mesh(mesh.corners.reshape(-1, 3), np.arange(3 * len(mesh.faces)))
         mended = without_folds(mesh)
-        assert num_folds(cleaned(mended)) == 0
+        assert num_folds(clean_mesh(mended)) == 0
         assert area(mended) == pytest.approx(2 * inside + around * HEIGHT, rel=1e-6)
         assert mended.volume == pytest.approx(inside * HEIGHT, rel=1e-6)
 

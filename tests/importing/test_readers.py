@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh import cleaned, joined
+from cluttergen_jax.assets.mesh import clean_mesh, join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape, read_source
 
@@ -15,7 +15,7 @@ SIZE = np.array([0.06, 0.04, 0.11])
 
 
 def bounds(shape):
-    return joined([piece.mesh for piece in shape.pieces]).bounds
+    return join_meshes([piece.mesh for piece in shape.pieces]).bounds
 
 
 def save_box(path, colour=(200, 40, 40, 255), size=SIZE):
@@ -33,7 +33,7 @@ def test_every_mesh_format_gives_the_same_box(tmp_path, suffix):
     # What a GLTF or a DAE holds is y up, and is turned.
     size = SIZE[[0, 2, 1]] if suffix in ("glb", "gltf", "dae") else SIZE
     np.testing.assert_allclose(np.ptp(bounds(shape), axis=0), size, atol=1e-6)
-    mesh = cleaned(joined([piece.mesh for piece in shape.pieces]))
+    mesh = clean_mesh(join_meshes([piece.mesh for piece in shape.pieces]))
     assert len(mesh.vertices) == 8
     assert len(mesh.faces) == 12
     assert mesh.volume == pytest.approx(SIZE.prod())

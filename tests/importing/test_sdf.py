@@ -6,7 +6,7 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_shape, read_source, survey
 from cluttergen_jax.importing.readers.materials import GREY
@@ -56,7 +56,7 @@ def read(folder, text, **options):
 
 
 def bounds(pieces):
-    return joined([piece.mesh for piece in pieces]).bounds
+    return join_meshes([piece.mesh for piece in pieces]).bounds
 
 
 def test_a_folder_of_gazebo_is_one_object_called_by_its_folder_and_told_by_its_config(tmp_path):
@@ -103,7 +103,7 @@ def test_forms_have_their_size_seen_or_colliding(tmp_path, form):
     inside = f"<geometry>{form}</geometry>"
     shape = read(tmp_path, model(link(f'<collision name="c">{inside}</collision>' + visual(inside))))
     np.testing.assert_allclose(np.ptp(bounds(shape.pieces), axis=0), FORMS[form], atol=5e-4)
-    assert joined([piece.mesh for piece in shape.pieces]).volume > 0
+    assert join_meshes([piece.mesh for piece in shape.pieces]).volume > 0
     assert len(shape.parts) == 1
     only = read(tmp_path, model(link(f'<collision name="c">{inside}</collision>')), root="gazebo")
     np.testing.assert_allclose(bounds(only.pieces), bounds(shape.pieces))

@@ -8,8 +8,8 @@ from shapely.ops import unary_union
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
-from cluttergen_jax.assets.overhead import cover, largest_rectangle
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.support_map import cover, largest_rectangle
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.supports import support_from_mesh
 
@@ -22,7 +22,7 @@ def turned(angle):
 
 
 def shape_of(support, angle=0.0, shift=(0.0, 0.0, 0.0)):
-    pieces = [Piece(piece.mesh.transformed(turned(angle), shift), piece.rgba) for piece in support.pieces]
+    pieces = [Piece(piece.mesh.transform(turned(angle), shift), piece.rgba) for piece in support.pieces]
     return Shape(support.name, support.label, tuple(pieces), SOURCE)
 
 

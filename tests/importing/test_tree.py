@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.readers import find_sources, read_shape, read_source, survey
 from cluttergen_jax.importing.run import ObjectConfig
@@ -92,7 +92,7 @@ def test_bodies_that_mujoco_makes_are_objects_too(tmp_path):
     (tmp_path / "all.xml").write_text(f"<mujoco><worldbody>{world}</worldbody></mujoco>")
     shapes = read_source(tmp_path)
     assert [shape.name for shape in shapes] == ["pin0", "pin1", "cup", "all-3"]
-    sizes = [np.ptp(joined([piece.mesh for piece in shape.pieces]).bounds, axis=0) for shape in shapes]
+    sizes = [np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).bounds, axis=0) for shape in shapes]
     np.testing.assert_allclose(sizes[2], [0.1, 0.06, 0.06], atol=1e-6)
     np.testing.assert_allclose(sizes[3], 0.04, atol=1e-3)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import find_sources, read_source
 
@@ -33,7 +33,7 @@ def read(path):
 
 
 def size_of(shape):
-    return np.ptp(joined([piece.mesh for piece in shape.pieces]).bounds, axis=0)
+    return np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).bounds, axis=0)
 
 
 CLEAR = '<material name="clear"><color rgba="1 0 0 0"/></material>'

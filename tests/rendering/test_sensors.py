@@ -8,8 +8,8 @@ import pytest
 import trimesh
 from PIL import Image
 
+from cluttergen_jax.assets.cloud import scene_points
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.scene_cloud import scene_points
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.rendering.assets import close_points, scene_spec

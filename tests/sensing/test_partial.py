@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from cluttergen_jax.assets.ground import VOID
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
+from cluttergen_jax.assets.support_map import VOID
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper

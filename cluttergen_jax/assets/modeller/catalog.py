@@ -2,100 +2,64 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from cluttergen_jax.assets.modeller import (
-    bathroom,
     computing,
     containers,
     cookware,
     curios,
     gadgets,
     homeware,
-    lamps,
     organizers,
-    paper,
     stationery,
     tableware,
-    utensils,
 )
 from cluttergen_jax.assets.modeller.draw import Family
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.errors import PoolError
 
-_POOLS: Mapping[str, Mapping[str, Family]] = {
+_POOLS: dict[str, tuple[Family, ...]] = {
     # What stands on a laid table.
-    "dining": {
-        "mug": tableware.mug,
-        "bowl": tableware.bowl,
-        "dinner_plate": tableware.dinner_plate,
-        "water_glass": tableware.water_glass,
-        "wine_glass": tableware.wine_glass,
-        "bottle": containers.bottle,
-        "soup_can": containers.soup_can,
-        "cereal_box": containers.cereal_box,
-        "pepper_mill": tableware.pepper_mill,
-        "fork": utensils.fork,
-    },
+    "dining": (
+        *(tableware.mug, tableware.bowl, tableware.dinner_plate, tableware.water_glass, tableware.wine_glass),
+        *(
+            containers.bottle,
+            containers.soup_can,
+            containers.cereal_box,
+            tableware.pepper_mill,
+            cookware.fork,
+        ),
+    ),
     # What lies on a worktop.
-    "kitchen": {
-        "pot": cookware.pot,
-        "frying_pan": cookware.frying_pan,
-        "teapot": tableware.teapot,
-        "colander": cookware.colander,
-        "toaster": cookware.toaster,
-        "jar": containers.jar,
-        "milk_carton": containers.milk_carton,
-        "knife": utensils.knife,
-        "wooden_spoon": utensils.wooden_spoon,
-        "cutting_board": utensils.cutting_board,
-    },
+    "kitchen": (
+        *(cookware.pot, cookware.frying_pan, tableware.teapot, cookware.colander, cookware.toaster),
+        *(containers.jar, containers.milk_carton),
+        *(cookware.knife, cookware.wooden_spoon, cookware.cutting_board),
+    ),
     # What stands about on a study's desk.
-    "study": {
-        "hardback_book": paper.hardback_book,
-        "desk_lamp": lamps.desk_lamp,
-        "alarm_clock": gadgets.alarm_clock,
-        "camera": gadgets.camera,
-        "globe": curios.globe,
-        "laptop": computing.laptop,
-        "mouse": computing.mouse,
-        "stapler": stationery.stapler,
-        "eyeglasses": curios.eyeglasses,
-        "pencil_cup": organizers.pencil_cup,
-    },
+    "study": (
+        *(stationery.hardback_book, curios.desk_lamp, gadgets.alarm_clock, gadgets.camera, curios.globe),
+        *(computing.laptop, computing.mouse, stationery.stapler, curios.eyeglasses, organizers.pencil_cup),
+    ),
     # What is worked with at a desk.
-    "office": {
-        "keyboard": computing.keyboard,
-        "calculator": computing.calculator,
-        "tape_dispenser": stationery.tape_dispenser,
-        "scissors": stationery.scissors,
-        "pen_holder": organizers.pen_holder,
-        "desk_phone": computing.desk_phone,
-        "letter_tray": organizers.letter_tray,
-        "hole_punch": stationery.hole_punch,
-        "sticky_notes": paper.sticky_notes,
-        "ring_binder": paper.ring_binder,
-    },
+    "office": (
+        *(computing.keyboard, computing.calculator, stationery.tape_dispenser, stationery.scissors),
+        *(organizers.pen_holder, computing.desk_phone, organizers.letter_tray, stationery.hole_punch),
+        *(stationery.sticky_notes, stationery.ring_binder),
+    ),
     # What is found about the house.
-    "household": {
-        "tissue_box": homeware.tissue_box,
-        "tape_roll": homeware.tape_roll,
-        "spray_bottle": bathroom.spray_bottle,
-        "candle": lamps.candle,
-        "flower_pot": homeware.flower_pot,
-        "remote_control": gadgets.remote_control,
-        "toy_car": curios.toy_car,
-        "soap_dispenser": bathroom.soap_dispenser,
-        "photo_frame": curios.photo_frame,
-        "basket": homeware.basket,
-    },
+    "household": (
+        *(homeware.tissue_box, homeware.tape_roll, homeware.spray_bottle, curios.candle, homeware.flower_pot),
+        *(gadgets.remote_control, curios.toy_car, homeware.soap_dispenser, curios.photo_frame),
+        homeware.basket,
+    ),
 }
 
-FAMILIES: dict[str, Family] = {name: family for pool in _POOLS.values() for name, family in pool.items()}
-POOLS: dict[str, tuple[str, ...]] = {pool: tuple(families) for pool, families in _POOLS.items()}
+FAMILIES: dict[str, Family] = {family.__name__: family for pool in _POOLS.values() for family in pool}
+POOLS = {pool: tuple(family.__name__ for family in families) for pool, families in _POOLS.items()}
 
 
 def make_shape(family: str, seed: int | None = None) -> Shape:
@@ -113,4 +77,4 @@ def make_shape(family: str, seed: int | None = None) -> Shape:
     if seed is None:
         return FAMILIES[family](None)
     shape = FAMILIES[family](np.random.default_rng(seed))
-    return dataclasses.replace(shape, name=f"{shape.name}-{seed}")
+    return replace(shape, name=f"{shape.name}-{seed}")

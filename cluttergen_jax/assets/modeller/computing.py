@@ -10,7 +10,7 @@ from manifold3d import Manifold
 from cluttergen_jax.assets.modeller import palette as rgb
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, shade, vary
 from cluttergen_jax.assets.modeller.lettering import lettering
 from cluttergen_jax.assets.shape import Shape
 
@@ -66,7 +66,7 @@ def laptop(rng: Rng = None) -> Shape:
     base, lid, lean = 0.016, 0.007, vary(rng, 16.0, 0.4)
     pose = {"rotate": (-lean, 0, 0), "move": (0, depth / 2 - 0.006, base - 0.004)}
 
-    def raised(solid: Manifold) -> Manifold:
+    def raise_lid(solid: Manifold) -> Manifold:
         return solid.rotate(pose["rotate"]).translate(pose["move"])
 
     screen_size = (width, lid, 0.96 * depth)
@@ -90,19 +90,19 @@ def laptop(rng: Rng = None) -> Shape:
     grid[4][3:9] = [key(0.44 * deck[0], 0.84 * deck[1] / 5, 0.0016, (-0.03 * width, -0.008 * depth))]
     keys = cad.union(*[one for row in grid for one in row]).translate((0, 0, base))
     pad = cad.box((0.34 * width, 0.27 * depth, 0.001), (0, -0.29 * depth), base - 0.0006)
-    shell = cad.rounded_box((width, depth, base), 0.003) + raised(cad.rounded_box(screen_size, 0.003))
-    return made(
+    shell = cad.rounded_box((width, depth, base), 0.003) + raise_lid(cad.rounded_box(screen_size, 0.003))
+    return assemble(
         name="laptop",
         pieces=(
-            cad.piece(shell, shade(rng, (rgb.SILVER, rgb.GREY, rgb.CHARCOAL, rgb.STEEL, rgb.NAVY))),
-            cad.piece(keys, shade(rng, (rgb.BLACK, rgb.CHARCOAL), 0.02)),
-            cad.piece(pad, rgb.GREY if rng is None else shade(rng, (rgb.STEEL, rgb.GREY))),
-            cad.piece(raised(screen), choose(rng, (rgb.NAVY, rgb.TEAL, rgb.BLACK))),
-            *[cad.piece(raised(solid), color) for solid, color in windows],
+            (shell, shade(rng, (rgb.SILVER, rgb.GREY, rgb.CHARCOAL, rgb.STEEL, rgb.NAVY))),
+            (keys, shade(rng, (rgb.BLACK, rgb.CHARCOAL), 0.02)),
+            (pad, rgb.GREY if rng is None else shade(rng, (rgb.STEEL, rgb.GREY))),
+            (raise_lid(screen), choose(rng, (rgb.NAVY, rgb.TEAL, rgb.BLACK))),
+            *[(raise_lid(solid), color) for solid, color in windows],
         ),
         parts=(
             part.box((width, depth, base)),
-            part.turned(part.box(screen_size), pose["rotate"], pose["move"]),
+            part.rotate_part(part.box(screen_size), pose["rotate"], pose["move"]),
         ),
         mass=vary(rng, 1.4, 0.15),
     )
@@ -125,16 +125,16 @@ def mouse(rng: Rng = None) -> Shape:
     feet = _mouse_skin(levels[:1], 4)
     lifted = _mouse_skin(levels, 8) + (0, 0, 0.03) * (np.arange(32) < 8)[:, None]
     outline = np.concatenate([feet, lifted[:8], lifted[8:24], lifted[24::2]]) * size
-    return made(
+    return assemble(
         name="mouse",
         label="computer mouse",
         pieces=(
-            cad.piece(
+            (
                 body - front - ((groove + split) - core),
                 shade(rng, (rgb.CHARCOAL, rgb.WHITE, rgb.GREY, *rgb.BRIGHT[:2])),
             ),
-            cad.piece(front - groove - split, shade(rng, (rgb.GREY, rgb.CHARCOAL, rgb.BLACK))),
-            cad.piece(wheel, shade(rng, (rgb.RED, rgb.BLUE, rgb.GREEN, rgb.BLACK))),
+            (front - groove - split, shade(rng, (rgb.GREY, rgb.CHARCOAL, rgb.BLACK))),
+            (wheel, shade(rng, (rgb.RED, rgb.BLUE, rgb.GREEN, rgb.BLACK))),
         ),
         parts=(part.hull(outline),),
         mass=vary(rng, 0.10, 0.2),
@@ -172,17 +172,17 @@ def keyboard(rng: Rng = None) -> Shape:
     ]
     plain = [one for line in grid for one in line if all(one is not other for other in accent + grey)]
     tops = corners[corners[:, 2] > 0] * (0.955, 0.90, 1) + (0, 0, 0.85 * travel)
-    return made(
+    return assemble(
         name="keyboard",
         label="computer keyboard",
         pieces=(
-            cad.piece(cad.hull(corners), shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.SILVER, rgb.NAVY))),
-            cad.piece(
+            (cad.hull(corners), shade(rng, (rgb.CHARCOAL, rgb.BLACK, rgb.SILVER, rgb.NAVY))),
+            (
                 _on_slope(cad.union(*plain), front, back, slope),
                 shade(rng, (rgb.WHITE, rgb.PAPER, rgb.SKY), 0.03),
             ),
-            cad.piece(_on_slope(cad.union(*grey), front, back, slope), shade(rng, (rgb.GREY, rgb.TEAL))),
-            cad.piece(
+            (_on_slope(cad.union(*grey), front, back, slope), shade(rng, (rgb.GREY, rgb.TEAL))),
+            (
                 _on_slope(cad.union(*accent), front, back, slope),
                 shade(rng, (rgb.ORANGE, rgb.RED, rgb.BLUE, rgb.GREEN)),
             ),
@@ -216,11 +216,11 @@ def calculator(rng: Rng = None) -> Shape:
         (digits, rgb.BLACK),
     ]
     tops = corners[corners[:, 2] > 0] * (0.86, 0.88, 1) + (0, 0, 0.003)
-    return made(
+    return assemble(
         name="calculator",
         pieces=(
-            cad.piece(cad.hull(corners), shade(rng, (rgb.CHARCOAL, rgb.NAVY, rgb.TEAL, *rgb.BRIGHT))),
-            *[cad.piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
+            (cad.hull(corners), shade(rng, (rgb.CHARCOAL, rgb.NAVY, rgb.TEAL, *rgb.BRIGHT))),
+            *[(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
         ),
         parts=(part.hull(np.concatenate([corners, tops])),),
         mass=vary(rng, 0.22, 0.2),
@@ -250,19 +250,17 @@ def desk_phone(rng: Rng = None) -> Shape:
         (cradle - handset, rgb.BLACK),
         (handset, shade(rng, (rgb.RED, rgb.CHARCOAL, rgb.GREY, rgb.BLACK))),
     ]
-    return made(
+    return assemble(
         name="desk_phone",
         label="desk telephone",
         pieces=(
-            cad.piece(
-                cad.hull(corners), shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.RED, rgb.GREEN, rgb.PAPER))
-            ),
-            *[cad.piece(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
+            (cad.hull(corners), shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.RED, rgb.GREEN, rgb.PAPER))),
+            *[(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
         ),
         parts=(
             part.hull(corners),
-            *[part.turned(part.box(size, at, z), turn, lift) for size, at, z in (*ends, grip)],
-            part.turned(
+            *[part.rotate_part(part.box(size, at, z), turn, lift) for size, at, z in (*ends, grip)],
+            part.rotate_part(
                 part.box(*((0.40 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)),
                 turn,
                 lift,

@@ -7,16 +7,16 @@ from manifold3d import Manifold
 
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made, shade, vary
-from cluttergen_jax.assets.shape import Piece, Shape
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_colors, hex_rgb, shade, vary
+from cluttergen_jax.assets.shape import Shape
 
-BOTTLE_GLASS = tuple(hex_rgb(code) for code in ("2f5d3a", "6b3f1d", "1f3b2c", "7f9a4a", "2b4a6b"))
-CAPS = tuple(hex_rgb(code) for code in ("8e1f2b", "c9a13b", "20242b", "2d5aa0"))
-LABELS = tuple(hex_rgb(code) for code in ("c8322b", "d98e1f", "2f7d4f", "2e5fa3", "7d3f8c", "e0c23c"))
+BOTTLE_GLASS = hex_colors("2f5d3a 6b3f1d 1f3b2c 7f9a4a 2b4a6b")
+CAPS = hex_colors("8e1f2b c9a13b 20242b 2d5aa0")
+LABELS = hex_colors("c8322b d98e1f 2f7d4f 2e5fa3 7d3f8c e0c23c")
 PAPER = hex_rgb("f2ead8")
 STEEL = hex_rgb("c3c7cb")
-LIDS = (*(hex_rgb(code) for code in ("c9a13b", "8e1f2b", "3f6f4f")), STEEL)
-FILLINGS = tuple(hex_rgb(code) for code in ("a3202f", "d9822b", "5b2a4f", "8a5a2b", "6f8f3a"))
+LIDS = (*hex_colors("c9a13b 8e1f2b 3f6f4f"), STEEL)
+FILLINGS = hex_colors("a3202f d9822b 5b2a4f 8a5a2b 6f8f3a")
 
 
 def bottle(rng: Rng = None) -> Shape:
@@ -30,14 +30,14 @@ def bottle(rng: Rng = None) -> Shape:
     foil_foot = top + 0.25 * (height - top)
     foil = _sleeve(neck, foil_foot, height - 0.001, 0.0008)
     low, high = 0.14 * height, shoulder - 0.05 * height
-    return made(
+    return assemble(
         name="bottle",
         label="wine bottle",
         pieces=(
-            cad.piece(cad.revolve([(0.0, 0.0), *body, (0.0, height)]), shade(rng, BOTTLE_GLASS, 0.03)),
-            cad.piece(foil, cap := shade(rng, CAPS, 0.03)),
-            cad.piece(_sleeve(radius, low, high), PAPER),
-            cad.piece(_sleeve(radius, low + 0.25 * (high - low), low + 0.45 * (high - low), 0.0008), cap),
+            (cad.revolve([(0.0, 0.0), *body, (0.0, height)]), shade(rng, BOTTLE_GLASS, 0.03)),
+            (foil, cap := shade(rng, CAPS, 0.03)),
+            (_sleeve(radius, low, high), PAPER),
+            (_sleeve(radius, low + 0.25 * (high - low), low + 0.45 * (high - low), 0.0008), cap),
         ),
         parts=(
             part.disc([(radius, 0.0), (radius, shoulder)], 12, is_standing=True),
@@ -59,13 +59,13 @@ def soup_can(rng: Rng = None) -> Shape:
     middle = low + (0.52 if rng is None else rng.uniform(0.35, 0.65)) * (high - low)
     band = 0.07 * (high - low)
     color = shade(rng, LABELS)
-    return made(
+    return assemble(
         name="soup_can",
         pieces=(
-            cad.piece(cad.revolve([(0.0, 0.0), *tin]), STEEL),
-            cad.piece(_sleeve(radius, middle + band, high), color),
-            cad.piece(_sleeve(radius, middle - band, middle + band), hex_rgb("d8b354")),
-            cad.piece(_sleeve(radius, low, middle - band), PAPER),
+            (cad.revolve([(0.0, 0.0), *tin]), STEEL),
+            (_sleeve(radius, middle + band, high), color),
+            (_sleeve(radius, middle - band, middle + band), hex_rgb("d8b354")),
+            (_sleeve(radius, low, middle - band), PAPER),
         ),
         parts=(part.disc([(radius + rim, 0.0), (radius + rim, height)], 12, is_standing=True),),
         mass=vary(rng, 0.35, 0.2) * (radius / 0.034) ** 2,
@@ -88,15 +88,15 @@ def jar(rng: Rng = None) -> Shape:
     cap = cad.revolve(
         [(0.0, height - lid), (neck, height - lid), *ribs, (neck - 0.002, height), (0.0, height)]
     )
-    return made(
+    return assemble(
         name="jar",
         label="jar with a lid",
         pieces=(
-            cad.piece(body, color := shade(rng, FILLINGS)),
-            cad.piece(cad.difference(skin, body), hex_rgb("dfeaea"), 0.6),
-            cad.piece(cad.difference(cap, body), choose(rng, LIDS)),
-            cad.piece(_sleeve(radius, low, high), PAPER),
-            *(cad.piece(_sleeve(radius, z, z + 0.0024, 0.0008), color) for z in (low + 0.004, high - 0.006)),
+            (body, color := shade(rng, FILLINGS)),
+            (cad.difference(skin, body), hex_rgb("dfeaea"), 0.6),
+            (cad.difference(cap, body), choose(rng, LIDS)),
+            (_sleeve(radius, low, high), PAPER),
+            *((_sleeve(radius, z, z + 0.0024, 0.0008), color) for z in (low + 0.004, high - 0.006)),
         ),
         parts=(
             part.disc([(radius, 0.0), (radius, shoulder)], 12, is_standing=True),
@@ -113,8 +113,8 @@ def _sleeve(radius: float, low: float, high: float, thickness: float = 0.0005) -
     return cad.revolve([(inner, low), (outer, low), (outer, high), (inner, high)])
 
 
-PRINTS = tuple(hex_rgb(code) for code in ("e2a21f", "c8322b", "2e7d4f", "2e5fa3", "7d3f8c", "d95f8a"))
-ACCENTS = tuple(hex_rgb(code) for code in ("b3261e", "1f3f7a", "14532d", "4a1d5e"))
+PRINTS = hex_colors("e2a21f c8322b 2e7d4f 2e5fa3 7d3f8c d95f8a")
+ACCENTS = hex_colors("b3261e 1f3f7a 14532d 4a1d5e")
 CREAM = hex_rgb("f6efdf")
 
 
@@ -123,19 +123,19 @@ def cereal_box(rng: Rng = None) -> Shape:
     width, depth, height = vary(rng, 0.160), vary(rng, 0.058), vary(rng, 0.225)
     accent = shade(rng, ACCENTS)
     flap = cad.box((0.30 * width, 0.30 * depth, 0.0008), z=height - 0.0002)
-    return made(
+    return assemble(
         name="cereal_box",
         pieces=(
-            cad.piece(cad.box((width, depth, height)), shade(rng, PRINTS)),
+            (cad.box((width, depth, height)), shade(rng, PRINTS)),
             *_breakfast(rng, width, height, -depth / 2, accent),
-            cad.piece(cad.union(cad.box((0.98 * width, 0.0012, 0.0006), z=height - 0.0002), flap), accent),
+            (cad.union(cad.box((0.98 * width, 0.0012, 0.0006), z=height - 0.0002), flap), accent),
         ),
         parts=(part.box((width, depth, height)),),
         mass=vary(rng, 0.38, 0.2),
     )
 
 
-def _breakfast(rng: Rng, width: float, height: float, face: float, accent: cad.Rgb) -> list[Piece]:
+def _breakfast(rng: Rng, width: float, height: float, face: float, accent: cad.Rgb) -> list[cad.Painted]:
     """The print of a cereal box: a title panel, a bowl, milk and flakes."""
     place, high = np.array([0.0, 0.34 * height]), np.array([0.0, 0.82 * height])
     title = cad.rounded_rect(0.84 * width, 0.20 * height, 0.05 * height) + high
@@ -150,11 +150,11 @@ def _breakfast(rng: Rng, width: float, height: float, face: float, accent: cad.R
     spots = np.stack([np.linspace(-0.75, 0.75, 7) * reach, lifts * height], -1) + place
     flake = cad.ellipse(0.055 * width, 0.038 * width, 12)
     return [
-        cad.piece(cad.on_front(title, face), accent),
-        *(cad.piece(cad.on_front(letter, face, 0.0012), CREAM) for letter in letters),
-        cad.piece(cad.on_front(cad.ellipse(reach, 0.16 * reach, 32) + place, face, 0.0008), CREAM),
-        cad.piece(cad.on_front(dish, face), hex_rgb("3d6fb5")),
-        *(cad.piece(cad.on_front(flake + spot, face, 0.0012), hex_rgb("b5651d")) for spot in spots),
+        (cad.upright(title, 0.0006, face), accent),
+        *((cad.upright(letter, 0.0012, face), CREAM) for letter in letters),
+        (cad.upright(cad.ellipse(reach, 0.16 * reach, 32) + place, 0.0008, face), CREAM),
+        (cad.upright(dish, 0.0006, face), hex_rgb("3d6fb5")),
+        *((cad.upright(flake + spot, 0.0012, face), hex_rgb("b5651d")) for spot in spots),
     ]
 
 
@@ -165,20 +165,20 @@ def milk_carton(rng: Rng = None) -> Shape:
     ridge, half, thin = height - fin, side / 2, 0.0018
     right = [(half, 0.0), (half, eaves), (thin, ridge)]
     left = [(-y, z) for y, z in reversed(right)]
-    carton = cad.from_side([*right, (thin, height), (-thin, height), *left], side).rotate((0, 0, 90))
+    carton = cad.upright([*right, (thin, height), (-thin, height), *left], side).rotate((0, 0, 90))
     color = shade(rng, PRINTS[3:] + PRINTS[:3])
     stripe = cad.box((side + 0.0006, side + 0.0006, 0.22 * height), z=0.06 * height)
     slope = np.degrees(np.arctan2(ridge - eaves, half - thin))
-    screw = cad.on_front(cad.ellipse(0.16 * side, 0.16 * side, 24), 0.0, 0.012)
+    screw = cad.upright(cad.ellipse(0.16 * side, 0.16 * side, 24), 0.012, 0.0)
     screw = screw.rotate((slope - 90, 0, 0)).translate((0, -half / 2, (eaves + ridge) / 2))
     gable = [(x, y, z) for x in (-half, half) for y, z in (*right, *left)]
-    return made(
+    return assemble(
         name="milk_carton",
         pieces=(
-            cad.piece(carton, hex_rgb("f3f3ee")),
-            cad.piece(stripe - carton, color),
-            cad.piece(cad.on_front(_drop(0.15 * side) + np.array([0.0, 0.46 * height]), -half), color),
-            cad.piece(screw - carton, color),
+            (carton, hex_rgb("f3f3ee")),
+            (stripe - carton, color),
+            (cad.upright(_drop(0.15 * side) + np.array([0.0, 0.46 * height]), 0.0006, -half), color),
+            (screw - carton, color),
         ),
         parts=(part.hull(gable), part.box((side, 2 * thin, fin + 0.002), z=ridge - 0.002)),
         mass=vary(rng, 1.03, 0.05) * (side / 0.070) ** 2 * (height / 0.205),

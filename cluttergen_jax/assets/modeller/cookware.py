@@ -1,18 +1,19 @@
-"""Cookware and what cooks by itself: pot, frying pan, colander, toaster."""
+"""Things of the kitchen: pot, pan, colander, toaster; fork, knife, spoon and board, which lie along x."""
 
 from __future__ import annotations
 
 import numpy as np
 from manifold3d import Manifold
 
+from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_colors, hex_rgb, shade, vary
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Cavity, Shape
 
-ENAMELS = tuple(hex_rgb(code) for code in ("b3262e", "2f6f8f", "d9822b", "3f6f4f", "c4c8cc", "2a2d33"))
-METALS = tuple(hex_rgb(code) for code in ("c4c8cc", "b9bdb9", "c98b5a", "9fa4aa"))
+ENAMELS = hex_colors("b3262e 2f6f8f d9822b 3f6f4f c4c8cc 2a2d33")
+METALS = hex_colors("c4c8cc b9bdb9 c98b5a 9fa4aa")
 DARK = hex_rgb("25282c")
 UP = (0.0, 0.0, 1.0)
 
@@ -30,15 +31,15 @@ def pot(rng: Rng = None) -> Shape:
     edge = radius + 0.002
     rim = cad.revolve([(radius - wall, height - 0.004), (edge, height - 0.004), (edge, height)])
     corners = bar[[0, 3, 4, 7, 8, 11, 12, 15]]
-    legs = [cell for path in loops for cell in part.sweep(part.thinned(path, 3, 0.05), corners, UP)]
-    return made(
+    legs = [cell for path in loops for cell in part.sweep(part.thin_path(path, 3, 0.05), corners, UP)]
+    return assemble(
         name="pot",
         label="cooking pot",
         pieces=(
-            cad.piece(outside, shade(rng, ENAMELS, 0.04)),
-            cad.piece(lining, hex_rgb("d4d6d8")),
-            cad.piece(cad.difference(rim, body.solid(), body.inside()), hex_rgb("b4b8bc")),
-            *(cad.piece(handle, DARK) for handle in handles),
+            (outside, shade(rng, ENAMELS, 0.04)),
+            (lining, hex_rgb("d4d6d8")),
+            (cad.difference(rim, body.solid(), body.inside()), hex_rgb("b4b8bc")),
+            *((handle, DARK) for handle in handles),
         ),
         parts=(*body.parts(8), *legs),
         cavity=body.cavity(),
@@ -68,14 +69,14 @@ def frying_pan(rng: Rng = None) -> Shape:
     sizes = np.interp(np.linspace(0, 1, 24), [0.0, 0.2, 0.45, 0.9, 1.0], [0.62, 0.62, 0.95, 1.0, 0.75])
     bar = cad.ellipse(0.0125, 0.0070, 16)
     grip = cad.difference(cad.sweep(path, bar, scales=sizes), body.inside(), body.solid())
-    stations = part.thinned(path, 3)
+    stations = part.thin_path(path, 3)
     scales = np.interp(stations[:, 0], path[:, 0], sizes)
-    return made(
+    return assemble(
         name="frying_pan",
         pieces=(
-            cad.piece(outside, shade(rng, (*ENAMELS[5:], *ENAMELS[:5]), 0.03)),
-            cad.piece(lining, hex_rgb("3a3d42")),
-            cad.piece(grip, shade(rng, (hex_rgb("6b4226"), DARK, hex_rgb("9a6a3a")), 0.03)),
+            (outside, shade(rng, (*ENAMELS[5:], *ENAMELS[:5]), 0.03)),
+            (lining, hex_rgb("3a3d42")),
+            (grip, shade(rng, (hex_rgb("6b4226"), DARK, hex_rgb("9a6a3a")), 0.03)),
         ),
         parts=(*body.parts(8), *part.sweep(stations, cad.ellipse(0.0125, 0.0070, 8), scales=scales)),
         cavity=body.cavity(),
@@ -101,10 +102,10 @@ def colander(rng: Rng = None) -> Shape:
     rim_path = np.stack([radius + 0.0035 * np.cos(turns), height - 0.0035 * (1 - np.sin(turns))], -1)
     shell = cad.difference(cad.union(body.solid(), cad.revolve(rim_path)), *holes)
     wires = [cad.difference(cad.tube(path, 0.0034, UP, segments=10), body.inside()) for path in ears]
-    legs = [cell for path in ears for cell in part.sweep(part.thinned(path, 3, 0.04), 0.0036, UP)]
-    return made(
+    legs = [cell for path in ears for cell in part.sweep(part.thin_path(path, 3, 0.04), 0.0036, UP)]
+    return assemble(
         name="colander",
-        pieces=(cad.piece(cad.union(shell, *wires), shade(rng, METALS, 0.03)),),
+        pieces=((cad.union(shell, *wires), shade(rng, METALS, 0.03)),),
         parts=(*body.parts(8), *legs),
         cavity=body.cavity(),
         mass=vary(rng, 0.42, 0.15),
@@ -117,7 +118,7 @@ def _hole(body: Vessel, z: float, turn: float) -> Manifold:
     return drill.translate((body.inner_radius(z) - 0.012, 0, z - 0.010)).rotate((0, 0, 360 * turn))
 
 
-TOASTER_BODIES = tuple(hex_rgb(code) for code in ("c9ccd0", "b3262e", "8fb7b0", "e6dfcf", "2e3238", "d9a441"))
+TOASTER_BODIES = hex_colors("c9ccd0 b3262e 8fb7b0 e6dfcf 2e3238 d9a441")
 TOASTER_DARK = hex_rgb("23262a")
 
 
@@ -143,13 +144,13 @@ def toaster(rng: Rng = None) -> Shape:
     cheek = (width - long) / 2
     # The upper parts are sunk into their neighbours, so that no face of theirs lies bare inside the body.
     rise, low, span = deep + 0.002, floor - 0.002, long + 0.004
-    return made(
+    return assemble(
         name="toaster",
         pieces=(
-            cad.piece(cad.difference(shell, *slots), shade(rng, TOASTER_BODIES, 0.04)),
-            cad.piece(cad.difference(frame, shell, *slots), TOASTER_DARK),
-            cad.piece(base, TOASTER_DARK),
-            cad.piece(cad.difference(cad.union(lever, track, dial), shell), TOASTER_DARK),
+            (cad.difference(shell, *slots), shade(rng, TOASTER_BODIES, 0.04)),
+            (cad.difference(frame, shell, *slots), TOASTER_DARK),
+            (base, TOASTER_DARK),
+            (cad.difference(cad.union(lever, track, dial), shell), TOASTER_DARK),
         ),
         parts=(
             part.box((width, depth, floor)),
@@ -162,4 +163,174 @@ def toaster(rng: Rng = None) -> Shape:
             cad.to_mesh(cad.box((long, wide, deep), (0.0, -middle), floor)), (0.0, -middle, height)
         ),
         mass=vary(rng, 1.70, 0.15),
+    )
+
+
+STEELS = hex_colors("c4c8cc b9bdb9 d3b878 8d9297")
+GRIPS = hex_colors("25282d 6b3f23 8e1f2b 2f4f6f")
+WOODS = hex_colors("c08a4f a56b35 d8b27c 7a4a26")
+
+# By how much parts beside the ones that carry the body keep clear of the table.
+RAISE = 0.0004
+
+
+def fork(rng: Rng = None) -> Shape:
+    """A table fork that lies on the end of its handle and on the root of its four tines."""
+    length, width = vary(rng, 0.192, 0.1), vary(rng, 0.0250, 0.1)
+    thick, arch = vary(rng, 0.0026, 0.12), vary(rng, 0.0080, 0.2)
+    ends = np.array([0.0, 0.03, 0.20, 0.45, 0.60, 0.70, 0.76, 0.83, 1.0]) * length
+    lifts = np.array([0.0, 0.0, 0.0, 0.75, 1.0, 0.35, 0.0, 0.0, 0.9]) * arch
+    grip = vary(rng, 0.0085, 0.12)
+    handle, head = [0.55 * grip, grip, 0.95 * grip, 0.0042, 0.0036], [0.3, 0.5, 0.5, 0.44]
+    halves = np.array([*handle, *(share * width for share in head)])
+    slot = 0.125 * width
+    prong = (width - 3 * slot) / 4
+    places = (np.arange(4) - 1.5) * (prong + slot)
+    gaps = [cad.box((length, slot, 0.1), (1.30 * length, y), z=-0.01) for y in (places[:-1] + places[1:]) / 2]
+    solid = cad.difference(_ribbon(ends, halves, lifts, thick), *gaps)
+    # Only the two flat legs, the handle's end and the head, reach down to the table.
+    raised = [RAISE * (k not in (0, 1, 6)) for k in range(7)]
+    legs = [_slab(ends[k : k + 2], halves[k : k + 2], lifts[k : k + 2] + raised[k], thick) for k in range(7)]
+    end = part.hull(np.concatenate([legs[0].vertices, legs[1].vertices]))
+    tines = [_slab(ends[-2:], np.full(2, prong / 2), lifts[-2:] + RAISE, thick, y, 0.88 * y) for y in places]
+    shift = np.array([-length / 2, 0.0, 0.0])
+    parts = [piece.transform(np.eye(3), shift) for piece in (end, *legs[2:], *tines)]
+    return assemble(
+        name="fork",
+        label="table fork",
+        pieces=((solid.translate((-length / 2, 0, 0)), shade(rng, STEELS, 0.03)),),
+        parts=tuple(parts),
+        mass=vary(rng, 0.050, 0.15),
+    )
+
+
+def _ribbon(ends: np.ndarray, halves: np.ndarray, lifts: np.ndarray, thick: float) -> Manifold:
+    """A bent strip along x: half widths and heights of the underside at the stations `ends`."""
+    x = np.linspace(ends[0], ends[-1], 65)
+    low, half = _ease(x, ends, lifts), _ease(x, ends, halves)
+    side = cad.upright(np.column_stack([np.append(x, x[::-1]), np.append(low, low[::-1] + thick)]), 1.0)
+    plan = cad.extrude(np.column_stack([np.append(x, x[::-1]), np.append(-half, half[::-1])]), 0.2, -0.1)
+    return side ^ plan
+
+
+def _ease(x: np.ndarray, knots: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values between knots, joined by half cosines so that what is flat stays flat and nothing overshoots."""
+    cell = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
+    share = (x - knots[cell]) / (knots[cell + 1] - knots[cell])
+    # Halfway between the straight line and the half cosine: rounded bends, and yet close to the parts.
+    share = 0.5 * share + 0.25 * (1 - np.cos(np.pi * share))
+    return values[cell] + (values[cell + 1] - values[cell]) * share
+
+
+def _slab(
+    ends: np.ndarray,
+    halves: np.ndarray,
+    lifts: np.ndarray,
+    thick: float,
+    start: float = 0.0,
+    stop: float = 0.0,
+) -> Mesh:
+    """One straight leg of a bent strip, its middle going from y = `start` to y = `stop`."""
+    corners = [
+        (x, middle + sign * half, low + up)
+        for x, half, low, middle in zip(ends, halves, lifts, (start, stop), strict=True)
+        for sign in (-1, 1)
+        for up in (0.0, thick)
+    ]
+    return part.hull(corners)
+
+
+def knife(rng: Rng = None) -> Shape:
+    """A chef's knife lying on its side, blade and handle flat on the table."""
+    blade, grip = vary(rng, 0.195, 0.15), vary(rng, 0.125, 0.08)
+    heel, height = vary(rng, 0.046, 0.15), vary(rng, 0.017, 0.1)
+    spine = 0.012
+    belly = [(blade, spine - 0.004), (0.86 * blade, spine - 0.42 * heel), (0.62 * blade, spine - 0.80 * heel)]
+    belly += [(0.35 * blade, spine - 0.96 * heel), (0.0, spine - heel)]
+    edge = cad.smooth_path(belly, 24)
+    outline = np.concatenate([[(-0.012, spine), (0.70 * blade, spine)], edge, [(-0.012, -0.012)]])
+    flat = cad.extrude(outline, 0.0024)
+    handle = cad.above(cad.rounded_box((grip, 0.026, height), 0.005, (-grip / 2 - 0.004, 0.0), z=-0.0016))
+    handle = handle ^ cad.box((1.0, 1.0, 1.0))
+    spots = [(-0.2 * grip, 0.0), (-0.5 * grip, 0.0), (-0.8 * grip, 0.0)]
+    rivets = cad.union(
+        *(cad.cylinder(0.0036, height - 0.003, 0.0018, center=spot, segments=20) for spot in spots)
+    )
+    steel = shade(rng, STEELS[:2], 0.03)
+    top = height - 0.0016
+    return assemble(
+        name="knife",
+        label="chef's knife",
+        pieces=(
+            (cad.difference(flat, handle), steel),
+            (handle, shade(rng, GRIPS, 0.03)),
+            (cad.difference(rivets, handle), steel),
+        ),
+        parts=(
+            part.prism([(-0.004, spine), (0.70 * blade, spine), *belly[1:], (-0.004, -0.012)], 0.0024),
+            part.prism([(0.70 * blade, spine), *belly[:2]], 0.0024),
+            part.box((grip, 0.026, top), (-grip / 2 - 0.004, 0.0)),
+        ),
+        mass=vary(rng, 0.23, 0.15),
+    )
+
+
+def wooden_spoon(rng: Rng = None) -> Shape:
+    """A cooking spoon with a flat underside, its bowl at +x."""
+    length, reach, half = vary(rng, 0.290, 0.12), vary(rng, 0.040, 0.12), vary(rng, 0.028, 0.12)
+    radius = vary(rng, 0.0062, 0.12)
+    center = length / 2 - reach
+    bowl = cad.above(Manifold.sphere(1.0, 48).scale((reach, half, 0.017)).translate((center, 0, 0.009)))
+    bowl = bowl.trim_by_plane((0, 0, -1), -0.016)
+    scoop = Manifold.sphere(1.0, 40).scale((0.86 * reach, 0.84 * half, 0.0135)).translate((center, 0, 0.0188))
+    ends = ((-length / 2, 1.15 * radius), (center - 0.5 * reach, radius))
+    stick = Manifold.hull(cad.union(*(_rod_end(x, size) for x, size in ends)))
+    rings = [(0.82, 0.0, 4), (0.86, part.LIFT, 8), (1.0, 0.009, 8), (0.91, 0.016, 8)]
+    corners = [np.column_stack([cad.ellipse(s * reach, s * half, n), np.full(n, z)]) for s, z, n in rings]
+    grip = [(x, y, z) for x, size in ends for y, z in _rod_corners(size)]
+    return assemble(
+        name="wooden_spoon",
+        pieces=((cad.difference(cad.union(bowl, stick), scoop), shade(rng, WOODS)),),
+        parts=(part.hull(np.concatenate(corners) + np.array([center, 0, 0])), part.hull(grip)),
+        mass=vary(rng, 0.045, 0.2),
+    )
+
+
+def _rod_end(x: float, radius: float) -> Manifold:
+    """A short round piece of a rod along x, cut flat at z = 0."""
+    disc = cad.cylinder(radius, 0.002, segments=24).rotate((0, 90, 0)).translate((x - 0.001, 0, 0.7 * radius))
+    return cad.above(disc)
+
+
+def _rod_corners(radius: float) -> cad.Points2:
+    """The section of such a rod as a polygon in (y, z)."""
+    right = [(0.71 * radius, 0.0), (radius, 0.7 * radius), (0.5 * radius, 1.62 * radius)]
+    return [*right, *((-y, z) for y, z in reversed(right))]
+
+
+def cutting_board(rng: Rng = None) -> Shape:
+    """A wooden board with a juice groove and a handle with a hole at its +x end."""
+    width, depth, thick = vary(rng, 0.270, 0.15), vary(rng, 0.190, 0.15), vary(rng, 0.018, 0.2)
+    handle, span = vary(rng, 0.085, 0.15), vary(rng, 0.062, 0.12)
+    reach = width / 2 + handle
+    tongue, tip = (
+        cad.rounded_rect(handle + more, span, 0.45 * span, num) + np.array([reach - (handle + more) / 2, 0.0])
+        for more, num in ((0.06, 10), (0.01, 2))
+    )
+    board = cad.union(cad.extrude(cad.rounded_rect(width, depth, 0.018), thick), cad.extrude(tongue, thick))
+    inner, outer = (cad.rounded_rect(width - gap, depth - gap, 0.014) for gap in (0.040, 0.028))
+    groove = cad.difference(cad.extrude(outer, 0.01, thick - 0.003), cad.extrude(inner, 0.01, thick - 0.003))
+    hole = cad.cylinder(0.22 * span, 0.1, -0.01, center=(reach - 0.45 * span, 0.0))
+    wood = shade(rng, WOODS)
+    stripe = choose(rng, (0.28, -0.28, 0.0)) * depth
+    band = cad.difference(cad.box((width, 0.10 * depth, thick), (0.0, stripe)) ^ board, groove)
+    dark = tuple(0.62 * channel for channel in wood)
+    return assemble(
+        name="cutting_board",
+        pieces=(
+            (cad.difference(board, groove, hole, band), wood),
+            (band, (dark[0], dark[1], dark[2])),
+        ),
+        parts=(part.box((width, depth, thick)), part.prism(tip, thick - RAISE, RAISE)),
+        mass=thick * (width * depth + handle * span) * vary(rng, 650.0, 0.1),
     )

@@ -1,4 +1,4 @@
-"""Things that stand about: a globe, eyeglasses, a toy car, a photo frame."""
+"""Things that stand about: desk lamp, candle, globe, eyeglasses, toy car, photo frame."""
 
 from __future__ import annotations
 
@@ -8,8 +8,117 @@ from manifold3d import Manifold
 from cluttergen_jax.assets.modeller import palette as rgb
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, choose, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, shade, vary
 from cluttergen_jax.assets.shape import Shape
+
+WARM = (1.0, 0.93, 0.66)
+
+
+def desk_lamp(rng: Rng = None) -> Shape:
+    """A jointed lamp on a heavy round foot, its shade looking down to the front (-x)."""
+    size = vary(rng, 1.0, 0.10)
+    radius, lean = 0.088 * size, vary(rng, 0.075, 0.25) * size
+    foot = (0.020 * size, 0.0, 0.016 * size)
+    elbow = (lean, 0.0, vary(rng, 0.225, 0.12) * size)
+    head = (elbow[0] - 0.110 * size, 0.0, elbow[2] + vary(rng, 0.115, 0.2) * size)
+    mouth, depth, pitch = 0.058 * size, 0.085 * size, vary(rng, 28.0, 0.3)
+    # The shade is drawn hanging from the origin, then pitched so that its mouth looks to the front.
+    outline = [(0.019 * size, 0.0), (mouth, -depth)]
+    shell = [*outline, (mouth - 0.002, -depth), (0.017 * size, -0.003), (0.0, -0.003), (0.0, 0.0)]
+    shade_solid = cad.union(
+        cad.revolve(shell[::-1]), cad.cylinder(0.019 * size, 0.018 * size, top=0.012 * size)
+    )
+    glow = cad.cylinder(mouth * 0.97 - 0.004, 0.004, z=-depth + 0.004)
+    shroud = cad.cylinder(mouth, depth, z=-depth, top=0.019 * size).rotate((0, pitch, 0)).translate(head)
+    arms = cad.union(*[cad.tube([a, b], 0.0065 * size) for a, b in ((foot, elbow), (elbow, head))]) - shroud
+    joints = cad.union(*[_hinge(point, 0.013 * size) for point in (foot, elbow, head)]) - shroud
+    color = shade(rng, (rgb.CRIMSON, rgb.TEAL, rgb.CHARCOAL, *rgb.BRIGHT))
+    base = [(radius, 0.0), (radius, 0.010 * size), (radius * 0.72, 0.020 * size)]
+    parts = [
+        part.disc([(radius, 0.0), (0.86 * radius, 0.020 * size)], 14, is_standing=True),
+        *part.sweep([foot, elbow], 0.008 * size),
+        *part.sweep([elbow, head], 0.008 * size),
+        part.rotate_part(part.disc([(mouth, -depth), (0.019 * size, 0.012 * size)], 14), (0, pitch, 0), head),
+    ]
+    return assemble(
+        name="desk_lamp",
+        pieces=(
+            (cad.revolve([(0, 0), *base, (0, 0.020 * size)]), color),
+            (arms, shade(rng, (rgb.SILVER, rgb.GOLD, rgb.CHARCOAL))),
+            (joints, rgb.BLACK),
+            (shade_solid.rotate((0, pitch, 0)).translate(head), color),
+            (glow.rotate((0, pitch, 0)).translate(head), WARM),
+        ),
+        parts=tuple(parts),
+        mass=vary(rng, 1.4, 0.2),
+    )
+
+
+def _hinge(center: tuple[float, float, float], radius: float) -> Manifold:
+    """A short pin across the arm, along y."""
+    pin = cad.cylinder(radius, 1.7 * radius, z=-0.85 * radius, segments=24)
+    return pin.rotate((90, 0, 0)).translate(center)
+
+
+def candle(rng: Rng = None) -> Shape:
+    """A burning candle in a chamberstick: a dish with a socket and a finger ring."""
+    radius, height = vary(rng, 0.019, 0.12), vary(rng, 0.115, 0.25)
+    dish, lip = vary(rng, 0.058, 0.12), 0.012
+    floor = 0.006
+    saucer = [(0.0, 0.0), (0.72 * dish, 0.0), (dish, lip), (dish - 0.003, lip + 0.001), (0.68 * dish, floor)]
+    socket = [(0.0, 0.0), (radius + 0.004, 0.0), (radius + 0.005, 0.022), (0.0, 0.022)]
+    turns = np.linspace(0.0, 2 * np.pi, 25)[:-1]
+    reach, ring, bar = dish + 0.010, 0.014, 0.0035
+    loop = cad.revolve(cad.ellipse(bar, bar, 10) + np.array([ring, 0.0]), 32)
+    loop = loop.rotate((90, 0, 0)).translate((reach, 0, lip + 0.007))
+    wax = cad.union(cad.cylinder(radius, height, z=floor), *_drips(rng, radius, floor + height))
+    wick_top = floor + height + 0.010
+    stations = np.array([0.0, 0.12, 0.3, 0.5, 0.75, 1.0])
+    flame = cad.sweep(
+        [(0.0, 0.0, wick_top - 0.006 + 0.030 * s) for s in stations],
+        cad.ellipse(0.008, 0.008, 20),
+        scales=[0.35, 0.8, 1.0, 0.85, 0.42, 0.03],
+    )
+    square = [(ring + bar, -bar), (ring + bar, bar), (ring - bar, bar), (ring - bar, -bar)]
+    cells = [
+        part.rotate_part(cell, (90, 0, 0), (reach, 0, lip + 0.007))
+        for cell in part.ring_sectors([(r * 1.08, z) for r, z in square], 5, phase=turns[6])
+    ]
+    metal = cad.union(cad.revolve([*saucer, (0.0, floor)]), cad.revolve(socket), loop)
+    return assemble(
+        name="candle",
+        label="candle in a holder",
+        pieces=(
+            (
+                metal - cad.cylinder(radius, 0.1, z=floor),
+                shade(rng, (rgb.GOLD, rgb.TEAL, rgb.SILVER, rgb.CRIMSON)),
+            ),
+            (wax, shade(rng, (rgb.CREAM, rgb.WHITE, rgb.PINK, rgb.CRIMSON))),
+            (cad.cylinder(0.0012, 0.012, z=floor + height, segments=10), rgb.BLACK),
+            (flame, shade(rng, (rgb.ORANGE,))),
+            (flame.scale((1.02, 1.02, 1.0)).trim_by_plane((0, 0, -1), -wick_top - 0.002), rgb.YELLOW),
+        ),
+        parts=(
+            part.disc([(0.72 * dish, 0.0), (dish, lip)], 14, is_standing=True),
+            part.disc([(radius, 0.002), (radius, floor + height)], 12),
+            part.disc([(0.007, wick_top), (0.0, wick_top + 0.024), (0.0, floor + height - 0.002)], 8),
+            *cells,
+        ),
+        mass=vary(rng, 0.30, 0.2),
+    )
+
+
+def _drips(rng: Rng, radius: float, top: float) -> list[Manifold]:
+    """Runs of wax down from the edge of the candle."""
+    angles = (0.3, 1.9, 3.0, 4.6, 5.4) if rng is None else rng.uniform(0, 2 * np.pi, 5)
+    lengths = (0.022, 0.034, 0.016, 0.028, 0.018)
+    drips = []
+    for angle, length in zip(angles, lengths, strict=True):
+        x, y = (radius - 0.0005) * np.cos(angle), (radius - 0.0005) * np.sin(angle)
+        run = [(x, y, top - 0.001), (x, y, top - length / 2), (x, y, top - length)]
+        drips.append(cad.tube(run, 0.003, side=(1, 0, 0), scales=[0.7, 0.8, 1.0], segments=10))
+    return drips
+
 
 # Rough outlines of the continents, each a few convex patches of (longitude, latitude) in degrees.
 LAND = (
@@ -61,17 +170,14 @@ def globe(rng: Rng = None) -> Shape:
     brass = shade(rng, (rgb.GOLD, rgb.SILVER, rgb.STEEL))
     coarse = np.radians(np.linspace(-90, 90, 6))
     bow = np.column_stack([1.03 * reach * np.cos(coarse), 0 * coarse, 1.03 * reach * np.sin(coarse)])
-    return made(
+    return assemble(
         name="globe",
         pieces=(
-            cad.piece(skin.rotate(tilt).translate(at), sea),
-            cad.piece(
-                (land - ice).rotate(tilt).translate(at),
-                shade(rng, GROUND),
-            ),
-            cad.piece(ice.rotate(tilt).translate(at), rgb.WHITE),
-            cad.piece(cad.union(ring, pins).rotate(tilt).translate(at), brass),
-            cad.piece(
+            (skin.rotate(tilt).translate(at), sea),
+            ((land - ice).rotate(tilt).translate(at), shade(rng, GROUND)),
+            (ice.rotate(tilt).translate(at), rgb.WHITE),
+            (cad.union(ring, pins).rotate(tilt).translate(at), brass),
+            (
                 cad.union(cad.revolve(base), cad.revolve(stem)),
                 shade(rng, (rgb.DARK_WOOD, rgb.WOOD, rgb.CHARCOAL)),
             ),
@@ -80,7 +186,7 @@ def globe(rng: Rng = None) -> Shape:
             part.disc([(foot, 0.0), (0.62 * foot, 0.018)], 14, is_standing=True),
             part.disc([(0.012, 0.010), (0.008, lowest)], 6),
             part.ball(radius, at),
-            *[part.turned(cell, tilt, at) for cell in part.sweep(bow, bar)],
+            *[part.rotate_part(cell, tilt, at) for cell in part.sweep(bow, bar)],
         ),
         mass=vary(rng, 0.65, 0.2),
     )
@@ -122,11 +228,11 @@ def eyeglasses(rng: Rng = None) -> Shape:
     bridge = ((2 * gap + 0.006, deep - 0.001, 0.006), (0, 0), 0.62 * size[1])
     frame = cad.union(*rims, cad.box(*bridge))
     tint = shade(rng, (rgb.SKY, (0.25, 0.27, 0.30), (0.55, 0.40, 0.25)))
-    return made(
+    return assemble(
         name="eyeglasses",
         pieces=(
-            cad.piece(frame, shade(rng, (rgb.BLACK, rgb.CRIMSON, rgb.DARK_WOOD, rgb.NAVY))),
-            cad.piece(cad.union(*panes) - frame, tint, 0.45),
+            (frame, shade(rng, (rgb.BLACK, rgb.CRIMSON, rgb.DARK_WOOD, rgb.NAVY))),
+            (cad.union(*panes) - frame, tint, 0.45),
         ),
         parts=(*parts, part.box(*bridge)),
         mass=vary(rng, 0.035, 0.2),
@@ -162,22 +268,24 @@ def toy_car(rng: Rng = None) -> Shape:
     hubs = [nose + 0.23 * length, tail - 0.23 * length]
     places = [(x, s * (width / 2 - 0.002)) for x in hubs for s in (-1, 1)]
     tread = 0.014
-    tyres = [cad.above(_roller(wheel, tread).translate((x, y, axle))) for x, y in places]
-    caps = [_roller(0.5 * wheel, tread + 0.002).translate((x, y, axle)) for x, y in places]
-    lamp = _roller(0.0055, 0.003).rotate((0, 0, 90))
+    tyres = [cad.above(cad.facing(wheel, tread).translate((x, y, axle))) for x, y in places]
+    caps = [cad.facing(0.5 * wheel, tread + 0.002).translate((x, y, axle)) for x, y in places]
+    lamp = cad.facing(0.0055, 0.003).rotate((0, 0, 90))
     lamps = cad.union(*[lamp.translate((nose + 0.0015, s * 0.3 * width, 0.62 * waist)) for s in (-1, 1)])
     shell = cad.union(cad.upright(body, width), cad.upright(cabin, 0.86 * width))
     paint = shade(rng, (rgb.RED, *rgb.BRIGHT))
-    roller = part.turned(part.disc([(wheel, -tread / 2), (wheel, tread / 2)], 12, np.pi / 12), (90, 0, 0))
-    rollers = [part.turned(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
-    return made(
+    roller = part.rotate_part(
+        part.disc([(wheel, -tread / 2), (wheel, tread / 2)], 12, np.pi / 12), (90, 0, 0)
+    )
+    rollers = [part.rotate_part(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
+    return assemble(
         name="toy_car",
         pieces=(
-            cad.piece(shell, paint),
-            cad.piece(glass, rgb.SKY),
-            cad.piece(cad.union(*tyres) - shell, rgb.BLACK),
-            cad.piece(cad.union(*caps) - cad.union(*tyres) - shell, rgb.STEEL),
-            cad.piece(lamps - shell, rgb.YELLOW),
+            (shell, paint),
+            (glass, rgb.SKY),
+            (cad.union(*tyres) - shell, rgb.BLACK),
+            (cad.union(*caps) - cad.union(*tyres) - shell, rgb.STEEL),
+            (lamps - shell, rgb.YELLOW),
         ),
         parts=(
             part.upright(body, width),
@@ -224,16 +332,16 @@ def photo_frame(rng: Rng = None) -> Shape:
     strut = [(s * 0.022, y, z) for s in (-1, 1) for y, z in edge]
     strut += [(s * 0.030, y, 0.0) for s in (-1, 1) for y in (far_foot - 0.008, far_foot)]
     back = leaning(rim)
-    return made(
+    return assemble(
         name="photo_frame",
         pieces=(
-            cad.piece(
+            (
                 leaning(rim_open),
                 shade(rng, (rgb.DARK_WOOD, rgb.WOOD, rgb.GOLD, rgb.BLACK, rgb.WHITE, rgb.SILVER)),
             ),
-            cad.piece(leaning(mat), rgb.WHITE),
-            *[cad.piece(leaning(solid), color) for solid, color in scene],
-            cad.piece(cad.hull(strut) - back, rgb.BLACK),
+            (leaning(mat), rgb.WHITE),
+            *[(leaning(solid), color) for solid, color in scene],
+            (cad.hull(strut) - back, rgb.BLACK),
         ),
         parts=(part.corners_of(back), part.hull(strut)),
         mass=vary(rng, 0.35, 0.2),
@@ -244,8 +352,3 @@ def _along(low: tuple[float, float], high: tuple[float, float], z: float) -> np.
     """The point (x, z) at a height on the line between two points."""
     share = (z - low[1]) / (high[1] - low[1])
     return (1 - share) * np.array(low) + share * np.array(high)
-
-
-def _roller(radius: float, width: float) -> Manifold:
-    """A disc around the origin with its axis along y."""
-    return cad.cylinder(radius, width, -width / 2).rotate((90, 0, 0))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 
-from cluttergen_jax.assets.modeller.solids import Rgb
-from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.modeller.solids import Painted, Rgb, piece
+from cluttergen_jax.assets.shape import Provenance, Shape
 
 T = TypeVar("T")
 Rng = np.random.Generator | None
@@ -39,17 +39,24 @@ def made_by(family: str) -> Provenance:
     return Provenance(f"cluttergen_jax modeller, family {family}", "Apache-2.0")
 
 
-def made(name: str, pieces: Sequence[Piece], label: str = "", **body: Any) -> Shape:
+def assemble(name: str, pieces: Iterable[Painted], label: str = "", **body: Any) -> Shape:
     """A shape of the family `name`.
 
     Args:
       label: what people call it; the name's words if empty.
       body: more of the shape's fields: parts, mass, cavity.
     """
-    return Shape(name, label or name.replace("_", " "), tuple(pieces), made_by(name), **body)
+    return Shape(
+        name, label or name.replace("_", " "), tuple(piece(*each) for each in pieces), made_by(name), **body
+    )
 
 
 def hex_rgb(code: str) -> Rgb:
     """A colour written as "rrggbb"."""
     red, green, blue = (int(pair, 16) / 255 for pair in re.findall("..", code))
     return red, green, blue
+
+
+def hex_colors(codes: str) -> tuple[Rgb, ...]:
+    """Colours written as "rrggbb rrggbb ..."."""
+    return tuple(map(hex_rgb, codes.split()))

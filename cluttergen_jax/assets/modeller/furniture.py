@@ -11,10 +11,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from cluttergen_jax.assets.modeller.desks import drawer_desk, l_desk, shelf_desk
 from cluttergen_jax.assets.modeller.draw import Rng, vary
-from cluttergen_jax.assets.modeller.tables_desk import drawer_desk, l_desk, shelf_desk
-from cluttergen_jax.assets.modeller.tables_plain import picnic_table, tray_table, trestle_table
-from cluttergen_jax.assets.modeller.tables_round import bar_table, coffee_table, oval_table, round_table
+from cluttergen_jax.assets.modeller.tables import (
+    bar_table,
+    coffee_table,
+    oval_table,
+    picnic_table,
+    round_table,
+    tray_table,
+    trestle_table,
+)
 from cluttergen_jax.assets.support import SupportAsset, cuboid_table
 from cluttergen_jax.errors import ConfigError, PoolError
 

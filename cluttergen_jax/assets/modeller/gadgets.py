@@ -9,24 +9,18 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import palette as rgb
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, shade, vary
 from cluttergen_jax.assets.shape import Shape
 
 GLASS = (0.12, 0.16, 0.30)
-
-
-def facing(radius: float, depth: float, center: tuple[float, float], y: float = 0.0) -> Manifold:
-    """A disc that faces the front: its centre at (x, z), its front face at `y`, its back at `y + depth`."""
-    disc = cad.cylinder(radius, depth).rotate((90, 0, 0))
-    return disc.translate((center[0], y + depth, center[1]))
 
 
 def alarm_clock(rng: Rng = None) -> Shape:
     """A twin-bell alarm clock on two feet, its face towards -y."""
     radius, depth = vary(rng, 0.048, 0.12), vary(rng, 0.046, 0.12)
     middle, front = radius + 0.012, -depth / 2
-    case = facing(radius, depth, (0, middle), front)
-    body = case - facing(radius - 0.005, 0.004, (0, middle), front)
+    case = cad.facing(radius, depth, (0, middle), front)
+    body = case - cad.facing(radius - 0.005, 0.004, (0, middle), front)
     bells, bell_parts = _bells(radius, middle, vary(rng, 33.0, 0.1))
     foot = [(0.004, 0), (0.020, 0), (0.014, 0.006), (-0.002, 0.030), (-0.010, 0.026)]
     feet = [part.upright([(s * (0.48 * radius + x), z) for x, z in foot], 0.9 * depth) for s in (-1, 1)]
@@ -37,17 +31,17 @@ def alarm_clock(rng: Rng = None) -> Shape:
     hammer = cad.box((0.008, 0.006, 0.020), z=top - 0.002) + cad.box((0.022, 0.008, 0.008), z=top + 0.014)
     metal = shade(rng, (rgb.GOLD, rgb.SILVER, rgb.STEEL))
     stand = cad.union(hammer, *[cad.hull(foot.vertices) for foot in feet]) - case
-    return made(
+    return assemble(
         name="alarm_clock",
         pieces=(
-            cad.piece(body, shade(rng, (rgb.RED, rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
-            cad.piece(facing(radius - 0.006, 0.001, (0, middle), front + 0.0035), rgb.WHITE),
-            cad.piece(_dial(rng, radius).translate((0, front + 0.003, middle)), rgb.BLACK),
-            cad.piece(cad.union(*bells, cad.tube(arch, 0.003)), metal),
-            cad.piece(stand, rgb.GREY if rng is None else metal),
+            (body, shade(rng, (rgb.RED, rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
+            (cad.facing(radius - 0.006, 0.001, (0, middle), front + 0.0035), rgb.WHITE),
+            (_dial(rng, radius).translate((0, front + 0.003, middle)), rgb.BLACK),
+            (cad.union(*bells, cad.tube(arch, 0.003)), metal),
+            (stand, rgb.GREY if rng is None else metal),
         ),
         parts=(
-            part.turned(
+            part.rotate_part(
                 part.disc([(radius, -depth / 2), (radius, depth / 2)], 16), (90, 0, 0), (0, 0, middle)
             ),
             *bell_parts,
@@ -71,7 +65,7 @@ def _bells(radius: float, middle: float, degrees: float) -> tuple[list[Manifold]
         turn = np.radians(side * degrees)
         at = (away * np.sin(turn), 0.0, middle + away * np.cos(turn))
         solids.append(cap.rotate((0, side * degrees, 0)).translate(at))
-        parts.append(part.turned(dome, (0, side * degrees, 0), at))
+        parts.append(part.rotate_part(dome, (0, side * degrees, 0), at))
     return solids, parts
 
 
@@ -83,7 +77,7 @@ def _dial(rng: Rng, radius: float) -> Manifold:
         cad.box((0.0032, 0.001, reach * radius), z=-0.004).rotate((0, float(turn), 0))
         for reach, turn in zip((0.48, 0.70), turns, strict=True)
     ]
-    return cad.union(*marks, *hands, facing(0.004, 0.002, (0, 0), -0.001))
+    return cad.union(*marks, *hands, cad.facing(0.004, 0.002, (0, 0), -0.001))
 
 
 def camera(rng: Rng = None) -> Shape:
@@ -98,7 +92,7 @@ def camera(rng: Rng = None) -> Shape:
         outline = cad.rounded_rect(width - 2 * inset, depth - 2 * inset, 0.010 - inset)
         return cad.extrude(outline, height - 2 * inset, inset)
 
-    barrel = cad.union(facing(lens, reach, at, nose + 0.006), facing(lens - 0.003, reach, at, nose))
+    barrel = cad.union(cad.facing(lens, reach, at, nose + 0.006), cad.facing(lens - 0.003, reach, at, nose))
     grip = cad.rounded_box(
         (0.030, 0.026, 0.92 * height), 0.008, (0.017 - width / 2, front - 0.004), 0.02 * height
     )
@@ -107,10 +101,10 @@ def camera(rng: Rng = None) -> Shape:
     prism = cad.upright(hump, 0.68 * depth)
     inner = block(0.001) + prism.translate((0, 0, -0.001)).scale((1, 0.94, 1))
     # All of the dark body is one solid and the trim is a thin shell over it: nothing lies hidden inside.
-    dark = cad.union(inner, block(-0.001) ^ band, barrel, grip) - facing(lens - 0.007, 0.006, at, nose)
-    shell = block(0.0) + prism - inner - band - facing(lens, 1.0, at, -1.0) - grip
+    dark = cad.union(inner, block(-0.001) ^ band, barrel, grip) - cad.facing(lens - 0.007, 0.006, at, nose)
+    shell = block(0.0) + prism - inner - band - cad.facing(lens, 1.0, at, -1.0) - grip
     rings = [
-        facing(lens + 0.0012, 0.004, at, front - share * reach) - facing(lens - 0.001, 1.0, at, -0.5)
+        cad.facing(lens + 0.0012, 0.004, at, front - share * reach) - cad.facing(lens - 0.001, 1.0, at, -0.5)
         for share in (0.35, 0.62)
     ]
     knobs = [
@@ -118,21 +112,19 @@ def camera(rng: Rng = None) -> Shape:
         for radius, rise, share in ((0.010, 0.008, 0.40), (0.007, 0.006, -0.40))
     ]
     trim = shade(rng, (rgb.SILVER, rgb.STEEL, rgb.CHARCOAL, rgb.GOLD))
-    return made(
+    return assemble(
         name="camera",
         pieces=(
-            cad.piece(dark, shade(rng, (rgb.BLACK, *rgb.DARK, (0.42, 0.24, 0.15)), 0.02)),
-            cad.piece(cad.union(shell, *rings), trim),
-            cad.piece(facing(lens - 0.0075, 0.003, at, nose + 0.004), GLASS),
-            cad.piece(
-                cad.union(*knobs), rgb.RED if rng is None else shade(rng, (rgb.RED, rgb.BLACK, rgb.ORANGE))
-            ),
-            cad.piece(cad.box((0.020, 0.002, 0.010), (x, -0.34 * depth - 0.0005), height + 0.005), rgb.WHITE),
+            (dark, shade(rng, (rgb.BLACK, *rgb.DARK, (0.42, 0.24, 0.15)), 0.02)),
+            (cad.union(shell, *rings), trim),
+            (cad.facing(lens - 0.0075, 0.003, at, nose + 0.004), GLASS),
+            (cad.union(*knobs), rgb.RED if rng is None else shade(rng, (rgb.RED, rgb.BLACK, rgb.ORANGE))),
+            (cad.box((0.020, 0.002, 0.010), (x, -0.34 * depth - 0.0005), height + 0.005), rgb.WHITE),
         ),
         parts=(
             part.box((width, depth, height)),
             part.upright(hump, 0.68 * depth),
-            part.turned(part.disc([(lens, 0), (lens, reach)], 14), (90, 0, 0), (x, front, middle)),
+            part.rotate_part(part.disc([(lens, 0), (lens, reach)], 14), (90, 0, 0), (x, front, middle)),
             part.box((0.028, 0.022, 0.90 * height), (0.017 - width / 2, front - 0.005), 0.03 * height),
         ),
         mass=vary(rng, 0.55, 0.2),
@@ -173,11 +165,11 @@ def remote_control(rng: Rng = None) -> Shape:
         for sy in (-0.5, 0.5)
         for a, b, z in ((1, 0.95, 0.5 * height), (0.8, 1, 0.5 * height), (0.87, 0.94, height + 0.001))
     ]
-    return made(
+    return assemble(
         name="remote_control",
         pieces=(
-            cad.piece(body, shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.NAVY, rgb.STEEL))),
-            *[cad.piece(s, c) for s, c in tinted],
+            (body, shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.NAVY, rgb.STEEL))),
+            *[(s, c) for s, c in tinted],
         ),
         parts=(part.hull(footing + sides),),
         mass=vary(rng, 0.14, 0.2),

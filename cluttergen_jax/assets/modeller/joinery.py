@@ -12,13 +12,12 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, hex_rgb, made_by
-from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.modeller.draw import Rng, hex_colors, made_by
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 
-WOODS = tuple(hex_rgb(code) for code in ("c9a375", "b5814f", "8a5a3a", "dcc49c", "a4683f"))
-PAINTS = tuple(hex_rgb(code) for code in ("ece8df", "d7dde0", "5b6b78", "44584c", "b9694a"))
-METALS = tuple(hex_rgb(code) for code in ("33363b", "9ba1a6", "5a5d61"))
+WOODS = hex_colors("c9a375 b5814f 8a5a3a dcc49c a4683f")
+PAINTS = hex_colors("ece8df d7dde0 5b6b78 44584c b9694a")
+METALS = hex_colors("33363b 9ba1a6 5a5d61")
 DARK_STEEL = METALS[0]
 
 _STRIPS_PER_SIDE = 6
@@ -117,20 +116,18 @@ def round_leg(
     )
 
 
-def mirrored(x: float, y: float) -> list[tuple[float, float]]:
+def mirror_corners(x: float, y: float) -> list[tuple[float, float]]:
     """The four corners (+-x, +-y)."""
     return [(sx * x, sy * y) for sx in (-1, 1) for sy in (-1, 1)]
 
 
 def square_legs(
     x: float, y: float, side: float, height: float, color: cad.Rgb
-) -> tuple[tuple[Box, ...], tuple[Piece, ...]]:
+) -> tuple[tuple[Box, ...], tuple[cad.Painted, ...]]:
     """Four upright square legs centred on (+-x, +-y)."""
-    places = mirrored(x, y)
+    places = mirror_corners(x, y)
     solids = [cad.box((side, side, height), place) for place in places]
-    return tuple(slab((side, side, height), place, 0.0) for place in places), (
-        cad.piece(cad.union(*solids), color),
-    )
+    return tuple(slab((side, side, height), place, 0.0) for place in places), ((cad.union(*solids), color),)
 
 
 def planks(
@@ -142,7 +139,7 @@ def planks(
     low: float,
     high: float,
     color: cad.Rgb,
-) -> tuple[tuple[Box, ...], tuple[Piece, ...]]:
+) -> tuple[tuple[Box, ...], tuple[cad.Painted, ...]]:
     """Boards along x, side by side from `y` onwards with gaps, each a little lighter or darker.
 
     Args:
@@ -155,14 +152,21 @@ def planks(
         center = (0.0, y + depth / 2)
         size = (width, depth, high - low)
         boxes.append(slab(size, center, low))
-        pieces.append(cad.piece(board(size, center, low), darker(color, noise.uniform(0.93, 1.05))))
+        pieces.append((board(size, center, low), darker(color, noise.uniform(0.93, 1.05))))
         y += depth + gap
     return tuple(boxes), tuple(pieces)
 
 
 def table(
-    name: str, top: float, region: Rectangle, boxes: Sequence[Box], pieces: Sequence[Piece], label: str = ""
+    name: str,
+    top: float,
+    region: Rectangle,
+    boxes: Sequence[Box],
+    pieces: Sequence[cad.Painted],
+    label: str = "",
 ) -> SupportAsset:
     """Puts a table together; its provenance is the modeller, and its label the name's words if empty."""
     label = label or name.replace("_", " ")
-    return SupportAsset(name, label, tuple(boxes), top, region, made_by(name), tuple(pieces))
+    return SupportAsset(
+        name, label, tuple(boxes), top, region, made_by(name), tuple(cad.piece(*each) for each in pieces)
+    )

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import palette as rgb
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.crate import Crate
-from cluttergen_jax.assets.modeller.draw import Rng, made, shade, vary
-from cluttergen_jax.assets.modeller.vessel import Vessel
-from cluttergen_jax.assets.shape import Cavity, Piece, Shape
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, shade, vary
+from cluttergen_jax.assets.modeller.vessel import Crate, Vessel
+from cluttergen_jax.assets.shape import Cavity, Shape
 
 RAW_WOOD = (0.90, 0.76, 0.55)
 
@@ -32,8 +32,8 @@ def pencil_cup(rng: Rng = None) -> Shape:
     ]
     band = cad.revolve([(cup.outer_radius(z) + out, z) for z, out in levels])
     pieces = [
-        cad.piece(cup.solid(), shade(rng, (rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
-        cad.piece(band, rgb.WHITE),
+        (cup.solid(), shade(rng, (rgb.TEAL, *rgb.BRIGHT, rgb.CHARCOAL))),
+        (band, rgb.WHITE),
     ]
     parts = list(cup.parts(8))
     for angle, length, color in ((5.0, 0.165, rgb.YELLOW), (1.9, 0.150, rgb.RED)):
@@ -44,7 +44,7 @@ def pencil_cup(rng: Rng = None) -> Shape:
         )
         pieces += solids
         parts.append(core)
-    return made(
+    return assemble(
         name="pencil_cup",
         pieces=tuple(pieces),
         parts=tuple(parts),
@@ -57,15 +57,17 @@ def _around(angle: float, radius: float, z: float) -> np.ndarray:
     return np.array([radius * np.cos(angle), radius * np.sin(angle), z])
 
 
-def _pencil(start: np.ndarray, end: np.ndarray, length: float, color: cad.Rgb) -> tuple[list[Piece], Mesh]:
+def _pencil(
+    start: np.ndarray, end: np.ndarray, length: float, color: cad.Rgb
+) -> tuple[list[tuple[Manifold, cad.Rgb]], Mesh]:
     """A sharpened pencil of a given length from `start` towards `end`, and its part."""
     along = (end - start) / np.linalg.norm(end - start)
     stations = [start + along * s for s in (0.0, length - 0.022, length - 0.006, length)]
     outline = cad.ellipse(0.004, 0.004, 6)
     pieces = [
-        cad.piece(cad.sweep(stations[:2], outline), color),
-        cad.piece(cad.sweep(stations[1:3], outline, scales=[1.0, 0.35]), RAW_WOOD),
-        cad.piece(cad.sweep(stations[2:], outline, scales=[0.35, 0.1]), rgb.BLACK),
+        (cad.sweep(stations[:2], outline), color),
+        (cad.sweep(stations[1:3], outline, scales=[1.0, 0.35]), RAW_WOOD),
+        (cad.sweep(stations[2:], outline, scales=[0.35, 0.1]), rgb.BLACK),
     ]
     cells = part.sweep([stations[0], stations[1], stations[3]], outline, scales=[1.0, 1.0, 0.1])
     return pieces, part.hull(np.concatenate([cell.vertices for cell in cells]))
@@ -80,10 +82,8 @@ def pen_holder(rng: Rng = None) -> Shape:
     stripe = [cad.box((crate.width + 0.001, crate.depth + 0.001, 0.010), z=0.80 * crate.height)]
     stripe.append(stripe[0] - cad.box((crate.width - 0.001, crate.depth - 0.001, 1.0)))
     pieces = [
-        cad.piece(
-            crate.solid() + cad.box(*wall), shade(rng, (rgb.CHARCOAL, *rgb.DARK, *rgb.BRIGHT, rgb.WOOD))
-        ),
-        cad.piece(stripe[1], shade(rng, (rgb.GREY, rgb.WHITE, rgb.YELLOW))),
+        (crate.solid() + cad.box(*wall), shade(rng, (rgb.CHARCOAL, *rgb.DARK, *rgb.BRIGHT, rgb.WOOD))),
+        (stripe[1], shade(rng, (rgb.GREY, rgb.WHITE, rgb.YELLOW))),
     ]
     parts = [*crate.parts(), part.box(*wall)]
     top = crate.height + vary(rng, 0.048, 0.2)
@@ -97,9 +97,9 @@ def pen_holder(rng: Rng = None) -> Shape:
     outline = [*edge, (right - 0.001, top + 0.012), (right - 0.004, top + 0.012)]
     flat = {"depth": 0.026, "y": 0.5 * crate.depth - 0.020}
     ruler = cad.hull(part.upright(outline, **flat).vertices)
-    return made(
+    return assemble(
         name="pen_holder",
-        pieces=(*pieces, cad.piece(ruler - cad.box(*wall), rgb.YELLOW)),
+        pieces=(*pieces, (ruler - cad.box(*wall), rgb.YELLOW)),
         parts=(*parts, part.upright(outline, **flat)),
         cavity=Cavity(
             cad.to_mesh(cad.hull(crate.cavity().solid.vertices) - cad.box(*wall)),
@@ -109,14 +109,12 @@ def pen_holder(rng: Rng = None) -> Shape:
     )
 
 
-def _pen(start: np.ndarray, end: np.ndarray, color: cad.Rgb) -> tuple[list[Piece], Mesh]:
+def _pen(start: np.ndarray, end: np.ndarray, color: cad.Rgb) -> tuple[list[tuple[Manifold, cad.Rgb]], Mesh]:
     """A pen with its cap up, and its part."""
     neck = start + 0.62 * (end - start)
     outline = cad.ellipse(0.0042, 0.0042, 12)
     barrel, cap = cad.sweep(np.stack([start, neck]), 0.9 * outline), cad.sweep(np.stack([neck, end]), outline)
-    return [cad.piece(barrel, rgb.WHITE), cad.piece(cap, color)], part.sweep(np.stack([start, end]), 0.0042)[
-        0
-    ]
+    return [(barrel, rgb.WHITE), (cap, color)], part.sweep(np.stack([start, end]), 0.0042)[0]
 
 
 def letter_tray(rng: Rng = None) -> Shape:
@@ -142,12 +140,12 @@ def letter_tray(rng: Rng = None) -> Shape:
     )
     floor = step + wall
     inside = cad.box((inner, depth - 2 * wall, height - floor), z=floor) - cad.box(*papers[1])
-    return made(
+    return assemble(
         name="letter_tray",
         pieces=(
-            cad.piece(frame, shade(rng, (rgb.WOOD, *rgb.DARK, rgb.DARK_WOOD, rgb.TEAL))),
-            cad.piece(cad.box(*papers[0]), rgb.WHITE),
-            cad.piece(cad.box(*papers[1]), shade(rng, (rgb.PAPER, rgb.WHITE), 0.02)),
+            (frame, shade(rng, (rgb.WOOD, *rgb.DARK, rgb.DARK_WOOD, rgb.TEAL))),
+            (cad.box(*papers[0]), rgb.WHITE),
+            (cad.box(*papers[1]), shade(rng, (rgb.PAPER, rgb.WHITE), 0.02)),
         ),
         parts=(
             *[part.hull(panel) for panel in panels],

@@ -126,7 +126,7 @@ def sweep(
     return tuple(hull(np.concatenate([rings[k], rings[k + 1]])) for k in range(len(rings) - 1))
 
 
-def thinned(path: np.ndarray, num_cells: int, bulge: float = 0.0) -> np.ndarray:
+def thin_path(path: np.ndarray, num_cells: int, bulge: float = 0.0) -> np.ndarray:
     """`num_cells + 1` stations picked evenly by length from a fine path, ends included.
 
     `bulge` moves the stations between the ends away from the ends' middle by this share, because a polygon
@@ -167,9 +167,9 @@ def corners_of(solid: Manifold) -> Mesh:
     return hull(to_mesh(solid).vertices)
 
 
-def turned(part: Mesh, degrees: Sequence[float], shift: Sequence[float] = (0, 0, 0)) -> Mesh:
+def rotate_part(part: Mesh, degrees: Sequence[float], shift: Sequence[float] = (0, 0, 0)) -> Mesh:
     """A part turned about x, then y, then z (as `Manifold.rotate` does), then moved by `shift`."""
-    return part.transformed(Rotation.from_euler("xyz", degrees, degrees=True).as_matrix(), np.asarray(shift))
+    return part.transform(Rotation.from_euler("xyz", degrees, degrees=True).as_matrix(), np.asarray(shift))
 
 
 def _ring(radius: float, z: float, num: int, phase: float) -> np.ndarray:

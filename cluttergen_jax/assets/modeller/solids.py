@@ -40,8 +40,12 @@ def to_mesh(solid: Manifold) -> Mesh:
     return Mesh(np.array(mesh.vert_properties)[:, :3].copy(), np.array(mesh.tri_verts))
 
 
+Painted = tuple[Manifold, Rgb] | tuple[Manifold, Rgb, float]
+"""A solid in one colour, sRGB in [0, 1], and perhaps its alpha."""
+
+
 def piece(solid: Manifold, color: Rgb, alpha: float = 1.0) -> Piece:
-    """A solid's surface in one colour, sRGB in [0, 1]."""
+    """The surface of a solid in one colour."""
     return Piece(to_mesh(solid), (*color, alpha))
 
 
@@ -94,22 +98,6 @@ def ellipse(rx: float, ry: float, num: int = SEGMENTS) -> np.ndarray:
     return np.stack([rx * np.cos(angles), ry * np.sin(angles)], -1)
 
 
-def on_front(polygon: Points2, y: float, thickness: float = 0.0006) -> Manifold:
-    """A flat decal on the face that looks towards -y: the polygon's (x, y) become (x, z).
-
-    Args:
-      y: where the face lies. Half of the thickness stands proud of it.
-    """
-    return (
-        Manifold.extrude(_section(polygon), thickness).rotate((90, 0, 0)).translate((0, y + thickness / 2, 0))
-    )
-
-
-def from_side(outline: Points2, width: float) -> Manifold:
-    """A body of `width` along y, centred on y = 0, whose outline seen from the side is (x, z) points."""
-    return Manifold.extrude(_section(outline), width).rotate((90, 0, 0)).translate((0, width / 2, 0))
-
-
 def cylinder(
     radius: float,
     height: float,
@@ -121,6 +109,14 @@ def cylinder(
     """A cylinder, or a frustum if `top` gives another radius for its upper end, standing on height `z`."""
     upper = radius if top is None else top
     return Manifold.cylinder(height, radius, upper, segments).translate((center[0], center[1], z))
+
+
+def facing(
+    radius: float, depth: float, center: Sequence[float] = (0, 0), front: float | None = None
+) -> Manifold:
+    """A disc that faces the front (-y): its centre at (x, z), its face at y = `front`, or -depth / 2."""
+    back = depth / 2 if front is None else front + depth
+    return cylinder(radius, depth).rotate((90, 0, 0)).translate((center[0], back, center[1]))
 
 
 def sweep(

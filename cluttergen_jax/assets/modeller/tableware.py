@@ -8,14 +8,12 @@ from manifold3d import Manifold
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, choose, hex_rgb, made, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_colors, hex_rgb, shade, vary
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Cavity, Shape
 
-PLATE_GLAZES = tuple(
-    hex_rgb(code) for code in ("4f86a6", "c9713f", "6f8f5a", "a43f4f", "e3ded2", "2f3e55", "d8b64c")
-)
-PORCELAIN = tuple(hex_rgb(code) for code in ("f1eee6", "e6ecef", "f3e6d6", "dfe7dc"))
+PLATE_GLAZES = hex_colors("4f86a6 c9713f 6f8f5a a43f4f e3ded2 2f3e55 d8b64c")
+PORCELAIN = hex_colors("f1eee6 e6ecef f3e6d6 dfe7dc")
 
 
 def bowl(rng: Rng = None) -> Shape:
@@ -30,10 +28,10 @@ def bowl(rng: Rng = None) -> Shape:
     floor = inner[0][1] - 0.003
     body = Vessel([(foot, 0.0), (foot, 0.004), *outer], [(inner[0][0] - 0.006, floor), *inner])
     outside, lining = body.layers(0.0012)
-    return made(
+    return assemble(
         name="bowl",
         label="cereal bowl",
-        pieces=(cad.piece(outside, shade(rng, PLATE_GLAZES)), cad.piece(lining, (0.96, 0.94, 0.90))),
+        pieces=((outside, shade(rng, PLATE_GLAZES)), (lining, (0.96, 0.94, 0.90))),
         parts=body.parts(8, cuts=(floor + 0.33 * (height - floor),)),
         cavity=body.cavity(),
         mass=vary(rng, 0.38, 0.15),
@@ -52,11 +50,11 @@ def dinner_plate(rng: Rng = None) -> Shape:
     band = cad.revolve(
         [(near, low - 0.0010), (far, high - 0.0010), (far, high + 0.0003), (near, low + 0.0003)]
     )
-    return made(
+    return assemble(
         name="dinner_plate",
         pieces=(
-            cad.piece(body.solid() - band, shade(rng, PORCELAIN, 0.02)),
-            cad.piece(band, shade(rng, PLATE_GLAZES)),
+            (body.solid() - band, shade(rng, PORCELAIN, 0.02)),
+            (band, shade(rng, PLATE_GLAZES)),
         ),
         parts=body.parts(10),
         cavity=body.cavity(),
@@ -64,10 +62,8 @@ def dinner_plate(rng: Rng = None) -> Shape:
     )
 
 
-MUG_GLAZES = tuple(
-    hex_rgb(code) for code in ("2f6f9f", "b8452f", "3f7f5f", "e0a63a", "7a4b8c", "37424e", "d9d3c7")
-)
-GLASS = tuple(hex_rgb(code) for code in ("a9d3e6", "b9dfd0", "c9c4e4", "d7e0e4"))
+MUG_GLAZES = hex_colors("2f6f9f b8452f 3f7f5f e0a63a 7a4b8c 37424e d9d3c7")
+GLASS = hex_colors("a9d3e6 b9dfd0 c9c4e4 d7e0e4")
 
 
 def mug(rng: Rng = None) -> Shape:
@@ -82,13 +78,13 @@ def mug(rng: Rng = None) -> Shape:
     section = cad.ellipse(vary(rng, 0.0068), vary(rng, 0.0038), 20)
     outside, lining = body.layers(0.0012)
     outside = cad.union(outside, cad.sweep(path, section) - body.inside() - lining)
-    return made(
+    return assemble(
         name="mug",
         label="coffee mug",
-        pieces=(cad.piece(outside, shade(rng, MUG_GLAZES)), cad.piece(lining, (0.95, 0.93, 0.89))),
+        pieces=((outside, shade(rng, MUG_GLAZES)), (lining, (0.95, 0.93, 0.89))),
         parts=(
             *body.parts(8),
-            *part.sweep(part.thinned(path, 4, 0.04), section[[1, 4, 6, 9, 11, 14, 16, 19]] * 1.04),
+            *part.sweep(part.thin_path(path, 4, 0.04), section[[1, 4, 6, 9, 11, 14, 16, 19]] * 1.04),
         ),
         cavity=body.cavity(),
         mass=vary(rng, 0.33, 0.1),
@@ -119,9 +115,9 @@ def water_glass(rng: Rng = None) -> Shape:
     at_base = foot + (radius - foot) * base / height
     inner = [(at_base - wall - 0.002, base), (at_base - wall, base + 0.003), (radius - wall + 0.0004, height)]
     body = Vessel(outer, inner)
-    return made(
+    return assemble(
         name="water_glass",
-        pieces=(cad.piece(body.solid(), shade(rng, GLASS), 0.5),),
+        pieces=((body.solid(), shade(rng, GLASS), 0.5),),
         parts=body.parts(8),
         cavity=body.cavity(),
         mass=vary(rng, 0.25, 0.15),
@@ -141,9 +137,9 @@ def wine_glass(rng: Rng = None) -> Shape:
     body = Vessel([(0.35 * belly, base), *outside], [(0.3 * belly, base + 0.0035), *inside])
     profile = [(0.0, 0.0), *lower, *body.outer, *reversed(body.inner), (0.0, body.floor)]
     cavity = cad.revolve([(0.0, body.floor), *body.inner, (0.0, rim)])
-    return made(
+    return assemble(
         name="wine_glass",
-        pieces=(cad.piece(cad.revolve(profile), shade(rng, GLASS), 0.5),),
+        pieces=((cad.revolve(profile), shade(rng, GLASS), 0.5),),
         parts=(
             part.disc([(foot, 0.0), (foot, 0.0022), (0.25 * foot, 0.0060)], 8, is_standing=True),
             part.disc([(1.1 * radius, 0.004), (1.1 * radius, base + 0.001)], 6),
@@ -154,8 +150,8 @@ def wine_glass(rng: Rng = None) -> Shape:
     )
 
 
-TEAPOT_GLAZES = tuple(hex_rgb(code) for code in ("e8e2d4", "b3262e", "2f6f8f", "d9822b", "3f6f4f", "7a5a8c"))
-TRIMS = tuple(hex_rgb(code) for code in ("2f5f9f", "8a5a2b", "25282c"))
+TEAPOT_GLAZES = hex_colors("e8e2d4 b3262e 2f6f8f d9822b 3f6f4f 7a5a8c")
+TRIMS = hex_colors("2f5f9f 8a5a2b 25282c")
 
 
 def teapot(rng: Rng = None) -> Shape:
@@ -179,20 +175,20 @@ def teapot(rng: Rng = None) -> Shape:
     bore = cad.tube(spout[-4:] + np.array([0.0004, 0, 0.0008]), 0.0042)
     vessel = cad.difference(cad.union(body, cad.tube(spout, 0.0115, scales=sizes), cad.sweep(arm, bar)), bore)
     trim = shade(rng, TRIMS, 0.03)
-    cells = part.thinned(spout, 2)
-    return made(
+    cells = part.thin_path(spout, 2)
+    return assemble(
         name="teapot",
         pieces=(
-            cad.piece(vessel, shade(rng, TEAPOT_GLAZES, 0.04)),
-            cad.piece(_lid(neck, height), trim),
-            cad.piece(cad.difference(_band(body, height), vessel), trim),
+            (vessel, shade(rng, TEAPOT_GLAZES, 0.04)),
+            (_lid(neck, height), trim),
+            (cad.difference(_band(body, height), vessel), trim),
         ),
         parts=(
             *_belly([(base, 0.0), *belly[1:]]),
             part.disc([(neck + 0.003, height - 0.001), (0.6 * neck, height + 0.010)], 10),
             part.disc([(0.008, height + 0.008), (0.012, height + 0.022), (0.006, height + 0.032)], 8),
             *part.sweep(cells, 0.0115, scales=np.interp(cells[:, 2], spout[:, 2], sizes)),
-            *part.sweep(part.thinned(arm, 4, 0.03), bar[::2]),
+            *part.sweep(part.thin_path(arm, 4, 0.03), bar[::2]),
         ),
         mass=vary(rng, 0.85, 0.15),
     )
@@ -220,7 +216,7 @@ def _band(body: Manifold, height: float) -> Manifold:
     return cad.difference(grown.trim_by_plane((0, 0, -1), -0.66 * height), body)
 
 
-MILL_WOODS = tuple(hex_rgb(code) for code in ("8a4b25", "b9793f", "3b2417", "c8322b", "26282c", "ddb57a"))
+MILL_WOODS = hex_colors("8a4b25 b9793f 3b2417 c8322b 26282c ddb57a")
 
 
 def pepper_mill(rng: Rng = None) -> Shape:
@@ -239,14 +235,12 @@ def pepper_mill(rng: Rng = None) -> Shape:
     ring = [(0.70 * chest, neck), (0.76 * chest, neck), (0.76 * chest, crown), (0.70 * chest, crown)]
     low, high = (waist, 0.27 * height), (waist, 0.34 * height)
     steel = hex_rgb("c9ccd0")
-    return made(
+    return assemble(
         name="pepper_mill",
         pieces=(
-            cad.piece(
-                cad.revolve([*body, *cad.smooth_path(ball, 20), (0.0, head)]), shade(rng, MILL_WOODS, 0.04)
-            ),
-            cad.piece(cad.revolve(ring), steel),
-            cad.piece(cad.revolve([(0.0, head), *cad.smooth_path(knob, 14), (0.0, height)]), steel),
+            (cad.revolve([*body, *cad.smooth_path(ball, 20), (0.0, head)]), shade(rng, MILL_WOODS, 0.04)),
+            (cad.revolve(ring), steel),
+            (cad.revolve([(0.0, head), *cad.smooth_path(knob, 14), (0.0, height)]), steel),
         ),
         parts=(
             part.disc([(radius, 0.0), (radius, 0.055 * height), (waist, 0.28 * height)], 8, is_standing=True),

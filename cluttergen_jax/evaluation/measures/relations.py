@@ -23,9 +23,9 @@ import mujoco
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.hollow import find_hollow
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.quality.hollow import find_hollow
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.evaluation.measures.contacts import Contacts, contacts_of
 from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
@@ -190,9 +190,9 @@ class Hollow:
 def vessel_of(asset: ObjectAsset) -> Hollow | None:
     """An object's hollow, or None if it has none.
 
-    By the importer's rule (`assets.hollow`): as deep as 15 mm and a fifth of its width, and open to a ball of
-    10 mm. A plate is no vessel.
+    By the importer's rule (`assets.quality.hollow`): as deep as 15 mm and a fifth of its width, and open to
+    a ball of 10 mm. A plate is no vessel.
     """
-    mesh = joined([part.hull() for part in asset.parts])
+    mesh = join_meshes([part.hull() for part in asset.parts])
     hollow = find_hollow(Solid(mesh, True, mesh))
     return None if hollow is None else Hollow(hollow.points, hollow.pitch)

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from cluttergen_jax.assets.scene_cloud import ply_of, scene_points
+from cluttergen_jax.assets.cloud import ply_of, scene_points
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.sources import BankSource, FileSource, open_source

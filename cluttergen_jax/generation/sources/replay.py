@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.rectangle_text import recorded_rectangle
+from cluttergen_jax.assets.support import recorded_rectangle
 from cluttergen_jax.config import HAND, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.rectangle_text import recorded_rectangle
-from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
 from cluttergen_jax.config import Method
 from cluttergen_jax.errors import BankError, ClutterGenError, PoolError
 from cluttergen_jax.generation import make_sampler

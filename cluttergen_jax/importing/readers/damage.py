@@ -1,4 +1,4 @@
-"""Damaged mesh files, told in words: cut short, announcing more than they hold, or naming what they lack."""
+"""Damaged mesh files: cut short, announcing more than they hold, or naming what they lack."""
 
 from __future__ import annotations
 
@@ -10,16 +10,112 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+import numpy as np
+
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.stand_ins import refuse_stand_in
-from cluttergen_jax.importing.readers.stl import announced, is_text_stl, num_triangles
+from cluttergen_jax.importing.readers.gltf_file import DTYPES, WIDTHS, Json
+from cluttergen_jax.importing.readers.xml_tree import parse_numbers
+
+_HEAD = 84
+_RECORD = np.dtype([("normal", "<3f4"), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_UNKNOWN = (0, 2**31 - 1, 2**32 - 1)
+"""Counts that stand for none."""
+
+
+def is_text_stl(data: bytes, size: int) -> bool:
+    """Whether a file of `size` bytes is of text, by its length and its first thousand bytes or more.
+
+    The free head of a binary file may begin with the first word of text files.
+    """
+    if size < _HEAD or size == _HEAD + _RECORD.itemsize * announced_count(data):
+        return size < _HEAD
+    head = data[:1084]
+    return b"facet" in head.lower() and b"\0" not in head
+
+
+def announced_count(data: bytes) -> int:
+    """The count that a binary file begins with."""
+    return int.from_bytes(data[80:84], "little")
+
+
+def num_triangles(data: bytes, count: int) -> int | None:
+    """How many triangles there are after the head of a binary file; None if some have been cut off.
+
+    All that fit, where the count stands for none, or where they close the surface and those of the count do
+    not; else the first `count`.
+
+    Args:
+      data: the whole file; count: what it announces.
+    """
+    held = (len(data) - _HEAD) // _RECORD.itemsize
+    if count == held:
+        return held
+    is_whole = (len(data) - _HEAD) % _RECORD.itemsize == 0
+    if count in _UNKNOWN:
+        return held or None
+    if count > held:
+        return held if is_whole and _is_closed_surface(data, held) else None
+    return held if _is_closed_surface(data, held) and not _is_closed_surface(data, count) else count
+
+
+def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
+    """A binary file with a true count and nothing after its triangles, and what was wrong with it."""
+    count = announced_count(data)
+    number = None if is_text_stl(data, len(data)) or len(data) < _HEAD else num_triangles(data, count)
+    if number is None:
+        return data, ()
+    end, notes = _HEAD + _RECORD.itemsize * number, []
+    if count != number:
+        notes.append(f"its head announces {count:,} triangles: the {number:,} that it holds are taken")
+    if rest := len(data) - end:
+        notes.append(f"{rest:,} bytes after its last triangle are left out")
+    return (data[:80] + number.to_bytes(4, "little") + data[_HEAD:end], tuple(notes)) if notes else (data, ())
+
+
+def _is_closed_surface(data: bytes, number: int) -> bool:
+    """Whether the first `number` triangles pass each edge as often in one direction as in the other."""
+    corners = np.frombuffer(data, _RECORD, number, _HEAD)["corners"].reshape(-1, 3)
+    if not number or not np.isfinite(corners).all():
+        return False
+    _, named = np.unique(corners + np.float32(0), axis=0, return_inverse=True)
+    faces = named.reshape(-1, 3).astype(np.int64)
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    size = int(faces.max()) + 1
+    _, edge = np.unique(np.minimum(start, end) * size + np.maximum(start, end), return_inverse=True)
+    return not np.bincount(edge.reshape(-1), np.sign(end - start)).any()
+
+
+_POINTER = b"version https://git-lfs.github.com/spec/"
+_PAGES = (b"<!doctype html", b"<html")
+
+
+def stand_in(path: Path) -> tuple[str, str] | None:
+    """What lies in place of a file, and what to do about it; None if it is the file, or cannot be opened."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(512).removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    except OSError:
+        return None
+    if head.startswith(_POINTER):
+        return "a pointer of Git LFS in place of the file", "`git lfs pull` in the repository that it is from"
+    if head.startswith(_PAGES):
+        return (
+            "a page of HTML in place of the file",
+            "fetching it again; a browser shows what the page says",
+        )
+    return None
+
+
+def refuse_stand_in(path: Path) -> None:
+    """Raises AssetError if something lies in place of the file."""
+    if found := stand_in(path):
+        raise AssetError(f"{path} is {found[0]}", hint=found[1])
+
 
 _AGAIN = "fetching or exporting the file again"
 # OBJ counts from one (or backwards from -1); a zero would be taken for the last vertex.
 _OBJ_ZERO = re.compile(rb"^[ \t]*f[^\n]*[ \t][+-]?0+(?=[/\s]|$)", re.MULTILINE)
 _PLY_COUNT = re.compile(rb"^element\s+\S+\s+(\d+)", re.MULTILINE)
-_COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
-_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _MOST_ZEROS = 16_000_000
 """Elements of an accessor without data of its own, which stands for zeros or for what is compressed."""
 
@@ -36,10 +132,19 @@ def check_whole(path: Path) -> None:
     if path.stat().st_size == 0:
         raise AssetError(f"{path} is empty", "a mesh file with triangles", _AGAIN)
     refuse_stand_in(path)
-    _check_sizes(path)
-    check = {".stl": _check_stl, ".ply": _check_ply, ".obj": _check_obj}.get(path.suffix.lower())
-    if check is not None:
-        check(path, path.read_bytes())
+    checks = {
+        ".glb": _check_glb,
+        ".gltf": _check_gltf,
+        ".stl": _check_stl,
+        ".ply": _check_ply,
+        ".obj": _check_obj,
+    }
+    if (check := checks.get(path.suffix.lower())) is None:
+        return
+    try:
+        check(path)
+    except (TypeError, LookupError, AttributeError, ValueError, struct.error, RecursionError) as error:
+        raise AssetError(f"{path} cannot be read as a mesh: its header is damaged ({error!r})") from error
 
 
 def unreadable(path: Path, error: Exception) -> AssetError:
@@ -53,26 +158,8 @@ def unreadable(path: Path, error: Exception) -> AssetError:
     return AssetError(f"{path} cannot be read as a mesh: {reason}", "a whole file", _AGAIN)
 
 
-def _check_stl(path: Path, data: bytes) -> None:
-    """Of text; the length of binary files is checked with their sizes."""
-    if b"\0" not in data[:512] and data.count(b"endfacet") < data.count(b"facet normal"):
-        raise AssetError(f"{path} is cut short: its last triangle has no end", hint=_AGAIN)
-
-
-def _check_ply(path: Path, data: bytes) -> None:
-    head, found, body = data.partition(b"end_header")
-    if not found or b"format ascii" not in head:
-        return
-    promised = sum(int(count) for count in _PLY_COUNT.findall(head))
-    held = sum(bool(line.strip()) for line in body.splitlines())
-    if held < promised:
-        raise AssetError(
-            f"{path} is cut short: its head promises {promised:,} vertices and faces, it has {held:,}",
-            hint=_AGAIN,
-        )
-
-
-def _check_obj(path: Path, data: bytes) -> None:
+def _check_obj(path: Path) -> None:
+    data = path.read_bytes()
     if found := _OBJ_ZERO.search(data):
         line = data.count(b"\n", 0, found.start()) + 1
         raise AssetError(
@@ -99,29 +186,7 @@ def _obj_fault(path: Path) -> str:
 
 
 def _is_finite(word: str) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
-
-
-def _check_sizes(path: Path) -> None:
-    """Looks at the counts in a file's header, before anything is made of that size."""
-    check = {".glb": _check_glb, ".gltf": _check_gltf, ".stl": _check_stl_size, ".ply": _check_ply_size}
-    if (look := check.get(path.suffix.lower())) is None:
-        return
-    try:
-        look(path)
-    except (
-        TypeError,
-        KeyError,
-        AttributeError,
-        ValueError,
-        IndexError,
-        struct.error,
-        RecursionError,
-    ) as error:
-        raise AssetError(f"{path} cannot be read as a mesh: its header is damaged ({error!r})") from error
+    return all(map(math.isfinite, parse_numbers(word) or [math.nan]))
 
 
 def _too_short(path: Path, what: str, needed: int, held: int) -> AssetError:
@@ -151,11 +216,11 @@ def _check_gltf(path: Path) -> None:
     _check_document(path, json.loads(path.read_bytes()), 0)
 
 
-def _check_document(path: Path, document: dict[str, Any], binary: int) -> None:
+def _check_document(path: Path, document: Json, binary: int) -> None:
     """Every accessor lies in its view, every view in its buffer, and every buffer in what is there."""
     buffers = []
     for index, buffer in enumerate(document.get("buffers", [])):
-        needed, held = _count(buffer["byteLength"]), _held(path, buffer.get("uri"), binary)
+        needed, held = _count(buffer["byteLength"]), _buffer_size(path, buffer.get("uri"), binary)
         if needed > held and not buffer.get("extensions"):
             raise _too_short(path, f"buffer {index}", needed, held)
         buffers.append(needed)
@@ -168,7 +233,7 @@ def _check_document(path: Path, document: dict[str, Any], binary: int) -> None:
         _check_accessor(path, f"accessor {index}", accessor, views)
 
 
-def _check_accessor(path: Path, name: str, accessor: dict[str, Any], views: list[dict[str, Any]]) -> None:
+def _check_accessor(path: Path, name: str, accessor: Json, views: list[Json]) -> None:
     count = _count(accessor["count"])
     if sparse := accessor.get("sparse"):
         # Each of its elements takes at least a byte, of indices as of values.
@@ -180,7 +245,7 @@ def _check_accessor(path: Path, name: str, accessor: dict[str, Any], views: list
             raise AssetError(f"{path}: {name} of {count:,} elements", f"up to {_MOST_ZEROS:,} without data")
         return
     view = views[accessor["bufferView"]]
-    element = _COMPONENT_BYTES[accessor["componentType"]] * _COMPONENTS[accessor["type"]]
+    element = np.dtype(DTYPES[accessor["componentType"]]).itemsize * WIDTHS[accessor["type"]]
     stride = _count(view.get("byteStride", 0)) or element
     needed = _count(accessor.get("byteOffset", 0)) + (stride * (count - 1) + element if count else 0)
     if needed > view["byteLength"]:
@@ -193,7 +258,7 @@ def _count(value: Any) -> int:
     return value
 
 
-def _held(path: Path, uri: str | None, binary: int) -> int:
+def _buffer_size(path: Path, uri: str | None, binary: int) -> int:
     """Bytes behind a buffer: the file's own chunk, those in the text itself, or those of another file."""
     if uri is None:
         return binary
@@ -205,18 +270,20 @@ def _held(path: Path, uri: str | None, binary: int) -> int:
     raise AssetError(f"{path} names buffer {uri!r}, which is not there", hint="restoring the file")
 
 
-def _check_stl_size(path: Path) -> None:
+def _check_stl(path: Path) -> None:
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(1084)
-    if len(head) < 84 or is_text_stl(head, size):
-        return
-    count = announced(head)
-    if size != 84 + 50 * count and num_triangles(path.read_bytes(), count) is None:
-        raise _too_short(path, f"a binary STL file of {count:,} triangles", 84 + 50 * count, size)
+    if len(head) >= 84 and not is_text_stl(head, size):
+        count = announced_count(head)
+        if size != 84 + 50 * count and num_triangles(path.read_bytes(), count) is None:
+            raise _too_short(path, f"a binary STL file of {count:,} triangles", 84 + 50 * count, size)
+    data = path.read_bytes()
+    if b"\0" not in head[:512] and data.count(b"endfacet") < data.count(b"facet normal"):
+        raise AssetError(f"{path} is cut short: its last triangle has no end", hint=_AGAIN)
 
 
-def _check_ply_size(path: Path) -> None:
+def _check_ply(path: Path) -> None:
     """A row takes at least the bytes of its properties, or in text a digit and a space for each."""
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -235,3 +302,11 @@ def _check_ply_size(path: Path) -> None:
             needed += count * (2 if is_text else _PLY_BYTES.get(words[2 if words[1] == "list" else 1], 4))
     if needed > size - len(text):
         raise _too_short(path, "what its header announces", needed, size - len(text))
+    head, _, body = path.read_bytes().partition(b"end_header")
+    promised = sum(int(number) for number in _PLY_COUNT.findall(head))
+    held = sum(bool(line.strip()) for line in body.splitlines()) if b"format ascii" in head else promised
+    if held < promised:
+        raise AssetError(
+            f"{path} is cut short: its head promises {promised:,} vertices and faces, it has {held:,}",
+            hint=_AGAIN,
+        )

@@ -1,10 +1,11 @@
-"""glTF as it lies on disk: a JSON document and buffers of bytes, in one file (GLB) or in several."""
+"""glTF as it lies on disk: JSON, buffers of bytes, in one file (GLB) or several, and its extensions."""
 
 from __future__ import annotations
 
 import base64
 import json
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_to_bytes
@@ -12,11 +13,13 @@ from urllib.parse import unquote_to_bytes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.places import find_named
 
-Document = dict[str, Any]
-"""glTF's own JSON: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html"""
+Json = dict[str, Any]
+"""An object of glTF's own JSON, such as the document: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html"""
+DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
-def read_document(path: Path) -> Document:
+def read_document(path: Path) -> Json:
     """The JSON of a glTF file; empty if it is none."""
     data = path.read_bytes()
     if data[:4] == b"glTF" and len(data) >= 20:
@@ -39,7 +42,7 @@ class Buffers:
       path: the file.
     """
 
-    def __init__(self, path: Path, document: Document) -> None:
+    def __init__(self, path: Path, document: Json) -> None:
         self.path, self._document = path, document
         self._read: dict[int, bytes] = {}
 
@@ -83,7 +86,7 @@ def _binary_chunk(path: Path) -> bytes:
     return data[28 + length :][: struct.unpack("<I4s", head)[0]] if len(head) == 8 else b""
 
 
-def glb(document: Document, binary: bytes) -> bytes:
+def glb(document: Json, binary: bytes) -> bytes:
     """A GLB file of a document whose only buffer is `binary`."""
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
@@ -92,3 +95,74 @@ def glb(document: Document, binary: bytes) -> bytes:
         struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
     )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+DRACO = "KHR_draco_mesh_compression"
+INSTANCING = "EXT_mesh_gpu_instancing"
+_MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+_UNDERSTOOD = (DRACO, INSTANCING, "KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp")
+# They say how a surface looks, or nothing about it: the shape is the same without them.
+_OF_LOOKS = (
+    *("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "EXT_lights_"),
+    *("KHR_xmp", "KHR_animation_pointer"),
+)
+_DRAWN_ALIKE = ("KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness")
+_NO_SURFACE = (0, 1, 2, 3)
+"""Modes of primitives that are points and lines."""
+
+
+def check_understood(path: Path, document: Json) -> None:
+    """Refuses a file whose shape cannot be read without an extension that is not understood.
+
+    Raises:
+      AssetError: it names the extension, and what undoes it.
+    """
+    wanted = [name for name in _names(document, "extensionsRequired") if not _is_followed(name)]
+    wanted += [name for name in _MESHOPT if name not in wanted and _is_all_that_there_is(name, document)]
+    if wanted:
+        undo = (
+            f"gltf-transform copy {path.name} plain.glb" if wanted[0] in _MESHOPT else "exporting without it"
+        )
+        raise AssetError(
+            f"{path} needs the glTF extension {', '.join(wanted)}, which is not read",
+            ", ".join(_UNDERSTOOD),
+            undo,
+        )
+
+
+def extension_notes(document: Json) -> Iterator[str]:
+    """What is not followed, or was decided, of extensions and of surfaces that are no triangles."""
+    required, used = _names(document, "extensionsRequired"), _names(document, "extensionsUsed")
+    for name in required:
+        if name not in (*_UNDERSTOOD, *_DRAWN_ALIKE):
+            yield f"its glTF extension {name} is not followed: its colours may differ"
+    if others := [name for name in used if not _is_followed(name) and name not in (*required, *_MESHOPT)]:
+        yield f"of glTF, {', '.join(others)} is not followed"
+    modes = [each.get("mode", 4) for mesh in document.get("meshes", []) for each in mesh["primitives"]]
+    if num_left_out := sum(mode in _NO_SURFACE for mode in modes):
+        yield f"{num_left_out} of its {len(modes)} surfaces are points or lines and are left out"
+    nodes = document.get("nodes", [])
+    if any("skin" in node for node in nodes):
+        yield "its skin is drawn as the joints stand in the file"
+    if any(any(each.get("weights") or ()) for each in (*nodes, *document.get("meshes", []))):
+        yield "its morph targets are drawn with the weights that the file gives"
+
+
+def _names(document: Json, key: str) -> list[str]:
+    names = document.get(key)
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+
+def _is_followed(name: str) -> bool:
+    return name in _UNDERSTOOD or name.startswith(_OF_LOOKS)
+
+
+def _is_all_that_there_is(name: str, document: Json) -> bool:
+    """Whether a view's bytes are there in the extension's form alone: its buffer stands for no bytes."""
+    buffers = document.get("buffers", [])
+    views = [view for view in document.get("bufferViews", []) if name in view.get("extensions", {})]
+    return any(
+        "uri" not in buffers[view["buffer"]]
+        and (view["buffer"] > 0 or name in buffers[0].get("extensions", {}))
+        for view in views
+    )

@@ -8,17 +8,92 @@ from __future__ import annotations
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.gltf_arrays import Arrays
-from cluttergen_jax.importing.readers.gltf_extensions import DRACO, INSTANCING, check_understood
-from cluttergen_jax.importing.readers.gltf_file import Buffers, Document, glb, read_document
+from cluttergen_jax.importing.readers.gltf_file import (
+    DRACO,
+    DTYPES,
+    INSTANCING,
+    WIDTHS,
+    Buffers,
+    Json,
+    check_understood,
+    glb,
+    read_document,
+)
 
-Node = dict[str, Any]
+
+class Arrays:
+    """Accessors of a glTF file as arrays.
+
+    Args:
+      document: the file's JSON. buffers: its bytes.
+    """
+
+    def __init__(self, document: Json, buffers: Buffers) -> None:
+        self._document, self._buffers = document, buffers
+
+    def accessor(self, index: int, raw: np.ndarray | None = None) -> np.ndarray:
+        """[N, width]: an accessor's elements; floats in [-1, 1] where its integers are normalised.
+
+        Args:
+          raw: its elements, where they come from elsewhere.
+        """
+        accessor = self._document["accessors"][index]
+        array = self._dense(accessor) if raw is None else raw
+        array = self._with_sparse(array, accessor["sparse"]) if "sparse" in accessor else array
+        if accessor.get("normalized") and array.dtype.kind in "iu":
+            return np.maximum(array / np.iinfo(np.dtype(DTYPES[accessor["componentType"]])).max, -1.0)
+        return array
+
+    def primitive(self, primitive: Json) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+        """The attributes of a primitive by name, and its indices i[M] if it has any."""
+        attributes, indices = primitive["attributes"], None
+        raw: dict[str, np.ndarray] = {}
+        compressed = primitive.get("extensions", {}).get(DRACO)
+        if compressed is not None and "bufferView" not in self._document["accessors"][attributes["POSITION"]]:
+            raw, indices = self._draco(compressed)
+        arrays = {name: self.accessor(index, raw.get(name)) for name, index in attributes.items()}
+        if indices is None and "indices" in primitive:
+            indices = self.accessor(primitive["indices"]).reshape(-1)
+        return arrays, indices
+
+    def _dense(self, accessor: Json) -> np.ndarray:
+        shape = accessor["count"], WIDTHS[accessor["type"]]
+        if "bufferView" not in accessor:
+            return np.zeros(shape, DTYPES[accessor["componentType"]])
+        stride = self._document["bufferViews"][accessor["bufferView"]].get("byteStride", 0)
+        return self._read(accessor["bufferView"], accessor, shape, stride)
+
+    def _read(self, view: int, where: Json, shape: tuple[int, int], stride: int = 0) -> np.ndarray:
+        dtype, data = np.dtype(DTYPES[where["componentType"]]), self._buffers.view(view)
+        strides = stride or dtype.itemsize * shape[1], dtype.itemsize
+        return np.ndarray(shape, dtype, data, where.get("byteOffset", 0), strides).copy()
+
+    def _with_sparse(self, array: np.ndarray, sparse: Json) -> np.ndarray:
+        """The array with the elements replaced that are stored beside it."""
+        places, values = sparse["indices"], sparse["values"]
+        index = self._read(places["bufferView"], places, (sparse["count"], 1))[:, 0]
+        new = {**values, "componentType": next(k for k, v in DTYPES.items() if array.dtype == np.dtype(v))}
+        array = array.copy()
+        array[index] = self._read(values["bufferView"], new, (sparse["count"], array.shape[1]))
+        return array
+
+    def _draco(self, compressed: Json) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        try:
+            import DracoPy
+        except ImportError as error:
+            raise AssetError(f"{self._buffers.path} with {DRACO}", hint="pip install DracoPy") from error
+        decoded = DracoPy.decode(self._buffers.view(compressed["bufferView"]))
+        by_id = {each["unique_id"]: np.asarray(each["data"]) for each in decoded.attributes}
+        by_id = {index: data.reshape(len(data), -1) for index, data in by_id.items()}
+        arrays = {name: by_id[index] for name, index in compressed["attributes"].items() if index in by_id}
+        return arrays, np.asarray(decoded.faces).reshape(-1)
+
+
 _FAN = 6
 _MOST_COPIES = 10_000
 
@@ -32,10 +107,10 @@ def plain_glb(path: Path) -> bytes | None:
     document = read_document(path)
     check_understood(path, document)
     _check_tree(path, document)
-    return _Plain(path, document).made() if _is_not_plain(document) else None
+    return _Plain(path, document).build() if _is_not_plain(document) else None
 
 
-def _check_tree(path: Path, document: Document) -> None:
+def _check_tree(path: Path, document: Json) -> None:
     nodes = enumerate(document.get("nodes", []))
     try:
         TopologicalSorter({index: node.get("children", []) for index, node in nodes}).prepare()
@@ -46,7 +121,7 @@ def _check_tree(path: Path, document: Document) -> None:
         ) from error
 
 
-def _is_not_plain(document: Document) -> bool:
+def _is_not_plain(document: Json) -> bool:
     nodes, accessors = document.get("nodes", []), document.get("accessors", [])
     # trimesh draws nothing of a file without a scene.
     if not document.get("scenes"):
@@ -67,29 +142,29 @@ def _is_not_plain(document: Document) -> bool:
     return False
 
 
-def _extensions(element: dict[str, Any]) -> dict[str, Any]:
+def _extensions(element: Json) -> Json:
     return element.get("extensions", {})
 
 
 class _Plain:
     """A new document, written while the old one is read."""
 
-    def __init__(self, path: Path, document: Document) -> None:
+    def __init__(self, path: Path, document: Json) -> None:
         self._path, self._old = path, document
         self._buffers = Buffers(path, document)
         self._arrays = Arrays(document, self._buffers)
-        self._nodes: list[Node] = [dict(node) for node in document.get("nodes", [])]
+        self._nodes: list[Json] = [dict(node) for node in document.get("nodes", [])]
         self._roots = _roots(document)
-        self._meshes: list[dict[str, Any]] = []
-        self._accessors: list[dict[str, Any]] = []
-        self._views: list[dict[str, Any]] = []
+        self._meshes: list[Json] = []
+        self._accessors: list[Json] = []
+        self._views: list[Json] = []
         self._binary = bytearray()
         self._known: dict[tuple[object, ...], int] = {}
 
-    def made(self) -> bytes:
+    def build(self) -> bytes:
         """The new file."""
         images = [self._image(image) for image in self._old.get("images", [])]
-        for index, place in list(self._drawn()):
+        for index, place in list(self._world_places()):
             self._draw(self._nodes[index], place)
         kept = {
             key: self._old[key] for key in ("asset", "materials", "textures", "samplers") if key in self._old
@@ -104,7 +179,7 @@ class _Plain:
         }
         return glb(kept | new | ({"images": images} if images else {}), bytes(self._binary))
 
-    def _drawn(self) -> Iterator[tuple[int, np.ndarray]]:
+    def _world_places(self) -> Iterator[tuple[int, np.ndarray]]:
         """Every node of the scene with where it is in it, f64[4, 4]."""
         self._world: dict[int, np.ndarray] = {}
         todo = [(index, np.eye(4)) for index in self._roots]
@@ -116,7 +191,7 @@ class _Plain:
             todo += [(child, self._world[index]) for child in self._nodes[index].get("children", [])]
         return iter(self._world.items())
 
-    def _draw(self, node: Node, place: np.ndarray) -> None:
+    def _draw(self, node: Json, place: np.ndarray) -> None:
         """Replaces what the node draws by plain meshes."""
         mesh, skin, weights = (node.pop(key, None) for key in ("mesh", "skin", "weights"))
         copies = node.pop("extensions", {}).get(INSTANCING)
@@ -134,11 +209,11 @@ class _Plain:
         else:
             node["mesh"] = new
 
-    def _add_node(self, node: Node) -> int:
+    def _add_node(self, node: Json) -> int:
         self._nodes.append(node)
         return len(self._nodes) - 1
 
-    def _copies(self, attributes: dict[str, int]) -> list[Node]:
+    def _copies(self, attributes: dict[str, int]) -> list[Json]:
         """Where each copy of a mesh is, in its node's frame."""
         names = [name for name in ("TRANSLATION", "ROTATION", "SCALE") if name in attributes]
         columns = {name.lower(): self._arrays.accessor(attributes[name]).tolist() for name in names}
@@ -160,14 +235,14 @@ class _Plain:
             self._known[key] = len(self._meshes) - 1
         return self._known[key]
 
-    def _primitive(self, old: dict[str, Any], weights: tuple[float, ...], skin: int | None) -> dict[str, Any]:
+    def _primitive(self, old: Json, weights: tuple[float, ...], skin: int | None) -> Json:
         arrays, indices = self._arrays.primitive(old)
         points = arrays["POSITION"].astype(np.float64)
         for weight, target in zip(weights, old.get("targets", []), strict=False):
             if weight and "POSITION" in target:
                 points = points + weight * self._arrays.accessor(target["POSITION"])
         if skin is not None:
-            points = self._skinned(points, arrays, self._old["skins"][skin])
+            points = self._apply_skin(points, arrays, self._old["skins"][skin])
         mode = old.get("mode", 4)
         if mode == _FAN:
             fan = np.arange(len(points)) if indices is None else indices
@@ -179,7 +254,7 @@ class _Plain:
             new["indices"] = self._accessor(indices[:, None].astype(np.uint32))
         return new | ({"material": old["material"]} if "material" in old else {})
 
-    def _skinned(self, points: np.ndarray, arrays: dict[str, np.ndarray], skin: dict[str, Any]) -> np.ndarray:
+    def _apply_skin(self, points: np.ndarray, arrays: dict[str, np.ndarray], skin: Json) -> np.ndarray:
         """f64[V, 3] in the scene, as the joints stand in the file."""
         joints = np.array([self._world[joint] for joint in skin["joints"]])
         if "inverseBindMatrices" in skin:
@@ -212,13 +287,13 @@ class _Plain:
         self._binary += data
         return len(self._views) - 1
 
-    def _image(self, image: dict[str, Any]) -> dict[str, Any]:
+    def _image(self, image: Json) -> Json:
         if "bufferView" not in image:
             return image
         return image | {"bufferView": self._view(self._buffers.view(image["bufferView"]))}
 
 
-def _roots(document: Document) -> list[int]:
+def _roots(document: Json) -> list[int]:
     """The nodes of the scene; of a file without one, all that hang on no other."""
     if scenes := document.get("scenes"):
         return list(scenes[document.get("scene", 0)].get("nodes", []))
@@ -227,7 +302,7 @@ def _roots(document: Document) -> list[int]:
     return [index for index in range(len(nodes)) if index not in below]
 
 
-def _place(node: Node) -> np.ndarray:
+def _place(node: Json) -> np.ndarray:
     """f64[4, 4]: where a node is in its parent's frame."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T

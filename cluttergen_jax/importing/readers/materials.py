@@ -14,8 +14,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.gltf_extensions import extension_notes
-from cluttergen_jax.importing.readers.gltf_file import read_document
+from cluttergen_jax.importing.readers.gltf_file import extension_notes, read_document
 
 Rgba = tuple[float, float, float, float]
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
@@ -25,7 +24,7 @@ _MTL_MAP = re.compile(r"map_(?!k[ad]$).+|bump|norm|disp|decal|refl")
 _MANY = 0.02
 """Spread of vertex colours, of 1, above which one colour for all is a loss."""
 _LIGHT = 0.5
-"""A grey Kd from here on is what exporters write beside an image: nothing is told of it."""
+"""A grey Kd from here on is what exporters write beside an image: it gets no note."""
 
 
 class Dresser:
@@ -94,14 +93,14 @@ class Dresser:
         if kept is not None:
             colour = _numbers(kept.get("kd"), 3)
             if colour is not None and (max(colour) < _LIGHT or max(colour) - min(colour) > _MANY):
-                told = " ".join(f"{each:g}" for each in colour)
-                self._note(f"an image is drawn as it is, not multiplied by its material's colour (Kd {told})")
+                text = " ".join(f"{each:g}" for each in colour)
+                self._note(f"an image is drawn as it is, not multiplied by its material's colour (Kd {text})")
             return _rgba([1.0, 1.0, 1.0, (_numbers(kept.get("d"), 1) or [1.0])[0]])
         factor = getattr(material, "baseColorFactor", None)
         if factor is None:
             return (1.0, 1.0, 1.0, 1.0)
         rgba = np.asarray(factor, np.float64) / 255
-        return _rgba([*(_shown(rgba[:3]) if self._is_linear else rgba[:3]), rgba[3] if len(rgba) > 3 else 1])
+        return _rgba([*(_srgb(rgba[:3]) if self._is_linear else rgba[:3]), rgba[3] if len(rgba) > 3 else 1])
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
@@ -148,7 +147,7 @@ def _spread(visual: Any) -> float:
         return 0.0
 
 
-def _shown(values: np.ndarray) -> np.ndarray:
+def _srgb(values: np.ndarray) -> np.ndarray:
     """Linear colours as sRGB."""
     return np.where(values <= 0.0031308, 12.92 * values, 1.055 * np.maximum(values, 0) ** (1 / 2.4) - 0.055)
 
@@ -181,7 +180,7 @@ def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
         # What trimesh puts where a material or its texture is missing.
         return np.array(GREY)
     main = np.asarray(material.main_color, np.float64) / 255.0
-    return np.append(_shown(main[:3]), main[3:]) if is_linear else main
+    return np.append(_srgb(main[:3]), main[3:]) if is_linear else main
 
 
 def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:

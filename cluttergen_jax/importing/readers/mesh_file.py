@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,14 +16,11 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.collada import collada_notes, unit_of
-from cluttergen_jax.importing.readers.companions import Companions
-from cluttergen_jax.importing.readers.damage import check_whole, unreadable
+from cluttergen_jax.importing.readers.collada import collada_notes, collada_polygons, unit_of
+from cluttergen_jax.importing.readers.damage import check_whole, sound_stl, unreadable
 from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
-from cluttergen_jax.importing.readers.ply_polygons import cut_ply
-from cluttergen_jax.importing.readers.polygons import cut_obj
-from cluttergen_jax.importing.readers.stl import sound_stl
-from cluttergen_jax.importing.readers.text import opened
+from cluttergen_jax.importing.readers.mesh_text import Companions, mesh_input
+from cluttergen_jax.importing.readers.polygons import cut_obj, cut_ply
 
 _RANDOM = re.compile(r"_[0-9a-f]{6}$")
 """What trimesh puts behind a node's name where several surfaces hang on it, another each time."""
@@ -39,15 +35,10 @@ _MENDS: dict[str, Callable[[bytes], tuple[bytes, tuple[str, ...]]]] = {
 
 
 class MeshFile(NamedTuple):
-    """What a mesh file holds.
+    """What a mesh file holds."""
 
-    Attributes:
-      pieces: its surfaces, in the file's own frame, and unless it declares a unit in its own.
-      notes: what could not be kept of its materials, in words.
-    """
-
-    pieces: list[Piece]
-    notes: tuple[str, ...]
+    pieces: list[Piece]  # Its surfaces, in the file's own frame, and unless it declares a unit in its own.
+    notes: tuple[str, ...]  # What could not be kept of its materials, in words.
 
 
 def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:
@@ -69,7 +60,7 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     check_whole(path)
     beside = Companions(path)
     try:
-        scene, of_parsing = _parsed(path, beside)
+        scene, of_parsing = _parse(path, beside)
     except AssetError:
         raise
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
@@ -84,7 +75,7 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
         transform, name = scene.graph[node]
         geometry = scene.geometry[name]
         if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-            mesh = _sound(geometry, path).transformed(unit * transform[:3, :3], unit * transform[:3, 3])
+            mesh = _sound(geometry, path).transform(unit * transform[:3, :3], unit * transform[:3, 3])
             if np.linalg.det(transform[:3, :3]) < 0:
                 mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1])
             pieces.append(dresser.piece(mesh, geometry.visual))
@@ -98,29 +89,18 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     return MeshFile(pieces, notes)
 
 
-def _parsed(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
+def _parse(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
     """What trimesh makes of a file whose concave polygons are cut and whose counts are right, and notes."""
-    content = opened(path)
+    content = mesh_input(path)
     notes: list[str] = []
-    if (mend := _MENDS.get(path.suffix.lower())) is not None:
-        data, of_content = mend(content["file_obj"].getvalue())
-        content["file_obj"] = io.BytesIO(data)
+    mend = _MENDS.get(path.suffix.lower())
+    if mend is not None and not isinstance(content.file_obj, str):
+        data, of_content = mend(content.file_obj.getvalue())
+        content = content._replace(file_obj=io.BytesIO(data))
         notes += of_content
-    with _dae_polygons_cut(path) as of_polygons:
-        scene = trimesh.load_scene(**content, resolver=beside, process=False)
+    with collada_polygons(path) as of_polygons:
+        scene = trimesh.load_scene(**content._asdict(), resolver=beside, process=False)
     return scene, [*notes, *of_polygons]
-
-
-@contextmanager
-def _dae_polygons_cut(path: Path) -> Iterator[list[str]]:
-    if path.suffix.lower() != ".dae":
-        yield []
-        return
-    # Loaded for COLLADA alone.
-    from cluttergen_jax.importing.readers.dae_polygons import dae_polygons_cut
-
-    with dae_polygons_cut() as notes:
-        yield notes
 
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:

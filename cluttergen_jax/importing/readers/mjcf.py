@@ -2,22 +2,83 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
-from cluttergen_jax.assets.inertia import MassProperties
+from cluttergen_jax.assets.mass import MassProperties, combine_masses
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.stated_mass import combined
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece, is_convex
-from cluttergen_jax.importing.readers.mjcf_missing import compiled_without_lost_pictures
+from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece, is_convex, roles_of
 from cluttergen_jax.importing.readers.mjcf_pictures import picture_notes
-from cluttergen_jax.importing.readers.mjcf_roles import roles_of
-from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, frozen, frozen_note
+from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, frozen_note
+
+
+def _compile_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """The model of an MJCF file, without the pictures that MuJoCo cannot read, and notes of these.
+
+    Raises:
+      ValueError: the file cannot be compiled for another reason.
+    """
+    try:
+        return mujoco.MjModel.from_xml_path(str(path)), ()
+    except ValueError:
+        if not (lost := _unreadable_pictures(path)):
+            raise
+    spec = mujoco.MjSpec.from_file(str(path))
+    worn = {each for material in spec.materials for each in material.textures}
+    _drop(spec, lost)
+    files = dict.fromkeys(file for name, file in lost.items() if name in worn)
+    notes = (f"the image {file!r} cannot be read: its surface has its material's colour" for file in files)
+    return spec.compile(), tuple(notes)
+
+
+def _unreadable_pictures(path: Path) -> dict[str, str]:
+    """The files of the textures that MuJoCo cannot read, by the textures' names."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError:
+        return {}
+    return {name: _file_of(spec.texture(name)) for name in _pictures(spec) if not _is_read(path, name)}
+
+
+def _pictures(spec: mujoco.MjSpec) -> list[str]:
+    """The names of the textures that come from files."""
+    return [each.name for each in spec.textures if _file_of(each)]
+
+
+def _file_of(texture: mujoco.MjsTexture) -> str:
+    return next((each for each in (texture.file, *texture.cubefiles) if each), "")
+
+
+def _is_read(path: Path, name: str) -> bool:
+    """Whether MuJoCo can read a picture of the file, asked where all else is left out."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    for body in list(spec.worldbody.bodies):
+        spec.delete(body)
+    for thing in [*spec.worldbody.geoms, *spec.meshes, *spec.hfields]:
+        spec.delete(thing)
+    _drop(spec, [each for each in _pictures(spec) if each != name])
+    try:
+        spec.compile()
+    except ValueError:
+        return False
+    return True
+
+
+def _drop(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
+    """Takes pictures off all materials, and away."""
+    names = set(names)
+    for material in spec.materials:
+        for role, name in enumerate(material.textures):
+            if name in names:
+                material.textures[role] = ""
+    for texture in [each for each in spec.textures if each.name in names]:
+        spec.delete(texture)
+
 
 _JOINT = mujoco.mjtJoint
 _MOVABLE = {_JOINT.mjJNT_HINGE: "hinge", _JOINT.mjJNT_SLIDE: "slide", _JOINT.mjJNT_BALL: "ball"}
@@ -42,7 +103,7 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
       AssetError: MuJoCo cannot compile the file (its own message is kept), or nothing of the body is seen
         or collides.
     """
-    model, of_pictures = compiled_with_notes(path)
+    model, of_pictures = compile_with_notes(path)
     if model.nflex and not model.ngeom:
         raise AssetError(f"{path} holds soft bodies alone (flex)", "rigid bodies with geoms")
     data = mujoco.MjData(model)
@@ -52,9 +113,9 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
     geoms = [i for i in range(model.ngeom) if model.geom_bodyid[i] in bodies]
     roles = roles_of(model, data, geoms)
     if not roles.surface:
-        told = "; ".join(roles.notes) or "it has no geoms"
+        why = "; ".join(roles.notes) or "it has no geoms"
         raise AssetError(
-            f"{path}: nothing of body {model.body(root).name or body!r} can be an object: {told}",
+            f"{path}: nothing of body {model.body(root).name or body!r} can be an object: {why}",
             "geoms in groups 0 to 2 with an alpha above 0, or geoms that collide; planes do not count",
         )
     of_pictures = (*of_pictures, *picture_notes(model, roles.surface))
@@ -63,19 +124,19 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
     return Model(
         pieces=[geom_piece(model, data, i, max_side) for i in roles.surface],
         parts=tuple(Mesh.points(each.vertices) for each in colliding) if is_usable else None,
-        stated=combined([_body_mass(model, data, i) for i in bodies]),
+        stated=combine_masses([_body_mass(model, data, i) for i in bodies]),
         notes=(*frozen_note(_frozen_joints(model, bodies)), *roles.notes, *dict.fromkeys(of_pictures)),
         colliding=colliding,
     )
 
 
-def _frozen_joints(model: mujoco.MjModel, bodies: list[int]) -> Iterator[str]:
+def _frozen_joints(model: mujoco.MjModel, bodies: list[int]) -> Iterator[tuple[str, str, float, bool]]:
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
         if kind in _MOVABLE and int(model.jnt_bodyid[joint]) in bodies:
             is_ball = kind == _JOINT.mjJNT_BALL
             value = 0.0 if is_ball else float(model.qpos0[model.jnt_qposadr[joint]])
-            yield frozen(model.joint(joint).name, _MOVABLE[kind], value, kind != _JOINT.mjJNT_SLIDE)
+            yield (model.joint(joint).name, _MOVABLE[kind], value, kind != _JOINT.mjJNT_SLIDE)
 
 
 def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassProperties:
@@ -85,24 +146,19 @@ def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassPro
     return MassProperties(float(model.body_mass[body]), data.xipos[body].copy(), inertia)
 
 
-def compiled(path: Path) -> mujoco.MjModel:
-    """The first of `compiled_with_notes`."""
-    return compiled_with_notes(path)[0]
-
-
-def compiled_with_notes(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+def compile_with_notes(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     """The model of an MJCF file, whose names are text, and which pictures it has to do without.
 
     Raises:
       AssetError: MuJoCo cannot compile it (its own message is kept), or a name is not UTF-8.
     """
     try:
-        model, notes = compiled_without_lost_pictures(path)
+        model, notes = _compile_without_lost_pictures(path)
         # MuJoCo takes any bytes for a name; they would come to light wherever one is first read.
         model.names.decode()
     except (ValueError, OSError) as error:
-        told = " ".join(str(error).split())
-        raise AssetError(f"{path} cannot be compiled as MJCF: {told}", "an MJCF file") from error
+        message = " ".join(str(error).split())
+        raise AssetError(f"{path} cannot be compiled as MJCF: {message}", "an MJCF file") from error
     return model, notes
 
 

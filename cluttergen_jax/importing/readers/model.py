@@ -7,45 +7,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cluttergen_jax.assets.mass import StatedMass
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.stated_mass import StatedMass
 
 MAX_PARTS = 32
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model of several links or bodies as one rigid thing, all its joints frozen.
+    """A model of several links or bodies as one rigid thing, all its joints frozen."""
 
-    Attributes:
-      pieces: the surfaces that are shown.
-      parts: convex collision parts, or None if the file has none that can be used.
-      stated: mass and inertia, or None if the file has none.
-      density: kg/m^3 as the file has it, for where it has no mass; None if it has none.
-      notes: what was decided about the model, in words.
-      colliding: all that collides as the file has it, convex or not; empty where it tells nothing apart.
+    pieces: list[Piece]  # The surfaces that are shown.
+    parts: tuple[Mesh, ...] | None  # Convex collision parts; None if the file has none that can be used.
+    stated: StatedMass | None  # Mass and inertia; None if the file has none.
+    notes: tuple[str, ...] = ()  # What was decided about the model, in words.
+    density: float | None = None  # kg/m^3 as the file has it, for where it has no mass.
+    colliding: tuple[Mesh, ...] = ()  # All that collides as the file has it, convex or not.
+
+
+def frozen_note(joints: Iterable[tuple[str, str, float, bool]]) -> tuple[str, ...]:
+    """One note on all movable joints; none where there is none.
+
+    Args:
+      joints: name, kind, value in radians or metres, and whether it turns.
     """
-
-    pieces: list[Piece]
-    parts: tuple[Mesh, ...] | None
-    stated: StatedMass | None
-    notes: tuple[str, ...] = ()
-    density: float | None = None
-    colliding: tuple[Mesh, ...] = ()
-
-
-def frozen_note(joints: Iterable[str]) -> tuple[str, ...]:
-    """One note on all movable joints, each told by `frozen`; none where there is none."""
-    told = ", ".join(joints)
-    return (f"frozen joints: {told}",) if told else ()
-
-
-def frozen(name: str, kind: str, value: float, is_turn: bool) -> str:
-    """A movable joint in words; `value` in radians or metres."""
-    place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
-    return f"{name!r} ({kind}) at {place}"
+    described = []
+    for name, kind, value, is_turn in joints:
+        place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
+        described.append(f"{name!r} ({kind}) at {place}")
+    return (f"frozen joints: {', '.join(described)}",) if described else ()
 
 
 def convex_parts(meshes: list[Mesh], tolerance: float = 0.02) -> tuple[Mesh, ...] | None:
@@ -55,14 +47,8 @@ def convex_parts(meshes: list[Mesh], tolerance: float = 0.02) -> tuple[Mesh, ...
     """
     if not 0 < len(meshes) <= MAX_PARTS:
         return None
-    return (
-        tuple(Mesh.points(mesh.vertices) for mesh in meshes)
-        if all(_is_convex(mesh, tolerance) for mesh in meshes)
-        else None
-    )
-
-
-def _is_convex(mesh: Mesh, tolerance: float = 0.02) -> bool:
-    """Whether the triangles enclose all of the hull but a share of `tolerance`."""
-    hull = hull_of(mesh.vertices)
-    return hull is not None and bool(abs(mesh.volume) > (1 - tolerance) * hull.volume)
+    for mesh in meshes:
+        hull = hull_of(mesh.vertices)
+        if hull is None or not abs(mesh.volume) > (1 - tolerance) * hull.volume:
+            return None
+    return tuple(Mesh.points(mesh.vertices) for mesh in meshes)

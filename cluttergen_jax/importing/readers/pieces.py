@@ -53,13 +53,13 @@ def whole_of(stem: str) -> str:
     return named["whole"] if named else ""
 
 
-def _is_seen(stem: str) -> bool:
+def _is_visible(stem: str) -> bool:
     named = _PIECE.fullmatch(stem.lower())
     return named is not None and re.search(rf"[-_. ](?:{_IS_SEEN})", named["tail"]) is not None
 
 
 class Belonging:
-    """The files of a tree, to tell of each whether it belongs to another.
+    """The files of a tree, and which of them belong to others.
 
     Args:
       files: by folder.
@@ -76,7 +76,7 @@ class Belonging:
             if not model.fault:
                 self._models[model.path.parent].setdefault(model.path.stem.lower(), model)
         self._meshes = {folder: _by_stem(here) for folder, here in files.items()}
-        self._chosen = {folder: _chosen(meshes) for folder, meshes in self._meshes.items()}
+        self._chosen = {folder: _representatives(meshes) for folder, meshes in self._meshes.items()}
         self._seen: dict[Path, list[Path]] = {}
         for folder in files:
             if _is(folder, _SEEN_FOLDER):
@@ -115,7 +115,7 @@ class Belonging:
             home = place.resolve().parent if _is(place, _PIECE_FOLDER) else place.resolve()
             found = self._at(place, whole)
             if found is None and whole == home.name.lower():
-                found = self._unnamed(place)
+                found = self._object_of_folder(place)
             if found not in (None, mesh):
                 return found
         if numbered is None or whole:
@@ -139,7 +139,7 @@ class Belonging:
         """Models and meshes."""
         return [*(each.path for each in self._models[folder].values()), *self._meshes[folder].values()]
 
-    def _unnamed(self, folder: Path) -> Path | None:
+    def _object_of_folder(self, folder: Path) -> Path | None:
         """An object whose name says nothing, so that it is called after its folder."""
         return next(
             (each for each in self._objects(folder) if _SAYS_NOTHING.fullmatch(each.stem.lower())), None
@@ -194,10 +194,10 @@ def _by_stem(files: Iterable[Path]) -> dict[str, Path]:
     return {each.stem.lower(): each for each in meshes}
 
 
-def _chosen(meshes: dict[str, Path]) -> dict[str, Path]:
+def _representatives(meshes: dict[str, Path]) -> dict[str, Path]:
     """By what is there in pieces alone, the one that stands for it: it is seen, or at least not numbered."""
     chosen: dict[str, Path] = {}
-    order = sorted(meshes, key=lambda stem: (not _is_seen(stem), stem))
+    order = sorted(meshes, key=lambda stem: (not _is_visible(stem), stem))
     for stem in order:
         if (whole := whole_of(stem)) and whole not in meshes and not stem[-1].isdigit():
             chosen.setdefault(whole, meshes[stem])

@@ -7,18 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
-from cluttergen_jax.assets.folds import without_folds
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
+from cluttergen_jax.assets.mesh_repair.folds import without_folds
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.axes import AUTO, AXES, own_up, turn_of
-from cluttergen_jax.importing.readers.kept_parts import with_kept_parts
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
-from cluttergen_jax.importing.readers.model import Model
+from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, convex_parts
 from cluttergen_jax.importing.readers.sdf import read_sdf
-from cluttergen_jax.importing.readers.source import ObjectFile, ReadOptions
+from cluttergen_jax.importing.readers.source import AUTO, AXES, ObjectFile, ReadOptions, own_up, turn_of
 from cluttergen_jax.importing.readers.tree import find_sources
 from cluttergen_jax.importing.readers.urdf import read_urdf
 from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
@@ -43,27 +42,27 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
     density = options.density if model.density is None else model.density
     mass, stated = (None, None) if options.mass == "volume" else (options.mass, model.stated)
     if stated is not model.stated:
-        told = "the mass that its file states is not asked for"
-        notes = (*notes, f"{told}: it is its volume times {density:g} kg/m^3")
+        reason = "the mass that its file states is not asked for"
+        notes = (*notes, f"{reason}: it is its volume times {density:g} kg/m^3")
     elif source.kind != "mesh" and stated is None and mass is None:
         what = "mass" if model.density is None else "mass but a density"
         notes = (*notes, f"its file states no {what}: it is its volume times {density:g} kg/m^3")
-    pieces = tuple(_unfolded(piece) for piece in model.pieces)
+    pieces = tuple(_unfold(piece) for piece in model.pieces)
     if any(piece is not before for piece, before in zip(pieces, model.pieces, strict=True)):
         notes = (*notes, "its surface lay flat over itself in places: they are cut anew")
     shape = Shape(
         name=source.name,
         label=source.label,
-        pieces=tuple(piece.transformed(turn, np.zeros(3)) for piece in pieces),
+        pieces=tuple(piece.transform(turn, np.zeros(3)) for piece in pieces),
         provenance=_provenance(source, options),
-        parts=None if model.parts is None else _turned(model.parts, turn),
+        parts=None if model.parts is None else _rotate_meshes(model.parts, turn),
         mass=mass,
         density=density,
-        stated=None if stated is None else stated.scaled(rotation, options.scale, mass_scale),
+        stated=None if stated is None else stated.convert(rotation, options.scale, mass_scale),
         friction=options.friction,
         scale=options.scale,
         notes=notes,
-        colliding=_turned(model.colliding, turn),
+        colliding=_rotate_meshes(model.colliding, turn),
         is_pose_free=options.up == options.front == AUTO,
         is_from_file=True,
         keeps_parts=bool(source.parts),
@@ -72,8 +71,8 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
     return shape
 
 
-def _turned(meshes: Sequence[Mesh], turn: np.ndarray) -> tuple[Mesh, ...]:
-    return tuple(mesh.transformed(turn, np.zeros(3)) for mesh in meshes)
+def _rotate_meshes(meshes: Sequence[Mesh], turn: np.ndarray) -> tuple[Mesh, ...]:
+    return tuple(mesh.transform(turn, np.zeros(3)) for mesh in meshes)
 
 
 def _model(source: ObjectFile, options: ReadOptions) -> tuple[Model, float]:
@@ -97,9 +96,9 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Sh
     return [read_shape(source, options) for source in find_sources(path)]
 
 
-def _unfolded(piece: Piece) -> Piece:
+def _unfold(piece: Piece) -> Piece:
     mesh = piece.mesh
-    # Vertices that are not finite are told by `_check_size`.
+    # `_check_size` reports vertices that are not finite.
     mended = without_folds(mesh, piece.uv) if np.isfinite(mesh.vertices).all() else mesh
     return piece if mended is mesh else replace(piece, mesh=mended)
 
@@ -123,7 +122,7 @@ def _check_size(shape: Shape, path: Path) -> None:
     meshes = [piece.mesh for piece in shape.pieces]
     if not any(len(mesh.faces) for mesh in meshes):
         raise AssetError(f"{path} holds no triangles", "a surface mesh, not points or curves")
-    whole = joined(meshes)
+    whole = join_meshes(meshes)
     if not np.isfinite(whole.vertices).all():
         raise AssetError(f"{path} has vertices that are not finite numbers")
     used = whole.vertices[np.unique(whole.faces)]
@@ -146,3 +145,37 @@ def _likely_cause(size: float) -> str:
         if 0.02 <= size * factor <= 0.6
     ]
     return " or ".join(fitting) or "`scale` with the factor from the file's unit to metres"
+
+
+def with_kept_parts(model: Model, files: Sequence[Path]) -> Model:
+    """A mesh file's model with the shapes of collision files as its parts, each connected piece a part.
+
+    Args:
+      files: in the frame of the mesh file.
+
+    Raises:
+      AssetError: a file cannot be read.
+    """
+    named = files[0].name if len(files) == 1 else f"{len(files)} files like {files[0].name}"
+    shapes = [
+        shape
+        for file in files
+        for shape in _connected_pieces([piece.mesh for piece in read_mesh_file(file).pieces])
+    ]
+    parts = convex_parts(shapes)
+    if parts is None:
+        why = "they are not convex" if len(shapes) <= MAX_PARTS else f"they are more than {MAX_PARTS}"
+        note = f"the collision shapes of {named} were not kept: {why}"
+    else:
+        note = f"its collision parts are those of {named}"
+    return Model(model.pieces, parts, model.stated, (*model.notes, note), model.density, tuple(shapes))
+
+
+def _connected_pieces(meshes: list[Mesh]) -> list[Mesh]:
+    """The connected pieces of a file's surfaces, corners at the same place being one."""
+    whole = join_meshes(meshes)
+    welded = trimesh.Trimesh(whole.vertices, whole.faces, process=True)
+    return [
+        Mesh(np.asarray(each.vertices), np.asarray(each.faces))
+        for each in welded.split(only_watertight=False)
+    ]

@@ -10,12 +10,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.mjcf import compiled, world_bodies
+from cluttergen_jax.importing.readers.damage import stand_in
+from cluttergen_jax.importing.readers.mesh_text import as_utf8
+from cluttergen_jax.importing.readers.mjcf import compile_with_notes, world_bodies
 from cluttergen_jax.importing.readers.places import folder_place, mesh_place
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of, models
 from cluttergen_jax.importing.readers.sdf import ROOTS as SDF_ROOTS
-from cluttergen_jax.importing.readers.stand_ins import stand_in
-from cluttergen_jax.importing.readers.text import utf8
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
 
 _MADE_BY_MUJOCO = ("frame", "replicate", "attach")
@@ -28,26 +28,15 @@ _NAMED = re.compile(r"\bfile(?:name)?\s*=\s*[\"']([^\"'<>]+)")
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A URDF, SDF or MJCF file.
-
-    Attributes:
-      path: the file.
-      kind: "urdf", "sdf" or "mjcf".
-      files: real paths of the meshes and textures that it names and that are there.
-      includes: real paths of the MJCF files that are part of it.
-      bodies: names of the bodies that hang on the world body, "" where one has none, or of the models of an
-        SDF; () of a URDF.
-      is_whole: all that it names is there.
-      fault: why it is no object, though it names files: a part for others to include, or broken.
-    """
+    """A URDF, SDF or MJCF file; files by their real paths."""
 
     path: Path
-    kind: str
-    files: frozenset[Path] = frozenset()
-    includes: frozenset[Path] = frozenset()
-    bodies: tuple[str, ...] = ()
-    is_whole: bool = True
-    fault: str = ""
+    kind: str  # "urdf", "sdf" or "mjcf".
+    files: frozenset[Path] = frozenset()  # Meshes and textures that it names and that are there.
+    includes: frozenset[Path] = frozenset()  # MJCF files that are part of it.
+    bodies: tuple[str, ...] = ()  # Names of bodies of the world ("" for none) or of an SDF's models.
+    is_whole: bool = True  # All that it names is there.
+    fault: str = ""  # Why it is no object: a part for others to include, or broken.
 
 
 def model_file(path: Path) -> ModelFile | str:
@@ -110,7 +99,7 @@ def _sdf(path: Path) -> ModelFile | str:
 
 def _mjcf(path: Path) -> ModelFile:
     includes = {path.resolve()}
-    root = _expanded(path, path.parent, includes)
+    root = _expand_includes(path, path.parent, includes)
     includes.discard(path.resolve())
     if root is None:
         return ModelFile(path, "mjcf", _named_in_text(path), is_whole=False)
@@ -146,7 +135,7 @@ def _shows_something(root: Element) -> bool:
 def _named_in_text(path: Path) -> frozenset[Path]:
     """Real paths of what a file names that is no well-formed XML, as far as it is there."""
     try:
-        text = utf8(path.read_bytes()).decode(errors="replace")
+        text = as_utf8(path.read_bytes()).decode(errors="replace")
     except OSError:
         return frozenset()
     places = (mesh_place(path, name) for name in dict.fromkeys(_NAMED.findall(text)))
@@ -157,9 +146,9 @@ def _bodies(path: Path, root: Element) -> tuple[str, ...]:
     """What the bodies of an MJCF file's world are called; MuJoCo says, where they are not all written out."""
     inside = [child for world in root.iter("worldbody") for child in world]
     if any(child.tag in _MADE_BY_MUJOCO for child in inside):
-        # Whoever reads the file tells of one that cannot be compiled.
+        # The reader reports a file that cannot be compiled.
         with suppress(AssetError):
-            model = compiled(path)
+            model = compile_with_notes(path)[0]
             return tuple(model.body(each).name for each in world_bodies(model))
     return tuple(child.get("name", "") for child in inside if child.tag == "body")
 
@@ -171,7 +160,7 @@ def _candidates(name: str, folders: set[Path]) -> Iterator[Path]:
         yield folder / Path(name).name
 
 
-def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
+def _expand_includes(path: Path, main: Path, includes: set[Path]) -> Element | None:
     """An MJCF tree with the content of included files, where they are there, in place of their <include>.
 
     None if it is broken.
@@ -195,6 +184,6 @@ def _expanded(path: Path, main: Path, includes: set[Path]) -> Element | None:
             parent.remove(child)
             if (file := next((each for each in there if each.resolve() not in includes), None)) is not None:
                 includes.add(file.resolve())
-                inner = _expanded(file, main, includes)
+                inner = _expand_includes(file, main, includes)
                 parent[place:place] = list(inner) if inner is not None else []
     return root

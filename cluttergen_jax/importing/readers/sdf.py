@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,15 +14,92 @@ import trimesh
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.links import Link, rigid
-from cluttergen_jax.importing.readers.materials import GREY
-from cluttergen_jax.importing.readers.model import Model, frozen, frozen_note
-from cluttergen_jax.importing.readers.numbers import number, numbers, wrong_attribute
-from cluttergen_jax.importing.readers.ogre import Paint, read_paints
-from cluttergen_jax.importing.readers.places import folder_place, mesh_place
-from cluttergen_jax.importing.readers.stand_ins import refuse_stand_in
-from cluttergen_jax.importing.readers.surfaces import Look, Surfaces
-from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml
+from cluttergen_jax.importing.readers.damage import refuse_stand_in
+from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, rigid
+from cluttergen_jax.importing.readers.materials import GREY, Rgba
+from cluttergen_jax.importing.readers.mesh_text import as_utf8
+from cluttergen_jax.importing.readers.model import Model, frozen_note
+from cluttergen_jax.importing.readers.places import find_named, folder_place, mesh_place
+from cluttergen_jax.importing.readers.xml_tree import (
+    BROKEN,
+    Element,
+    number,
+    numbers,
+    parse_numbers,
+    parse_xml,
+    wrong_attribute,
+)
+
+_MATERIAL = re.compile(r"^[ \t]*material[ \t]+(\S+)(?:[ \t]*:[ \t]*(\S+))?[^{\n]*\s*\{", re.MULTILINE)
+_IMAGE = re.compile(r"^[ \t]*texture[ \t]+(\"[^\"]+\"|\S+)", re.MULTILINE)
+_COLOUR = re.compile(r"^[ \t]*diffuse[ \t]+([-+.\deE \t]+?)[ \t\r]*$", re.MULTILINE)
+_COMMENT = re.compile(r"//[^\n]*")
+
+
+@dataclass(frozen=True)
+class Paint:
+    """What a material lays on a surface.
+
+    Attributes:
+      colour: None where it says nothing.
+      image: what it calls its image, empty if it has none; file: where that is, None if it is not there.
+    """
+
+    colour: Rgba | None = None
+    image: str = ""
+    file: Path | None = None
+
+
+# Gazebo's own, which lie in its program's folder.
+_OWN: dict[str, tuple[float, float, float]] = {
+    "White": (1, 1, 1), "Grey": (0.7, 0.7, 0.7), "DarkGrey": (0.175, 0.175, 0.175), "Black": (0, 0, 0),
+    "Red": (1, 0, 0), "Green": (0, 1, 0), "Blue": (0, 0, 1), "Yellow": (1, 1, 0), "Orange": (1, 0.51, 0.15),
+    "Purple": (1, 0, 1), "Turquoise": (0, 1, 1), "SkyBlue": (0.13, 0.44, 0.7), "Gold": (0.8, 0.65, 0.25),
+}  # fmt: skip
+
+
+def read_paints(scripts: Iterable[Path]) -> dict[str, Paint]:
+    """The materials of scripts by name, Gazebo's plain colours among them; of one name the first holds.
+
+    Of a material the first pass counts: its image, its diffuse colour, and what it inherits of these.
+    """
+    paints = {f"Gazebo/{name}": Paint((*rgb, 1.0)) for name, rgb in _OWN.items()}
+    found: dict[str, Paint] = {}
+    for script in scripts:
+        text = _COMMENT.sub("", as_utf8(script.read_bytes()).decode())
+        for start in _MATERIAL.finditer(text):
+            name, parent = start[1], found.get(start[2] or "", Paint())
+            found.setdefault(name, _paint(_block(text, start.end()), script.parent, parent))
+    return paints | found
+
+
+def _block(text: str, start: int) -> str:
+    """What follows, up to the bracket that closes it."""
+    depth = 1
+    for place in re.finditer(r"[{}]", text[start:]):
+        depth += 1 if place[0] == "{" else -1
+        if not depth:
+            return text[start : start + place.start()]
+    return text[start:]
+
+
+def _paint(block: str, folder: Path, parent: Paint) -> Paint:
+    colour, image = _COLOUR.search(block), _IMAGE.search(block)
+    rgba = parent.colour if colour is None else _rgba(colour[1])
+    if image is None:
+        return Paint(rgba, parent.image, parent.file)
+    name = image[1].strip('"')
+    return Paint(rgba, name, find_named(folder, name))
+
+
+def _rgba(text: str) -> Rgba | None:
+    """Three or four numbers; None where they are others."""
+    values = parse_numbers(text)
+    if values is None or len(values) not in (3, 4):
+        return None
+    r, g, b, a = np.clip([*values, 1.0][:4], 0, 1).tolist()
+    return (r, g, b, a)
+
 
 SUFFIX, CONFIG = ".sdf", "model.config"
 ROOTS = ("sdf", "gazebo")
@@ -42,10 +121,10 @@ def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE) -> Model:
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
     """
-    found = dict(models(_parsed(path)))
+    found = dict(models(_parse(path)))
     if not (model := found.get(name) if name else next(iter(found.values()), None)):
-        told = f" called {name!r}" if name else ""
-        raise AssetError(f"{path} holds no model{told}", "a <model> with links")
+        named = f" called {name!r}" if name else ""
+        raise AssetError(f"{path} holds no model{named}", "a <model> with links")
     surfaces = Surfaces(path, max_side, "uri", _FORMS)
     links = list(_links(path, model, _pose(path, model)))
     return rigid(links, surfaces, _Looks(surfaces, model).of, list(_notes(model)))
@@ -72,7 +151,7 @@ def config_of(path: Path) -> tuple[str, str]:
     return " ".join((root.findtext("name") or "").split()), versions.get(latest, "")
 
 
-def _parsed(path: Path) -> Element:
+def _parse(path: Path) -> Element:
     try:
         root = ElementTree.parse(path).getroot()
     except BROKEN as error:
@@ -97,13 +176,9 @@ def _links(path: Path, model: Element, pose: np.ndarray) -> Iterator[Link]:
         )
     frames = _Frames(path, model)
     for link in model.findall("link"):
-        yield Link(link, partial(_placed, frames, pose, link.get("name", "")))
+        yield Link(link, pose, partial(frames.pose_of_element, parent=link.get("name", "")))
     for inner in model.findall("model"):
         yield from _links(path, inner, pose @ frames.pose_of(inner.get("name", "")))
-
-
-def _placed(frames: _Frames, pose: np.ndarray, link: str, element: Element) -> np.ndarray:
-    return pose @ frames.placed(element, link)
 
 
 class _Frames:
@@ -114,7 +189,7 @@ class _Frames:
         tags = ("link", "joint", "model", "frame")
         self._named = {each.get("name", ""): each for tag in tags for each in model.findall(tag)}
 
-    def placed(self, element: Element, parent: str, below: tuple[str, ...] = ()) -> np.ndarray:
+    def pose_of_element(self, element: Element, parent: str, below: tuple[str, ...] = ()) -> np.ndarray:
         """f64[4, 4] from an element to the model.
 
         Args:
@@ -129,7 +204,7 @@ class _Frames:
         return self.pose_of(other or parent, below) @ _pose(self._path, element)
 
     def pose_of(self, name: str, below: tuple[str, ...] = ()) -> np.ndarray:
-        """f64[4, 4] from a frame to the model; see `placed`."""
+        """f64[4, 4] from a frame to the model; see `pose_of_element`."""
         if name in ("", "__model__"):
             return np.eye(4)
         if name not in self._named or name in below:
@@ -137,7 +212,7 @@ class _Frames:
             raise AssetError(f"{self._path}: frame {name!r} {fault}", ", ".join(map(repr, self._named)))
         frame = self._named[name]
         parent = frame.findtext("child", "") if frame.tag == "joint" else frame.get("attached_to", "")
-        return self.placed(frame, parent.strip(), (*below, name))
+        return self.pose_of_element(frame, parent.strip(), (*below, name))
 
 
 def _pose(path: Path, element: Element) -> np.ndarray:
@@ -164,7 +239,7 @@ def _notes(model: Element) -> Iterator[str]:
         yield "its file says <static>: there it is scenery, which nothing moves"
     movable = [joint for joint in model.iter("joint") if joint.get("type", "fixed") != "fixed"]
     yield from frozen_note(
-        frozen(joint.get("name", ""), kind, 0.0, is_turn=kind != "prismatic")
+        (joint.get("name", ""), kind, 0.0, kind != "prismatic")
         for joint in movable
         if (kind := joint.get("type", ""))
     )

@@ -10,6 +10,7 @@ from itertools import count
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 from anyascii import anyascii
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
@@ -17,17 +18,74 @@ from cluttergen_jax.assets.object_files import RESERVED
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.config import ByVolume, Collision, check_positive
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.importing.readers.axes import check_axes
+
+AUTO = "auto"
+FILE = "file"
+AXES = ("x", "y", "z", "-x", "-y", "-z")
+_VECTORS = {
+    sign + name: (-1.0 if sign else 1.0) * np.eye(3)[index]
+    for sign in ("", "-")
+    for index, name in enumerate("xyz")
+}
+
+
+@dataclass(frozen=True)
+class UpAxis:
+    """The axis that was taken for up, and why, in words."""
+
+    axis: str
+    reason: str
+
+
+def own_up(path: Path, kind: str) -> UpAxis:
+    """What a file says about its vertical axis, or else its format.
+
+    Args:
+      kind: "mesh", "urdf", "sdf" or "mjcf".
+    """
+    if kind != "mesh":
+        return UpAxis("z", f"{kind.upper()}'s standard")
+    suffix = path.suffix.lower()
+    if suffix in (".glb", ".gltf"):
+        return UpAxis("y", "GLTF's standard")
+    if suffix == ".dae":
+        declared = re.search(rb"<up_axis>\s*([XYZ])_UP", path.read_bytes())
+        if declared:
+            return UpAxis(declared.group(1).decode().lower(), "the file's declaration")
+        return UpAxis("y", "COLLADA's standard")
+    return UpAxis("z", f"by default: {suffix[1:].upper()} does not say")
+
+
+def check_axes(up: str, front: str) -> None:
+    """Raises ConfigError if these are no axes, or not at a right angle."""
+    for name, axis in (("up", up), ("front", front)):
+        words = (AUTO, FILE) if name == "up" else (AUTO,)
+        if axis not in (*words, *AXES):
+            raise ConfigError(f"{name} = {axis!r}", ", ".join((*words, *AXES)))
+    if {up, front} <= set(AXES) and up[-1] == front[-1]:
+        raise ConfigError(f"up = {up!r} with front = {front!r}", "two axes at a right angle")
+
+
+def turn_of(up: str, front: str = AUTO) -> np.ndarray:
+    """f64[3, 3]: the rotation that takes a file's `up` to z and its `front` to x.
+
+    Raises:
+      ConfigError: they are not at a right angle.
+    """
+    if front == AUTO:
+        front = "-y" if up.endswith("x") else "x"
+    check_axes(up, front)
+    z, x = _VECTORS[up], _VECTORS[front]
+    return np.array([x, np.cross(z, x), z])
+
 
 # File names of which one in a folder is the object that the folder is called after.
 GENERIC = (
     r"mobility|model|models|object|mesh|meshes|textured|nontextured|textured_objs|visual|collision"
     r"|scene|base|main|urdf|mjcf|google_\d+k|textured_simple(_reordered)?|assets|untitled"
 )
-_SAID_NOTHING = re.compile(r"\d{1,2}|" + GENERIC)
-"""Names that earlier versions passed over."""
 _SAYS_NOTHING = re.compile(
-    rf"{_SAID_NOTHING.pattern}|(model|mesh|textured)[-_ ](normali[sz]ed|simplified|watertight)|normali[sz]ed"
+    rf"\d{{1,2}}|{GENERIC}|(model|mesh|textured)[-_ ](normali[sz]ed|simplified|watertight)|normali[sz]ed"
     r"|(base|root)[-_ ]?link|root|world|body|objects|(visual|collision|textured)[-_ ]mesh(es)?"
     r"|visuals|collisions|objs?|stls?|glbs?|gltfs?|dae|ply"
 )
@@ -80,30 +138,17 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class ObjectFile:
-    """One object to be read.
+    """One object to be read."""
 
-    Attributes:
-      path: the mesh, URDF, SDF or MJCF file.
-      kind: "mesh", "urdf", "sdf" or "mjcf".
-      name: `[a-z0-9_-]+`, unique among the sources found together.
-      label: what people call it.
-      body: the body's or model's name, where an MJCF or SDF file holds several objects.
-      parts: files of collision shapes that are to be its parts.
-      earlier: name and label that earlier versions gave, by which a pool of theirs has it.
-      plain: the name without the number that sets it apart from others.
-      notes: known faults, passed on as flags.
-    """
-
-    path: Path
-    kind: str
-    name: str
-    label: str
-    body: str = ""
+    path: Path  # The mesh, URDF, SDF or MJCF file.
+    kind: str  # "mesh", "urdf", "sdf" or "mjcf".
+    name: str  # `[a-z0-9_-]+`, unique among the sources found together.
+    label: str  # What people call it.
+    body: str = ""  # The body's or model's name, where an MJCF or SDF file holds several objects.
     provenance: Provenance | None = None
-    notes: tuple[str, ...] = ()
-    earlier: tuple[str, str] = ("", "")
-    parts: tuple[Path, ...] = ()
-    plain: str = ""
+    notes: tuple[str, ...] = ()  # Known faults, passed on as flags.
+    parts: tuple[Path, ...] = ()  # Files of collision shapes that are to be its parts.
+    plain: str = ""  # The name without the number that sets it apart from others.
 
 
 def make_source(path: Path, kind: str, title: str = "", behind: str = "") -> ObjectFile:
@@ -113,22 +158,16 @@ def make_source(path: Path, kind: str, title: str = "", behind: str = "") -> Obj
       title: what it is called; if that says nothing, the part of its path is taken that says most.
       behind: what follows that part, where there is no title.
     """
-    earlier = title or (path.stem + behind if behind else _telling(path, _SAID_NOTHING))
     if not title or _SAYS_NOTHING.fullmatch(title.lower()):
         title = telling_name(path) + behind
-    names = _with_allowed_letters(earlier), label_of(earlier)
     name = plain_name(title)
-    return ObjectFile(path, kind, name, label_of(title), earlier=names, plain=name)
+    return ObjectFile(path, kind, name, label_of(title), plain=name)
 
 
 def telling_name(path: Path) -> str:
     """The innermost part of a path that says what the object is."""
-    return _telling(path, _SAYS_NOTHING)
-
-
-def _telling(path: Path, says_nothing: re.Pattern[str]) -> str:
     parts = [path.stem, *(each.name for each in path.resolve().parents)]
-    return next((part for part in parts if part and not says_nothing.fullmatch(part.lower())), path.stem)
+    return next((part for part in parts if part and not _SAYS_NOTHING.fullmatch(part.lower())), path.stem)
 
 
 def label_of(title: str) -> str:
@@ -138,14 +177,11 @@ def label_of(title: str) -> str:
 
 def plain_name(text: str) -> str:
     """`text` in the letters allowed for names: other scripts and accents as their nearest Latin letters."""
-    return _with_allowed_letters(anyascii(unicodedata.normalize("NFC", text))[:_LONGEST])
-
-
-def _with_allowed_letters(text: str) -> str:
+    text = anyascii(unicodedata.normalize("NFC", text))[:_LONGEST]
     return re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_") or "object"
 
 
-def named_apart(sources: Sequence[ObjectFile]) -> list[ObjectFile]:
+def make_names_distinct(sources: Sequence[ObjectFile]) -> list[ObjectFile]:
     """Distinct names: where several objects share one, all but the first get the next free number.
 
     One called `support`, as the body of a scene's support is, gets a number too.

@@ -11,9 +11,14 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
-from cluttergen_jax.importing.readers.source import GENERIC, ObjectFile, label_of, make_source, named_apart
-from cluttergen_jax.importing.readers.xacro import SUFFIX as XACRO
-from cluttergen_jax.importing.readers.xacro import how_to_process
+from cluttergen_jax.importing.readers.source import (
+    GENERIC,
+    ObjectFile,
+    label_of,
+    make_names_distinct,
+    make_source,
+)
+from cluttergen_jax.importing.readers.urdf import XACRO, how_to_process
 from cluttergen_jax.importing.readers.ycb_scans import best_scans
 
 MODEL_SUFFIXES = (".urdf", ".sdf", ".xml")
@@ -44,16 +49,11 @@ _STANDS_IN = re.compile(GENERIC)
 
 @dataclass(frozen=True)
 class Skipped:
-    """A file or folder that was not imported, and why.
+    """A file or folder that was not imported, and why."""
 
-    Attributes:
-      name: its path, from the folder on that was searched.
-      is_piece: it belongs to an object, or to one that was left out.
-    """
-
-    name: str
+    name: str  # Its path, from the folder on that was searched.
     reason: str
-    is_piece: bool = False
+    is_piece: bool = False  # It belongs to an object, or to one that was left out.
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,12 @@ def find_sources(path: str | Path) -> list[ObjectFile]:
 
 
 def survey(path: str | Path) -> Found:
-    """`found_in`, with distinct names."""
-    found = found_in(path)
-    return replace(found, sources=tuple(named_apart(found.sources)))
+    """`find_all`, with distinct names."""
+    found = find_all(path)
+    return replace(found, sources=tuple(make_names_distinct(found.sources)))
 
 
-def found_in(path: str | Path) -> Found:
+def find_all(path: str | Path) -> Found:
     """Every object that `path` holds, and every file that is none; several objects may have one name.
 
     The meshes that a URDF, SDF or MJCF file names are its pieces; all others are objects of their own. One

@@ -4,24 +4,196 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import trimesh
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.links import Link, rigid
+from cluttergen_jax.importing.readers.damage import refuse_stand_in
+from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, rigid
 from cluttergen_jax.importing.readers.materials import GREY
-from cluttergen_jax.importing.readers.model import Model, frozen, frozen_note
+from cluttergen_jax.importing.readers.model import Model, frozen_note
 from cluttergen_jax.importing.readers.places import mesh_place
-from cluttergen_jax.importing.readers.stand_ins import refuse_stand_in
-from cluttergen_jax.importing.readers.surfaces import Look, Surfaces
-from cluttergen_jax.importing.readers.urdf_joints import Joints, origin
-from cluttergen_jax.importing.readers.xacro import refuse_xacro
-from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, without_namespace
+from cluttergen_jax.importing.readers.xml_tree import (
+    BROKEN,
+    Element,
+    all_numbers,
+    number,
+    numbers,
+    without_namespace,
+    wrong_attribute,
+)
+
+XACRO = ".xacro"
+_ELEMENT = re.compile(rb"<(xacro:\w+)")
+_EXPRESSION = re.compile(r"\$\{.*?\}|\$\(.*?\)")
+_NAMESPACE = re.compile(r"\{.*xacro\}")
+
+
+def refuse_xacro(path: Path, robot: Element | None = None) -> None:
+    """Refuses an unprocessed xacro; without its root, by the text of a file that cannot be parsed.
+
+    Raises:
+      AssetError: it says how to process it.
+    """
+    sign = _sign_in_text(path) if robot is None else _sign_in_tree(robot)
+    if sign:
+        raise AssetError(f"{path} is an unprocessed xacro: it has {sign}", "URDF", how_to_process(path))
+
+
+def how_to_process(path: Path) -> str:
+    """The command that makes URDF of a xacro."""
+    stem = path.name.removesuffix(XACRO).removesuffix(".urdf")
+    return f"xacro {path.name} > {stem if path.suffix == XACRO else stem + '_plain'}.urdf"
+
+
+def _sign_in_text(path: Path) -> str:
+    try:
+        found = _ELEMENT.search(path.read_bytes())
+    except OSError:
+        return ""
+    return f"<{found[1].decode(errors='replace')}>" if found else ""
+
+
+def _sign_in_tree(robot: Element) -> str:
+    """The first thing that a processed file has no more; empty where there is none."""
+    for element in robot.iter():
+        if isinstance(element.tag, str) and (found := _NAMESPACE.match(element.tag)):
+            return f"<xacro:{element.tag[found.end() :]}>"
+        for name, value in element.items():
+            if _EXPRESSION.search(value):
+                return f'{name}="{value}"'
+    return ""
+
+
+_LIMITED = ("revolute", "prismatic")
+_TURNS = ("revolute", "continuous")
+_KINDS = ("fixed", "floating", "planar", *_LIMITED, *_TURNS)
+
+
+class Joints:
+    """All joints of a URDF, each frozen at its lower limit, at zero, or where the joint is that it mimics.
+
+    Args:
+      path: the file, for messages.
+
+    Attributes:
+      notes: what was decided about them, in words.
+    """
+
+    def __init__(self, robot: Element, path: Path) -> None:
+        self._path = path
+        self._links = [link.get("name", "") for link in robot.findall("link")]
+        self._joints = robot.findall("joint")
+        self._by_name = {joint.get("name", ""): joint for joint in self._joints}
+        self.notes = [
+            f"joint {joint.get('name')!r} is of type {kind!r}, which URDF does not have: it is fixed"
+            for joint in self._joints
+            if (kind := joint.get("type")) not in _KINDS
+        ]
+
+    def value(self, joint: Element) -> float:
+        """Radians or metres.
+
+        Raises:
+          AssetError: it mimics a joint that is not there, or itself.
+        """
+        factor, offset, seen = 1.0, 0.0, {joint.get("name", "")}
+        while (mimic := joint.find("mimic")) is not None:
+            name = mimic.get("joint", "")
+            if name not in self._by_name:
+                raise wrong_attribute(self._path, mimic, "joint", ", ".join(map(repr, self._by_name)))
+            if name in seen:
+                raise AssetError(f"{self._path}: joint {name!r} mimics itself", "a joint that mimics none")
+            seen.add(name)
+            offset += factor * number(self._path, mimic, "offset", "0")
+            factor *= number(self._path, mimic, "multiplier", "1")
+            joint = self._by_name[name]
+        return factor * self._lower_limit(joint) + offset
+
+    def _lower_limit(self, joint: Element) -> float:
+        limit = joint.find("limit")
+        if limit is None or joint.get("type") not in _LIMITED:
+            return 0.0
+        value = number(self._path, limit, "lower", "0", is_finite=False)
+        return value if math.isfinite(value) else 0.0
+
+    def link_poses(self) -> dict[str, np.ndarray]:
+        """f64[4, 4] from each link to the root link.
+
+        Raises:
+          AssetError: the links are no tree.
+        """
+        children: dict[str, list[Element]] = {}
+        for joint in self._joints:
+            children.setdefault(self._link_of(joint, "parent"), []).append(joint)
+        below = {self._link_of(joint, "child") for joint in self._joints}
+        roots = [name for name in self._links if name not in below]
+        if len(roots) > 1:
+            names = ", ".join(map(repr, roots))
+            self.notes.append(f"its links {names} hang on no joint: all are put at the model's origin")
+        poses = {name: np.eye(4) for name in roots}
+        todo = list(poses)
+        while todo:
+            parent = todo.pop()
+            for joint in children.get(parent, []):
+                child = self._link_of(joint, "child")
+                if child not in poses:
+                    poses[child] = poses[parent] @ origin(self._path, joint) @ self._motion(joint)
+                    todo.append(child)
+        if lost := [name for name in self._links if name not in poses]:
+            raise AssetError(f"{self._path}: link {lost[0]!r} hangs in a loop of joints", "a tree of links")
+        return poses
+
+    def _link_of(self, joint: Element, tag: str) -> str:
+        link = joint.find(tag)
+        if link is None or not link.get("link"):
+            raise AssetError(f"{self._path}: joint {joint.get('name')!r} names no {tag} link")
+        return link.get("link", "")
+
+    def _motion(self, joint: Element) -> np.ndarray:
+        kind = joint.get("type")
+        if kind not in (*_LIMITED, *_TURNS):
+            return np.eye(4)
+        value, axis = self.value(joint), self._axis(joint)
+        if value == 0:
+            return np.eye(4)
+        if kind in _TURNS:
+            return trimesh.transformations.rotation_matrix(value, axis)
+        return trimesh.transformations.translation_matrix(value * axis / np.linalg.norm(axis))
+
+    def _axis(self, joint: Element) -> np.ndarray:
+        """f64[3], of any length. Numbers missing at its end are zero: some published files need that."""
+        element = joint.find("axis")
+        if element is None:
+            return np.array([1.0, 0.0, 0.0])
+        values = all_numbers(self._path, element, "xyz")
+        if 0 < len(values) < 3:
+            self.notes.append(
+                f"axis {element.get('xyz')!r} of joint {joint.get('name')!r}: the rest is taken for 0"
+            )
+            values += [0.0] * (3 - len(values))
+        if len(values) != 3 or not np.isfinite(values).all() or not (any(values) or self.value(joint) == 0):
+            raise wrong_attribute(self._path, element, "xyz", "3 numbers, not all of them 0")
+        return np.array(values)
+
+
+def origin(path: Path, element: Element) -> np.ndarray:
+    """f64[4, 4]: the <origin> of an element; none is the identity."""
+    place = element.find("origin")
+    if place is None:
+        return np.eye(4)
+    roll, pitch, yaw = numbers(path, place, "rpy", 3, "0 0 0")
+    pose = trimesh.transformations.euler_matrix(roll, pitch, yaw, "sxyz")
+    pose[:3, 3] = numbers(path, place, "xyz", 3, "0 0 0")
+    return pose
+
 
 _MOVABLE = ("revolute", "prismatic", "continuous", "floating", "planar")
 
@@ -39,22 +211,16 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE) -> Model:
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
     """
-    robot = _parsed(path)
+    robot = _parse(path)
     joints = Joints(robot, path)
     poses = joints.link_poses()
     scale = _global_scaling(path)
     surfaces = Surfaces(path, max_side, notes=joints.notes)
-    links = [
-        Link(link, partial(_placed, path, poses[link.get("name", "")])) for link in robot.findall("link")
-    ]
+    links = [Link(link, poses[link.get("name", "")], partial(origin, path)) for link in robot.findall("link")]
     return rigid(links, surfaces, _Looks(_materials(robot), surfaces).of, _notes(robot, joints), scale)
 
 
-def _placed(path: Path, pose: np.ndarray, element: Element) -> np.ndarray:
-    return pose @ origin(path, element)
-
-
-def _parsed(path: Path) -> Element:
+def _parse(path: Path) -> Element:
     """The root of a URDF; an unprocessed xacro is none."""
     try:
         robot = ElementTree.parse(path).getroot()
@@ -79,7 +245,7 @@ def _materials(robot: Element) -> dict[str, Element]:
 def _notes(robot: Element, joints: Joints) -> tuple[str, ...]:
     movable = [joint for joint in robot.findall("joint") if joint.get("type") in _MOVABLE]
     return frozen_note(
-        frozen(joint.get("name", ""), kind, joints.value(joint), is_turn=kind != "prismatic")
+        (joint.get("name", ""), kind, joints.value(joint), kind != "prismatic")
         for joint in movable
         if (kind := joint.get("type", ""))
     )

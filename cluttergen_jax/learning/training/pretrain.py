@@ -17,7 +17,6 @@ import optax
 from flax import struct
 
 from cluttergen_jax.assets.cloud import farthest_first, sample_surface
-from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.modeller.catalog import FAMILIES, make_shape
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.networks.actor_critic import PointNet
@@ -162,7 +161,7 @@ def shape_cloud(family: str, seed: int, num_points: int) -> np.ndarray:
 
     The points lie on the surfaces of its pieces, also where one piece hides another.
     """
-    mesh = joined([piece.mesh for piece in make_shape(family, seed).pieces])
+    mesh = join_meshes([piece.mesh for piece in make_shape(family, seed).pieces])
     points = sample_surface(mesh, num_points, seed)
     lower, upper = mesh.bounds
     return (points[farthest_first(points)] - (lower + upper) / 2).astype(np.float32)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import trimesh
 
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.cloud import cloud_colours, top_points
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.scene_cloud import cloud_colours, top_points
-from cluttergen_jax.assets.shading import linear, shaded
+from cluttergen_jax.assets.shading import linear, shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.geometry import yaw_quaternion
@@ -266,7 +266,7 @@ def add_ghost(
 ) -> Any:
     """A frame `root`, which may be moved, with an object in one colour, each channel in [0, 1]."""
     frame = server.scene.add_frame(root, show_axes=False)
-    whole = joined([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
+    whole = join_meshes([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
     _surface(server, f"{root}/visual", Piece(whole, rgba))
     return frame
 
@@ -281,7 +281,7 @@ def _surface(server: viser.ViserServer, name: str, piece: Piece) -> Any:
     if piece.texture is not None:
         return server.scene.add_mesh_trimesh(name, textured_mesh(piece))
     rgba = piece.rgba
-    vertices, _, faces, _ = shaded(piece.mesh)
+    vertices, _, faces, _ = shade(piece.mesh)
     return server.scene.add_mesh_simple(
         name,
         vertices,
@@ -295,7 +295,7 @@ def _surface(server: viser.ViserServer, name: str, piece: Piece) -> Any:
 def textured_mesh(piece: Piece) -> trimesh.Trimesh:
     """A piece that has an image as trimesh keeps one, seen from both sides."""
     assert piece.texture is not None
-    vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
+    vertices, normals, faces, uv = shade(piece.mesh, piece.uv)
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=piece.texture.image,
         baseColorFactor=np.round(255 * np.array(linear(piece.rgba))).astype(np.uint8),

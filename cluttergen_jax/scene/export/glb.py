@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.shading import box_mesh, linear, shaded
+from cluttergen_jax.assets.shading import box_mesh, linear, shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.scene import Camera, Scene
@@ -100,7 +100,7 @@ class _Builder:
         return self._add("meshes", {"name": name, "primitives": primitives})
 
     def _primitive(self, piece: Piece) -> dict[str, object]:
-        vertices, normals, faces, uv = shaded(piece.mesh, piece.uv)
+        vertices, normals, faces, uv = shade(piece.mesh, piece.uv)
         bounds = {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
         attributes = {
             "POSITION": self._accessor(vertices, "VEC3", _FLOAT, _ARRAY, **bounds),

@@ -14,7 +14,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.shading import linear, shaded
+from cluttergen_jax.assets.shading import linear, shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
@@ -190,7 +190,7 @@ def _add_visuals(stage: Any, pieces: Sequence[Piece], images: Sequence[str | Non
 
 
 def _add_mesh(stage: Any, path: str, mesh: Mesh, uv: np.ndarray | None = None) -> Any:
-    vertices, normals, faces, places = shaded(mesh, uv)
+    vertices, normals, faces, places = shade(mesh, uv)
     result = UsdGeom.Mesh.Define(stage, path)
     result.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(vertices))
     result.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))

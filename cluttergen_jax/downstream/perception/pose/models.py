@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.mesh import joined
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.symmetry import turn_symmetry
 from cluttergen_jax.sensing import RaySensor, sensed_model
@@ -37,7 +37,7 @@ class ObjectModel:
     @lru_cache(maxsize=64)
     def of(asset: ObjectAsset) -> ObjectModel:
         """The model of an object, made once: what is drawn of it, or its collision parts where nothing is."""
-        mesh = joined([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
+        mesh = join_meshes([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
         surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
         points, faces = trimesh.sample.sample_surface(surface, NUM_POINTS, seed=0)
         normals = np.asarray(surface.face_normals)[faces]

@@ -34,17 +34,12 @@ _SPOTS = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3],
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Points of a solid's surface, f64[N, 3] in a tree, and the directions in which it faces, f64[N, 3].
-
-    Attributes:
-      reach: metres within which a surface is taken for a part of the skin.
-      is_exact: see `Solid`.
-    """
+    """Points of a solid's surface, f64[N, 3] in a tree, and the directions in which it faces, f64[N, 3]."""
 
     tree: cKDTree
     normals: np.ndarray
-    reach: float
-    is_exact: bool
+    reach: float  # Metres within which a surface is taken for a part of the skin.
+    is_exact: bool  # See `Solid`.
 
     @staticmethod
     def of(solid: Solid) -> Skin:
@@ -63,7 +58,7 @@ class Skin:
         return (np.sign(along) * is_told).mean(1)
 
 
-def faced(pieces: Sequence[Piece], solid: Solid | None) -> tuple[Piece, ...]:
+def orient_faces(pieces: Sequence[Piece], solid: Solid | None) -> tuple[Piece, ...]:
     """The pieces with their triangles turned outwards, patch by patch; sheets get a second side.
 
     A patch is what hangs together by edges of two triangles each. In each all triangles are turned alike;
@@ -77,13 +72,13 @@ def faced(pieces: Sequence[Piece], solid: Solid | None) -> tuple[Piece, ...]:
     patches = [_patches(piece.mesh) for piece in pieces]
     has_open = any((each.holes >= _MAX_HOLES).any() for each in patches)
     skin = Skin.of(solid) if solid is not None and has_open else None
-    return tuple(_faced(piece, each, skin) for piece, each in zip(pieces, patches, strict=True))
+    return tuple(_orient(piece, each, skin) for piece, each in zip(pieces, patches, strict=True))
 
 
-def _faced(piece: Piece, patches: _Patches, skin: Skin | None) -> Piece:
+def _orient(piece: Piece, patches: _Patches, skin: Skin | None) -> Piece:
     mesh = piece.mesh
     closed = patches.holes < _MAX_HOLES
-    turned = _reversed(mesh, patches.is_turned)
+    turned = _flip(mesh, patches.is_turned)
     volume = _sums(patches, _volumes(turned, patches))
     vote = np.zeros(patches.count)
     is_seen = np.ones(patches.count, bool)
@@ -97,10 +92,10 @@ def _faced(piece: Piece, patches: _Patches, skin: Skin | None) -> Piece:
     # What is open in a solid that had to be rebuilt may have a back that nothing covers.
     may_gape = skin is not None and not skin.is_exact and patches.holes > _GAPING
     is_sheet = ~closed & is_seen & (~is_told | may_gape)
-    # What nobody sees stays as it is, and so does what has only one side.
+    # What cannot be seen stays as it is, and so does what has only one side.
     is_kept = (~closed & ~is_seen) | patches.is_one_sided
     flips = np.where(is_kept[patches.label], False, patches.is_turned ^ faces_in[patches.label])
-    return _two_sided(replace(piece, mesh=_reversed(mesh, flips)), is_sheet[patches.label])
+    return _add_back_sides(replace(piece, mesh=_flip(mesh, flips)), is_sheet[patches.label])
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +176,7 @@ def _means(which: np.ndarray, vectors: np.ndarray, count: int) -> np.ndarray:
     return total / np.bincount(which, minlength=count)[:, None]
 
 
-def _reversed(mesh: Mesh, which: np.ndarray) -> Mesh:
+def _flip(mesh: Mesh, which: np.ndarray) -> Mesh:
     return Mesh(mesh.vertices, np.where(which[:, None], mesh.faces[:, ::-1], mesh.faces))
 
 
@@ -204,7 +199,7 @@ def _volumes(mesh: Mesh, patches: _Patches) -> np.ndarray:
     return np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
 
 
-def _two_sided(piece: Piece, is_sheet: np.ndarray) -> Piece:
+def _add_back_sides(piece: Piece, is_sheet: np.ndarray) -> Piece:
     """The piece with the triangles `is_sheet` a second time, facing the other way from just behind them."""
     if not is_sheet.any():
         return piece

@@ -1,4 +1,4 @@
-"""How far the parts' surface is from the mesh, and whether the two can be one object.
+"""How far the parts' surface is from the mesh, and whether pieces, mesh and parts can be one object.
 
 The former is the symmetric Hausdorff distance, by sampling.
 """
@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import manifold3d
 import numpy as np
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_solid, sample_surface
 from cluttergen_jax.assets.config import ALARM_FACTOR
-from cluttergen_jax.assets.mesh import Mesh, joined
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of, sound_points
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.assets.voxels import Voxels
@@ -36,7 +37,7 @@ def sample_parts(parts: Sequence[np.ndarray], count: int, seed: int) -> np.ndarr
 def surface_of(parts: Sequence[np.ndarray]) -> Mesh:
     """The triangles of all parts' hulls as one mesh, overlaps and all."""
     hulls = [hull for hull in map(hull_of, parts) if hull is not None]
-    return joined([Mesh(hull.points, hull.simplices) for hull in hulls])
+    return join_meshes([Mesh(hull.points, hull.simplices) for hull in hulls])
 
 
 def is_within_parts(points: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
@@ -68,11 +69,6 @@ def deviation(parts: Sequence[np.ndarray], solid: Solid, seed: int = 0) -> float
     return float(max(there.max(initial=0.0), back) / solid.diagonal)
 
 
-def hull_deviation(points: np.ndarray, solid: Solid) -> float:
-    """`deviation` of a single hull."""
-    return deviation([points], solid)
-
-
 def size_alarm(surface: np.ndarray, colliding: np.ndarray) -> str:
     """Why what is seen and what collides can hardly be one object; empty if they can.
 
@@ -101,3 +97,39 @@ def _spaces(points: np.ndarray) -> np.ndarray:
     points = sound_points(points)
     hull, box = hull_of(points), float(np.ptp(points, axis=0).prod())
     return np.array([box if hull is None else hull.volume, box])
+
+
+_SHARE = 0.02
+"""Of an object's size: what is nearer, as a drawer to its frame, touches; what is smaller is no piece."""
+_MOST_PIECES = 50
+
+
+def gap_alarm(solid: Solid) -> str:
+    """How far pieces of an object are from all others, in words; empty if each touches another."""
+    gaps = piece_gaps(solid)
+    if not gaps:
+        return ""
+    pieces = "a piece does" if len(gaps) == 1 else f"{len(gaps)} pieces do"
+    return f"{pieces} not touch the rest of it: the gap is {1000 * max(gaps):.0f} mm"
+
+
+def piece_gaps(solid: Solid) -> list[float]:
+    """Metres from each piece, but the first, to the nearest one before it, where they do not touch."""
+    least = _SHARE * solid.diagonal
+    pieces = sorted((each for each in solid.shells() if _size(each) > least), key=_size)
+    left = dict(enumerate(pieces[-_MOST_PIECES:]))
+    distance = {len(left) - 1: 0.0}
+    gaps: list[float] = []
+    while left:
+        near = min(left, key=lambda index: distance.get(index, np.inf))
+        shell = left.pop(near)
+        gaps += [distance[near]] if distance[near] > least else []
+        for index, other in left.items():
+            distance[index] = min(distance.get(index, np.inf), shell.min_gap(other, 2 * solid.diagonal))
+    return gaps
+
+
+def _size(shell: manifold3d.Manifold) -> float:
+    """Metres across the box around it."""
+    box = np.array(shell.bounding_box())
+    return float(np.linalg.norm(box[3:] - box[:3]))

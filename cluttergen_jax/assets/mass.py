@@ -1,4 +1,4 @@
-"""Mass and inertia as an object's own file states them, and whether they can be believed."""
+"""Mass, centre of mass and inertia: of a solid, as a file states them, and which of the two to take."""
 
 from __future__ import annotations
 
@@ -7,9 +7,54 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
+from cluttergen_jax.errors import AssetError
+
+
+@dataclass(frozen=True, eq=False)
+class MassProperties:
+    """A rigid body's mass in the frame of the mesh that it was taken from."""
+
+    mass: float  # Kilograms.
+    center: np.ndarray  # f64[3], metres.
+    inertia: np.ndarray  # f64[3, 3], kg m^2, about the centre, along the mesh's axes.
+
+    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> MassProperties:
+        """The same body with every point p moved to rotation @ p + translation."""
+        return MassProperties(
+            self.mass, rotation @ self.center + translation, rotation @ self.inertia @ rotation.T
+        )
+
+
+def mass_properties(mesh: Mesh, density: float, mass: float | None = None) -> MassProperties:
+    """Of a closed mesh filled evenly.
+
+    Args:
+      mesh: closed, oriented outwards.
+      density: kg/m^3, used if `mass` is None.
+      mass: kilograms.
+
+    Raises:
+      AssetError: the volume or the mass is not above zero.
+    """
+    # Loaded when an object is imported: it takes as long as JAX, and placing objects needs none of it.
+    import trimesh
+
+    tri = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    volume = float(tri.volume)
+    weight = density * volume if mass is None else mass
+    if not (np.isfinite(weight) and weight > 0 and volume > 0):
+        raise AssetError(
+            f"a volume of {volume:.3g} m^3 and a mass of {weight:.3g} kg", "both above zero", "`mass`"
+        )
+    tri.density = weight / volume
+    inertia = np.asarray(tri.moment_inertia, np.float64)
+    moments = np.linalg.eigvalsh(inertia)
+    if moments[0] <= 0 or moments[2] > 1.0001 * (moments[0] + moments[1]):
+        raise AssetError(f"moments of inertia {moments}, which no body has", "a closed mesh, facing outwards")
+    return MassProperties(weight, np.asarray(tri.center_mass, np.float64), (inertia + inertia.T) / 2)
+
 
 MIN_DENSITY, MAX_DENSITY = 20.0, 20_000.0
 # What things can weigh over their convex hulls, kg/m^3: from an empty pitcher to a block of steel.
@@ -36,15 +81,15 @@ class StatedMass:
     is_even: bool
     is_round: bool
 
-    def scaled(self, turn: np.ndarray, lengths: float, mass: float = 1.0) -> StatedMass:
+    def convert(self, turn: np.ndarray, lengths: float, mass: float = 1.0) -> StatedMass:
         """The same in another frame and unit: turned, with lengths and the mass times a factor each."""
         body = MassProperties(
             self.body.mass * mass, self.body.center * lengths, self.body.inertia * (mass * lengths**2)
         )
-        return replace(self, body=body.moved(turn, np.zeros(3)))
+        return replace(self, body=body.transform(turn, np.zeros(3)))
 
 
-def combined(bodies: Sequence[MassProperties]) -> StatedMass | None:
+def combine_masses(bodies: Sequence[MassProperties]) -> StatedMass | None:
     """Rigidly joined bodies as one, all in one frame; None where they weigh nothing."""
     bodies = [body for body in bodies if body.mass != 0]
     mass = sum(body.mass for body in bodies)
@@ -62,7 +107,7 @@ def combined(bodies: Sequence[MassProperties]) -> StatedMass | None:
     )
 
 
-def believed(
+def choose_mass(
     stated: StatedMass, solid: Mesh, uniform: MassProperties, density: float
 ) -> tuple[MassProperties, str]:
     """What to take for an object: as stated where that is plausible, else spread evenly over its volume.
@@ -79,9 +124,9 @@ def believed(
     share = mass / uniform.mass
     even = MassProperties(mass, uniform.center, uniform.inertia * share)
     if reason := _why_no_mass(stated, density * share, even):
-        told = f" of {_kilograms(mass)}" if np.isfinite(mass) else ""
+        text = f" of {_kilograms(mass)}" if np.isfinite(mass) else ""
         return uniform, (
-            f"its stated mass{told} is not taken: {reason}; "
+            f"its stated mass{text} is not taken: {reason}; "
             f"{uniform.mass:.3g} kg by volume and density instead"
         )
     if reason := _why_no_inertia(stated, solid, even):
@@ -108,13 +153,13 @@ def mass_alarm(stated: StatedMass, solid: Mesh) -> str:
     low, high = _LIKELY_DENSITY
     over_hull, over_mesh = mass / hull.volume, mass / solid.volume
     if not low <= over_hull <= high:
-        told = f"{_density(over_hull)} over its convex hull, where {low:g} to {high:,.0f} are likely"
+        text = f"{_density(over_hull)} over its convex hull, where {low:g} to {high:,.0f} are likely"
     elif not MIN_DENSITY <= over_mesh <= MAX_DENSITY:
-        told = f"{_density(over_mesh)} over the volume of its mesh"
+        text = f"{_density(over_mesh)} over the volume of its mesh"
     else:
         return ""
     instead = 'mass="volume" takes its volume times density'
-    return f"its stated mass of {_kilograms(mass)} does not fit its size: {told} ({instead})"
+    return f"its stated mass of {_kilograms(mass)} does not fit its size: {text} ({instead})"
 
 
 def _kilograms(mass: float) -> str:

@@ -1,17 +1,85 @@
-"""The files that a mesh file names (materials, images, buffers), found also where they are not as named."""
+"""Mesh files as trimesh takes them: text in UTF-8, whatever it was written in.
+
+Old exporters write comments and material names in Latin-1. trimesh guesses the encoding with a library that
+may be missing, from the first thousand bytes, and drops what it cannot decode, so that a material of the OBJ
+file may no longer be found in the MTL file.
+"""
 
 from __future__ import annotations
 
+import codecs
 import io
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import trimesh
 from PIL import Image
 
+from cluttergen_jax.importing.readers.collada import with_image_paths
+from cluttergen_jax.importing.readers.damage import is_text_stl
+from cluttergen_jax.importing.readers.gltf_plain import plain_glb
 from cluttergen_jax.importing.readers.places import OPTIONS, find_named
-from cluttergen_jax.importing.readers.text import ALL_MATERIALS, material_lines, utf8
+
+_END_OF_HEADER = b"end_header"
+_WORD_AND_TAB = re.compile(rb"^[ \t]*([a-z]+)[ ]*\t[ \t]*", re.MULTILINE)
+ALL_MATERIALS = "*.mtl"
+"""What an OBJ file's text calls all its material files together: trimesh asks for one."""
+
+_MTLLIB = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)(?:[ \t]+#.*?)?[ \t\r]*$", re.MULTILINE)
+
+
+class MeshInput(NamedTuple):
+    """A mesh file as `trimesh.load_scene` takes it: its content and suffix, or its path."""
+
+    file_obj: io.BytesIO | str
+    file_type: str | None = None
+
+
+def mesh_input(path: Path) -> MeshInput:
+    """A mesh file in a form that trimesh understands."""
+    suffix = path.suffix.lower()
+    if suffix in (".glb", ".gltf") and (plain := plain_glb(path)) is not None:
+        return MeshInput(io.BytesIO(plain), "glb")
+    if suffix == ".dae" and (named := with_image_paths(path)) is not None:
+        return MeshInput(io.BytesIO(named), "dae")
+    if suffix not in (".obj", ".ply", ".stl"):
+        return MeshInput(str(path))
+    data = path.read_bytes()
+    if suffix == ".ply":
+        head, end, body = data.partition(_END_OF_HEADER)
+        data = (as_utf8(head) if end else head) + end + body
+    elif suffix == ".obj":
+        data = _plain_obj(as_utf8(data))
+    elif is_text_stl(data, len(data)):
+        data = as_utf8(data)
+    return MeshInput(io.BytesIO(data), suffix[1:])
+
+
+def as_utf8(data: bytes) -> bytes:
+    """Text in UTF-8: what is UTF-8 or UTF-16 stays as it is, all else is read as Windows-1252 or Latin-1."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", errors="replace").encode()
+    for encoding in ("utf-8-sig", "cp1252"):
+        try:
+            return data.decode(encoding).encode()
+        except UnicodeDecodeError:
+            continue
+    return data.decode("latin-1").encode()
+
+
+def material_lines(data: bytes) -> list[str]:
+    """What the `mtllib` lines of an OBJ text name: each one file, or several with spaces between them."""
+    return [name.decode() for name in dict.fromkeys(_MTLLIB.findall(data))]
+
+
+def _plain_obj(data: bytes) -> bytes:
+    """An OBJ text as trimesh follows it: spaces behind keywords, and one `mtllib` line, the first."""
+    if b"\t" in data:
+        data = _WORD_AND_TAB.sub(rb"\1 ", data)
+    return f"mtllib {ALL_MATERIALS}\n".encode() + data if material_lines(data) else data
+
 
 _NAMED = {
     ".mtl": rb"^[ \t]*map_[Kk][Dd][ \t]+(.+?)[ \t\r]*$",
@@ -33,7 +101,7 @@ def companions(path: Path) -> Iterator[Path]:
                 yield found
                 yield from companions(found) if found.suffix.lower() == ".mtl" else ()
     elif pattern := _NAMED.get(suffix):
-        for name in re.findall(pattern, utf8(path.read_bytes()), re.MULTILINE):
+        for name in re.findall(pattern, as_utf8(path.read_bytes()), re.MULTILINE):
             if (found := find_named(path.parent, name.decode())) is not None:
                 yield found
 
@@ -43,7 +111,7 @@ def _material_files(obj: Path) -> Iterator[tuple[str, Path | None]]:
 
     A line names one file, whose name may hold spaces; or if that is not there, several.
     """
-    for line in material_lines(utf8(obj.read_bytes())):
+    for line in material_lines(as_utf8(obj.read_bytes())):
         names = [line] if find_named(obj.parent, line) else line.split()
         yield from ((name, find_named(obj.parent, name)) for name in names)
 
@@ -75,7 +143,8 @@ class Companions(trimesh.resolvers.FilePathResolver):
             try:
                 Image.open(io.BytesIO(data))
             except Exception as error:  # Pillow's decoders raise whatever they do.
-                self.notes.append(f"{found.name} cannot be read as an image ({_short(error)})")
+                reason = re.sub(r" <_io.*?>", "", str(error)) or type(error).__name__
+                self.notes.append(f"{found.name} cannot be read as an image ({reason})")
                 raise
         return data
 
@@ -86,10 +155,10 @@ class Companions(trimesh.resolvers.FilePathResolver):
             if found is None:
                 self._miss(name)
             else:
-                texts.append(utf8(found.read_bytes()))
+                texts.append(as_utf8(found.read_bytes()))
         text = b"\n".join(texts)
         if texts:
-            used = dict.fromkeys(_USED.findall(utf8(self._path.read_bytes())))
+            used = dict.fromkeys(_USED.findall(as_utf8(self._path.read_bytes())))
             lost = [name.decode() for name in used if name not in set(_DEFINED.findall(text))]
             self.notes += [
                 f"{self._path.name} names material {name!r}, which is nowhere defined" for name in lost
@@ -99,7 +168,3 @@ class Companions(trimesh.resolvers.FilePathResolver):
 
     def _miss(self, name: str) -> None:
         self.notes.append(f"{self._path.name} names {name!r}, which is not there")
-
-
-def _short(error: Exception) -> str:
-    return re.sub(r" <_io.*?>", "", str(error)) or type(error).__name__

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from cluttergen_jax.assets.cloud import farthest_first
-from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import AssetError
 
@@ -21,7 +20,7 @@ _OUTLINE_WEIGHT = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class HeightProfile:
     """The object's collision parts cut into columns, object frame, metres.
 
     The columns stand on a grid and, as closely, along the outline of the footprint, so that they tell where
@@ -43,13 +42,13 @@ class Columns:
     surface: np.ndarray
 
 
-def cut_columns(asset: ObjectAsset, spacing: float, num_samples: int) -> Columns:
+def height_profile_of(asset: ObjectAsset, spacing: float, num_samples: int) -> HeightProfile:
     """Cuts an asset into columns at most `spacing` metres apart.
 
     Raises:
       AssetError: no vertical line meets the object.
     """
-    planes = [_planes(part) for part in asset.parts]
+    planes = [ConvexHull(part.vertices).equations for part in asset.parts]
     outline = _outline(asset, spacing)
     xy = np.concatenate([outline, _grid(asset.half_extents[:2], spacing)])
     lowest, highest = np.full(len(xy), np.inf), np.full(len(xy), -np.inf)
@@ -63,10 +62,10 @@ def cut_columns(asset: ObjectAsset, spacing: float, num_samples: int) -> Columns
     weight = np.where(np.arange(len(xy)) < len(outline), _OUTLINE_WEIGHT, 1.0)
     xy, top = xy[hit], highest[hit]
     sample = farthest_first(xy, num_samples, weight[hit])
-    return Columns(xy, lowest[hit], top, sample, _grown(xy, top, asset.half_extents[:2]))
+    return HeightProfile(xy, lowest[hit], top, sample, _grown_surface(xy, top, asset.half_extents[:2]))
 
 
-def _grown(xy: np.ndarray, top: np.ndarray, half: np.ndarray) -> np.ndarray:
+def _grown_surface(xy: np.ndarray, top: np.ndarray, half: np.ndarray) -> np.ndarray:
     """f64[Q, 3]: on a grid, the highest top within reach."""
     grid = _grid(half + REACH, SURFACE_SPACING)
     near = cKDTree(xy).sparse_distance_matrix(cKDTree(grid), REACH, output_type="coo_matrix")
@@ -109,11 +108,6 @@ def _along_edge(shadow: ConvexHull, spacing: float) -> np.ndarray:
     points = np.concatenate(runs)
     inwards = corners.mean(0) - points
     return points + _INSET * inwards / np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
-
-
-def _planes(part: Mesh) -> np.ndarray:
-    """f64[F, 4]: a convex part's faces, outward normals and offsets."""
-    return ConvexHull(part.vertices).equations
 
 
 def _part_range(planes: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

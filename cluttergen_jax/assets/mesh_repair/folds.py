@@ -27,15 +27,10 @@ _RINGS = 8
 
 @dataclass(frozen=True, eq=False)
 class _Neighbours:
-    """Pairs of triangles that share an edge and lie in one plane.
+    """Pairs of triangles that share an edge and lie in one plane."""
 
-    Attributes:
-      pairs: i64[N, 2], triangles.
-      is_fold: bool[N], where one lies over the other; else beside it.
-    """
-
-    pairs: np.ndarray
-    is_fold: np.ndarray
+    pairs: np.ndarray  # i64[N, 2], triangles.
+    is_fold: np.ndarray  # bool[N], where one lies over the other; else beside it.
 
 
 def num_folds(mesh: Mesh) -> int:
@@ -72,7 +67,7 @@ def _without_folds_once(mesh: Mesh, uv: np.ndarray | None) -> Mesh:
     for place in _places(near, len(kept)):
         cut = _cut_anew(welded, place) if stays[kept[place]].all() else None
         if cut is not None:
-            faces.append(_named(cut, label, mesh.faces[kept[place]]))
+            faces.append(_original_vertices(cut, label, mesh.faces[kept[place]]))
             stays[kept[place]] = False
     return Mesh(mesh.vertices, np.concatenate([mesh.faces[stays], *faces])) if faces else mesh
 
@@ -199,7 +194,7 @@ def _loops(faces: np.ndarray) -> list[np.ndarray]:
     return loops
 
 
-def _named(cut: np.ndarray, label: np.ndarray, before: np.ndarray) -> np.ndarray:
+def _original_vertices(cut: np.ndarray, label: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Triangles of welded vertices as triangles of those that the place had before."""
     used = before.reshape(-1)
     names, first = np.unique(label[used], return_index=True)

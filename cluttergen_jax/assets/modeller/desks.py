@@ -40,12 +40,12 @@ def l_desk(rng: Rng = None) -> SupportAsset:
             *(joinery.slab((side, side, low), foot, 0.0) for foot in feet),
         ],
         [
-            cad.piece(
+            (
                 cad.extrude(outline, thickness - 0.003, low + 0.003),
                 shade(rng, (joinery.WOODS[3], *joinery.WOODS)),
             ),
-            cad.piece(cad.extrude(outline, 0.003, low), joinery.DARK_STEEL),
-            cad.piece(cad.union(*rails, *legs), shade(rng, joinery.METALS, 0.02)),
+            (cad.extrude(outline, 0.003, low), joinery.DARK_STEEL),
+            (cad.union(*rails, *legs), shade(rng, joinery.METALS, 0.02)),
         ],
         "L-shaped desk",
     )
@@ -81,12 +81,12 @@ def shelf_desk(rng: Rng = None) -> SupportAsset:
             joinery.slab(shelf, shelf_place, shelf_low),
         ],
         [
-            cad.piece(joinery.board((width, depth, top - low), (0, 0), low, 0.004), wood),
+            (joinery.board((width, depth, top - low), (0, 0), low, 0.004), wood),
             *leg_pieces,
-            cad.piece(cad.union(*rails), paint),
-            cad.piece(cad.union(*(cad.box(*panel) for panel in panels)), paint),
-            cad.piece(joinery.board((riser_width, riser_depth, sheet), (0, middle), top + under), wood),
-            cad.piece(joinery.board(shelf, shelf_place, shelf_low), joinery.darker(wood, 0.95)),
+            (cad.union(*rails), paint),
+            (cad.union(*(cad.box(*panel) for panel in panels)), paint),
+            (joinery.board((riser_width, riser_depth, sheet), (0, middle), top + under), wood),
+            (joinery.board(shelf, shelf_place, shelf_low), joinery.darker(wood, 0.95)),
         ],
         "desk with shelf and riser",
     )
@@ -127,15 +127,11 @@ def drawer_desk(rng: Rng = None) -> SupportAsset:
             *(joinery.slab((side, side, low), (x, s * y), 0.0) for s in (-1, 1)),
         ],
         [
-            cad.piece(joinery.board((width, depth, top - low), (0, 0), low, 0.005), wood),
-            cad.piece(
-                cad.union(cad.box(cabinet, place, 0.07), cad.box(*apron), cad.box(*panel), *feet), paint
-            ),
-            cad.piece(plinth, joinery.DARK_STEEL),
-            cad.piece(
-                cad.union(*(joinery.board(*front, 0.003) for front in fronts)), joinery.darker(wood, 0.95)
-            ),
-            cad.piece(cad.union(*knobs), joinery.METALS[1]),
+            (joinery.board((width, depth, top - low), (0, 0), low, 0.005), wood),
+            (cad.union(cad.box(cabinet, place, 0.07), cad.box(*apron), cad.box(*panel), *feet), paint),
+            (plinth, joinery.DARK_STEEL),
+            (cad.union(*(joinery.board(*front, 0.003) for front in fronts)), joinery.darker(wood, 0.95)),
+            (cad.union(*knobs), joinery.METALS[1]),
         ],
         "desk with drawers",
     )

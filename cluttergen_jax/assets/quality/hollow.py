@@ -10,8 +10,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.deviation import is_within_parts
 from cluttergen_jax.assets.mjcf import add_part, new_spec
+from cluttergen_jax.assets.quality.deviation import is_within_parts
 from cluttergen_jax.assets.shape import Cavity
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.assets.voxels import Voxels
@@ -27,19 +27,13 @@ _BALL_SECONDS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Hollow:
-    """A cavity as points of the space inside.
+    """A cavity as points of the space inside."""
 
-    Attributes:
-      points: f64[N, 3], a cubic grid of points inside, metres.
-      pitch: the grid's step, metres.
-      mouth: f64[3], in the opening's plane, where a ball can be dropped in.
-    """
+    points: np.ndarray  # f64[N, 3], a cubic grid of points inside, metres.
+    pitch: float  # The grid's step, metres.
+    mouth: np.ndarray  # f64[3], in the opening's plane, where a ball can be dropped in.
 
-    points: np.ndarray
-    pitch: float
-    mouth: np.ndarray
-
-    def moved(self, rotation: np.ndarray, translation: np.ndarray) -> Hollow:
+    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Hollow:
         """The same cavity with every point p at rotation @ p + translation."""
         return Hollow(self.points @ rotation.T + translation, self.pitch, rotation @ self.mouth + translation)
 

@@ -1,0 +1,264 @@
+"""Supports and surfaces seen from above: heights on a grid, and where on a top objects may be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import grey_closing
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import rectangle_corners, rotate_in_plane
+
+VOID = -1e3
+"""Height of a cell with nothing under it, metres."""
+
+_CELL = 0.0025
+_MOST_CELLS = 2_000_000
+_MOST_MAP_CELLS = 40_000
+_NARROW_GAP = 0.02
+_LOWEST = -0.01
+
+
+def boxes_of(support: SupportAsset) -> np.ndarray:
+    """f64[B, 7]: centre, half extents and yaw of all boxes; world frame, metres, radians."""
+    return np.array([(*box.center, *box.half_extents, box.yaw) for box in support.boxes], np.float64)
+
+
+def top_boxes(boxes: np.ndarray, top: float) -> np.ndarray:
+    """Those of f64[B, 7] that reach up to the support's top, or to a centimetre below it."""
+    return boxes[boxes[:, 2] + boxes[:, 5] - top > _LOWEST]
+
+
+def ground_heights(boxes: np.ndarray, top: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """The highest box over each cell; gaps too narrow to matter, as between planks, are bridged.
+
+    Args:
+      boxes: f64[B, 7], from `top_boxes`.
+      top: metres.
+
+    Returns:
+      f64[W, H], metres above the top, VOID where there is nothing, its border VOID; f64[2], where cell (0, 0)
+      begins, world x and y, metres; the side of a cell, metres.
+    """
+    corners = _corners(boxes)
+    low, high = corners.min(0), corners.max(0)
+    cell = max(_CELL, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
+    counts = np.ceil((high - low) / cell - 1e-4).astype(int)
+    axes = [low[axis] + (np.arange(counts[axis]) + 0.5) * cell for axis in (0, 1)]
+    x, y = np.meshgrid(*axes, indexing="ij")
+    height = np.full(x.shape, VOID)
+    for box in boxes:
+        cos, sin = np.cos(box[6]), np.sin(box[6])
+        along, across = cos * (x - box[0]) + sin * (y - box[1]), cos * (y - box[1]) - sin * (x - box[0])
+        covers = (np.abs(along) <= box[3]) & (np.abs(across) <= box[4])
+        height[covers] = np.maximum(height[covers], box[2] + box[5] - top)
+    width = int(_NARROW_GAP / cell) + 1
+    bridged = grey_closing(np.pad(height, width, constant_values=VOID), size=(width, width))
+    return bridged, low - width * cell, cell
+
+
+def reach_beyond(
+    boxes: np.ndarray, T_region_world: np.ndarray, half_extents: np.ndarray, radius: float
+) -> np.ndarray:
+    """f64[2]: how far beyond a region's sides objects centred in it can find the support, metres.
+
+    Args:
+      boxes: f64[B, 7], from `top_boxes`.
+      T_region_world: f[4, 4]; half_extents: f[2], the region's.
+      radius: that of the largest object seen from above, metres.
+    """
+    inverse = np.asarray(T_region_world, np.float64)
+    local = _corners(boxes) @ inverse[:2, :2].T + inverse[:2, 3]
+    return np.clip(np.abs(local).max(0) - np.asarray(half_extents), 0.0, radius)
+
+
+def map_cells(half: np.ndarray, finest: float) -> tuple[tuple[float, float], tuple[int, int]]:
+    """The sides of a map's cells and their numbers, a border of one cell included.
+
+    The sides are whole numbers of cells, so that cells end where the support does.
+
+    Args:
+      half: f64[2], half the map's sides without its border, metres.
+      finest: the smallest side of a cell, metres; larger where there would be too many.
+    """
+    counts = np.ceil(2 * half / max(finest, np.sqrt(4 * half.prod() / _MOST_MAP_CELLS)) - 1e-4)
+    cell = (float(2 * half[0] / counts[0]), float(2 * half[1] / counts[1]))
+    return cell, (int(counts[0]) + 2, int(counts[1]) + 2)
+
+
+def _corners(boxes: np.ndarray) -> np.ndarray:
+    """f64[4 B, 2]: boxes from above."""
+    return np.concatenate([rectangle_corners(box[:2], box[3:5], box[6]) for box in boxes])
+
+
+_OVERHANG = 0.01
+_LEVEL = 0.002
+_GRID = 41
+
+
+class TopBounds(NamedTuple):
+    """Where a region's corners may lie: `lower` <= corner @ `axes` <= `upper`, world x and y, metres."""
+
+    axes: np.ndarray  # f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def top_bounds_of(support: SupportAsset) -> TopBounds:
+    """The smallest rectangle that holds all boxes of the support's top, and a centimetre more."""
+    heights = [box.center[2] + box.half_extents[2] for box in support.boxes]
+    level = [box for box, z in zip(support.boxes, heights, strict=True) if abs(z - support.top) < _LEVEL]
+    tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
+    axes = rotate_in_plane(np.eye(2), -support.region.yaw)
+    rim = np.concatenate([top.corners for top in tops]) @ axes
+    return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
+
+
+def check_region(region: Rectangle, support: SupportAsset) -> None:
+    """Refuses a region that reaches over the edges of the support's top by more than a centimetre.
+
+    Raises:
+      ConfigError: it does.
+    """
+    reach = top_bounds_of(support)
+    corners = region.corners @ reach.axes
+    if (corners < reach.lower).any() or (corners > reach.upper).any():
+        raise ConfigError(
+            f"a region of {region} reaches beyond support {support.name!r}",
+            f"a rectangle on its top, by default {support.region}",
+            "a smaller region, or a larger table such as support='table-1.40x1.40'",
+        )
+
+
+def check_keep_out(boxes: Sequence[Rectangle], region: Rectangle) -> None:
+    """Refuses boxes that leave no place for the centre of any object.
+
+    Raises:
+      ConfigError: they do.
+    """
+    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, _GRID)] * 2), -1).reshape(-1, 2)
+    places = rotate_in_plane(grid * region.half_extents, region.yaw) + region.center
+    is_free = np.ones(len(places), bool)
+    for box in boxes:
+        local = rotate_in_plane(places - np.array(box.center), -box.yaw)
+        is_free &= (np.abs(local) > box.half_extents).any(1)
+    if not is_free.any():
+        raise ConfigError(
+            f"keep-out boxes {', '.join(map(str, boxes))}",
+            "boxes that leave some of the queried region free",
+            "smaller ones: X,Y,W,D are a centre and whole sides, in metres",
+        )
+
+
+# The steepest slope that still counts as level: 2 degrees.
+_LEVEL_COSINE = np.cos(np.radians(2.0)).item()
+
+Span = tuple[int, int, int, int]
+"""A rectangle of cells: x from, x to, y from, y to; ends are exclusive."""
+
+
+@dataclass(frozen=True, eq=False)
+class Overhead:
+    """The highest surface over the centre of each cell."""
+
+    origin: np.ndarray  # f64[2], the grid's lower corner, metres.
+    cell: np.ndarray  # f64[2], a cell's sides, metres.
+    height: np.ndarray  # f64[X, Y], metres; -inf where nothing is.
+    is_level: np.ndarray  # bool[X, Y], whether the highest surface there is horizontal.
+
+
+def level_faces(mesh: Mesh) -> np.ndarray:
+    """bool[F]: horizontal triangles, whichever side they were drawn from."""
+    normal = mesh.normals
+    return np.abs(normal[:, 2]) > _LEVEL_COSINE * np.maximum(np.linalg.norm(normal, axis=1), 1e-15)
+
+
+def look_down(mesh: Mesh, lower: np.ndarray, upper: np.ndarray, shape: np.ndarray) -> Overhead:
+    """Looks at a mesh from above.
+
+    Args:
+      mesh: its triangles may overlap and need not close.
+      lower, upper: f64[2], corners of the rectangle to look at; the grid fills it exactly.
+      shape: i[2], cells along x and y, at least one each.
+    """
+    cell = (upper - lower) / shape
+    height, is_level = np.full(shape, -np.inf), np.zeros(shape, bool)
+    level = level_faces(mesh)
+    triangles = mesh.corners
+    spots = (triangles[:, :, :2] - lower) / cell - 0.5
+    first = np.maximum(np.ceil(spots.min(1) - 1e-6), 0).astype(int)
+    last = np.minimum(np.floor(spots.max(1) + 1e-6), shape - 1).astype(int)
+    upright = np.abs(mesh.normals[:, 2]) < 1e-14
+    for face in np.flatnonzero((first <= last).all(1) & ~upright):
+        _draw(
+            spots[face], triangles[face, :, 2], first[face], last[face], bool(level[face]), height, is_level
+        )
+    return Overhead(np.asarray(lower, np.float64), cell, height, is_level)
+
+
+def _draw(
+    corners: np.ndarray,
+    z: np.ndarray,
+    first: np.ndarray,
+    last: np.ndarray,
+    level: bool,
+    height: np.ndarray,
+    is_level: np.ndarray,
+) -> None:
+    """Writes one triangle, its corners in cells, into the cells whose centres it covers."""
+    x, y = np.meshgrid(np.arange(first[0], last[0] + 1), np.arange(first[1], last[1] + 1), indexing="ij")
+    (bx, by), (cx, cy) = corners[1] - corners[0], corners[2] - corners[0]
+    px, py = x - corners[0, 0], y - corners[0, 1]
+    area = bx * cy - by * cx
+    u, v = (px * cy - py * cx) / area, (bx * py - by * px) / area
+    over = z[0] + u * (z[1] - z[0]) + v * (z[2] - z[0])
+    window = np.s_[first[0] : last[0] + 1, first[1] : last[1] + 1]
+    # Of two surfaces at the same height the level one counts: an edge must not hide a top.
+    above = (over > height[window] + 1e-6) | ((over > height[window] - 1e-6) & level)
+    is_hit = (u >= -1e-6) & (v >= -1e-6) & (u + v <= 1 + 1e-6) & above
+    height[window] = np.where(is_hit, np.maximum(over, height[window]), height[window])
+    is_level[window] = np.where(is_hit, level, is_level[window])
+
+
+def largest_rectangle(mask: np.ndarray) -> Span:
+    """The largest all-True rectangle of a bool[X, Y].
+
+    Row by row, the lengths of the True runs that end there form a histogram whose largest rectangle a stack
+    finds in one pass. (0, 0, 0, 0) if nothing is True.
+    """
+    best, best_area = (0, 0, 0, 0), 0
+    run = np.zeros(mask.shape[1] + 1, int)
+    for x, row in enumerate(mask):
+        run[:-1] = np.where(row, run[:-1] + 1, 0)
+        stack: list[tuple[int, int]] = []
+        for y, length in enumerate(run.tolist()):
+            start = y
+            while stack and stack[-1][1] >= length:
+                start, tall = stack.pop()
+                if tall * (y - start) > best_area:
+                    best_area = tall * (y - start)
+                    best = (x + 1 - tall, x + 1, start, y)
+            stack.append((start, length))
+    return best
+
+
+def cover(mask: np.ndarray, missing: float = 0.005, limit: int = 40) -> list[Span]:
+    """Disjoint rectangles inside a bool[X, Y], largest first.
+
+    Args:
+      missing: share of the True cells that may stay uncovered.
+      limit: rectangles at most.
+    """
+    rest = mask.copy()
+    spans: list[Span] = []
+    allowed = missing * mask.sum()
+    while rest.sum() > allowed and len(spans) < limit:
+        span = largest_rectangle(rest)
+        spans.append(span)
+        rest[span[0] : span[1], span[2] : span[3]] = False
+    return spans
