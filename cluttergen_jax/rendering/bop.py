@@ -20,6 +20,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shading import shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.symmetry import symmetries_of

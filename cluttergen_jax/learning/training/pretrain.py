@@ -17,6 +17,7 @@ import optax
 from flax import struct
 
 from cluttergen_jax.assets.cloud import farthest_first, sample_surface
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.modeller.catalog import FAMILIES, make_shape
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.networks.actor_critic import PointNet
