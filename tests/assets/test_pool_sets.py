@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 import trimesh
 
-from cluttergen_jax.assets import pool as pools
 from cluttergen_jax.assets.pool import Pool, find_pool, user_root, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import PoolError
@@ -139,9 +138,3 @@ def test_show_list_and_remove(capsys):
     assert "damaged" in capsys.readouterr().out
     assert not list(user_root().iterdir())
     assert main(["pool", "show"]) == main(["pool", "list", "a"]) == 2
-
-
-def test_a_pool_that_hides_behind_an_embedded_name_is_not_removed(capsys):
-    write_pool(user_root() / "dining", Pool("dining", (make_box("mug"),)))
-    assert main(["pool", "remove", "dining"]) == 2
-    assert find_pool("dining").hash == pools.read_pool(pools.embedded_root() / "pools" / "dining").hash

@@ -48,17 +48,6 @@ def test_every_format_brings_its_image_the_right_way_up(way, tmp_path):
     assert_upright(piece)
 
 
-def test_the_colour_of_a_gltf_material_multiplies_its_image(tmp_path):
-    path = textured.write_gltf(tmp_path, "slab.gltf")
-    document = json.loads(path.read_text())
-    # 0.214 is 0.5 as it is shown.
-    document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [0.214, 0.214, 0.214, 1.0]
-    path.write_text(json.dumps(document))
-    (dim,) = read_source(path)[0].pieces
-    assert_upright(dim, 0.5)
-    assert dim.rgba[0] != 0.5  # MuJoCo takes exactly this grey for no colour at all.
-
-
 @pytest.mark.parametrize(
     ("name", "place"),
     [

@@ -13,7 +13,6 @@ from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.cli.main import main, run
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.simulate import horizons_of
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
@@ -61,21 +60,6 @@ def test_numbers_have_to_be_finite_and_above_zero(config, name, value):
 def test_contact_parameters_are_checked(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):
         ContactConfig(**wrong)
-
-
-@pytest.mark.parametrize("seconds", [math.nan, math.inf, 0.0, 1e12])
-def test_certify_refuses_a_horizon_before_it_writes(tmp_path, capsys, seconds):
-    bank = tmp_path / "bank"
-    two_scenes(bank)
-    before = {path: path.read_bytes() for path in bank.rglob("*") if path.is_file()}
-    assert main(["certify", str(bank), "--seconds", str(seconds)]) == 2
-    assert f"--seconds {seconds}. Allowed: a finite number above zero, 3600" in capsys.readouterr().err
-    assert {path: path.read_bytes() for path in bank.rglob("*") if path.is_file()} == before
-    assert main(["verify", str(bank), "--seconds", str(seconds)]) == 2
-    assert "3600" in capsys.readouterr().err
-    if seconds < 1:
-        with pytest.raises(ConfigError):
-            horizons_of((1.0, seconds))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

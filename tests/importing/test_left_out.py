@@ -1,19 +1,15 @@
 """What is no object for a table: scenery, actors, ghosts, copies, and what is too large or too heavy."""
 
-import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.gaps import piece_gaps
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
-from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.import_report import print_report
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions
@@ -95,18 +91,6 @@ def test_what_motors_or_mocap_bodies_move_is_an_actor(tmp_path, rest, is_object)
     assert planned(tmp_path)[0] == (["pot"] if is_object else [])
 
 
-def test_fixed_bodies_are_scenery_only_beside_free_ones(tmp_path):
-    drawer = body("drawer", f'<body><joint type="slide"/>{BOX}</body>')
-    write(tmp_path / "fixed" / "a.xml", drawer, body("shelf", '<geom size=".05"/>'))
-    write(tmp_path / "free" / "b.xml", drawer, body("mug", '<geom size=".04"/>', free=True))
-    held = body("pin", '<geom size=".02"/>', free=True)
-    tie = '<equality><weld body1="pin"/></equality>'
-    write(tmp_path / "held" / "c.xml", held, body("cup", '<geom size=".03"/>', free=True), rest=tie)
-    names, left = planned(tmp_path)
-    assert sorted(names) == ["cup", "drawer", "mug", "shelf"]
-    assert set(left) == {"free/b.xml#drawer", "held/c.xml#pin"}
-
-
 def test_markers_and_empty_bodies_are_no_objects(tmp_path):
     goal = body("goal", '<geom size=".02" contype="0" conaffinity="0"/>')
     write(tmp_path / "task.xml", body("puck"), goal, body("frame", "<site/>"))
@@ -117,18 +101,6 @@ def test_markers_and_empty_bodies_are_no_objects(tmp_path):
     # Alone in its file it is what the file is for, whatever it collides with.
     write(tmp_path / "alone" / "picture.xml", goal)
     assert len(planned(tmp_path / "alone")[0]) == 1
-
-
-def test_settings_take_one_body_and_leave_another(tmp_path):
-    shutil.copytree(CASES / "19_scenery_in_every_file" / "objects", tmp_path / "set")
-    settings = tmp_path / "set" / "objects.toml"
-    settings.write_text('["mug.xml#wall"]\ntake = true\n["brick.xml#brick"]\ntake = false\n')
-    names, left = planned(tmp_path / "set")
-    assert sorted(names) == ["mug", "wall"]
-    assert left["brick.xml#brick"] == "as the settings say"
-    settings.write_text('["mug.xml"]\ntake = "yes"\n')
-    with pytest.raises(ConfigError, match="take"):
-        planned(tmp_path / "set")
 
 
 # Size and mass
@@ -215,14 +187,3 @@ def test_names_get_numbers_among_what_was_made(quick_import, tmp_path):
 
 
 # Pieces apart
-
-
-def boxes(*places):
-    meshes = [trimesh.creation.box((0.04, 0.04, 0.04)).apply_translation(place) for place in places]
-    return solid_of([Mesh(each.vertices, each.faces) for each in meshes])
-
-
-@pytest.mark.parametrize("gap", [0.0, 0.001, 0.01, 0.1])
-def test_the_gap_between_pieces_is_measured(gap):
-    gaps = piece_gaps(boxes((0, 0, 0), (0.04 + gap, 0, 0)))
-    assert np.allclose(gaps, [gap] if gap > 0.005 else [], atol=1e-6)

@@ -10,7 +10,6 @@ from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.readers import find_sources, read_source
-from cluttergen_jax.importing.readers.materials import GREY
 from cluttergen_jax.importing.run import ObjectConfig
 from tests.helpers.cases import CASES
 
@@ -74,13 +73,6 @@ def test_all_material_files_are_read(tmp_path, lines):
     before = cache.cache_key(source, ObjectConfig())
     (tmp_path / "blue.mtl").write_text("newmtl blue\nKd 0 1 0\n")
     assert cache.cache_key(source, ObjectConfig()) != before
-
-
-def test_a_missing_material_file_is_named(tmp_path):
-    (tmp_path / "box.obj").write_text((CASES / "10_obj_mtllib" / "tab.obj").read_text())
-    (shape,) = read_source(tmp_path / "box.obj")
-    assert shape.pieces[0].rgba == GREY
-    assert shape.notes == ("box.obj names 'tab.mtl', which is not there",)
 
 
 QUADS = "0 1 3 2", "4 6 7 5", "0 4 5 1", "2 3 7 6", "0 2 6 4", "1 5 7 3"

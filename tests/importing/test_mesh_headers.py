@@ -2,49 +2,13 @@
 
 import json
 import struct
-import sys
 import tracemalloc
 
-import numpy as np
 import pytest
 import trimesh
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
-
-OBJ = """# {comment}
-mtllib box.mtl
-v 0 0 0
-v 0.1 0 0
-v 0 0.1 0
-v 0 0 0.1
-usemtl Grün
-f 1 3 2
-f 1 2 4
-usemtl Weiß
-f 1 4 3
-f 2 3 4
-"""
-MTL = "# Größe in Metern\nnewmtl Grün\nKd 0.1 0.8 0.2\nnewmtl Weiß\nKd 0.9 0.9 0.95\n"
-
-
-@pytest.fixture
-def fresh(monkeypatch):
-    """A fresh installation, which lacks what trimesh guesses encodings with."""
-    monkeypatch.setitem(sys.modules, "charset_normalizer", None)
-
-
-@pytest.mark.parametrize("comment", ["Würfel", "x" * 2000 + " Würfel"])
-@pytest.mark.parametrize(
-    ("obj", "mtl"),
-    [("latin-1", "latin-1"), ("utf-8", "latin-1"), ("cp1252", "utf-8"), ("utf-8-sig", "utf-16")],
-)
-def test_materials_are_found_whatever_the_encoding(tmp_path, fresh, comment, obj, mtl):
-    (tmp_path / "box.obj").write_bytes(OBJ.format(comment=comment).encode(obj))
-    (tmp_path / "box.mtl").write_bytes(MTL.encode(mtl))
-    (shape,) = read_source(tmp_path / "box.obj")
-    colours = {piece.rgba[:3] for piece in shape.pieces}
-    np.testing.assert_allclose(sorted(colours), [(0.1, 0.8, 0.2), (0.9, 0.9, 0.95)], atol=0.005)
 
 
 def glb(change):

@@ -72,14 +72,6 @@ def test_every_spelling_of_a_piece_is_known(tail, tmp_path):
     assert names(tmp_path) == ["blue_mug", "bowl"]
 
 
-def test_a_folder_called_after_its_model_holds_its_pieces(tmp_path):
-    save(tmp_path / "rack", "boards.obj", "rack_stand.obj", "rack_3.obj", model="rack.xml", mesh="boards.obj")
-    (tmp_path / "rack" / "rack_boards.xml").write_text(MJCF.format("rack_stand.obj"))
-    save(tmp_path / "pot", "visual.obj", "lid.obj", model="model.xml", mesh="visual.obj")
-    (tmp_path / "pot" / "model_orig.xml").write_text(MJCF.format("visual.obj"))
-    assert names(tmp_path) == ["pot", "rack"]
-
-
 @pytest.mark.parametrize(
     "text",
     [

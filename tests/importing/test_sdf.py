@@ -5,7 +5,6 @@ import pytest
 import trimesh
 from PIL import Image
 
-from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_shape, read_source, survey
@@ -57,17 +56,6 @@ def read(folder, text, **options):
 
 def bounds(pieces):
     return joined([piece.mesh for piece in pieces]).bounds
-
-
-def test_a_folder_of_gazebo_is_one_object_called_by_its_folder_and_told_by_its_config(tmp_path):
-    folder = write(tmp_path / "models" / "cup", model(link(visual(mesh()))))
-    trimesh.creation.box((1, 1, 1)).export(folder / "meshes" / "unused.stl")
-    save_image(folder / "materials" / "textures" / "a.png", "red")
-    found = survey(tmp_path / "models")
-    (source,) = found.sources
-    assert (source.name, source.label, source.kind) == ("cup", "Café Cup", "sdf")
-    assert not found.skipped
-    np.testing.assert_allclose(bounds(read_shape(source).pieces)[1], [0.01, 0.02, 0.03])
 
 
 def test_poses_frames_and_nested_models_put_links_where_they_belong(tmp_path):
@@ -198,24 +186,6 @@ def test_materials_give_colours_and_images(tmp_path):
         shape = read(tmp_path, model(link(visual(BOX + look))))
         assert shape.pieces[0].rgba == pytest.approx(rgba), look
     assert "material 'Cup/Glaze' is named and nowhere defined" in shape.notes
-
-
-def inertial(mass, pose="", density=""):
-    moments = "<ixx>1e-4</ixx><iyy>2e-4</iyy><izz>2.5e-4</izz>"
-    mass = f"<mass>{mass}</mass><inertia>{moments}</inertia>" if mass else ""
-    return f"<inertial>{pose}{mass}{density}</inertial>"
-
-
-def test_masses_are_those_of_the_links_at_their_poses(tmp_path):
-    pose = "<pose>0 0 0.01 0 0 0</pose>"
-    shape = read(tmp_path, model(link(visual(), more="<pose>1 0 0 0 0 0</pose>" + inertial(0.2, pose))))
-    body = shape.stated.body
-    assert body.mass == 0.2
-    np.testing.assert_allclose(body.center, [1, 0, 0.01], atol=1e-12)
-    np.testing.assert_allclose(np.diag(body.inertia), [1e-4, 2e-4, 2.5e-4])
-    assert make_object(shape, BodyConfig(tier="light")).mass == 0.2
-    heavy = read(tmp_path, model(link(visual(), more=inertial("", density="<density>2700</density>"))))
-    assert (heavy.stated, heavy.density) == (None, 2700)
 
 
 def test_the_models_of_a_world_are_objects_of_their_own(tmp_path):

@@ -56,18 +56,6 @@ def test_robosuite_has_nine_models(tmp_path, objects, given):
     assert "set=none" in told["door_lock.xml"]
 
 
-def test_what_the_user_says_goes_before_the_set(tmp_path):
-    robosuite(tmp_path)
-    settings = tmp_path / "s.toml"
-    settings.write_text('["can.xml"]\nup = "y"\nlicence = "mine"\nlabel = "a can"\n')
-    plan = plan_all([tmp_path], ReadOptions(licence="ours", scale=2.0), settings)
-    by_name = {each.source.name: each for each in plan.objects}
-    assert (by_name["can"].up.axis, by_name["can"].options.licence, by_name["can"].source.label) == (
-        *("y", "mine", "a can"),
-    )
-    assert (by_name["milk"].options.licence, by_name["milk"].options.scale) == ("ours", 2.0)
-
-
 def test_labels_and_licences_stand_in_files_beside_objects(tmp_path):
     uid = "0123456789abcdef" * 2
     save_box(tmp_path / "o" / "glbs" / "000-023" / f"{uid}.glb")

@@ -49,39 +49,6 @@ def test_what_is_clear_is_left_out_and_drawn_where_nothing_else_is_seen(tmp_path
     assert "left out, as their alpha is 0: 1 of 2 surfaces" in shape.notes
 
 
-def test_the_materials_of_the_model_go_before_those_of_links(tmp_path):
-    red, blue = (f'<material name="m"><color rgba="{rgba}"/></material>' for rgba in ("1 0 0 1", "0 0 1 1"))
-    joint = '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
-    body = link("a", inside=blue) + link("b", inside='<material name="m"/>') + red + joint
-    assert [piece.rgba[0] for piece in read(write(tmp_path, body)).pieces] == [0, 1]
-    shape = read(write(tmp_path, link(inside='<material name="lost"/>')))
-    assert "material 'lost' is named and nowhere defined" in shape.notes
-
-
-WRONG = {
-    '<mesh filename="box.stl" scale="1 2"/>': '<mesh scale="1 2">',
-    '<mesh filename="box.stl" scale="1 0 1"/>': '<mesh scale="1 0 1">',
-    '<box size="0.1"/>': '<box size="0.1">',
-    '<box size="0.1 0.2 -1"/>': '<box size="0.1 0.2 -1">',
-    "<box/>": "<box> without the attribute 'size'",
-    '<sphere radius="1 2"/>': '<sphere radius="1 2">',
-    '<cylinder radius="0.1"/>': "<cylinder> without the attribute 'length'",
-    '<cylinder radius="" length="1"/>': '<cylinder radius="">',
-    '<capsule radius="0.1" length="wide"/>': '<capsule length="wide">',
-}
-
-
-@pytest.mark.parametrize("form", WRONG)
-def test_wrong_numbers_of_a_form_name_file_element_and_attribute(tmp_path, form):
-    save_box(tmp_path / "box.stl")
-    with pytest.raises(AssetError) as error:
-        read(write(tmp_path, link(form=form)))
-    assert f"thing.urdf: a {WRONG[form]}" in str(error.value) or f"thing.urdf: {WRONG[form]}" in str(
-        error.value
-    )
-    assert "Allowed" in str(error.value)
-
-
 @pytest.mark.parametrize(
     ("inside", "more", "told"),
     [

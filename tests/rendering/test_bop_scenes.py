@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 
-import numpy as np
 import pyarrow as pa
 import pytest
 
@@ -141,15 +140,3 @@ def test_scenes_of_unknown_origin_are_not_mixed_with_others(first, tmp_path):
     origin.unlink()
     with pytest.raises(ConfigError, match="another `split`"):
         added(first, tmp_path)
-
-
-def test_depth_labels_and_points_need_no_opengl(first, tmp_path):
-    asked = {"depth": True, "segmentation": True, "points": True, "picture": False}
-    report = render(first, tmp_path, scenes="1", size="64x48", samples=1, **asked)
-    endings = ("-depth.png", "-segmentation.png", "-camera.json", "-sensors.npz", "-points.ply")
-    assert [each.name for each in report.paths] == [f"000001{ending}" for ending in endings]
-    assert any("no colours were drawn" in note for note in report.notes)
-    with np.load(tmp_path / "000001-sensors.npz") as arrays:
-        assert "rgb" not in arrays
-        assert set(np.unique(arrays["segmentation"])) >= {1, 2, 3, 4}
-        assert np.isfinite(arrays["depth"]).mean() > 0.5

@@ -135,18 +135,6 @@ def test_a_failure_is_told_drawn_and_cleared_away(panel):
     assert panel._object.options == tuple(panel.scene.names[index] for index in panel.scene.left)
 
 
-def test_what_goes_wrong_is_said_and_nothing_is_lost(panel):
-    for x in (0.1, 0.2):
-        hold(panel, x)
-        press(panel, panel.drop)
-    panel.scenes.is_full = True
-    assert "the disk is full. Try: another disk." in press(panel, panel.save)
-    assert not panel.scene.is_closed
-    panel.scenes.is_full = False
-    press(panel, panel.save)
-    assert [bool(scene.is_success) for scene in panel.scenes.kept] == [True]
-
-
 def test_a_scene_is_given_up_only_when_that_is_confirmed(panel):
     assert "nothing was tried" in press(panel, panel.new)
     hold(panel, 0.1)

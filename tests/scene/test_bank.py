@@ -14,7 +14,6 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene.bank import read_bank, verify
 from cluttergen_jax.scene.bank.verify import verify_scene
-from tests.helpers import banks
 from tests.helpers.worlds import trio
 
 
@@ -59,16 +58,6 @@ def test_another_seed_makes_other_scenes_but_not_in_the_same_bank(bank, pool, tm
     assert generate(pool, tmp_path / "other", "-n", "3", "--seed", "1", "--max-files", "0") == 0
     one, two = read_bank(bank).table["poses"][0], read_bank(tmp_path / "other").table["poses"][0]
     assert one != two
-
-
-def test_what_is_overwritten_by_the_same_bank_is_continued(tmp_path):
-    path = tmp_path / "bank"
-    with banks.writer(path, 3) as writer:
-        writer.write_block(0, banks.rows(0, 3))
-    with banks.writer(path, 300, overwrite=True) as writer:
-        assert writer.has_block(0, 3)
-    with banks.writer(path, 300, {"seed": 5}, overwrite=True) as writer:
-        assert not writer.has_block(0, 3)
 
 
 def test_files_hold_the_poses_twice_and_stand(bank):

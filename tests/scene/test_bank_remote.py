@@ -134,13 +134,6 @@ def test_what_cannot_be_opened_is_explained(place):
         read_bank(place)
 
 
-def test_what_works_on_files_asks_for_a_folder(url):
-    write(url)
-    for work in (cg.certify, lambda bank: cg.push_bank(bank, "me/bank", hub="/")):
-        with pytest.raises(BankError, match=r"not on this machine|is a URL.*the plain path /"):
-            work(url)
-
-
 @pytest.fixture
 def bucket(tmp_path, monkeypatch):
     """A bucket of a real S3 server, moto's, in an environment of its own for its older python-dateutil."""

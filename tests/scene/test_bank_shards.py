@@ -134,27 +134,6 @@ def test_a_block_that_was_written_again_wins_over_its_shard(tmp_path):
     assert read_bank(tmp_path).table["drift"].to_numpy()[4 * BLOCK_SIZE] == 0.5
 
 
-def test_what_is_measured_block_by_block_joins_the_shards(tmp_path):
-    """As `certify` writes it, also where it is interrupted."""
-    write(tmp_path)
-    names = sorted(each.name for each in tmp_path.glob("*.parquet"))
-    for block in range(NUM_BLOCKS):
-        index, rows = BankIndex.of(read_bank(tmp_path)), StoredBlocks.of(tmp_path).read(block)
-        shake = pa.array(np.full(rows.num_rows, block, np.float32))
-        index.write_block(block, rows.set_column(rows.schema.names.index("shake"), "shake", shake))
-        assert changes_of(read_bank(tmp_path)) == []
-        if block in (0, 4, NUM_BLOCKS - 1):
-            index.merge_shards()
-            assert sorted(each.name for each in tmp_path.glob("*.parquet")) == names
-            assert changes_of(read_bank(tmp_path)) == []
-    measured = np.repeat(np.arange(NUM_BLOCKS), BLOCK_SIZE)
-    assert np.array_equal(read_bank(tmp_path).table["shake"], measured)
-    # A bank that is certified is continued as any other.
-    write(tmp_path)
-    assert np.array_equal(read_bank(tmp_path).table["shake"], measured)
-    assert sorted(each.name for each in tmp_path.glob("*.parquet")) == names
-
-
 def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_looks_changed(tmp_path):
     write(tmp_path)
     index, rows = BankIndex.of(read_bank(tmp_path)), StoredBlocks.of(tmp_path).read(7)

@@ -10,18 +10,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.api.text import parse_numbers
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shading import linear
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotate
-from cluttergen_jax.scene.bank.reference import parse_reference
 from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.export import FORMATS, export_scenes
 from cluttergen_jax.scene.export.frames import euler_of, principal_of
-from tests.helpers.exports import CLOSE, assert_same_pose, dining_scene, exporter, matrix, spread
+from tests.helpers.exports import CLOSE, assert_same_pose, dining_scene, exporter, spread
 from tests.helpers.worlds import trio
 
 
@@ -147,19 +144,6 @@ def test_sdf_is_well_formed_and_complete(folder_of, scene):
     assert len(names) == len(set(names))
 
 
-def test_glb_comes_back_with_y_up(folder_of, scene):
-    data = (folder_of("glb") / "scenes" / "000000.glb").read_bytes()
-    assert data[:4] == b"glTF"
-    assert int.from_bytes(data[8:12], "little") == len(data)
-    read = trimesh.load(folder_of("glb") / "scenes" / "000000.glb")
-    y_up = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
-    frames = {node: read.graph[node][0] for node in read.graph.nodes}
-    for name, pose in zip(scene.names, scene.poses, strict=True):
-        np.testing.assert_allclose(frames[name], y_up @ matrix(pose), atol=CLOSE)
-    # The lowest point of the whole scene is the floor, and up is y.
-    assert read.bounds[0][1] == pytest.approx(0.0, abs=1e-4)
-
-
 def test_glb_holds_masses_parts_and_linear_colours(folder_of, scene):
     data = (folder_of("glb") / "scenes" / "000000.glb").read_bytes()
     size = int.from_bytes(data[12:16], "little")
@@ -226,25 +210,6 @@ def test_existing_folders_are_left_alone(tmp_path):
     export_scenes([scene], tmp_path / "new", "sdf", overwrite=True)
     assert (tmp_path / "new" / "scenes" / "000000.sdf").is_file()
     assert not (tmp_path / "new" / "scenes" / "000000.xml").exists()
-
-
-def test_numbers_and_sources_are_parsed(tmp_path, capsys):
-    assert parse_numbers("all") is None
-    assert parse_numbers("0,3, 7-9,3") == [0, 3, 7, 8, 9]
-    for text in ("", "a", "3-1", "-1", "1.5", "0-9999999999"):
-        with pytest.raises(ConfigError, match="numbers"):
-            parse_numbers(text)
-    bank = tmp_path / "bank"
-    (bank / "scenes").mkdir(parents=True)
-    (bank / "bank.json").write_text("{}")
-    (bank / "scenes" / "000012.xml").write_text("")
-    assert parse_reference(str(bank)) == (bank, None)
-    assert parse_reference(f"{bank}:12") == parse_reference(str(bank / "scenes" / "000012.xml")) == (bank, 12)
-    for elsewhere in (f"{bank}:", f"{bank}:-1", f"{bank}:\u00b2", ":3"):
-        assert parse_reference(elsewhere) == (Path(elsewhere), None)
-    assert parse_reference(str(bank / "bank.json")) is None
-    assert main(["export", str(bank / "bank.json"), "--out", str(tmp_path / "out")]) != 0
-    assert "no scene of a bank" in capsys.readouterr().err
 
 
 def test_principal_frames_and_angles_turn_back():

@@ -1,7 +1,5 @@
 """`cluttergen export`, as a user would call it."""
 
-import json
-
 import mujoco
 import numpy as np
 import pytest
@@ -42,31 +40,6 @@ def test_all_successful_scenes_by_default(bank, numbers, tmp_path, capsys):
         model = mujoco.MjModel.from_xml_path(str(path))
         np.testing.assert_allclose(model.qpos0, scenes[int(path.stem)].poses.ravel(), atol=1e-5)
     assert verify_scene(files[0]).stands
-
-
-def test_chosen_scenes_carry_where_they_come_from(bank, numbers, tmp_path):
-    good, _ = numbers
-    wanted = f"{good[2]},{good[0]}"
-    assert (
-        main(["export", str(bank), "--scenes", wanted, "--format", "glb", "--out", str(tmp_path / "out")])
-        == 0
-    )
-    record = json.loads((tmp_path / "out" / "MANIFEST.json").read_text())
-    assert [each["index"] for each in record["scenes"]] == [good[2], good[0]]
-    for each in record["scenes"]:
-        assert (each["method"], each["pool"], each["seed"]) == ("random", "trio", 5)
-        assert each["versions"]["mujoco"] == mujoco.__version__
-        assert each["verdict"] == "stable"
-        assert each["drift"] < 0.005
-
-
-def test_one_scene_by_number_or_file(bank, numbers, tmp_path):
-    good, _ = numbers
-    sources = [f"{bank}:{good[1]}", str(bank / "scenes" / f"{good[1]:06d}.xml")]
-    for place, source in enumerate(sources):
-        out = tmp_path / str(place)
-        assert main(["export", source, "--format", "urdf", "--out", str(out)]) == 0
-        assert [path.name for path in (out / "scenes").iterdir()] == [f"{good[1]:06d}.json"]
 
 
 def test_what_cannot_be_done_is_explained_and_leaves_nothing(bank, numbers, tmp_path, capsys):

@@ -1,11 +1,9 @@
 """An object's own friction in every format: what a reader makes of two coefficients is what was asked for."""
 
-import json
 import math
 from dataclasses import replace
 from xml.etree import ElementTree as ET
 
-import mujoco
 import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
@@ -37,38 +35,12 @@ def folder_of(scene, kind, tmp_path):
     return export_scenes([scene], tmp_path / kind, kind), scene.objects[0].name, scene.objects[1].name
 
 
-def test_urdf(scene, tmp_path):
-    folder, own, other = folder_of(scene, "urdf", tmp_path)
-    read = [
-        float(ET.parse(next(folder.rglob(f"{name}.urdf"))).find(".//lateral_friction").get("value"))
-        for name in (own, other)
-    ]
-    assert read[0] * read[1] == pytest.approx(0.1, rel=1e-5)
-    assert read[1] ** 2 == pytest.approx(DEFAULT, rel=1e-5)
-
-
 def test_sdf(scene, tmp_path):
     folder, _, _ = folder_of(scene, "sdf", tmp_path)
     root = ET.parse(next((folder / "scenes").glob("*.sdf")))
     read = {model.get("name"): model.find(".//ode/mu").text for model in root.iter("model")}
     assert float(read[scene.names[0]]) == 0.1
     assert float(read[scene.names[1]]) == DEFAULT
-
-
-def test_robosuite(scene, tmp_path):
-    folder, own, other = folder_of(scene, "robosuite", tmp_path)
-    models = [mujoco.MjModel.from_xml_path(str(next(folder.rglob(f"{name}.xml")))) for name in (own, other)]
-    solid = [model.geom_contype > 0 for model in models]
-    assert models[0].geom_friction[solid[0], 0] == pytest.approx(0.1)
-    assert (models[0].geom_priority[solid[0]] > 0).all()
-    assert (models[1].geom_priority[solid[1]] == 0).all()
-
-
-def test_maniskill(scene, tmp_path):
-    folder, own, other = folder_of(scene, "maniskill", tmp_path)
-    assets = json.loads(next((folder / "scenes").glob("*.json")).read_text())["assets"]
-    assert assets[own]["friction"] == 0.0
-    assert "friction" not in assets[other]
 
 
 def test_usd(scene, tmp_path):

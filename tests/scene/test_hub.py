@@ -13,7 +13,7 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import index_bytes
-from cluttergen_jax.scene.bank.hub import find_bank, local_paths, pulled_path
+from cluttergen_jax.scene.bank.hub import find_bank, pulled_path
 from tests.helpers.hub_server import TOKEN, hub_server
 
 NAME = "me/few-scenes"
@@ -123,15 +123,6 @@ def test_large_files_that_are_there_are_not_sent_again_and_a_push_is_one_commit(
     ]
     assert list(server.put.values()) == [1]
     assert server.files(NAME)["README.md"] == b"my own words"
-
-
-def test_a_private_bank_needs_a_token(bank, tmp_path, server, monkeypatch):
-    cg.push_bank(bank, NAME, hub=server.url, is_private=True)
-    cg.pull_bank(NAME, tmp_path / "mine", hub=server.url)
-    monkeypatch.delenv("HF_TOKEN")
-    with pytest.raises(BankError, match="may not see it") as caught:
-        cg.pull_bank(NAME, tmp_path / "theirs", hub=server.url)
-    assert "HF_TOKEN" in str(caught.value)
 
 
 def test_who_may_not_push_is_told(bank, server, monkeypatch):
@@ -251,12 +242,3 @@ def test_names_are_plain(bank, tmp_path, folder, name):
         cg.push_bank(bank, name, hub=str(folder))
     with pytest.raises(BankError, match="OWNER/NAME"):
         cg.pull_bank(name, tmp_path / "x", hub=str(folder))
-
-
-def test_paths_of_this_machine_are_told_before_they_are_shown(bank, folder, capsys):
-    record = read_bank(bank).record
-    record["recipe"] |= {"pool": "/home/me/pools/mugs", "checkpoint": None, "support": "table"}
-    (bank / "bank.json").write_bytes(index_bytes(record))
-    assert local_paths(read_bank(bank)) == ["/home/me/pools/mugs"]
-    assert main(["push", str(bank), NAME, "--hub", str(folder)]) == 0
-    assert "will show it: /home/me/pools/mugs" in capsys.readouterr().out

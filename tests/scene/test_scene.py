@@ -9,7 +9,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.scene import Scene, collect
 from tests.helpers.exports import spread
-from tests.helpers.worlds import box, trio
+from tests.helpers.worlds import trio
 
 
 @pytest.fixture(scope="module")
@@ -148,13 +148,3 @@ def test_many_scenes_are_one_model_and_stand_in_it():
         absent = set(many.model.jnt_bodyid[~many.is_present[row]])
         bodies = many.model.geom_bodyid[data.contact.geom]
         assert not absent & set(bodies.ravel())
-
-
-def test_scenes_of_different_worlds_are_no_model():
-    with pytest.raises(ConfigError, match="no scenes"):
-        collect([])
-    one = spread(trio(), cuboid_table())
-    with pytest.raises(ConfigError, match="supports"):
-        collect([one, spread(trio(), cuboid_table(0.5, 0.5))])
-    with pytest.raises(ConfigError, match="two different objects"):
-        collect([one, spread([box("box", (0.02, 0.02, 0.02))], cuboid_table())])
