@@ -79,5 +79,3 @@ def slow_squares() -> Callable[[int], tuple[int, str]]:
         return item * item, ray.get_runtime_context().get_node_id()
 
     return work
-
-

@@ -10,11 +10,10 @@ import pytest
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.assets import render_scene, scene_spec
+from cluttergen_jax.rendering.assets import object_sheet, render_scene, scene_spec
 from cluttergen_jax.rendering.camera import axes, fitted_eye
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import RendererError, check_importable
-from cluttergen_jax.rendering.assets import object_sheet
 from cluttergen_jax.rendering.picture import render_model
 from tests.helpers.drawing import GREEN, RED, needs_gl
 
