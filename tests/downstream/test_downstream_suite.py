@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult, PerceptionRow
-from cluttergen_jax.downstream.perception.evaluation.judged import JudgedMoment
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
 from cluttergen_jax.downstream.rearrange.episode import RearrangeResult
@@ -16,7 +14,7 @@ from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.trials import RobotTrials
-from cluttergen_jax.downstream.studies import perception, rearrangement, robot
+from cluttergen_jax.downstream.studies import rearrangement, robot
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
 from cluttergen_jax.downstream.studies.protocol import PROTOCOL
 from cluttergen_jax.downstream.studies.study import SETS, Found
@@ -89,32 +87,6 @@ def test_rearrangements_are_counted_by_episode_and_by_object():
     assert found["figures"]["right"]["share"] == 0.75
     assert found["figures"]["causes"] == {"contact": 1}
     assert (found["figures"]["picks"], found["figures"]["fewest"]) == (2, 2)
-
-
-def test_moments_are_counted_over_all_their_objects():
-    moment = JudgedMoment(
-        moment=0, has_arm=False,
-        confused=[[800, 0, 0, 0, 400, 0, 0, 200, 200], [600, 0, 200, 0, 400, 0, 300, 0, 100]],
-        corrected=[[800, 0, 0, 0, 400, 0, 0, 0, 400]] * 2,
-        objects=["mug", "mug"], share=[0.9, 0.1], adds=[0.001, 0.2], turn=[0.2, 0.0], shift=[0.0, 0.0],
-        certainty=[0.9, 0.1], features=[[0.0] * 7] * 2, cpu=2.0,
-    )  # fmt: skip
-    row = PerceptionRow(1, 1.0, (moment, moment), ("mug",))
-    told = perception.row_of(PerceptionResult("household", (row,)), row)
-    figures, masks = told["figures"], told["figures"]["segmenter"]
-    # The first picture shows half of it, which is enough; in the second its mask is mostly of something else.
-    assert (masks["found"]["share"], masks["false"]["share"]) == (0.5, 0.5)
-    assert masks["mean_iou"] == pytest.approx(np.mean([1400 / 1900, 800 / 1000, 300 / 1000]))
-    corrected = figures["corrected"]
-    assert (corrected["found"]["share"], corrected["false"]["share"], corrected["mean_iou"]) == (1, 0, 1)
-    pixels, poses = perception.tables_of([told])
-    assert [row[0] for row in pixels.rows] == ["household", "household, corrected by poses"]
-    assert len(poses.rows) == 1
-    (told,) = PerceptionResult("household", (row,))._by_object()
-    assert told == ("mug", "2", "1.000", "0.000", "0.000"), "of what is well seen"
-    # Of the two objects only the one that is well seen counts.
-    assert (figures["adds"]["share"], figures["turn"]["share"], figures["both"]["share"]) == (1, 0, 0)
-    assert "segmenter" not in perception.row_of(PerceptionResult("true", (row,)), row)["figures"]
 
 
 def test_what_the_suite_does_not_know_is_refused(tmp_path):

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.fitting.fit import FitConfig, num_examples, taken
+from cluttergen_jax.downstream.fitting.fit import FitConfig
 from cluttergen_jax.downstream.placer.heads.features import (
     MIRRORED,
     UNSEEN,
@@ -31,13 +31,12 @@ from cluttergen_jax.downstream.placer.heads.trained import (
 )
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
-from cluttergen_jax.downstream.placer.training.examples import joined_examples
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
 from cluttergen_jax.downstream.placer.training.temperature import best_temperature
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
-from tests.helpers.queries import HALF, TALL, made_up_examples, made_up_query, stacked
+from tests.helpers.queries import HALF, TALL, made_up_examples, made_up_query
 
 HEADS = {
     "scored": ScoredHead(ScoredConfig(8, 16, 16, 32, 16, 4, 2)),
@@ -136,28 +135,6 @@ def test_what_is_hidden_is_seen_in_the_features():
     np.testing.assert_allclose(features[1, 16:18], [-3.0, 10 * (0.001 - TALL)], atol=1e-5)
 
 
-def test_padded_queries_are_read_as_before(examples):
-    """Worlds of other sizes are joined: maps and under-sides are padded, and nothing that is read changes."""
-    small = stacked([made_up_query()])
-    large = examples.replace(
-        query=examples.query.replace(
-            heights=_wider(examples.query.heights), ceilings=_wider(examples.query.ceilings)
-        )
-    )
-    one = taken(examples, np.arange(1)).replace(query=small)
-    both = joined_examples([one, large])
-    assert num_examples(both) == 9
-    first = jax.tree.map(lambda leaf: leaf[0], both)
-    alone = jax.tree.map(lambda leaf: leaf[0], one)
-    before, after = (np.asarray(features_of(each.query, each.candidate)) for each in (alone, first))
-    # The last feature is a share of the map's cells that are there, which padding leaves as it is.
-    np.testing.assert_allclose(after, before, atol=1e-6)
-
-
-def _wider(heights):
-    return heights.replace(height=np.pad(heights.height, [(0, 0), (0, 5), (0, 3)], constant_values=-1e3))
-
-
 # Learning
 
 
@@ -217,18 +194,6 @@ def test_the_printed_loss_weighs_each_error_by_the_others_share(params):
         lambda p, t: b / (a + b) * p + a / (a + b) * t, slopes["position"][1], slopes["turn"][1]
     )
     jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6), slopes["total"][1], expected)
-
-
-def test_a_whole_turn_makes_no_difference_to_the_symmetric_loss(params):
-    printed = HEADS["regression"]
-    symmetric = dataclasses.replace(printed, config=dataclasses.replace(printed.config, loss="symmetric"))
-    parts = jax.jit(
-        lambda params, example: [head.loss(params, example, None)[1]["turn"] for head in (printed, symmetric)]
-    )
-    once, again = (np.array(parts(params, one_example(0.5 + turn))) for turn in (0, 2 * np.pi))
-    assert once[1] == pytest.approx(again[1], rel=1e-4)
-    # q and -q turn alike and are told apart by the printed one.
-    assert abs(once[0] - again[0]) > 0.1
 
 
 @pytest.mark.parametrize("true", [0.5, 1.0, 3.0])

@@ -78,14 +78,6 @@ def test_examples_are_of_the_networks_size_and_centres_lie_in_their_masks():
         assert np.median(height) == pytest.approx(2 * asset.half_extents[2], abs=0.006)
 
 
-def test_noise_is_the_same_for_the_same_seed():
-    view = view_of(POSES, overhead())
-    first, again, other = (example_of(view, Known, seed) for seed in (0, 0, 1))
-    assert np.array_equal(first.rgb, again.rgb)
-    assert np.array_equal(first.depth, again.depth)
-    assert not np.array_equal(first.rgb, other.rgb)
-
-
 @pytest.mark.parametrize("size", [(240, 320), (480, 640), (200, 330)])
 def test_pictures_of_any_size_are_read_and_answered(size):
     depth = np.full(size, 0.7, np.float32)
@@ -161,18 +153,6 @@ def refused(rgb, depth, told):
         checked_images(rgb, depth, overhead())
 
 
-def test_images_that_cannot_be_used_are_refused():
-    view = view_of(POSES, overhead()).view
-    refused(view.rgb[:-1], view.depth, "picture of type uint8 and shape")
-    refused(view.rgb.astype(np.float32), view.depth, "float32")
-    refused(view.rgb, view.depth.T, "a depth image")
-    refused(view.rgb, (1000 * view.depth).astype(np.uint16), "not millimetres")
-    refused(view.rgb, np.full_like(view.depth, np.nan), "nothing was measured")
-    depth = view.depth.copy()
-    depth[0] = (np.nan,)
-    assert np.isnan(checked_images(view.rgb, depth, overhead())[1][0]).all()
-
-
 # Runs
 
 
@@ -200,31 +180,6 @@ def test_gradient_steps_lower_the_loss_and_leave_a_segmenter(trained):
     again = load_segmenter(trained)(view.rgb, view.depth, view.camera)
     assert np.array_equal(found.label, again.label)
     assert (trained / "weights.npz").stat().st_size < 2e6
-
-
-@pytest.mark.slow
-def test_a_run_that_was_stopped_ends_as_one_that_was_not(tmp_path, monkeypatch):
-    config = FitConfig(num_epochs=2, batch_size=4, learning_rate=5e-3)
-    whole, stopped = run(tmp_path / "whole", config).run(), run(tmp_path / "stopped", config)
-    batch = SegmenterTraining._batch
-
-    def stop(self, number, *sizes):
-        if number == 2:
-            import signal
-
-            signal.raise_signal(signal.SIGINT)
-        return batch(self, number, *sizes)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(SegmenterTraining, "_batch", stop)
-        with pytest.raises(KeyboardInterrupt):
-            stopped.run()
-    again = run(tmp_path / "stopped", config).run()
-    weights = [np.load(folder / "weights.npz") for folder in (whole, again)]
-    for name in weights[0].files:
-        np.testing.assert_array_equal(weights[0][name], weights[1][name])
-    with pytest.raises(ConfigError, match="another fit"):
-        run(tmp_path / "stopped", dataclasses.replace(config, num_epochs=3))
 
 
 def stored(folder, **changes):

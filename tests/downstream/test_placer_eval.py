@@ -26,7 +26,6 @@ from cluttergen_jax.downstream.placer.query import Proposals, without_scores
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras
 from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.downstream.splits import SPLITS
-from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
 from cluttergen_jax.proportions import wilson
@@ -208,22 +207,3 @@ class OnePlace(struct.PyTreeNode):
         return without_scores(
             jnp.tile(jnp.array([0.0, 0.0, 0.001, 0.0]).at[2].add(query.half_extents[2]), (5, 1))
         )
-
-
-def test_what_cannot_be_compared_is_refused(made, tmp_path):
-    with pytest.raises(ConfigError, match="placer 'nobody'"):
-        cg.placer_eval(made.path, ("random", "nobody"))
-    for noise in ((-1.0,), (), 1.0, "1", ("1",), (float("nan"),)):
-        with pytest.raises(ConfigError, match="noise = "):
-            cg.placer_eval(made.path, noise=noise)
-    for given in ({"num_pairs": 0}, {"seed": -1}):
-        with pytest.raises(ConfigError, match=next(iter(given))):
-            cg.placer_eval(made.path, ("random",), **given)
-    with pytest.raises(ConfigError, match="no pairs of the split 'val'"):
-        cg.placer_eval(made.path, split="val")
-    with pytest.raises(ConfigError, match="a sequence of names"):
-        cg.placer_eval(made.path, "geometry")
-    with pytest.raises(ConfigError, match="does not hold the bank behind 'test'"):
-        cg.placer_eval(made.path, ("random",), chains=2)
-    with pytest.raises(BankError, match="holds no pairs"):
-        cg.placer_eval(tmp_path)

@@ -2,11 +2,7 @@
 
 import ast
 import inspect
-import os
-import signal
-import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -277,35 +273,3 @@ def test_the_command_rearranges_and_says_how_it_went(home, tmp_path, capsys):
     assert (tmp_path / "paper" / EPISODES).is_file()
     assert main(words) == 0
     assert capsys.readouterr().out == told
-
-
-KILLED = """
-import sys
-import cluttergen_jax as cg
-cg.rearrange(sys.argv[1], num_episodes=2, num_threads=1)
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_run_goes_on_to_the_same_episodes(home, tmp_path):
-    process = subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(tmp_path / "killed")],
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-    file = tmp_path / "killed" / "paper" / EPISODES
-    for _ in range(2400):
-        if file.exists() or process.poll() is not None:
-            break
-        time.sleep(0.1)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    left = file.read_text().splitlines()
-    assert len(left) == 2, "how rows were made, and the first"
-    killed, whole = (
-        cg.rearrange(tmp_path / name, num_episodes=2, num_threads=1) for name in ("killed", "whole")
-    )
-    # The first line tells of all rows, and changes with them.
-    assert file.read_text().splitlines()[1:2] == left[1:]
-    assert [repr(replace(row, cpu=0)) for row in killed.rows] == [
-        repr(replace(row, cpu=0)) for row in whole.rows
-    ]

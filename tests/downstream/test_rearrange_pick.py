@@ -12,7 +12,6 @@ from cluttergen_jax.downstream.rearrange.layouts import Layouts
 from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
 from cluttergen_jax.rendering.viewer.viewer import open_server
 from tests.helpers.arm import PLACES, SCENE, standing, task_of
-from tests.helpers.browser import Page, browsers
 
 PATIENCE = 60
 GOALS = np.stack([standing(PLACES[::-1]), standing([[-0.1, -0.1], [0.15, 0.2]]), standing(PLACES)])
@@ -76,19 +75,3 @@ def test_layouts_come_in_the_order_of_the_rule_and_the_one_shown_is_taken(panel,
     press(panel, "Take this one")
     assert asked.result(PATIENCE) == 2
     assert "**layout 2** was taken" in panel._said.content
-
-
-@pytest.mark.slow
-def test_a_person_takes_a_layout_in_a_browser(panel, tmp_path):
-    with browsers(lambda: tmp_path / "profile", "900,620") as start, ThreadPoolExecutor(1) as other:
-        browser = start()
-        browser.get(panel.server.url)
-        page = Page(browser)
-        page.until(lambda: "The first scene is made" in page.text())
-        answer = other.submit(panel, TASK, SCENE.poses, LAYOUTS)
-        page.until(lambda: "1 of 3: layout 1" in page.text())
-        page.press("Next layout")
-        page.until(lambda: "2 of 3: layout 0" in page.text())
-        page.press("Take this one")
-        assert answer.result(PATIENCE) == 0
-        page.until(lambda: "layout 0 was taken" in page.text())

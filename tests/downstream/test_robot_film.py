@@ -12,20 +12,15 @@ pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
-from cluttergen_jax.downstream.rearrange.layouts import Layouts
 from cluttergen_jax.downstream.rearrange.observe import TrueObserver
 from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions
-from cluttergen_jax.downstream.rearrange.sheet import layout_sheet
 from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
 from cluttergen_jax.downstream.robot import film as robot_film
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.film import FPS, film_firsts
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.figure import GREEN
-from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera
-from tests.helpers.arm import PLACES, SCENE, standing, task_of
+from tests.helpers.arm import SCENE, standing, task_of
 from tests.helpers.drawing import needs_gl
 
 GOOD = EpisodeResult("success", "", "red", 1, 0.001, 0.01, 0.0, 1e-4, 0, 12.0, 1.0)
@@ -90,31 +85,6 @@ def test_the_first_of_each_outcome_is_filmed_once_and_as_its_row_says(small, tmp
     made[1].unlink()
     assert film_firsts(rows, again, folder, "gif", "place") == [made[1]]
     assert run == [0, 1, 1]
-
-
-GOALS = np.stack([standing(PLACES[::-1]), standing([[-0.1, -0.1], [0.15, 0.2]]), standing(PLACES)])
-LAYOUTS = Layouts(GOALS, np.array([0.012, 0.2, 0.1]), np.array([1.0, 0.5, 1.0]), np.array([0.16, 0.1, 0.0]))
-
-
-@needs_gl
-def test_layouts_are_drawn_over_the_scene_and_the_chosen_one_is_framed():
-    task, picture = task_of(GOALS[0]), PictureConfig(96, 72, 4)
-    plain = layout_sheet(task, LAYOUTS, picture=picture)
-    framed = layout_sheet(task, LAYOUTS, 1, picture)
-
-    def cell(image, number):
-        return image[8:80, 8 + number * 104 :][:, :96]
-
-    for number in (0, 2):
-        assert np.array_equal(cell(plain, number), cell(framed, number))
-    edge = np.round(255 * np.array(GREEN))
-    assert (cell(framed, 1)[0] == edge).all()
-    assert not (cell(plain, 1)[0] == edge).all(-1).any()
-    assert np.array_equal(cell(plain, 1)[5:-5, 5:-5], cell(framed, 1)[5:-5, 5:-5])
-    # Each layout is another picture.
-    assert (cell(plain, 0) != cell(plain, 2)).any(-1).mean() > 0.01
-    with pytest.raises(ConfigError, match="layout 3 of 3"):
-        layout_sheet(task, LAYOUTS, 3)
 
 
 @pytest.mark.slow

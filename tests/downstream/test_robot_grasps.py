@@ -15,10 +15,9 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.robot import model as robot_model
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, HandCheck
 from cluttergen_jax.downstream.robot.grasping.grasps import (
-    Grasps,
     grasp_file,
     grasps_of,
     make_grasps,
@@ -41,19 +40,6 @@ def panda():
     cube = box("cube", (0.02, 0.03, 0.04))
     scene = Scene(("cube",), (cube,), np.array([[0.1, 0, TABLE.top + 0.04, 1, 0, 0, 0]]), TABLE)
     return with_panda(scene).compile()
-
-
-def random_poses(rng, number):
-    turn = rng.normal(size=(number, 4))
-    return np.concatenate(
-        [rng.normal(size=(number, 3)), turn / np.linalg.norm(turn, axis=1)[:, None]], axis=1
-    )
-
-
-def test_poses_and_matrices_are_two_ways_of_saying_the_same():
-    matrix = matrix_of(random_poses(np.random.default_rng(0), 20))
-    assert np.allclose(matrix_of(pose_of(matrix)), matrix)
-    assert np.allclose(inverse(matrix) @ matrix, np.eye(4), atol=1e-12)
 
 
 def test_the_arm_keeps_its_pose_and_leaves_the_scene_alone(panda):
@@ -164,28 +150,6 @@ def test_what_is_kept_is_read_again_and_an_object_that_changed_is_looked_at_anew
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(PoolError, match="damaged"):
         read_grasps(path, cube)
-
-
-def test_objects_without_grasps_are_named(cube_grasps):
-    _, grasps = cube_grasps
-    empty = np.zeros(0)
-    block = Grasps(
-        "block",
-        "0",
-        np.zeros((0, 7)),
-        empty,
-        empty,
-        empty,
-        empty,
-        empty,
-        empty.astype(bool),
-        0,
-        np.zeros((0, 7)),
-    )
-    told = GraspSets((grasps, block))
-    assert told.lacking == ("block",)
-    assert "fewer than 8 grasps: block" in str(told)
-    assert told["cube"] is grasps
 
 
 @pytest.mark.slow

@@ -12,16 +12,15 @@ pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
-from cluttergen_jax.assets.support import Rectangle, cuboid_table
+from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeWorld,
     Put,
     _ended,
     lift_episode,
     place_episode,
-    stand_beside,
 )
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of, raised
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose, home_pose
 from cluttergen_jax.downstream.robot.motion import execute as robot_execute
@@ -35,7 +34,7 @@ from cluttergen_jax.downstream.robot.motion.collision import (
 )
 from cluttergen_jax.downstream.robot.motion.execute import Phase
 from cluttergen_jax.downstream.robot.motion.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
-from cluttergen_jax.downstream.robot.motion.mover import LIFT, Mover
+from cluttergen_jax.downstream.robot.motion.mover import Mover
 from cluttergen_jax.downstream.robot.motion.plan import Planner
 from cluttergen_jax.downstream.robot.motion.timing import MAX_ACCELERATION, MAX_SPEED, SHARE, timed
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
@@ -349,50 +348,6 @@ def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
     assert np.linalg.norm(episode_world.execution.poses()[TARGET, :3] - free[:3]) < 0.01
 
 
-@pytest.mark.parametrize(("degrees", "is_corrected"), [(2, True), (10, False)])
-def test_the_hand_is_not_turned_into_the_table(kinematics, degrees, is_corrected):
-    """What has turned in the hand is levelled on the way down, unless a finger would meet the table."""
-    world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
-    mover = Mover(EpisodeWorld(SCENE, TARGET, (), 0).execution, world, kinematics, TARGET, 0)
-    half = np.radians(degrees) / 2
-    turned = matrix_of(np.array([0, 0, 0, np.cos(half), np.sin(half), 0, 0]))
-    place = matrix_of(np.array(standing(-0.15, 0.1, CUBE)))
-    level = made(DOWN, place[:3, 3] - [0, 0, CUBE.half_extents[2] - 0.013])
-    start = next(kinematics.solutions(raised(level, LIFT), 1))
-    lower = kinematics.line(start, np.array([0, 0, -LIFT]))
-    mover._T_tool_object, mover._opening = turned @ inverse(level) @ place, 0.03
-    path = mover._corrected(lower, place)
-    assert (path is not None) == is_corrected
-    if path is not None:
-        assert angle_between(kinematics.tool(path[-1]), level) > np.radians(degrees) / 2
-        assert world.blocker(path[-1], 0.03, Mode.CARRY) is None
-
-
-def test_what_cannot_be_levelled_is_let_go_where_it_touches(grasps, kinematics, monkeypatch):
-    """It touches 12 mm higher than planned, as something long does that hangs askew."""
-    execution = EpisodeWorld(SCENE, TARGET, (), 0).execution
-    world, too_high = (
-        PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE)),
-        0.0,
-    )
-
-    def see(only):
-        seen = execution.poses()
-        seen[TARGET, 2] += too_high
-        return seen
-
-    mover = Mover(execution, world, kinematics, TARGET, 0, see)
-    mover.pick(mover.find_pick(grasps))
-    monkeypatch.setattr(mover, "_corrected", lambda lower, place: None)
-    too_high = 0.012
-    mover._in_hand()
-    place = standing(0.15, -0.15, CUBE)
-    assert mover.place(matrix_of(np.array(place))[None]) == 0
-    assert mover.go_home()
-    assert np.abs(execution.poses()[TARGET] - place)[:3].max() < 0.005
-    assert angle_between(matrix_of(execution.poses()[TARGET]), matrix_of(np.array(place))) < np.radians(2)
-
-
 def test_what_finds_no_place_is_put_back(grasps, kinematics):
     episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
     world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
@@ -407,14 +362,3 @@ def test_what_finds_no_place_is_put_back(grasps, kinematics):
     mover.put_back(plan)
     assert mover.go_home()
     assert np.abs(episode_world.execution.poses()[TARGET] - SCENE.poses[TARGET]).max() < 0.003
-
-
-@pytest.mark.parametrize("yaw", [0.0, 0.5])
-def test_the_stand_lies_beside_the_table(yaw):
-    support = replace(TABLE, region=Rectangle((0.02, 0.01), (0.2, 0.2), yaw))
-    stand = stand_beside(support)
-    assert stand.center[2] + stand.half_extents[2] == pytest.approx(TOP)
-    gap = np.abs(np.array(stand.center[:2])) - [0.3, 0.35]
-    assert gap.max() > 0
-    base = base_pose(support)
-    assert np.linalg.norm(stand.center[:2] - base[:2]) < 0.8

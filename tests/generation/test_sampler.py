@@ -6,7 +6,6 @@ import os
 import pickle
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -251,8 +250,6 @@ def test_around_a_saved_scene(pool, bank):
     ("asked", "says"),
     [
         ({"num_objects": 9}, "1 to 3"),
-        ({"num_objects": 0}, "num_objects"),
-        ({"method": "magic"}, "clear"),
         ({"method": "policy"}, "no checkpoint"),
         ({"method": "clear", "checkpoint": "x"}, "checkpoint"),
         ({"checkpoint": "nowhere"}, "not a checkpoint"),
@@ -260,22 +257,10 @@ def test_around_a_saved_scene(pool, bank):
         ({"num_scene_points": -1}, "-1 scene points"),
         ({"support": "nothing"}, "no support"),
         ({"pool": "nothing"}, "no pool"),
-        ({"engine": "hand"}, "native"),
         ({"region": Rectangle((9.0, 0.0), (0.1, 0.1))}, "beyond support"),
-        ({"region": (0.0, 0.0, 0.1, 0.1)}, "a Rectangle"),
-        ({"keep_out": Rectangle()}, "a sequence of Rectangles"),
         ({"keep_out": [Rectangle(half_extents=(0.4, 0.4), yaw=0.1)]}, "some of the queried region free"),
-        ({"num_objects": 2.5}, "a whole number"),
-        ({"num_objects": "3"}, "a whole number"),
-        ({"max_retries": 1.5}, "a whole number"),
-        ({"num_scene_points": 10.5}, "a whole number"),
-        ({"num_threads": 10**6}, "0 to 4096"),
         ({"objects": "tall"}, "sequence of names"),
         ({"setting": "papers"}, "Did you mean 'paper'.*default, paper"),
-        ({"order": "smallest"}, "largest"),
-        ({"ruin_after": 2.5}, "a whole number"),
-        ({"ruin_after": 6}, "0 to 5"),
-        ({"budget": 2, "num_objects": 3}, "3 to 10000"),
     ],
 )
 def test_bad_settings_are_explained(pool, asked, says):
@@ -297,18 +282,6 @@ def test_bad_settings_are_explained(pool, asked, says):
 def test_what_a_call_cannot_take_is_refused(sample, asked, says):
     with pytest.raises(ConfigError, match=says):
         sample(jax.random.key(0), **asked)
-
-
-def test_the_default_method_is_the_same_for_every_pool(monkeypatch):
-    for embedded, expected in (
-        ({"guided": Path("guided")}, "guided"),
-        ({"dining-policy": Path("p")}, "spread"),
-    ):
-        monkeypatch.setattr("cluttergen_jax.learning.methods.list_policies", lambda found=embedded: found)
-        monkeypatch.setattr(
-            "cluttergen_jax.learning.methods.checkpoint_of", lambda method, pool, given: given
-        )
-        assert [choose_method(None, pool).name for pool in ("dining", "all", "mine")] == [expected] * 3
 
 
 @pytest.mark.parametrize(

@@ -14,20 +14,13 @@ from brax.training.agents.ppo import losses, networks
 from brax.training.agents.ppo import train as ppo
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation, OnSurface
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from tests.helpers.problems import made_up_rules
-from tests.helpers.worlds import trio
 
 BAD = jnp.array([0.1, 0.5, 0.5, 0.2])
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
 def made_up_env(**settings):
@@ -155,23 +148,3 @@ def test_brax_own_trainer():
     assert float(seen[-1][1]["eval/avg_episode_length"]) <= env.episode_length
     assert ppo.jax is jax
     assert not hasattr(jax, "device_put_replicated")
-
-
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        ({"observation": "vector"}, r"observation = 'vector'.*flat, dict"),
-        ({"action": "velocity"}, r"action = 'velocity'.*pose, surface"),
-        ({"num_cells": -1}, r"num_cells = -1.*0 to 256"),
-        ({"history_stride": 241}, "history_stride = 241"),
-        ({"num_objects": 2.5}, "num_objects = 2.5.*a whole number"),
-        ({"reward": "big"}, "reward = 'big'.*paper"),
-        ({"change": "wild"}, "wild"),
-        ({"objects": "mug"}, "a sequence of names"),
-        ({"num_object": 3}, "Did you mean 'num_objects'"),
-        ({"start": "nowhere"}, "BANK:INDEX"),
-    ],
-)
-def test_settings_that_cannot_be(pool, asked, said):
-    with pytest.raises(ClutterGenError, match=said):
-        cg.make_env(**{"pool": pool} | asked)
