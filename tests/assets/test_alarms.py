@@ -10,11 +10,8 @@ from cluttergen_jax.assets.deviation import size_alarm
 from cluttergen_jax.assets.inertia import MassProperties
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.stated_mass import combined, mass_alarm
-from cluttergen_jax.cli.flags import with_flags
-from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.pool_table import pool_table
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.importing.readers import ReadOptions, read_source
+from cluttergen_jax.importing.readers import read_source
 from tests.helpers.shapes import open_box_slabs, slab
 
 CARTON = (0.04, 0.03, 0.08)
@@ -92,17 +89,3 @@ def test_a_file_that_contradicts_itself_is_flagged_and_its_table_says_so(tmp_pat
     assert mass.startswith("its stated mass of 40 kg does not fit its size")
     assert any("40 kg is not taken" in note for note in asset.notes)
     assert f"  ! carton: {mass}" in pool_table([asset])
-
-
-def test_a_mass_by_volume_is_asked_for_and_named(tmp_path):
-    (tmp_path / "carton.xml").write_text(MJCF.replace(".09 .09 .12", ".04 .03 .08"))
-    (shape,) = read_source(tmp_path / "carton.xml")
-    (flag,) = make_object(shape, BodyConfig(tier="light")).flags
-    assert "--mass volume takes its volume" in with_flags(flag, Import)
-    (shape,) = read_source(tmp_path / "carton.xml", ReadOptions(mass="volume", density=100))
-    asset = make_object(shape, BodyConfig(tier="light"))
-    assert asset.flags == ()
-    assert asset.mass == pytest.approx(0.08 * 0.06 * 0.16 * 100)
-    assert any("the mass that its file states is not asked for" in note for note in asset.notes)
-    with pytest.raises(ConfigError, match="mass = 'weight'"):
-        ReadOptions(mass="weight")

@@ -15,7 +15,6 @@ from cluttergen_jax.assets.mesh import Mesh, joined
 from cluttergen_jax.assets.object import CLOUD_SIZE
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.parts import (
-    finished,
     hull_of,
     reduced,
 )
@@ -107,17 +106,6 @@ def test_reduced_hulls_lie_inside_and_lose_little(seed):
     assert len(small.vertices) == len(few)
     assert is_within_parts(few * 0.999, [whole.points]).all()
     assert small.volume > 0.8 * whole.volume
-
-
-def test_bottoms_become_flat_and_stay_wide():
-    rng = np.random.default_rng(0)
-    can = cylinder(0.03, 0.05, sections=64).vertices
-    rough = can + np.where(can[:, 2:] < 0, rng.uniform(0, 0.0025, (len(can), 1)) * [0, 0, 1], 0)
-    (part,) = finished([rough], 12)
-    bottom = part[part[:, 2] == part[:, 2].min()]
-    assert len(part) <= MAX_PART_VERTICES
-    assert len(bottom) >= 8
-    assert np.linalg.norm(bottom[:, :2], axis=1).min() > 0.029
 
 
 # --- deviation and clouds ---------------------------------------------------------------------------

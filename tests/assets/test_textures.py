@@ -18,8 +18,7 @@ from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import BankError, PoolError
-from cluttergen_jax.importing.cache import source_digest
-from cluttergen_jax.importing.readers import find_sources, read_source
+from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.supports import support_from_mesh
 from cluttergen_jax.rendering.viewer.scene_nodes import textured_mesh
 from cluttergen_jax.scene.bank.bank import read_bank
@@ -46,28 +45,6 @@ def test_every_format_brings_its_image_the_right_way_up(way, tmp_path):
     assert shape.notes == ()
     assert piece.texture.image.size == (64, 64)
     assert_upright(piece)
-
-
-@pytest.mark.parametrize(
-    ("name", "place"),
-    [
-        ("label.png", "textures/label.png"),
-        ("C:\\\\models\\\\art\\\\label.png", "label.png"),
-        ("-s 1 1 1 -clamp on label.png", "label.png"),
-        ("my%20label.png", "my label.png"),
-        ("../pictures/label.png", "../pictures/label.png"),
-    ],
-)
-def test_an_image_is_found_where_it_moved_to(name, place, tmp_path):
-    path = textured.write_obj(tmp_path / "in")
-    (tmp_path / "in" / "slab.mtl").write_text(f"newmtl printed\nmap_Kd {name}\n")
-    (tmp_path / "in" / place).parent.mkdir(exist_ok=True)
-    (tmp_path / "in" / "slab.png").rename(tmp_path / "in" / place)
-    (shape,) = read_source(path)
-    assert_upright(shape.pieces[0])
-    before = source_digest(find_sources(path)[0])
-    (tmp_path / "in" / place).write_bytes(textured.png(textured.picture(32)))
-    assert source_digest(find_sources(path)[0]) != before
 
 
 def _without_image(folder):

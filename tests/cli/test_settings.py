@@ -45,33 +45,6 @@ def test_numbers_have_to_be_finite_and_above_zero(config, name, value):
     assert getattr(replace(config, **{name: 2}), name) == 2
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"friction": (0.5, 0.005)},
-        {"friction": (math.nan, 0.005, 0.0001)},
-        {"solref": (0.0, 1.0)},
-        {"solimp": "firm"},
-        {"condim": 2},
-        {"cone": "round"},
-        {"noslip_iterations": -1},
-    ],
-)
-def test_contact_parameters_are_checked(wrong):
-    with pytest.raises(ConfigError, match=next(iter(wrong))):
-        ContactConfig(**wrong)
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_rectangles_are_finite(value):
-    for wrong in ({"center": (0.0, value)}, {"half_extents": (value, 0.1)}, {"yaw": value}):
-        with pytest.raises(ConfigError, match="finite"):
-            Rectangle(**wrong)
-    for side in (0.0, -0.1):
-        with pytest.raises(ConfigError, match="above zero"):
-            Rectangle(half_extents=(0.1, side))
-
-
 # Regions
 
 

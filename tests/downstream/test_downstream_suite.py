@@ -3,7 +3,6 @@
 import json
 from dataclasses import asdict, replace
 
-import numpy as np
 import pytest
 
 import cluttergen_jax as cg
@@ -11,10 +10,8 @@ from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerCompariso
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
 from cluttergen_jax.downstream.rearrange.episode import RearrangeResult
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements
-from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.downstream.robot.trials import RobotTrials
-from cluttergen_jax.downstream.studies import rearrangement, robot
+from cluttergen_jax.downstream.studies import rearrangement
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
 from cluttergen_jax.downstream.studies.protocol import PROTOCOL
 from cluttergen_jax.downstream.studies.study import SETS, Found
@@ -22,7 +19,6 @@ from cluttergen_jax.downstream.suite import STUDIES, result_of
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation import suites
 from cluttergen_jax.evaluation.report import document, read_results, tables_of, write_report
-from cluttergen_jax.proportions import wilson
 from cluttergen_jax.tables import Table
 
 
@@ -55,23 +51,6 @@ def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path)
     assert "### Stable placement from one camera's view" in page
     assert "| random | 0.5 |" in page
     assert f"`cluttergen evaluate --suite downstream`, {result['date']}, 10 or 20 trials a row" in page
-
-
-def test_episodes_of_the_arm_are_counted_by_outcome():
-    end = EpisodeResult(Outcome.SUCCESS, "", "mug", 7, 0.002, 0.1, 0.0, 0.001, 0, 20.0, 1.0)
-    rows = (end, end, replace(end, outcome=Outcome.SLIP, object="bowl", error=np.nan, turn_error=np.nan))
-    asked = {"task": "place", "placer": "drop"}
-    found = robot.row_of(asked, RobotTrials("place", rows))
-    assert found["trial"] == asked | {"episodes": 3}
-    assert found["figures"]["causes"] == {"slip": 1}
-    assert found["figures"]["by_object"]["bowl"]["share"] == 0
-    assert found["figures"]["error"] == pytest.approx(0.002)
-    lost = robot.row_of({"task": "lift"}, RobotTrials("lift", rows[2:]))
-    low, high = wilson(2, 3)
-    cells = robot.table_of([found, lost]).rows
-    assert cells[0][:6] == ("place", "drop", "-", f"0.667 [{low:.3f}, {high:.3f}]", "slip 1", "2.0")
-    assert cells[1][:2] == ("lift", "-")
-    assert cells[1][5:7] == ("-", "-")
 
 
 def test_rearrangements_are_counted_by_episode_and_by_object():

@@ -11,7 +11,6 @@ import pytest
 from cluttergen_jax.downstream.fitting.fit import FitConfig
 from cluttergen_jax.downstream.placer.heads.features import (
     MIRRORED,
-    UNSEEN,
     crops_of,
     features_of,
     own_shape,
@@ -36,7 +35,7 @@ from cluttergen_jax.downstream.placer.training.temperature import best_temperatu
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
-from tests.helpers.queries import HALF, TALL, made_up_examples, made_up_query
+from tests.helpers.queries import HALF, made_up_examples, made_up_query
 
 HEADS = {
     "scored": ScoredHead(ScoredConfig(8, 16, 16, 32, 16, 4, 2)),
@@ -117,22 +116,6 @@ def test_a_mirrored_scene_is_a_mirrored_picture():
     assert MIRRORED == (26, 27)
     query = query.replace(center_of_mass=np.array([0.01, 0.02, 0.0], np.float32))
     np.testing.assert_allclose(features_of(query, pose)[0, 26:28], [0.2, 0.4], rtol=1e-5)
-
-
-def test_what_is_hidden_is_seen_in_the_features():
-    query = made_up_query()
-    on_top, behind, free = pose_at(
-        [0.05, 0.0, TALL + 0.041, 0.0], [0.105, 0.0, 0.041, np.pi / 2], [-0.1, 0.0, 0.041, 0.0]
-    )
-    features = np.asarray(features_of(query, np.stack([on_top, behind, free])))
-    np.testing.assert_allclose(features[:, 0], [10 * (TALL + 0.001), 0.01, 0.01], atol=1e-5)
-    hidden, into = features[:, 2], features[:, 3]
-    assert hidden[0] == into[0] == hidden[2] == into[2] == 0
-    assert hidden[1] > 0.9
-    assert into[1] > 0.9
-    assert TALL > UNSEEN
-    # Over what may be there, it would rest on top of that.
-    np.testing.assert_allclose(features[1, 16:18], [-3.0, 10 * (0.001 - TALL)], atol=1e-5)
 
 
 # Learning

@@ -139,16 +139,3 @@ def test_where_it_is_not_sure_it_looks_again_and_a_blind_picture_is_left_out(vie
     observer(view, SCENE.names[:2], UNKNOWN)
     observer(view, SCENE.names[:2], UNKNOWN)
     assert finder.looks[-4:] == [2, 3, 1, 2]
-
-
-def test_every_episode_has_noise_of_its_own(execution):
-    looks = []
-    for seed in (0, 1, 1):
-        finder = Unsure()
-        finder.looks.append("nothing is refused")
-        with EpisodeView(execution, SCENE.names, seed) as view:
-            observer = PerceptionObserver(finder, TABLE)
-            observer.glance(view)
-            looks.append(observer._glances[0])
-    assert not np.array_equal(looks[0], looks[1])
-    np.testing.assert_array_equal(looks[1], looks[2])

@@ -21,7 +21,6 @@ from cluttergen_jax.downstream.perception.segment.network import (
     shrunk_label,
 )
 from cluttergen_jax.downstream.perception.segment.refine import (
-    by_pieces,
     enlarged,
     fitted_to_depth,
 )
@@ -101,21 +100,6 @@ def test_mirrored_examples_keep_centres_in_their_masks():
         turned = _mirrored(example, np.array(flips))
         for number, (x, y) in enumerate(np.asarray(turned.center)):
             assert turned.label[int(y), int(x)] == FIRST_OBJECT + number
-
-
-def test_a_piece_of_surface_is_of_one_class_and_steps_part_pieces():
-    height = np.zeros((8, 12), np.float32)
-    height[2:6, 1:6], height[2:6, 6:11] = 0.05, 0.10
-    chance = np.zeros((8, 12, 4), np.float32)
-    chance[..., BACKGROUND], chance[2:6, 1:6, 2], chance[2:6, 6:11, 3] = 0.1, 1.0, 1.0
-    # Some of the first object is taken for the second, and some of the table for the first.
-    chance[3, 2], chance[7, :3] = [0, 0, 0.3, 0.7], [0.4, 0, 0.6, 0]
-    mixed = by_pieces(chance, 1 - height, height)
-    assert (mixed[2:6, 1:6].argmax(-1) == 2).all()
-    assert (mixed[2:6, 6:11].argmax(-1) == 3).all()
-    np.testing.assert_allclose(mixed[7], chance[7], atol=1e-6)
-    unknown = by_pieces(chance, np.full_like(height, np.nan), height)
-    np.testing.assert_allclose(unknown, chance, atol=1e-6)
 
 
 def test_objects_end_where_the_table_begins_and_have_their_thin_parts():

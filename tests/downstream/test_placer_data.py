@@ -23,11 +23,8 @@ from cluttergen_jax.downstream.placer.training.examples import TESTING, ExampleS
 from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID
-from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import index_bytes
 from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.types import Verdict
-from tests.helpers import banks
 from tests.helpers.placing import write_bank
 from tests.helpers.records import unsigned
 
@@ -112,21 +109,6 @@ def test_splits_share_neither_cameras_nor_noise(bank, tmp_path, monkeypatch):
         cg.placer_data(both.path, bank.path, num_pairs=4)
 
 
-def test_a_pair_tells_of_the_scene_that_it_is_of(bank, made):
-    rows = [row for table in made.tables("test") for row in table.to_pylist()]
-    scenes = {scene.index: scene for scene in bank.scenes()}
-    assert {(row["scene"], row["slot"]) for row in rows} == {(i, k) for i in scenes for k in range(3)}
-    for row in rows:
-        scene, slot = scenes[row["scene"]], row["slot"]
-        assert row["object"] == scene.objects[slot]
-        assert row["standing"] == list(scene.objects[:slot])
-        top = np.array([0, 0, bank.support.top, 0, 0, 0, 0])
-        assert row["target_pose"] == pytest.approx(scene.poses[slot] - top, abs=1e-6)
-        labels = np.frombuffer(row["labels"], np.uint8)
-        # From above every object shows, and nothing else.
-        assert set(labels) == {0, 1, *range(2, 2 + slot)}
-
-
 def test_queries_show_what_stands_to_the_millimetre(loaded):
     queries, labels = loaded
     from cluttergen_jax.downstream.placer.sight import CELL
@@ -204,20 +186,3 @@ def test_settings_that_cannot_be_meant_are_refused(bank, tmp_path, options, matc
     with pytest.raises(ConfigError, match=match):
         cg.placer_data(tmp_path / "pairs", bank.path, **options)
     assert not blocks(tmp_path)
-
-
-def test_banks_of_which_no_pairs_can_be_made_are_named(tmp_path):
-    with pytest.raises(BankError, match="is not a bank"):
-        cg.placer_data(tmp_path / "pairs", tmp_path)
-    # The made-up bank's record does not tell what its scenes were made on.
-    banks.two_scenes(tmp_path / "made-up")
-    with pytest.raises(BankError, match="how it was made is not recorded whole"):
-        cg.placer_data(tmp_path / "pairs", tmp_path / "made-up")
-    record = read_bank(tmp_path / "made-up").record
-    del record["assets"]
-    (tmp_path / "made-up" / "bank.json").write_bytes(index_bytes(record))
-    with pytest.raises(BankError, match="no digests of its assets"):
-        cg.placer_data(tmp_path / "pairs", tmp_path / "made-up")
-    write_bank(tmp_path / "failed", 1, is_success=False)
-    with pytest.raises(BankError, match="none of its scenes stands"):
-        cg.placer_data(tmp_path / "pairs", tmp_path / "failed")

@@ -22,12 +22,12 @@ from cluttergen_jax.downstream.placer.pairs import stored as pairs
 from cluttergen_jax.downstream.placer.pairs.stored import images_of, load_queries
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import GeometryPlacer
-from cluttergen_jax.downstream.placer.query import Proposals, without_scores
+from cluttergen_jax.downstream.placer.query import without_scores
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras
 from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
-from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
+from cluttergen_jax.placement.search.search import SearchConfig
 from cluttergen_jax.proportions import wilson
 from cluttergen_jax.sensing.noise import NOISE_OFF
 from cluttergen_jax.sensing.partial import PartialMap, merged
@@ -111,27 +111,6 @@ def test_a_query_of_two_cameras_is_their_two_maps_merged(made, seen):
         # Poses of pairs are single precision, in another frame.
         wrong = np.abs(both.height - seen[2][0].heights.height[row]) > 1e-3
         assert wrong.mean() < 0.01
-
-
-def test_where_the_scenes_own_object_rests_a_proposal_is_good_by_every_count(made, labels):
-    bench = Bench(made.setup("test"), labels)
-    yaw = 2 * np.arctan2(labels.target[:, 6], labels.target[:, 3])
-    own = np.column_stack([labels.target[:, :3], yaw])
-    own[:, 2] += CLEARANCE
-    wrong = own + np.array([0.8, 0, 0, 0])
-    pose = np.stack([wrong, own, own], axis=1).astype(np.float32)
-    outcome = bench.judge(Proposals(pose, np.zeros(pose.shape[:2], np.float32)))
-    assert (outcome.verdict[:, 0] != int(Verdict.STABLE)).all()
-    assert (outcome.verdict[:, 1] == int(Verdict.STABLE)).all()
-    assert (outcome.verdict[:, 2] == int(Verdict.NONE)).all(), "what follows a good one is not tried"
-    high = bench.judge(Proposals(pose[:, 1:2] + np.float32([0, 0, 0.05, 0]), np.zeros((len(pose), 1))))
-    assert high.z_error == pytest.approx(0.05, abs=0.001)
-    good = bench.judge(Proposals(pose[:, 1:2], np.zeros((len(pose), 1), np.float32)))
-    assert good.has_margin.all()
-    assert good.is_quiet.all()
-    assert bench.is_own_quiet().all()
-    assert np.abs(good.z_error).max() < 0.001
-    assert bench.stands_alone().all()
 
 
 def test_figures_are_shares_of_verdicts_with_wilsons_intervals(labels):

@@ -28,18 +28,6 @@ def half_heights():
     return np.array([asset.half_extents[2] for asset in trio()])
 
 
-def test_of_a_partial_scene_the_first_objects_stand_and_the_next_is_the_current_one(scenes):
-    places = scenes.places()
-    episodes = scenes.episodes(places)
-    focus = np.asarray(jax.vmap(scenes.rules.focus)(episodes))
-    for row, (scene, slot) in enumerate(places):
-        order = scenes.object_index[scene]
-        assert set(np.flatnonzero(episodes.is_placed[row])) == set(order[:slot])
-        assert focus[row] == order[slot]
-        assert np.array_equal(episodes.poses[row][order[:slot]], scenes.poses[scene, :slot])
-    assert scenes.num_queries == len(places) == 12
-
-
 def random_proposals(scenes, half_heights, number):
     rng = np.random.default_rng(5)
     places = scenes.places()

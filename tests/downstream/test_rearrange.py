@@ -27,12 +27,12 @@ from cluttergen_jax.downstream.rearrange.observe import (
 )
 from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions, RearrangeSetting
 from cluttergen_jax.downstream.rearrange.task import RearrangeResult
-from cluttergen_jax.downstream.rearrange.trials import is_stacked, run_rearrangements
+from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES
 from cluttergen_jax.errors import BankError, ConfigError
-from tests.helpers.arm import BOXES, HALF, PLACES, SCENE, TOP, grasps_of_box, standing, task_of
+from tests.helpers.arm import PLACES, SCENE, standing, task_of
 
 
 def test_two_boxes_change_places_by_way_of_a_third_and_the_truth_is_read_by_two_alone(monkeypatch):
@@ -166,31 +166,6 @@ def test_the_judge_finds_what_is_wrong():
     with pytest.raises(Failed) as told:
         judge.check_end(SCENE.poses)
     assert (told.value.outcome, told.value.detail) == (Outcome.DISPLACED, "blue")
-
-
-def test_a_heap_counts_if_the_arm_gets_at_what_lies_on_top():
-    poses = standing(PLACES)
-    poses[1, :3] = [*PLACES[0], TOP + 2 * HALF[2] + BOXES[1].half_extents[2]]
-    heap = replace(SCENE, poses=poses)
-    grasps = tuple(map(grasps_of_box, SCENE.names))
-    # From below, through the box that it lies on.
-    upwards = grasps[1].pose * [1, 1, -1, 1, 1, 1, 1] @ np.diag([1.0, 1, 1, 0, 0, 0, 0]) + [
-        0,
-        0,
-        0,
-        1,
-        0,
-        0,
-        0,
-    ]
-    no_way = (grasps[0], replace(grasps[1], pose=upwards))
-    assert is_stacked(heap, grasps, 1)
-    # Any grasp counts, also by an end: heaps are not made easier.
-    ends = replace(grasps[1], pose=grasps[1].pose + np.eye(7)[1] * 0.05)
-    assert is_stacked(heap, (grasps[0], ends), 1)
-    assert not is_stacked(heap, grasps, 2)
-    assert not is_stacked(heap, no_way, 1)
-    assert not is_stacked(SCENE, grasps, 1)
 
 
 GOOD = RearrangeResult(

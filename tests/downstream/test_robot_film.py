@@ -11,16 +11,11 @@ pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
-from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
-from cluttergen_jax.downstream.rearrange.observe import TrueObserver
-from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions
-from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
 from cluttergen_jax.downstream.robot import film as robot_film
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.film import FPS, film_firsts
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.sensing.camera import Camera
-from tests.helpers.arm import SCENE, standing, task_of
+from tests.helpers.arm import SCENE
 from tests.helpers.drawing import needs_gl
 
 GOOD = EpisodeResult("success", "", "red", 1, 0.001, 0.01, 0.0, 1e-4, 0, 12.0, 1.0)
@@ -85,38 +80,3 @@ def test_the_first_of_each_outcome_is_filmed_once_and_as_its_row_says(small, tmp
     made[1].unlink()
     assert film_firsts(rows, again, folder, "gif", "place") == [made[1]]
     assert run == [0, 1, 1]
-
-
-@pytest.mark.slow
-@needs_gl
-def test_a_rearrangement_is_filmed_and_its_layouts_are_shown(small, tmp_path, monkeypatch):
-    goals = standing([[0.05, -0.08], [0.05, 0.16]])
-    monkeypatch.setattr(rearrange_trials, "Starts", lambda *told: lambda seed: task_of(goals))
-    task = task_of(goals)
-    asked = []
-
-    def person(given, poses, layouts):
-        asked.append(layouts)
-        return 0
-
-    class Looking(TrueObserver):
-        """Draws pictures of its own in between."""
-
-        def __call__(self, world, names, known):
-            camera = Camera.looking((0.9, 0.0, 1.3), (0.0, 0.0, 0.9), 64, 48, 60.0)
-            assert world.picture(camera)[0].any()
-            return super().__call__(world, names, known)
-
-    def run(**more):
-        return run_rearrangements(
-            task.setting, RearrangeOptions(), 1, 0, tmp_path, observer=Looking(), ask=person, **more
-        )
-
-    (row,) = run().rows
-    assert (row.outcome, row.layout, row.chosen_by) == ("success", 0, "person")
-    assert {path.name for path in tmp_path.iterdir()} == {"episodes.jsonl"}
-    (again,) = run(films="gif", sheets=True).rows
-    # Of a row that is there, nobody is asked again.
-    assert (again, len(asked)) == (row, 1)
-    assert {path.name for path in tmp_path.iterdir()} == {"episodes.jsonl", "films", "layouts-0.png"}
-    assert [path.name for path in (tmp_path / "films").iterdir()] == ["success-0.gif"]

@@ -346,19 +346,3 @@ def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
     free = np.array(standing(0.15, 0.2, CUBE))
     assert mover.place(matrix_of(free)[None]) == 0
     assert np.linalg.norm(episode_world.execution.poses()[TARGET, :3] - free[:3]) < 0.01
-
-
-def test_what_finds_no_place_is_put_back(grasps, kinematics):
-    episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
-    world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
-    mover = Mover(episode_world.execution, world, kinematics, TARGET, 0)
-    plan = mover.find_pick(grasps)
-    mover.pick(plan)
-    assert episode_world.execution.poses()[TARGET, 2] > SCENE.poses[TARGET, 2] + 0.1
-    with pytest.raises(Failed) as told:
-        mover.place(matrix_of(np.array(standing(0.6, 0.0, CUBE)))[None])
-    # It was picked up: this is no lack of a grasp that can be reached.
-    assert told.value.outcome == Outcome.NO_PATH
-    mover.put_back(plan)
-    assert mover.go_home()
-    assert np.abs(episode_world.execution.poses()[TARGET] - SCENE.poses[TARGET]).max() < 0.003

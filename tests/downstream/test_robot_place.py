@@ -23,9 +23,7 @@ from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.motion import plan
 from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.downstream.robot.places import SearchPlaces
 from cluttergen_jax.downstream.robot.planner_hash import planner_hash
-from cluttergen_jax.downstream.robot.rows import RowFile
 from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials, run_trials
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
@@ -88,13 +86,6 @@ def test_interrupted_trials_go_on_where_they_stopped(bank, made, tmp_path):
         run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 0})
 
 
-@pytest.mark.parametrize("content", [b"\x80\xff", b"[" * 100_000, b"3", b"{}\n[]"])
-def test_strange_rows_are_damaged(content, tmp_path):
-    (tmp_path / EPISODES).write_bytes(content)
-    with pytest.raises(BankError, match="damaged"):
-        RowFile(tmp_path / EPISODES, {}, EpisodeResult, "robot place").read(1)
-
-
 def test_rows_are_not_continued_with_other_grasps_or_another_planner(bank, made, tmp_path, monkeypatch):
     scenes = list(read_scenes(bank))
     run_trials(scenes, "lift", 2, 0, tmp_path, {})
@@ -122,19 +113,6 @@ def test_rates_are_of_all_and_of_those_that_were_possible():
     assert "of 3 where" in told
     assert "no grasp 1" in told
     assert "fork" in told
-
-
-@pytest.mark.slow
-def test_places_are_where_the_object_stands_among_the_others(bank):
-    scenes = list(read_scenes(bank))
-    places = SearchPlaces(bank, "drop", 0, 1)
-    found = places(0, scenes[0])
-    assert np.array_equal(found[0], scenes[0].poses[-1])
-    assert len(found) > 1
-    half = np.array([0.3, 0.35])
-    assert (np.abs(found[:, :2]) < half).all()
-    assert np.array_equal(found, places(0, scenes[0]))
-    assert not np.array_equal(found[1:], places(1, scenes[0])[1 : len(found)])
 
 
 @pytest.mark.parametrize(

@@ -46,23 +46,6 @@ def test_numbers_are_those_of_the_mechanics(bank):
     assert 0.1 * 9.81 - 0.05 < two["shake"] < 0.1 * 9.81 + 0.6
 
 
-def test_stats_and_card_say_what_was_measured(bank, capsys):
-    found = stats_of(read_bank(bank)).certificate
-    rows = read_bank(bank).table.to_pylist()[:2]
-    assert found.scenes == 2
-    assert found.shake_least == min(row["shake"] for row in rows)
-    assert found.shake_median == pytest.approx(np.mean([row["shake"] for row in rows]))
-    assert found.horizon_drift == max(row["horizon_drift"] for row in rows)
-    assert (found.horizon_seconds, found.on_others) == (0.5, 0.0)
-    assert main(["stats", str(bank)]) == 0
-    said = capsys.readouterr().out
-    assert len(found.lines()) >= 3
-    for line in found.lines():
-        assert line in said
-    card = (bank / CARD).read_text()
-    assert f"{found.shake_median:.2f} m/s^2 in the median" in card
-
-
 def test_what_is_certified_is_not_measured_again(bank, capsys):
     before = block_path(bank, 0).read_bytes()
     assert main(["certify", str(bank)]) == 0

@@ -76,19 +76,6 @@ def test_rows_are_kept_with_both_counts(runner):
     assert arrays["poses"].shape == (6, 2, 7)
 
 
-def test_missing_checkpoints_are_rows_of_their_own(runner, tmp_path):
-    trial = dataclasses.replace(SMALL, method="policy", pool="study", training_seed=41)
-    record = runner.row(trial)
-    assert "no checkpoint" in record["missing"]
-    assert record["hint"] == "cluttergen train --pool study --variant policy --seed 41 --num-objects 2"
-    other = dataclasses.replace(trial, training_seed=0, attempts=3)
-    # A folder of runs hides what is embedded.
-    elsewhere = Runner(Store(tmp_path / "runs"), Checkpoints(folder=tmp_path))
-    assert "--attempts 3 --out runs/study-policy-attempts3-0" in elsewhere.row(other)["hint"]
-    with pytest.raises(ConfigError, match="folder of training runs"):
-        Checkpoints(folder=tmp_path / "nowhere")
-
-
 def test_each_row_asks_the_checkpoint_of_its_own_method(tmp_path):
     own = tmp_path / "runs" / "mine-normal-0" / "policy"
     shutil.copytree(list_policies()["dining-normal"], own)

@@ -63,16 +63,6 @@ def test_suites_ask_what_the_paper_asked():
     assert len([t for t in studies["table1"] if t.method == "policy"]) == 15
 
 
-def test_methods_choose_rows_and_leave_out_studies_without_any():
-    studies = find_suite("paper", Scale(methods=("policy",)))
-    assert all({trial.method for trial in study.trials} == {"policy"} for study in studies)
-    everything = {study.name for study in find_suite("paper", Scale())}
-    assert everything - {study.name for study in find_suite("paper", Scale(methods=("normal",)))} >= {
-        "furniture",
-        "attempts",
-    }
-
-
 # What is shown
 
 
@@ -174,21 +164,6 @@ def test_results_page_agrees_with_its_json():
     # New studies have no result until they are made.
     assert {result["name"] for result in results} <= {*STUDIES, *DOWNSTREAM}
     assert (DOCS / "results.md").read_text(encoding="utf-8") == document(results, notes)
-
-
-def test_rows_of_episodes_come_with_what_a_suite_made(tmp_path, monkeypatch):
-    spec = importlib.util.spec_from_file_location("make_results", DOCS / "make_results.py")
-    make_results = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(make_results)
-    monkeypatch.setattr(make_results, "FOLDER", tmp_path / "results")
-    rows = tmp_path / "made" / "episodes" / "rearrange-3-true" / "paper" / "episodes.jsonl"
-    (rows.parent / "films").mkdir(parents=True)
-    (rows.parent / "films" / "success.gif").write_bytes(b"film")
-    rows.write_bytes(b"{}\n")
-    make_results.take_over(tmp_path / "made", keep_rows=False)
-    taken = [each for each in (tmp_path / "results").rglob("*") if each.is_file()]
-    assert [each.relative_to(tmp_path / "results") for each in taken] == [rows.relative_to(tmp_path / "made")]
-    assert taken[0].read_bytes() == rows.read_bytes()
 
 
 def test_damaged_results_are_named(tmp_path):

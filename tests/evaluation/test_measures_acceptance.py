@@ -32,17 +32,6 @@ def test_intervals_cover_the_truth():
     assert 86 <= covered <= 100
 
 
-def test_candidates_of_one_scene_are_not_counted_as_independent():
-    rng = np.random.default_rng(2)
-    scene_kind, scene_passed = rng.integers(0, 2, 60), rng.random(60) < 0.5
-    scene = np.repeat(np.arange(60), 20)
-    together = bias_of("kind", scene_kind[scene], "ab", scene_passed[scene], scene)
-    apart = bias_of("kind", scene_kind[scene], "ab", scene_passed[scene], np.arange(1200))
-    np.testing.assert_array_equal(together.lift, apart.lift)
-    ratio = (together.high - together.low) / (apart.high - apart.low)
-    assert (ratio > 0.7 * np.sqrt(20)).all()
-
-
 def test_zones_share_the_region_and_octants_the_turn():
     rng = np.random.default_rng(3)
     positions = rng.uniform(-1, 1, (100_000, 2)) * REGION.half_extents

@@ -90,30 +90,6 @@ def test_clusters_are_told_from_an_even_spread():
     assert np.isnan([numbers[2], shares[2]]).all()
 
 
-def test_correction_removes_most_of_the_bias():
-    rng = np.random.default_rng(1)
-    positions = rng.uniform(-1, 1, (40, 500, 2)) * REGION.half_extents
-    # Forty scenes of five hundred objects: as many samples of the same estimate.
-    result = plan_entropy(scenes_at(positions), np.ones((40, 500), bool), REGION, 0.1)
-    truth = np.log(24)
-    bias, plain_bias = result.entropy.mean() - truth, result.plain.mean() - truth
-    assert plain_bias < -0.2
-    assert abs(bias) < 0.4 * abs(plain_bias)
-
-
-def test_distance_of_one_object_is_that_of_its_points():
-    rng = np.random.default_rng(2)
-    poses, _ = random_scenes(rng, 2)
-    # Eight equal masses at these points have the second moment of the solid box.
-    for k, half in enumerate(HALVES):
-        points = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3) * np.array(half) / np.sqrt(3)
-        first, second = (Rotation.from_quat(p[[4, 5, 6, 3]]).apply(points) + p[:3] for p in poses[:, k])
-        expected = np.sqrt(np.square(first - second).sum(1).mean())
-        only = np.tile(np.arange(K) == k, (2, 1))
-        vectors = vectors_of(poses, only, num_slots=1)
-        assert scene_distances(vectors)[0, 1] == pytest.approx(expected)
-
-
 def test_turning_a_long_object_counts_for_more():
     def turned(k):
         turns = np.tile([1.0, 0, 0, 0], (2, K, 1))

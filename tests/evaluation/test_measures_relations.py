@@ -12,7 +12,6 @@ from cluttergen_jax.evaluation.measures.contacts import closure, contacts_of
 from cluttergen_jax.evaluation.measures.relations import (
     Relation,
     relations,
-    tilt_from_rest,
 )
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.placement.world import make_world
@@ -147,12 +146,3 @@ def test_closure_follows_chains_of_any_length():
         square = np.vstack([edges, np.zeros(7, bool)]).astype(int)
         walks = sum(np.linalg.matrix_power(square, length) for length in range(1, 8)) > 0
         np.testing.assert_array_equal(closure(edges[None])[0], walks[:6])
-
-
-def test_tilt_is_measured_from_the_nearest_rest(models):
-    can = models.world.objects[NAMES.index("soup_can")]
-    for degrees in (0, 7, 20):
-        turn = Rotation.from_euler("zy", [80, degrees], degrees=True).as_quat()[[3, 0, 1, 2]]
-        assert np.degrees(tilt_from_rest(can, np.r_[0, 0, 0, turn])) == pytest.approx(degrees, abs=1e-6)
-    for rest in can.resting:
-        assert tilt_from_rest(can, np.r_[0, 0, 0, rest.quaternion]) < 1e-6

@@ -9,8 +9,8 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.evaluation.measures.drake_world import DrakePeer
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.simulate import movement, shift_and_turn, without_sinking
-from cluttergen_jax.evaluation.measures.survival import MOST_SINKING, movement_elsewhere
+from cluttergen_jax.evaluation.measures.simulate import movement
+from cluttergen_jax.evaluation.measures.survival import movement_elsewhere
 from cluttergen_jax.placement.world import make_world
 from tests.helpers.worlds import TOP, box, convex, prism, tilted
 
@@ -99,21 +99,3 @@ def test_a_pair_has_the_objects_own_friction_in_drake():
     pairs = [drake.CalcContactFrictionFromSurfaceProperties(support, one) for one in each]
     np.testing.assert_allclose([pair.static_friction() for pair in pairs], [0.5, 0.1, 0.9])
     peer.close()
-
-
-def test_what_all_objects_sink_together_is_no_motion():
-    start = np.tile(np.eye(7)[3], (3, 1)) + np.arange(3)[:, None] * np.eye(7)[2]
-    sunk = start - 0.002 * np.eye(7)[2]
-    shift, _ = shift_and_turn(without_sinking(sunk, start, MOST_SINKING), start)
-    assert shift == pytest.approx(0, abs=1e-12)
-    one_more = sunk.copy()
-    one_more[2, 2] -= 0.003
-    # Beyond the common sinking, in plan, up, and more than heaps sink: all of that counts.
-    for moved, expected in (
-        (one_more, 0.003),
-        (sunk + 0.004 * np.eye(7)[0], 0.004),
-        (start + 0.006 * np.eye(7)[2], 0.006),
-        (start - 0.7 * np.eye(7)[2], 0.695),
-    ):
-        shift, _ = shift_and_turn(without_sinking(moved, start, MOST_SINKING), start)
-        assert shift.max() == pytest.approx(expected)

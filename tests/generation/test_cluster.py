@@ -3,9 +3,6 @@
 import os
 import re
 import signal
-import subprocess
-import sys
-import time
 from contextlib import suppress
 
 import numpy as np
@@ -17,8 +14,8 @@ from cluttergen_jax import cluster as clusters
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.config import VerifyConfig
-from cluttergen_jax.errors import ClutterGenError, ConfigError
-from cluttergen_jax.scene.bank import BankWriter, read_bank
+from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.scene.bank import BankWriter
 from tests.helpers import banks
 from tests.helpers import clusters as work
 from tests.helpers.worlds import trio
@@ -63,11 +60,6 @@ def test_an_item_that_always_kills_its_worker_is_named(ray, tmp_path):
     assert MOST_DEATHS <= len(list(tmp_path.iterdir())) <= MOST_DEATHS + 1
 
 
-def test_what_the_function_raises_is_raised_here(ray):
-    with pytest.raises(ConfigError, match=r"item \d\. Allowed: none\. Try: another\."):
-        list(each_on(TWO, work.refusals, range(3), "number"))
-
-
 def test_workers_of_other_versions_are_refused(ray, monkeypatch):
     versions = clusters.versions_here()
     monkeypatch.setattr(clusters, "versions_here", lambda: versions | {"mujoco": "1.2.3"})
@@ -101,18 +93,6 @@ def contents(path):
     return {str(each.relative_to(path)): each.read_bytes() for each in path.rglob("*") if each.is_file()}
 
 
-def begin(pool, path, *more):
-    """The command, as a shell starts it: in a process group of its own."""
-    command = [sys.executable, "-m", "cluttergen_jax", "generate", "--pool", pool, "--out", str(path)]
-    options = ["--method", "random", "--num-scenes", "2300", "--max-files", "0", *more]
-    return subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True, start_new_session=True)
-
-
-def actors(process):
-    """The workers of a command that are at work now, as Ray calls them."""
-    return at_work(psutil.Process(process.pid))
-
-
 def at_work(process):
     """Likewise of a process, as psutil knows it."""
     found = []
@@ -122,42 +102,6 @@ def at_work(process):
             if re.match(r"ray::.*run", " ".join(each.cmdline())):
                 found.append(each)
     return found
-
-
-def is_over(process):
-    """Whether a process has ended; who should take note of it may have ended, too."""
-    try:
-        return process.status() == psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return True
-
-
-def wait_for(condition, process):
-    while not condition():
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.05)
-
-
-@pytest.fixture(scope="module")
-def whole(pool, tmp_path_factory):
-    path = tmp_path_factory.mktemp("one") / "bank"
-    assert begin(pool, path).wait() == 0
-    return path
-
-
-@pytest.mark.slow
-def test_ctrl_c_leaves_a_bank_that_goes_on(pool, whole, tmp_path):
-    path = tmp_path / "bank"
-    running = begin(pool, path, "--cluster", "local", "--workers", "2")
-    wait_for(lambda: list(path.glob("scenes-*.parquet")) and actors(running), running)
-    family = psutil.Process(running.pid).children(recursive=True)
-    os.killpg(running.pid, signal.SIGINT)
-    assert running.wait() == 130
-    while not all(map(is_over, family)):
-        time.sleep(0.1)
-    assert 256 <= read_bank(path).table.num_rows < 2300
-    assert begin(pool, path, "--cluster", "local", "--workers", "3").wait() == 0
-    assert contents(path) == contents(whole)
 
 
 @pytest.mark.slow

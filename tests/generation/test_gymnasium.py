@@ -1,18 +1,13 @@
 """Gymnasium's environments: checked by its own checker, and against its own vector environment."""
 
-import copy
-import pickle
 import warnings
 from functools import partial
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-import cluttergen_jax as cg
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.gymnasium_envs import GymnasiumEnv, GymnasiumVectorEnv
 from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation
 from cluttergen_jax.placement.env import PlacementEnv
@@ -102,20 +97,6 @@ def test_steps_are_those_of_gymnasium_s_own_vector_environment(mode):
     assert num_ended > num_filled > 0
 
 
-def test_a_copy_goes_on_where_the_other_one_stands(next_step):
-    next_step.reset(seed=3)
-    next_step.step(actions(1)[0])
-    others = [pickle.loads(pickle.dumps(next_step)), copy.deepcopy(next_step)]
-    assert others[0].metadata == next_step.metadata
-    ours = next_step.step(actions(2)[1])
-    for other in others:
-        for one, two in zip(ours, other.step(actions(2)[1]), strict=True):
-            assert_equal(one, two)
-    np.testing.assert_array_equal(others[0].reset()[0], next_step.reset()[0])
-    with pytest.raises(TypeError, match="make_vector_env"):
-        pickle.dumps(GymnasiumVectorEnv(of_one(), NUM))
-
-
 def test_the_step_that_ends_an_episode_begins_the_next(envs):
     first, _ = envs.reset(seed=0)
     stays, falls = np.array([0.8, 0, 0, 0]), np.array([-0.8, 0, 0, 0])
@@ -138,21 +119,3 @@ def test_the_step_that_ends_an_episode_begins_the_next(envs):
     # Torch takes arrays as its own only where it may write.
     assert obs.flags.writeable
     assert obs.dtype == np.float32
-
-
-def test_what_cannot_be_is_said(envs):
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        GymnasiumVectorEnv(of_one(), 2).step(np.zeros((2, 4)))
-    envs.reset()
-    with pytest.raises(ConfigError, match=r"shape \(4,\).*\(3, 4\)"):
-        envs.step(np.zeros(4))
-    with pytest.raises(ConfigError, match="action of environment 1 with NaN"):
-        envs.step(np.array([[0, 0, 0, 0], [0, np.nan, 0, 0], [0, 0, 0, 0]]))
-    with pytest.raises(ConfigError, match=r"options = \{'region': 1\}"):
-        envs.reset(options={"region": 1})
-    with pytest.raises(ConfigError, match="same_step, next_step"):
-        cg.make_vector_env(2, autoreset="disabled")
-    with pytest.raises(ConfigError, match="num_envs = 0"):
-        cg.make_vector_env(0)
-    with pytest.raises(ConfigError, match="auto_reset"):
-        cg.make_gym_env(auto_reset=True)

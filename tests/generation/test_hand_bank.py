@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.hand import HandBank
 from cluttergen_jax.generation.sources import viewing
@@ -143,14 +142,6 @@ def test_it_goes_on_where_it_ended_with_the_objects_that_come_next(made, setup, 
     assert cg.verify(tmp_path / "bank").stands.tolist() == [True] * 3
 
 
-def test_other_settings_do_not_go_on_with_it(made, setup):
-    path, _, _ = made
-    with pytest.raises(BankError, match="another seed"):
-        HandBank(path, setup, (), SEED + 1)
-    with pytest.raises(BankError, match="another keep_out"):
-        HandBank(path, setup, [Rectangle((0.1, 0.1), (0.02, 0.02))], SEED)
-
-
 def test_a_scene_that_cannot_be_written_may_be_kept_later(setup, tmp_path, monkeypatch):
     with opened(tmp_path / "bank", setup) as bank:
         bank.keep(give_up(bank))
@@ -169,21 +160,6 @@ def test_a_scene_that_cannot_be_written_may_be_kept_later(setup, tmp_path, monke
         assert scene.is_closed
     assert stats_of(read_bank(tmp_path / "bank")).missing == ()
     assert read_bank(tmp_path / "bank").table["is_success"].to_pylist() == [False, True]
-
-
-def test_a_damaged_bank_is_not_written_over(made, setup, tmp_path):
-    path, _, _ = made
-    shutil.copytree(path, tmp_path / "bank")
-    (block,) = (tmp_path / "bank").glob("scenes-*.parquet")
-    data = block.read_bytes()
-    block.write_bytes(data[:500] + bytes(200) + data[700:])
-    damaged = block.read_bytes()
-    with pytest.raises(BankError, match="made by hand cannot be made again"):
-        opened(tmp_path / "bank", setup)
-    assert block.read_bytes() == damaged
-    # The lock is free again.
-    block.write_bytes(data)
-    opened(tmp_path / "bank", setup).close()
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from cluttergen_jax.evaluation import api as evaluation
 from cluttergen_jax.evaluation import comparison
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.generation.sources.opening import open_source
-from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER
+from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.card import card_text
 from cluttergen_jax.scene.bank.stats import stats_of
@@ -34,15 +34,6 @@ def rules(method, **asked):
 @pytest.mark.parametrize("method", [*TRUSTED_METHODS, "drop", None])
 def test_the_papers_rules_hold_whatever_the_method(method):
     assert rules(method, setting="paper") == PAPER
-
-
-def test_methods_have_rules_of_their_own():
-    plain = PAPER | {"min_margin": MIN_MARGIN}
-    for method in ("random", "drop", "policy", None):
-        assert rules(method) == plain
-    for method in TRUSTED_METHODS:
-        assert rules(method) == plain | {"order": "weighted", "ruin_after": RUIN_AFTER}
-        assert rules(method, max_attempts=2)["ruin_after"] == 2
 
 
 @pytest.mark.parametrize("setting", ["default", "paper"])

@@ -19,10 +19,7 @@ from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
-from cluttergen_jax.learning.methods import choose_method
-from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.placement.region import KeepOut, make_region
-from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import trio
@@ -193,23 +190,6 @@ def test_larger_regions_than_the_samplers_are_refused_or_fail(sample):
         assert (scenes.num_draws == 1).all()
 
 
-def test_more_standing_objects_than_the_sampler_was_made_for(sample):
-    crowd = empty_start(3)
-    crowd = crowd.replace(is_placed=crowd.is_placed.at[0].set(True))
-    with pytest.raises(ConfigError, match="start of 1 objects"):
-        sample(jax.random.key(0), start=crowd)
-
-    @jax.jit
-    def drawn(is_placed):
-        start = crowd.replace(is_placed=is_placed)
-        return jax.vmap(lambda key: sample(key, start=start))(KEYS)
-
-    assert drawn(jnp.zeros(3, bool)).is_success.any()
-    scenes = drawn(crowd.is_placed)
-    assert not scenes.is_success.any()
-    assert (scenes.verdict == Verdict.OUTSIDE).all()
-
-
 @pytest.mark.slow
 def test_region_and_keep_out_may_be_given_in_the_call_and_mapped(sample):
     offsets = jnp.array([-0.2, 0.2])
@@ -282,16 +262,6 @@ def test_bad_settings_are_explained(pool, asked, says):
 def test_what_a_call_cannot_take_is_refused(sample, asked, says):
     with pytest.raises(ConfigError, match=says):
         sample(jax.random.key(0), **asked)
-
-
-@pytest.mark.parametrize(
-    ("method", "trained"), [("policy", "normal"), ("normal", "policy"), ("guided", "policy")]
-)
-def test_a_checkpoint_of_another_method_is_refused(method, trained):
-    folder = list_policies()[f"dining-{trained}"]
-    with pytest.raises(ConfigError, match=f"method={trained!r}"):
-        choose_method(method, "dining", str(folder))
-    assert choose_method(trained, "dining", folder).checkpoint.path == folder
 
 
 @pytest.mark.slow

@@ -13,11 +13,7 @@ import trimesh
 
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.config import DecompositionConfig
-from cluttergen_jax.assets.decompose import decompose
-from cluttergen_jax.assets.deviation import is_within_parts
-from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.inspect_ import Inspect
 from cluttergen_jax.errors import PoolError
@@ -86,21 +82,6 @@ def test_what_is_lost_twice_becomes_one_hull_and_says_so(tmp_path):
     assert len(asset.parts) == 1
     assert "one hull" in asset.flags[0]
     assert "107 s" in asset.flags[0]
-
-
-def test_a_minute_jitter_leaves_the_parts_of_a_bracket(tmp_path):
-    bracket = trimesh.boolean.union(
-        [
-            trimesh.creation.box((0.1, 0.03, 0.02)),
-            trimesh.creation.box((0.02, 0.03, 0.1)),
-        ]
-    )
-    solid = solid_of([Mesh(bracket.vertices, bracket.faces)])
-    plain, moved = (decompose(solid, DecompositionConfig(), jitter) for jitter in (0.0, 1e-5))
-    points = np.random.default_rng(0).uniform(-0.05, 0.05, (4000, 3))
-    # Parts may overlap, so it is the space that they take together that is to be the same.
-    differs = is_within_parts(points, plain) != is_within_parts(points, moved)
-    assert differs.mean() < 0.05 * is_within_parts(points, plain).mean()
 
 
 def test_changed_content_needs_force(tree, here):

@@ -120,17 +120,6 @@ def test_settings_reach_the_object_and_the_cache(folder):
     assert import_sources([folder], "mine", QUICK).num_cached == 2
 
 
-def test_flags_hold_for_all_and_settings_for_one(folder, tmp_path):
-    elsewhere = tmp_path / "other.toml"
-    elsewhere.write_text('["crate.obj"]\nlicence = "MIT"\n')
-    options = ReadOptions(licence="CC0-1.0", friction=0.3)
-    plans = planned(folder, '["crate.obj"]\nmass = 1\n', options, elsewhere)
-    assert plans["crate"].options == ReadOptions(licence="MIT", friction=0.3)
-    assert plans["slab"].options == options
-    shape = read_shape(plans["slab"].source, options)
-    assert (shape.provenance.licence, shape.friction) == ("CC0-1.0", 0.3)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

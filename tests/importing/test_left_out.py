@@ -91,18 +91,6 @@ def test_what_motors_or_mocap_bodies_move_is_an_actor(tmp_path, rest, is_object)
     assert planned(tmp_path)[0] == (["pot"] if is_object else [])
 
 
-def test_markers_and_empty_bodies_are_no_objects(tmp_path):
-    goal = body("goal", '<geom size=".02" contype="0" conaffinity="0"/>')
-    write(tmp_path / "task.xml", body("puck"), goal, body("frame", "<site/>"))
-    names, left = planned(tmp_path)
-    assert names == ["puck"]
-    assert "marker" in left["task.xml#goal"]
-    assert "seen" in left["task.xml#frame"]
-    # Alone in its file it is what the file is for, whatever it collides with.
-    write(tmp_path / "alone" / "picture.xml", goal)
-    assert len(planned(tmp_path / "alone")[0]) == 1
-
-
 # Size and mass
 
 

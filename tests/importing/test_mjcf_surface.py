@@ -8,7 +8,6 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.mesh import joined
-from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 
 CASES = Path(__file__).parents[1] / "cases" / "import"
@@ -112,20 +111,6 @@ def test_what_is_the_object(tmp_path, case):
     shape = read_body(tmp_path, geoms)
     assert len(shape.pieces) == num_pieces
     np.testing.assert_allclose(size_of(shape), size, atol=0.5)
-
-
-@pytest.mark.parametrize(
-    ("geoms", "reason"),
-    [
-        ("<geom name='ground' type='plane' size='1 1 1'/>", "planes have no inside: 'ground'"),
-        (f"<geom name='goal' size='.1' rgba='1 1 1 0' {GHOST}/>", "not seen and do not collide: 'goal'"),
-        ("", "it has no geoms"),
-    ],
-)
-def test_a_body_of_helpers_is_refused(tmp_path, geoms, reason):
-    with pytest.raises(AssetError, match=reason) as error:
-        read_body(tmp_path, geoms)
-    assert "thing" in str(error.value)
 
 
 def test_the_ground_under_a_grid_of_heights_is_where_mujoco_has_it(tmp_path):

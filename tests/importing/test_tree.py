@@ -52,21 +52,6 @@ def mixed(tmp_path):
     return folder
 
 
-def test_published_folders_stay_one_object_each(tmp_path):
-    for name in ("mug", "bowl"):
-        folder = tmp_path / name / "0"
-        save_box(folder / "textured.obj")
-        save_box(folder / "collision.obj")
-        save_box(folder / "textured_objs" / "new-1.obj")
-        save_box(folder / "textured_objs" / "original-7.obj")
-        (folder / "mobility.urdf").write_text(URDF.format("textured_objs/new-1.obj"))
-        (folder / "label.json").write_text("{}")
-    assert names(tmp_path) == ["bowl", "mug"]
-    told = skipped(tmp_path / "mug")
-    assert set(told) == {"0/textured.obj", "0/collision.obj", "0/textured_objs/original-7.obj"}
-    assert all("a piece of mobility.urdf" in reason for reason in told.values())
-
-
 def test_included_files_are_part_of_what_includes_them(tmp_path):
     folder = tmp_path / "kitchen"
     (folder / "bodies").mkdir(parents=True)

@@ -92,13 +92,6 @@ def test_a_joint_that_mimics_another_follows_it(tmp_path):
     assert "'f2' (prismatic) at -0.03 m" in shape.notes[0]
 
 
-@pytest.mark.parametrize(("second", "told"), [("f3", '<mimic joint="f3">'), ("f2", "'f2' mimics itself")])
-def test_a_joint_that_cannot_be_followed_is_told(tmp_path, second, told):
-    with pytest.raises(AssetError) as error:
-        read(write(tmp_path, fingers(f'<mimic joint="{second}"/>')))
-    assert told in str(error.value)
-
-
 @pytest.mark.parametrize(
     ("said", "place"),
     [

@@ -15,7 +15,6 @@ from cluttergen_jax.learning.networks.actor_critic import NetworkConfig
 from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, CloudNet, encode_scenes, init_encoder
 from cluttergen_jax.learning.networks.pointnet2 import ball_query, farthest_points
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
-from cluttergen_jax.placement.clouds import CloudLayout, scene_cloud
 from cluttergen_jax.placement.env import PlacementEnv
 from tests.helpers.problems import made_up_rules
 from tests.helpers.runs import compiled_once
@@ -125,31 +124,6 @@ def test_order_of_points_does_not_matter(net):
     np.testing.assert_allclose(
         net(cloud[order], mask[order], moved), net(cloud, mask, jnp.arange(12)), atol=1e-5
     )
-
-
-@pytest.mark.parametrize(("number", "objects", "size"), [(20480, 10, 1024), (2048, 10, 1024), (64, 40, 8)])
-def test_layout_shares_points_equally(number, objects, size):
-    layout = CloudLayout.of(number, objects, size)
-    assert layout.num_ground + objects * layout.share == number
-    assert layout.share <= size
-    for wanted in (number // 2, 41, 1):
-        index = layout.prefixes(wanted)
-        assert len(index) <= wanted
-        assert len(set(index.tolist())) == len(index)
-        owner = np.where(index < layout.num_ground, -1, (index - layout.num_ground) // layout.share)
-        counts = np.bincount(owner[owner >= 0], minlength=objects)
-        assert (counts == min(wanted // (objects + 1), layout.share)).all()
-        # The points of each owner are its first ones.
-        offset = np.where(owner < 0, index, (index - layout.num_ground) % layout.share)
-        assert all(sorted(offset[owner == k]) == list(range((owner == k).sum())) for k in range(-1, objects))
-
-
-def test_scene_of_unmoved_objects_is_their_clouds():
-    clouds, _ = world()
-    still = jnp.tile(jnp.array([0.0, 0, 0, 1, 0, 0, 0]), (NUM_OBJECTS, 1))
-    cloud, mask = scene_cloud(clouds, still, jnp.ones(NUM_OBJECTS, bool), jnp.ones(2), 100, NUM_OBJECTS)
-    assert bool(mask.all())
-    np.testing.assert_allclose(cloud[20:], clouds[:, :20].reshape(-1, 3), atol=1e-7)
 
 
 def test_scene_features_see_poses_of_placed_objects_only(encoder):

@@ -78,13 +78,6 @@ def test_what_is_lower_than_an_underside_is_not_in_its_way(height, is_in_the_way
                 assert share > 0.1
 
 
-def test_a_place_is_free_or_not(room):
-    shares = np.asarray(room(observation()))[..., 0]
-    assert shares[8, 4].max() > 0.3
-    assert np.abs(shares[:5]).max() < 5e-3
-    assert np.abs(shares[:, 9:]).max() < 5e-3
-
-
 def test_larger_regions_are_told_beyond_the_picture_what_is_over_its_edge(room):
     shares = np.asarray(room(observation(half=(0.5, 0.5))))
     # Between pixels the transform rings a little.

@@ -80,14 +80,6 @@ def test_a_fit_learns_what_can_be_learned_and_equal_seeds_fit_alike():
     jax.tree.map(np.testing.assert_array_equal, params, again)
 
 
-def test_what_nobody_looked_at_teaches_nothing_of_robustness():
-    examples = made_up(2000)
-    unknown = examples.replace(knows_robust=np.zeros(2000, bool))
-    one, _ = fit(SMALL, FitConfig(num_epochs=2), unknown, seed=0)
-    other, _ = fit(SMALL, FitConfig(num_epochs=2), unknown.replace(is_robust=~examples.is_robust), seed=0)
-    jax.tree.map(np.testing.assert_array_equal, one, other)
-
-
 def test_calibration_counts_what_stood(tmp_path):
     logits = np.array([-5.0, -5.0, 0.05, 5.0, 5.0, 5.0], np.float32)
     stood = np.array([False, True, True, True, True, False])

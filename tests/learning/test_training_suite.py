@@ -12,7 +12,6 @@ from cluttergen_jax import train_suite
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import VARIANTS
-from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.suites import Scale, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
@@ -73,27 +72,6 @@ def finish_run(args, updates, is_whole=True):
 def contents(folder):
     """Every file below a folder."""
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-def test_the_list_says_how_far_each_run_is(tmp_path, capsys):
-    command = ["train", "--suite", "paper", "--pools", "dining", "--seeds", "0", "--out", str(tmp_path)]
-    planned = plan("paper", ("dining",), (0,))
-    names = [run.name for run in planned]
-    for run, updates in zip([run for run in planned if run.variant == "policy"], (None, 1), strict=False):
-        config = config_of(TrainConfig(), run, tmp_path)
-        finish_run(config, updates or config.settings().ppo.num_updates, updates is None)
-    before = contents(tmp_path)
-    assert main([*command, "--suite-list"]) == 0
-    listed = capsys.readouterr().out
-    assert "1 done" in listed
-    assert "the paper: 2,500,000" in listed
-    assert "1000 attempts per second, measured" in listed
-    words = {line.split()[0]: line.split()[1] for line in listed.splitlines() if line.startswith("  dining")}
-    assert list(words) == names
-    begun = {"dining-policy-0": "done", "dining-policy-attempts1-0": "begun"}
-    assert words == dict.fromkeys(names, "to") | begun
-    assert "100,352 and 2,502,400 attempts" in listed
-    assert contents(tmp_path) == before
 
 
 def test_what_is_done_is_left_alone_and_other_settings_are_refused(tmp_path, capsys):
@@ -157,20 +135,6 @@ def test_two_real_runs_are_made_stopped_left_alone_and_made_again(home, tmp_path
     failed = suite("refused", memory_limit=1e-6).failed
     assert tuple(failed) == PAIR
     assert all("a run that needs" in reason for reason in failed.values())
-
-
-def test_evaluation_finds_the_runs_by_their_names(tmp_path):
-    for run in plan("paper", ("dining",), (0, 2)):
-        args = TrainConfig(pool=run.pool, variant=run.variant, seed=run.seed, max_attempts=run.attempts)
-        args = replace(args, out=str(tmp_path / run.name))
-        finish_run(args, 1)
-    found = Checkpoints(tmp_path)
-    for attempts in TABLE_ATTEMPTS:
-        trial = Trial(method="policy", pool="dining", attempts=attempts)
-        extra = "" if attempts == 5 else f"-attempts{attempts}"
-        assert found.find(trial).path == tmp_path / f"dining-policy{extra}-0" / "policy"
-        # Other seeds are trained with the usual number alone, and act with whatever number is asked for.
-        assert found.find(replace(trial, training_seed=2)).path == tmp_path / "dining-policy-2" / "policy"
 
 
 @pytest.mark.parametrize(

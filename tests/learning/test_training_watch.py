@@ -5,49 +5,15 @@ import signal
 import sys
 import types
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.memory import check_memory, free_bytes
 from cluttergen_jax.learning.training.metrics_log import MetricsLog, WandbLog, read_rows
 from tests.helpers.runs import PPO, compiled_once, make_run
 
 __all__ = ["compiled_once"]
-
-
-def compiled():
-    """A program with a square matrix of 4 MB as argument, another as result, and some in between."""
-
-    def function(x):
-        return jax.lax.scan(lambda carry, _: (jnp.tanh(carry @ x), carry), x, length=4)[1].sum() + x
-
-    return jax.jit(function).lower(jax.ShapeDtypeStruct((1000, 1000), jnp.float32)).compile()
-
-
-def test_memory_is_what_the_compiled_program_reports():
-    program = compiled()
-    sizes = program.memory_analysis()
-    needed = 8_000_000 + sizes.temp_size_in_bytes
-    assert sizes.temp_size_in_bytes > 4_000_000
-    assert "state 4.0 MB before and 4.0 MB after" in check_memory(program)
-    check_memory(program, needed)
-    with pytest.raises(ConfigError, match=r"`num_envs`.*`memory_limit`"):
-        check_memory(program, needed - 1)
-    assert free_bytes() > 10_000_000
-
-
-@pytest.mark.slow
-def test_run_refuses_before_its_first_update(tmp_path):
-    run = make_run(tmp_path / "run", memory_limit=1000)
-    with pytest.raises(ConfigError, match="a run that needs"):
-        run.train()
-    assert not (tmp_path / "run" / "last").exists()
-    assert not (tmp_path / "run" / "progress.csv").exists()
 
 
 def test_a_log_is_continued_and_a_torn_row_is_left_out(tmp_path):

@@ -1,8 +1,5 @@
 """Training worlds: settings within their ranges, and worlds of one setting that share what is compiled."""
 
-from collections import Counter
-from dataclasses import replace
-
 import jax
 import numpy as np
 import pytest
@@ -17,7 +14,6 @@ from cluttergen_jax.learning.training.worlds import (
     WorldMaker,
     draw_settings,
     mean_footprint,
-    object_sets,
     padded,
 )
 from cluttergen_jax.placement.baselines import LowestFit
@@ -113,17 +109,3 @@ def test_settings_keep_to_their_ranges_and_cover_the_fills():
     )
     with pytest.raises(ConfigError, match="4 to 40 objects"):
         draw_settings(np.random.default_rng(0), 2, 10 * footprint)
-
-
-def test_sets_hold_different_objects_of_all_families():
-    objects = find_pool("all").objects
-    twice = [*objects, *(replace(asset, name=f"{asset.name}-2") for asset in objects)]
-    for drawn in object_sets(twice, 3, np.random.default_rng(0), size=70):
-        assert len(set(drawn)) == 70
-        number = Counter(asset.provenance.source for asset in drawn)
-        assert len(number) == len(objects)
-        assert set(number.values()) == {1, 2}
-    first, second = object_sets(twice, 2, np.random.default_rng(0))
-    assert set(first) != set(second)
-    with pytest.raises(ConfigError, match="sets of 101 of 100 objects"):
-        object_sets(twice, 1, np.random.default_rng(0), size=101)

@@ -3,18 +3,13 @@
 import dataclasses
 import math
 
-import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics.native import NativePhysics
-from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.problem import ProblemConfig, compose
-from cluttergen_jax.placement.scenes import scene_of
 from cluttergen_jax.types import Verdict
-from tests.helpers.worlds import TOP, box, layout_of, scene, trio
+from tests.helpers.worlds import TOP, box, layout_of, scene
 
 EDGE = 0.3
 ROBUST = StabilityConfig(robust_tilt=math.radians(4))
@@ -93,34 +88,3 @@ def test_only_the_verdict_tells_and_the_next_attempt_feels_nothing_of_it(layout,
                     getattr(before, field.name), getattr(after, field.name), err_msg=field.name
                 )
     assert not before.check_steps.any()
-
-
-def play(stability, num_scenes=16):
-    """Scenes of the trio by random attempts, each in a slot's five attempts; equal keys."""
-    config = ProblemConfig(placement=PlacementConfig(num_objects=3), stability=stability)
-    rules = compose(trio(), cuboid_table(), config).rules
-
-    def step(episode, key):
-        action = jax.random.uniform(key, (4,)).at[2].multiply(0.7)
-        return rules.attempt(episode, action)[0], None
-
-    def one(key):
-        begun = rules.begin(jax.random.fold_in(key, 1))
-        return scene_of(jax.lax.scan(step, begun, jax.random.split(key, 15))[0])
-
-    return jax.device_get(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), num_scenes)))
-
-
-@pytest.mark.slow
-def test_scenes_are_the_same_but_for_what_is_fragile_and_its_steps_count():
-    # A tilt by 8 degrees, which some of what lies on another does not stand.
-    free, asked = play(StabilityConfig()), play(StabilityConfig(robust_tilt=math.radians(8)))
-    assert free.counts.verdicts.shape[1] == int(Verdict.NON_FINITE) + 1
-    fragile = asked.counts.verdicts[:, Verdict.FRAGILE]
-    is_same = fragile == 0
-    assert is_same.sum() > 0
-    np.testing.assert_array_equal(free.poses[is_same], asked.poses[is_same])
-    num_stable = asked.counts.verdicts[:, Verdict.STABLE]
-    more = (asked.counts.simulated_steps - free.counts.simulated_steps)[is_same]
-    np.testing.assert_array_equal(more, num_stable[is_same] * StabilityConfig().robust_steps)
-    np.testing.assert_array_equal(free.counts.steps[is_same], asked.counts.steps[is_same])

@@ -108,24 +108,6 @@ def test_brax_wrappers_scan_over_it(auto_reset):
     np.testing.assert_array_equal([focus[2, 0], focus[1, 1]], first.obs["focus"])
 
 
-def test_observation_shapes_are_as_promised():
-    env = PlacementEnv(made_up_rules(), ObservationConfig(num_scene_points=64, num_object_points=8))
-    state = env.reset(jax.random.key(0))
-    shapes = jax.tree.map(lambda leaf: leaf.shape, state.obs)
-    assert shapes == env.observation_size
-    assert shapes["scene_cloud"] == (64, 3)
-    assert env.action_size == 4
-
-
-def test_history_is_seen_in_the_regions_frame():
-    env = PlacementEnv(made_up_rules())
-    state = jax.jit(env.step)(env.reset(jax.random.key(0)), BAD)
-    history = state.obs["history"]
-    np.testing.assert_allclose(history["trajectory"][0, 0, :2], [0.1 * 0.6 - 0.3, 0.0], atol=1e-6)
-    assert not np.any(np.asarray(history["trajectory"])[1:])
-    np.testing.assert_array_equal(history["is_tried"], [True, False, False, False, False])
-
-
 def test_scene_cloud_follows_the_poses():
     problem = trio_problem()
     geometry = problem.rules.geometry

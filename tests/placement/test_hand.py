@@ -7,14 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.placement.hand import HandError, HandScene
+from cluttergen_jax.placement.hand import HandScene
 from cluttergen_jax.placement.hand.clock import ActiveClock
 from cluttergen_jax.placement.region import action_of_pose, no_keep_out
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.types import Verdict
 from tests.helpers.problems import trio_problem
-from tests.helpers.worlds import TOP
 
 BOX, PRISM, TALL = 0, 1, 2
 HALF_HEIGHT = (0.05, 0.03, 0.1)
@@ -176,44 +175,6 @@ def test_lowering_touches_what_is_there(setup):
     scene.hold(0.1, 0.1, 0.0)
     assert not scene.held.is_lowered
     assert scene.held.z > 2 * HALF_HEIGHT[PRISM] + HALF_HEIGHT[BOX]
-
-
-def test_what_is_held_stays_within_the_region(setup):
-    region = replace(setup.problem.region, center=(0.05, -0.02), half_extents=(0.2, 0.1), yaw=0.6)
-    turned = Setup(replace(setup.problem, region=region), setup.keep_out, setup.start)
-    scene = begun(turned)
-    scene.hold(0.7, -0.4, 4.0)
-    held = scene.held
-    assert (held.x, held.y) == (0.2, -0.1)
-    pose = scene.held_pose
-    local = np.array([[np.cos(0.6), np.sin(0.6)], [-np.sin(0.6), np.cos(0.6)]]) @ (pose[:2] - region.center)
-    np.testing.assert_allclose(local, (0.2, -0.1), atol=1e-6)
-    assert pose[2] == pytest.approx(TOP + held.z)
-    # The handle of the page gives the pose back.
-    scene.hold(0.0, 0.0, 0.0)
-    scene.hold_at(pose[:3], pose[3:])
-    assert (scene.held.x, scene.held.y) == pytest.approx((0.2, -0.1))
-    assert np.cos(scene.held.yaw - 4.0) == pytest.approx(1.0)
-
-
-def test_what_cannot_be_done_is_said(setup):
-    scene = begun(setup)
-    with pytest.raises(HandError, match="nothing was placed"):
-        scene.undo()
-    with pytest.raises(HandError, match="3 of 3 objects are not placed yet"):
-        scene.check()
-    for which, x in ((BOX, -0.15), (PRISM, 0.0), (TALL, 0.15)):
-        assert place(scene, which, x, 0.0).attempt.is_stable
-    for act in (scene.lower, scene.drop, scene.skip):
-        with pytest.raises(HandError, match="every object is placed"):
-            act()
-    with pytest.raises(HandError, match="box is not among the objects left"):
-        scene.choose(BOX)
-    scene.close()
-    for act in (scene.undo, scene.check, scene.drop):
-        with pytest.raises(HandError, match="kept already"):
-            act()
-    assert not scene.can_undo
 
 
 def test_a_neighbour_that_is_pushed_is_named_and_put_back(setup):

@@ -75,18 +75,6 @@ def test_nothing_is_settled_twice(problem, sampler):
     assert physics.number == len(recording.attempts)
 
 
-def test_attempts_are_those_that_the_rules_counted(scenes, recordings):
-    for place, recording in enumerate(recordings):
-        counts = jax.tree.map(lambda leaf, place=place: leaf[place], scenes.counts)
-        verdicts = np.bincount([each.verdict for each in recording.attempts], minlength=len(counts.verdicts))
-        np.testing.assert_array_equal(verdicts, counts.verdicts)
-        for slot, index in enumerate(scenes.object_index[place]):
-            mine = recording.attempts_at(int(index))
-            assert [each.ordinal for each in mine] == list(range(1, len(mine) + 1))
-            assert len(mine) == counts.attempts[slot]
-            assert sum(each.num_steps for each in mine) == counts.steps[slot]
-
-
 def test_attempts_begin_where_proposed_and_hang_together(problem, recordings):
     rules = problem.rules
     for recording in recordings:

@@ -33,13 +33,6 @@ class ByNumber(TrustedSearch, eq=False):
         return jnp.where(number % 2 == 0, 0.95, 0.5 / number.clip(1))
 
 
-class Nobody(TrustedSearch, eq=False):
-    """Trusts no candidate enough; the fifth the most."""
-
-    def trust(self, episode, candidates):
-        return jnp.where(jnp.arange(len(candidates.is_allowed)) == 5, 0.4, 0.1)
-
-
 def chosen_numbers(kind, attempt=0, number=200):
     """Which candidates are drawn with so many keys for the choice, and the same candidates each time."""
     rules = rules_of()
@@ -60,10 +53,6 @@ def test_only_the_trusted_are_drawn_and_all_of_them_alike():
     assert np.all(np.abs(counts[::2] - 200) < 5 * np.sqrt(1000 * 0.2 * 0.8))
 
 
-def test_where_nobody_is_trusted_the_most_trusted_is_taken():
-    assert set(chosen_numbers(Nobody)) == {5}
-
-
 @pytest.mark.slow
 def test_the_threshold_falls_with_failures_and_then_stays():
     class Half(ByNumber, eq=False):
@@ -75,18 +64,6 @@ def test_the_threshold_falls_with_failures_and_then_stays():
     assert second == {0}
     assert len(third) == 10
     assert len(tenth) == 10
-
-
-@pytest.mark.slow
-def test_the_candidates_are_uniform_ones_finalists_and_ones_above_objects():
-    rules = rules_of()
-    episode, _ = placed_first(rules)
-    placer = Spread(LowestFit(rules), TrustedConfig(num_uniform=30, num_finalists=4, num_above=64))
-    candidates = jax.jit(placer.candidates)(jax.random.key(0), episode)
-    assert candidates.found.candidates.xy.shape == (98, 2)
-    # Those above an object meet it far more often than those drawn over the whole table.
-    is_on = np.asarray(candidates.bearers.is_on)
-    assert is_on[34:].mean() > 0.4 > is_on[:30].mean()
 
 
 def placed_first(rules):

@@ -1,13 +1,8 @@
 """The benchmarks run at their smallest, and the README's sections are replaced as they should be."""
 
-import json
-
-import numpy as np
 import pytest
 
 from benchmarks import (
-    ablation,
-    bullet,
     contact,
     engines,
     gpu,
@@ -15,42 +10,15 @@ from benchmarks import (
     other_mujoco,
 )
 from benchmarks.bodies import box
-from benchmarks.recorded import small_attempts
 from benchmarks.rows import Rows
 from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.learning.training.train import recipe_of
-from cluttergen_jax.physics.native import NativePhysics
-from cluttergen_jax.types import Verdict
 
 
 @pytest.fixture
 def pool(tmp_path):
     objects = (box("brick", (0.03, 0.04, 0.05), 0.2), box("slab", (0.05, 0.05, 0.01), 0.3))
     return str(write_pool(tmp_path / "blocks", Pool("blocks", objects)))
-
-
-def test_pybullet_judges_like_native():
-    pytest.importorskip("pybullet", reason="needs the extra peers")
-    config = StabilityConfig()
-    world, attempts = small_attempts(config, ContactConfig(), 4)
-    poses = attempts.poses.copy()
-    poses[3, 2, :2] = (0.4, 0.0)
-    everyone = np.ones(4, bool)
-    native = NativePhysics(world.layout, config).settle_batch(
-        poses, attempts.is_placed, attempts.focus, everyone
-    )
-    for tuned in (True, False):
-        peer = bullet.BulletPhysics(world, config, ContactConfig(), tuned=tuned)
-        result = peer.settle_batch(poses, attempts.is_placed, attempts.focus, everyone)
-        assert (result.verdict[:3] == Verdict.STABLE).all()
-        assert (result.verdict == Verdict.STABLE).tolist() == (native.verdict == Verdict.STABLE).tolist()
-        # Bullet keeps hulls a millimetre apart on either side.
-        np.testing.assert_allclose(result.poses[:3], native.poses[:3], atol=4e-3)
-        standing = peer.stand_batch(result.poses[:3], attempts.is_placed[:3], everyone[:3])
-        assert (standing.verdict == Verdict.STABLE).all()
-        peer.close()
 
 
 @pytest.mark.slow
@@ -120,40 +88,6 @@ def test_rows_are_made_once_and_what_failed_or_goes_on_is_made_again(tmp_path):
     assert set(rows.of("part")) == {"whole", "longer"}
     rows.make("part", cases())
     assert made[4:] == ["longer", "poor"]
-
-
-def left_by(out, row, **known):
-    """What a run of the row leaves: `known` of its policy."""
-    recipe = recipe_of(*ablation.settings_of(row, out, "dining", 1000, 0, None))
-    for name, record in (("last", {"num_updates": 3}), ("policy", known)):
-        (out / row.name / name).mkdir(parents=True, exist_ok=True)
-        text = json.dumps({"format": 1, **recipe, **record})
-        (out / row.name / name / "record.json").write_text(text)
-    lines = "update,attempts,attempts_per_second,success,entropy\n0,100,50.0,1.0,2.0\n"
-    (out / row.name / "progress.csv").write_text(lines)
-
-
-EVALUATION = {"success": 0.5, "low95": 0.4, "high95": 0.6}
-
-
-def test_a_row_is_trained_until_it_has_been_evaluated(tmp_path, monkeypatch):
-    trainings = []
-
-    def run_training(config, settings, interrupt):
-        trainings.append(config.folder.name)
-
-    monkeypatch.setattr(ablation, "run_training", run_training)
-    stopped, whole = ablation.Row("stopped", "Stopped"), ablation.Row("whole", "Whole", variant="beta")
-    left_by(tmp_path, stopped)
-    left_by(tmp_path, whole, evaluation=EVALUATION)
-    for row in (stopped, whole, ablation.Row("new", "New")):
-        ablation.train(row, tmp_path, "dining", 1000, 0, None)
-    assert trainings == ["stopped", "new"]
-    assert ablation.cells(whole, tmp_path)[-2] == "0.500 [0.400, 0.600]"
-    for other in ({"num_attempts": 2000}, {"seed": 1}, {"pool": "study"}):
-        asked = {"pool": "dining", "num_attempts": 1000, "seed": 0} | other
-        with pytest.raises(ConfigError, match="whole holds a run with another"):
-            ablation.train(whole, tmp_path, encoder=None, **asked)
 
 
 def test_gpu_is_measured_in_miniature_and_written(tmp_path, capsys):

@@ -12,7 +12,6 @@ from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN as GREEN_RING
 from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
-from cluttergen_jax.rendering.overlay import Ring, with_caption, with_rings
 from cluttergen_jax.rendering.scene_renderer import RED, PictureConfig
 from cluttergen_jax.rendering.video import save_film
 from tests.helpers.drawing import needs_gl
@@ -58,19 +57,6 @@ def test_replay_shows_the_trajectory_and_only_what_stood():
         assert (style.alpha, style.strength) == (1.0, 0.0)
     assert last.caption == "2 objects, 4 attempts: the scene stands"
     assert any("fell below" in f.caption for f in frames)
-
-
-def test_rings_and_captions_are_drawn_where_they_belong():
-    blank = np.full((120, 160, 3), 255, np.uint8)
-    image = with_rings(blank, [Ring((80, 60), (40, 30), RED, "2")])
-    assert is_reddish(image)[58:63, 38:43].any()
-    assert not is_reddish(image)[40:80, 60:100].any()
-    assert is_reddish(image).any(axis=1).nonzero()[0].min() >= 20
-    grey = np.full((120, 160, 3), 60, np.uint8)
-    titled = with_caption(grey, "words", RED)
-    assert (titled[:80] == 60).all()
-    assert is_reddish(titled)[90:].any()
-    np.testing.assert_array_equal(with_caption(grey, ""), grey)
 
 
 @needs_gl

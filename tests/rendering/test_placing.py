@@ -135,28 +135,6 @@ def test_a_failure_is_told_drawn_and_cleared_away(panel):
     assert panel._object.options == tuple(panel.scene.names[index] for index in panel.scene.left)
 
 
-def test_a_scene_is_given_up_only_when_that_is_confirmed(panel):
-    assert "nothing was tried" in press(panel, panel.new)
-    hold(panel, 0.1)
-    press(panel, panel.drop)
-    press(panel, panel.new)
-    assert (panel.scene.number, panel.scenes.kept) == (0, [])
-    assert panel.scene.clock.seconds > 0
-    given_up = panel.scene
-    assert "scene 0 was kept as one that failed" in press(panel, lambda: panel.give_up(given_up))
-    assert panel.scene.number == 1
-    # Asked twice, it is given up once, and the next scene goes on.
-    press(panel, lambda: panel.give_up(given_up))
-    assert (panel.scene.number, len(panel.scenes.kept)) == (1, 1)
-    (kept,) = panel.scenes.kept
-    assert (bool(kept.is_success), kept.is_placed.tolist()) == (False, [True, False])
-    # What stands is no failure, whatever it is called.
-    for x in (0.1, 0.2):
-        hold(panel, x)
-        press(panel, panel.drop)
-    assert "scene 1 stands, and was saved" in press(panel, lambda: panel.give_up(panel.scene))
-
-
 def test_undo_brings_the_object_back_into_the_hand(panel):
     hold(panel, 0.1)
     name = panel._object.value

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.api.render import render
-from cluttergen_jax.api.text import parse_size
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import AssetError, BankError, ConfigError
-from cluttergen_jax.generation.sources import BankSource, LiveConfig, LiveSource, open_source
-from cluttergen_jax.generation.sources.rendering import chosen_numbers
+from cluttergen_jax.generation.sources import BankSource, open_source
 from cluttergen_jax.generation.sources.viewing import native_model
 from cluttergen_jax.rendering.viewer.viewer import free_port
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
@@ -95,28 +93,6 @@ def test_scene_file_is_read_as_the_bank_has_it(bank, source, tmp_path):
     elsewhere.write_text("<mujoco>")
     with pytest.raises(AssetError, match="cannot be compiled"):
         open_source(str(elsewhere))
-
-
-def test_live_source_makes_the_scene_of_a_seed():
-    live = LiveSource(LiveConfig(pool="dining", method="random", num_objects=1))
-    assert live.methods[0] == "random"
-    assert live.numbers[0] == 0
-    recording = live.still(3)
-    assert len(recording.attempts) >= 1
-    np.testing.assert_array_equal(recording.poses, live.sample("random", 3).poses)
-
-
-def test_scenes_to_draw(source):
-    assert chosen_numbers(source, 2, None, 1) == [2]
-    assert chosen_numbers(source, None, None, 1) == [source.successes[0]]
-    assert chosen_numbers(source, None, None, 12) == list(source.successes)
-    assert chosen_numbers(source, None, [0, 2, 3], 1) == [0, 2, 3]
-    assert chosen_numbers(source, None, "all", 1) == [0, 1, 2, 3]
-    with pytest.raises(ConfigError, match="single scene"):
-        chosen_numbers(source, 2, [1], 1)
-    assert parse_size("320x200") == (320, 200)
-    with pytest.raises(ConfigError, match="pixels"):
-        parse_size("320")
 
 
 @needs_gl

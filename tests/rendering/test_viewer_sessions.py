@@ -111,21 +111,6 @@ def test_two_browsers_look_at_different_scenes_and_leave_alone(viewer):
     until(lambda: not viewer.sessions)
 
 
-def test_the_page_says_that_it_compiles_and_then_shows_the_scene(viewer):
-    viewer.source.go.clear()
-    # As of a source whose numbers are seeds: looking through all of them would take minutes.
-    viewer.source.numbers = range(2**31 - 1)
-    with browser(viewer) as one, browser(viewer) as other:
-        for session in (one, other):
-            assert said(session) == "scene 0: compiling, which takes about a minute ..."
-            assert session.recording is None
-        viewer.source.go.set()
-        for session in (one, other):
-            until(lambda own=session: "**scene 0** stands" in said(own))
-            # Now that there is something to see, the camera looks at it.
-            assert session.client.camera.look_at[2] > 0.4
-
-
 def test_stop_stops_at_the_attempt_that_is_shown():
     shown, recording = [], SimpleNamespace(attempts=range(5))
 

@@ -131,19 +131,6 @@ def test_rows_that_were_changed_are_named_do_not_count_and_are_mended(bank, whol
     assert all_bytes(bank) == all_bytes(whole)
 
 
-@pytest.mark.parametrize("change", [moved, renamed])
-def test_files_that_do_not_have_what_their_rows_have_are_named(bank, capsys, change):
-    """Though every file has its digest: whoever made them made them so."""
-    table = StoredBlocks.of(bank).read(0)
-    with banks.writer(bank, 3) as writer:
-        writer.write_block(0, table.from_pylist(change(table.to_pylist()), schema=table.schema))
-    assert verify(bank) == 1
-    assert f"  {SCENE}: not the scene of its row\n" in (out := capsys.readouterr().out)
-    assert "1 of 2 scenes stand" in out
-    with pytest.raises(BankError, match="not the scene of its row"):
-        check_whole(read_bank(bank))
-
-
 @pytest.mark.parametrize(
     "name", ["../outside.txt", "/etc/hostname", "scenes/../../outside.txt", "assets/link"]
 )
@@ -157,10 +144,3 @@ def test_a_list_that_leads_out_of_the_bank_is_refused(bank, name, capsys):
         changes_of(read_bank(bank))
     assert verify(bank) == 2
     assert "error: " in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("files", [None, [], {"a": 1}])
-def test_a_list_that_is_none_is_damage(bank, files):
-    (bank / "bank.json").write_bytes(index_bytes(read_bank(bank).record | {"files": files}))
-    with pytest.raises(BankError, match="digests of files"):
-        read_bank(bank)

@@ -4,9 +4,7 @@ import os
 import shutil
 import socket
 import subprocess
-import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pyarrow.fs as pafs
@@ -92,13 +90,6 @@ def test_a_bank_goes_on_where_it_stopped_even_without_its_mirror(url, home, tmp_
     assert contents(url) == whole
 
 
-def test_a_bank_grows_there(url, tmp_path):
-    write(url, num_blocks=3)
-    write(url)
-    write(tmp_path / "bank")
-    assert contents(url) == files(tmp_path / "bank")
-
-
 def test_a_mirror_follows_what_was_made_anew_there(url, home):
     write(url)
     name = next(name for name in contents(url) if name.endswith("object.json"))
@@ -107,23 +98,6 @@ def test_a_mirror_follows_what_was_made_anew_there(url, home):
     kept.write_bytes(before + b" ")
     assert read_bank(url).path == mirrored(url)
     assert kept.read_bytes() == before == remote.open(name).read()
-
-
-def test_many_read_a_bank_at_once_that_nobody_has_read_before(home, tmp_path):
-    # Files that are open twice in fsspec's memory share their place.
-    url = f"file://{tmp_path / 'there'}"
-    write(url)
-    for _ in range(5):
-        shutil.rmtree(home)
-        together = threading.Barrier(8)
-
-        def read(_, together=together):
-            together.wait()
-            return read_bank(mirrored(url)).num_scenes
-
-        with ThreadPoolExecutor(8) as readers:
-            assert set(readers.map(read, range(8))) == {NUM_BLOCKS * BLOCK_SIZE}
-        assert not list(home.rglob(".*.partial"))
 
 
 @pytest.mark.parametrize(

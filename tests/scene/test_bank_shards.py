@@ -121,19 +121,6 @@ def test_a_damaged_row_group_is_named_and_mended_alone(sharded, tmp_path):
     assert files(path) == files(sharded)
 
 
-def test_a_block_that_was_written_again_wins_over_its_shard(tmp_path):
-    write(tmp_path)
-    with banks.writer(tmp_path, NUM_BLOCKS * BLOCK_SIZE, shard_blocks=IN_A_SHARD) as writer:
-        changed = banks.rows(4).to_pylist()
-        changed[0]["drift"] = 0.5
-        writer.write_block(4, type(banks.rows(4)).from_pylist(changed, schema=banks.rows(4).schema))
-    assert block_path(tmp_path, 4).exists()
-    assert read_bank(tmp_path).table["drift"].to_numpy()[4 * BLOCK_SIZE] == 0.5
-    write(tmp_path)
-    assert not block_path(tmp_path, 4).exists()
-    assert read_bank(tmp_path).table["drift"].to_numpy()[4 * BLOCK_SIZE] == 0.5
-
-
 def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_looks_changed(tmp_path):
     write(tmp_path)
     index, rows = BankIndex.of(read_bank(tmp_path)), StoredBlocks.of(tmp_path).read(7)

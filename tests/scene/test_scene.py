@@ -7,7 +7,7 @@ import pytest
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import turn_between
-from cluttergen_jax.scene import Scene, collect
+from cluttergen_jax.scene import collect
 from tests.helpers.exports import spread
 from tests.helpers.worlds import trio
 
@@ -106,20 +106,6 @@ def test_a_name_that_is_taken_and_a_bad_turn_are_refused(scene):
         scene.attach_to(spec, "clutter/")
     with pytest.raises(ConfigError, match="unit length"):
         scene.attach_to(spec, "other/", quaternion=(2, 0, 0, 0))
-
-
-@pytest.mark.parametrize(
-    ("names", "poses"),
-    [
-        (("a",), np.zeros((3, 7))),
-        (("a", "a", "b"), np.tile([0, 0, 1, 1, 0, 0, 0], (3, 1))),
-        (("a", "b", "c"), np.tile([0, 0, 1, 2, 0, 0, 0], (3, 1))),
-        (("a", "b", "c"), np.tile([0, 0, np.nan, 1, 0, 0, 0], (3, 1))),
-    ],
-)
-def test_a_scene_that_cannot_be_is_refused(names, poses):
-    with pytest.raises(ConfigError):
-        Scene(names, tuple(trio()), poses, cuboid_table())
 
 
 def test_many_scenes_are_one_model_and_stand_in_it():

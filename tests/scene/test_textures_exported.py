@@ -94,17 +94,6 @@ def test_gltf_holds_the_image(folder_of):
     assert raw.count(b"\x89PNG") == 1
 
 
-def test_pybullet_shows_the_image_upright(folder_of):
-    pybullet = pytest.importorskip("pybullet", reason="needs the extra peers")
-    client = pybullet.connect(pybullet.DIRECT)
-    pybullet.loadURDF(str(folder_of("urdf") / "assets" / "objects" / "one" / "one.urdf"))
-    view = pybullet.computeViewMatrix([0, 0, 0.3], [0, 0, 0], [0, 1, 0])
-    lens = pybullet.computeProjectionMatrixFOV(40, 1, 0.01, 2)
-    picture = pybullet.getCameraImage(200, 200, view, lens, renderer=pybullet.ER_TINY_RENDERER)[2]
-    pybullet.disconnect(client)
-    assert_colours(np.reshape(picture, (200, 200, 4)), (100, 100), 20)
-
-
 def test_usd_holds_the_image(folder_of):
     pytest.importorskip("pxr", reason="needs the extra usd")
     from pxr import Usd, UsdGeom, UsdShade

@@ -9,7 +9,6 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from cluttergen_jax.assets.ground import VOID
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
@@ -173,10 +172,3 @@ def test_the_grid_is_laid_out_as_the_true_map_is(rectangle):
     np.testing.assert_allclose(grid.corner, true.corner, atol=1e-6)
     assert ((grid.bare <= VOID) == (np.asarray(true.height) <= VOID)).mean() > 0.99
     np.testing.assert_allclose(grid.bare[grid.bare > VOID], 0.0, atol=1e-6)
-
-
-def test_bad_grids_and_images_are_refused():
-    with pytest.raises(ConfigError, match="cells of"):
-        Grid.of(TABLE, 0.1, cell=0.0)
-    with pytest.raises(ConfigError, match="the camera's"):
-        PartialMap.of(np.ones((3, 3)), overhead(TABLE), GRID)
