@@ -6,7 +6,7 @@ from PIL import Image
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import read_source
+from cluttergen_jax.importing.readers import ReadOptions, read_source
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from tests.helpers.cases import CASES
 from tests.helpers.gltf import POINTS, Gltf
@@ -31,6 +31,11 @@ def test_compressed_boxes_have_their_size(name):
     (shape,) = read_source(CASES / "08_glb_compressed" / name)
     whole = joined([piece.mesh for piece in shape.pieces])
     np.testing.assert_allclose(np.ptp(whole.bounds, axis=0), [0.1, 0.06, 0.04], atol=1e-4)
+
+
+def test_meshopt_is_refused_with_what_undoes_it():
+    with pytest.raises(AssetError, match=r"EXT_meshopt_compression.*gltf-transform copy meshopt\.glb"):
+        read_source(CASES / "08_glb_compressed" / "meshopt.glb")
 
 
 @pytest.mark.parametrize("file", ["box.glb", "box.gltf", "inline.gltf"])
@@ -161,3 +166,9 @@ def test_an_extension_that_is_required_and_not_understood_is_refused(tmp_path, n
     gltf.document |= {"extensionsUsed": [name], "extensionsRequired": [name]}
     with pytest.raises(AssetError, match=f"{name}, which is not read.*Try"):
         read_source(gltf.write(tmp_path / "box.glb"))
+
+
+def test_draco_without_its_library_is_told(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "DracoPy", None)
+    with pytest.raises(AssetError, match=r"draco\.glb with KHR_draco_mesh_compression.*pip install DracoPy"):
+        read_source(CASES / "08_glb_compressed" / "draco.glb", ReadOptions())

@@ -1,18 +1,22 @@
 """What is no object for a table: scenery, actors, ghosts, copies, and what is too large or too heavy."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
+from cluttergen_jax.assets.gaps import gap_alarm
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.import_report import print_report
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all
-from cluttergen_jax.importing.readers import ReadOptions
+from cluttergen_jax.importing.readers import ReadOptions, read_shape
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 from cluttergen_jax.importing.table_top import Limits
 from tests.helpers.cases import CASES
@@ -55,6 +59,16 @@ def test_scenery_in_every_file_and_mocap_bodies_are_no_objects():
     assert (len(everything), nothing) == (8, {})
 
 
+@pytest.mark.parametrize("name", ["tin-visual.xml", "seen.xml"])
+def test_a_ghost_is_no_object_whatever_it_is_called(tmp_path, name):
+    shutil.copytree(CASES / "18_ghost_twin" / "objects", tmp_path / "set")
+    (tmp_path / "set" / "tin-visual.xml").rename(tmp_path / "set" / name)
+    plan = plan_all([tmp_path / "set"], ReadOptions())
+    assert [each.source.name for each in plan.objects] == ["tin"]
+    if name == "seen.xml":
+        assert [(each.name, each.detail) for each in plan.left_out] == [(name, "of tin.xml")]
+
+
 def test_what_most_files_have_is_scenery_and_what_few_have_is_one_object(tmp_path):
     table = body("table", '<geom type="box" size=".3 .3 .02"/>')
     for index, name in enumerate(("cup", "bowl", "pan", "jug", "pot")):
@@ -89,6 +103,18 @@ def test_what_motors_or_mocap_bodies_move_is_an_actor(tmp_path, rest, is_object)
     hand = f'<body name="hand" mocap="true">{BOX}</body>'
     write(tmp_path / "pot.xml", body("pot", lid), hand, rest=rest)
     assert planned(tmp_path)[0] == (["pot"] if is_object else [])
+
+
+def test_settings_take_one_body_and_leave_another(tmp_path):
+    shutil.copytree(CASES / "19_scenery_in_every_file" / "objects", tmp_path / "set")
+    settings = tmp_path / "set" / "objects.toml"
+    settings.write_text('["mug.xml#wall"]\ntake = true\n["brick.xml#brick"]\ntake = false\n')
+    names, left = planned(tmp_path / "set")
+    assert sorted(names) == ["mug", "wall"]
+    assert left["brick.xml#brick"] == "as the settings say"
+    settings.write_text('["mug.xml"]\ntake = "yes"\n')
+    with pytest.raises(ConfigError, match="take"):
+        planned(tmp_path / "set")
 
 
 # Size and mass
@@ -175,3 +201,10 @@ def test_names_get_numbers_among_what_was_made(quick_import, tmp_path):
 
 
 # Pieces apart
+
+
+@pytest.mark.parametrize(("name", "gap"), [("planks", "90 mm"), ("knob_and_handle", "85 mm")])
+def test_pieces_that_do_not_touch_are_flagged(name, gap):
+    plan = plan_all([CASES / "16_pieces_apart" / "objects" / f"{name}.obj"], ReadOptions())
+    shape = read_shape(plan.objects[0].source)
+    assert gap in gap_alarm(solid_of([piece.mesh for piece in shape.pieces]))

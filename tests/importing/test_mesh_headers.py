@@ -3,12 +3,15 @@
 import json
 import struct
 import tracemalloc
+from pathlib import Path
 
 import pytest
 import trimesh
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
+
+CASES = Path(__file__).parents[1] / "cases" / "import" / "09_stl_trailing"
 
 
 def glb(change):
@@ -111,3 +114,18 @@ def test_a_false_count_of_an_stl_file_is_said(tmp_path, count):
     (shape,) = read_source(tmp_path / "a.stl")
     assert len(shape.pieces[0].mesh.faces) == 12
     assert any(f"announces {count:,} triangles: the 12 " in note for note in shape.notes)
+
+
+@pytest.mark.parametrize("rest", [b"\0", b"\r\n", b"x" * 50, b"COLOR=" + bytes(200)])
+def test_bytes_after_the_last_triangle_of_an_stl_file_are_said(tmp_path, rest):
+    (tmp_path / "a.stl").write_bytes(stl_of(12) + rest)
+    (shape,) = read_source(tmp_path / "a.stl")
+    assert shape.pieces[0].mesh.volume == pytest.approx(0.05**3, rel=1e-5)
+    assert any(f"{len(rest)} bytes after its last triangle" in note for note in shape.notes)
+
+
+def test_a_file_with_a_newline_after_its_triangles():
+    """As it was sent."""
+    (shape,) = read_source(CASES / "trail.stl")
+    assert len(shape.pieces[0].mesh.faces) == 12
+    assert any("2 bytes" in note for note in shape.notes)

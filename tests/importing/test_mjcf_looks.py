@@ -147,6 +147,12 @@ def seen(points):
     return np.column_stack([across / away + 1, 1 - down / away]) / 2
 
 
+def test_a_missing_picture_costs_the_picture_alone():
+    (shape,) = read_source(CASES / "14_mjcf_missing_image" / "objects" / "tin" / "tin.xml")
+    assert [piece.texture for piece in shape.pieces] == [None]
+    assert any("'label.png' cannot be read" in note for note in shape.notes)
+
+
 def test_of_several_pictures_those_that_are_there_are_kept(tmp_path):
     """Beside pictures that are missing, empty or stand-ins of Git LFS, on a cube's side and in a part."""
     (tmp_path / "images").mkdir()

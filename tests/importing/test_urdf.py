@@ -7,6 +7,7 @@ import trimesh
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import find_sources, read_source
+from tests.helpers.cases import CASES
 
 BOX = '<box size=".1 .06 .04"/>'
 
@@ -36,6 +37,15 @@ def size_of(shape):
     return np.ptp(joined([piece.mesh for piece in shape.pieces]).bounds, axis=0)
 
 
+def test_one_number_scales_all_three_axes():
+    shape = read(CASES / "06_urdf_scalar_scale")
+    np.testing.assert_allclose(size_of(shape), [0.1, 0.06, 0.04], atol=1e-6)
+
+
+def test_a_colour_without_alpha_is_opaque():
+    assert read(CASES / "07_urdf_rgba3").pieces[0].rgba == (0.8, 0.1, 0.1, 1.0)
+
+
 CLEAR = '<material name="clear"><color rgba="1 0 0 0"/></material>'
 HANDLE = '<visual><geometry><sphere radius="0.01"/></geometry></visual>'
 
@@ -47,6 +57,21 @@ def test_what_is_clear_is_left_out_and_drawn_where_nothing_else_is_seen(tmp_path
     shape = read(write(tmp_path, link(inside=CLEAR, more=HANDLE)))
     np.testing.assert_allclose(size_of(shape), 0.02, atol=1e-3)
     assert "left out, as their alpha is 0: 1 of 2 surfaces" in shape.notes
+
+
+def test_a_material_of_one_link_holds_in_another():
+    shape = read(CASES / "11_urdf_material_reuse")
+    assert [piece.rgba for piece in shape.pieces] == [(0.8, 0.0, 0.0, 1.0)] * 2
+
+
+def test_a_density_in_the_file_is_taken(tmp_path):
+    assert read(CASES / "21_urdf_density").density == 2700
+    two = [
+        link(name, more=f'<inertial><density value="{n}"/></inertial>') for name, n in (("a", 1), ("b", 2))
+    ]
+    joint = '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
+    with pytest.raises(AssetError, match=r"densities \[1\.0, 2\.0\]"):
+        read(write(tmp_path, "".join(two) + joint))
 
 
 @pytest.mark.parametrize(
