@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 
-
 def squares() -> Callable[[int], tuple[int, int]]:
     """Makes a function that squares, and says in which process."""
     return lambda item: (item * item, os.getpid())
