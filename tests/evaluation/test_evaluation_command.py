@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+import cluttergen_jax
 from cluttergen_jax.cli.evaluate import Evaluate
 from cluttergen_jax.cli.main import run
 from cluttergen_jax.evaluation.running import num_failed
@@ -58,6 +59,22 @@ def test_suites_fail_where_a_first_seed_is_missing():
     assert num_failed(results) == 1
     timed = {"missing": "the timed process failed: x", "hint": "again"}
     assert num_failed([{"records": [], "measure": {"rows": [timed]}}]) == 1
+
+
+def test_a_suite_from_python_hands_out_each_study_as_it_is_done(tmp_path, capsys):
+    given = []
+    # One scene of each row, too few to tell anything about how different scenes are.
+    results = cluttergen_jax.evaluate_suite(
+        "honest", only=("diversity",), methods=("random",), trials=1, out=tmp_path, show=given.append
+    )
+    assert given == results
+    (result,) = results
+    assert (result["suite"], result["name"], result["trials"]) == ("extended", "diversity", [1])
+    assert [row["support"] for row in result["measure"]["rows"]] == ["table-0.60x0.70", "table-0.40x0.50"]
+    assert all("of 1 scenes succeed" in row["missing"] for row in result["measure"]["rows"])
+    assert json.loads((tmp_path / "diversity.json").read_text()) == result
+    assert all((tmp_path / name).is_file() for name in ("diversity.md", "diversity.csv", "all.md"))
+    assert "now called extended" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,11 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.arrangement import by_object
 from cluttergen_jax.evaluation.measures.diversity import (
+    edge_share,
     embed,
+    independent_distance,
     nearest_distance,
+    plan_box_area,
     plan_clusters,
     plan_entropy,
     scene_distances,
@@ -76,6 +79,19 @@ def test_entropy_of_one_place_is_zero_and_of_all_cells_that_of_an_even_spread():
     assert result.count.tolist() == [24, 24, 0]
 
 
+def test_shares_along_the_edges():
+    rng = np.random.default_rng(2)
+    positions = np.zeros((4000, K, 2))
+    positions[:, 0] = rng.uniform(-1, 1, (4000, 2)) * REGION.half_extents
+    positions[:, 1] = [0.99 * REGION.half_extents[0], 0.0]
+    shares = edge_share(scenes_at(positions), np.ones((4000, K), bool) & [True, True, False], REGION)
+    assert shares[0] == pytest.approx(0.36, abs=0.03)
+    assert shares[1] == 1
+    assert np.isnan(shares[2])
+    with pytest.raises(ConfigError, match="band"):
+        edge_share(scenes_at(positions), np.ones((4000, K), bool), REGION, 0.6)
+
+
 def test_clusters_are_told_from_an_even_spread():
     rng = np.random.default_rng(3)
     positions = np.zeros((500, K, 2))
@@ -88,6 +104,13 @@ def test_clusters_are_told_from_an_even_spread():
     assert numbers[1] == 2
     assert shares[1] > 0.9
     assert np.isnan([numbers[2], shares[2]]).all()
+
+
+def test_box_is_the_rectangle_between_extremes():
+    positions = np.array([[[-0.1, 0.0]], [[0.2, 0.05]], [[0.0, -0.1]], [[0.29, 0.19]]])
+    is_placed = np.array([[True], [True], [True], [False]])
+    assert plan_box_area(scenes_at(positions), is_placed, REGION) == pytest.approx(0.3 * 0.15)
+    assert np.isnan(plan_box_area(scenes_at(positions), is_placed & False, REGION))
 
 
 def test_turning_a_long_object_counts_for_more():
@@ -117,6 +140,13 @@ def test_distance_is_a_metric_whatever_is_absent(seed):
     # What stands where an absent object would be does not matter.
     elsewhere = np.where(is_placed[..., None], poses, rng.normal(size=poses.shape))
     np.testing.assert_array_equal(scene_distances(vectors_of(elsewhere, is_placed)), distances)
+
+
+def test_independent_distance_is_that_of_even_draws():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1, 1, (2, 200_000, 2)) * REGION.half_extents
+    drawn = np.sqrt(np.square(points[0] - points[1]).sum(1).mean())
+    assert independent_distance(REGION) == pytest.approx(drawn, rel=0.01)
 
 
 def test_nearest_is_the_nearest_and_zero_for_a_repeated_scene():

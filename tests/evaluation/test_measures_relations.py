@@ -12,6 +12,8 @@ from cluttergen_jax.evaluation.measures.contacts import closure, contacts_of
 from cluttergen_jax.evaluation.measures.relations import (
     Relation,
     relations,
+    tilt_from_rest,
+    vessel_of,
 )
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.placement.world import make_world
@@ -146,3 +148,20 @@ def test_closure_follows_chains_of_any_length():
         square = np.vstack([edges, np.zeros(7, bool)]).astype(int)
         walks = sum(np.linalg.matrix_power(square, length) for length in range(1, 8)) > 0
         np.testing.assert_array_equal(closure(edges[None])[0], walks[:6])
+
+
+def test_tilt_is_measured_from_the_nearest_rest(models):
+    can = models.world.objects[NAMES.index("soup_can")]
+    for degrees in (0, 7, 20):
+        turn = Rotation.from_euler("zy", [80, degrees], degrees=True).as_quat()[[3, 0, 1, 2]]
+        assert np.degrees(tilt_from_rest(can, np.r_[0, 0, 0, turn])) == pytest.approx(degrees, abs=1e-6)
+    for rest in can.resting:
+        assert tilt_from_rest(can, np.r_[0, 0, 0, rest.quaternion]) < 1e-6
+
+
+def test_vessels_are_what_holds_something(models):
+    vessels = {name: vessel_of(asset) for name, asset in zip(NAMES, models.world.objects, strict=True)}
+    assert {name for name, vessel in vessels.items() if vessel} == {"mug", "bowl", "water_glass"}
+    glass = vessels["water_glass"]
+    points = np.array([[0, 0, 0], [0, 0, 0.05], [0, 0, 0.07], [0.05, 0, 0], [0, 0, -0.059]])
+    assert glass.holds(points).tolist() == [True, True, False, False, False]

@@ -107,6 +107,15 @@ def test_a_neighbour_that_lost_its_support_counts_unless_it_stood_there_before()
     assert int(rules.attempt(own, GOOD)[0].verdict) == Verdict.UNSUPPORTED
 
 
+@pytest.mark.slow
+def test_a_narrow_object_is_asked_for_a_third_of_its_own():
+    rules = made_up_rules(physics=Margins(margin=(0.0006,) * 6), min_margin=0.003)
+    for own, verdict in ((0.001, Verdict.STABLE), (0.002, Verdict.UNSUPPORTED)):
+        geometry = rules.geometry.replace(own_margin=jnp.full(6, own))
+        narrow = dataclasses.replace(rules, geometry=geometry)
+        assert int(narrow.attempt(narrow.begin(jax.random.key(0)), GOOD)[0].verdict) == verdict
+
+
 @pytest.fixture(scope="module")
 def models():
     objects = [box("cube", (0.03, 0.03, 0.03)), box("tall", (0.02, 0.04, 0.1))]

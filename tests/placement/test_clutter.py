@@ -12,7 +12,7 @@ from shapely import affinity
 from shapely.geometry import box as rectangle
 
 from cluttergen_jax.learning.methods import Method, sampler_of
-from cluttergen_jax.placement.boxes import Boxes, gaps, spacing_of
+from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, spacing_of
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.rollout import Rollout
@@ -76,6 +76,16 @@ def test_gaps_are_the_distances_of_rectangles():
     assert np.all(found <= exact + 1e-6)
     assert np.all(found >= exact / np.sqrt(2) - 1e-6)
     assert np.all((found > 1e-6) == (exact > 1e-6))
+
+
+def test_a_tall_box_hides_a_low_one_from_one_side():
+    half = jnp.array([[0.02, 0.02, 0.02], [0.02, 0.02, 0.2]])
+    poses = jnp.array([[0.0, 0, 0.02, 1, 0, 0, 0], [0.1, 0, 0.2, 1, 0, 0, 0]])
+    views = Views.of(Boxes.of(half, poses))
+    hidden = np.asarray(hidden_shares(views, views))
+    assert hidden[0, 1, 0] == pytest.approx(0.6, abs=1e-5)
+    assert hidden[0, 1, 4] == 0
+    assert hidden[1, 0, 0] == 0
 
 
 @pytest.mark.parametrize("number", [1, 2, 4])
