@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -45,16 +44,6 @@ def test_hash_survives_the_disk_and_sees_every_change(tmp_path, pool):
     ]
     hashes = {object_hash(dataclasses.replace(asset, **change)) for change in changes}
     assert len(hashes | {object_hash(asset)}) == len(changes) + 1
-
-
-def test_the_mjcf_opens_in_plain_mujoco(tmp_path, pool):
-    path = write_pool(tmp_path / "two", pool)
-    model = mujoco.MjModel.from_xml_path(str(path / "tall" / "object.xml"))
-    assert model.body("tall").mass[0] == pytest.approx(0.25)
-    assert model.nmesh == 2
-    data = mujoco.MjData(model)
-    mujoco.mj_step(model, data)
-    assert np.isfinite(data.qpos).all()
 
 
 @pytest.mark.parametrize("name", ["object.json", "visual-0.obj", "cloud.npy"])

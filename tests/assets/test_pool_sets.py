@@ -26,14 +26,6 @@ def pools_of_a_user(home, monkeypatch):
     write_pool(user_root() / "b", Pool("b", (make_box("mug", seed=1), make_box("lid")), licence="MIT"))
 
 
-def test_a_union_prefixes_what_clashes():
-    union = find_pool("a+b")
-    assert union.names == ("a-mug", "pan", "b-mug", "lid")
-    assert (union.name, union.licence) == ("a-b", "CC0; MIT")
-    assert find_pool("a+b").hash == union.hash != find_pool("b+a").hash
-    assert find_pool(f"{user_root() / 'a'}+dining").names[:2] == ("a-mug", "pan")
-
-
 def test_all_but_some():
     assert find_pool("a~mug").names == find_pool("a", exclude=("mug",)).names == ("pan",)
     assert find_pool("a+b~a-mug~lid").names == ("pan", "b-mug")

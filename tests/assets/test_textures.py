@@ -1,6 +1,5 @@
 """Images on surfaces: read from every format, kept by pools and banks, the right way up wherever they go."""
 
-import dataclasses
 import io
 import json
 import struct
@@ -12,7 +11,7 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
+from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
@@ -124,23 +123,6 @@ def test_an_image_that_is_lost_is_said(harm, tmp_path):
     (shape,) = read_source(path)
     assert any(said in note for note in shape.notes), shape.notes
     assert (shape.pieces[0].texture is None) == (harm not in (_moved_in_glb, _with_relief))
-
-
-def test_objects_keep_their_image_on_disk(tmp_path):
-    asset = textured.asset()
-    write_object(tmp_path / "slab", asset)
-    back = read_object(tmp_path / "slab")
-    assert object_files(back) == object_files(asset)
-    assert object_hash(back) == object_hash(asset)
-    assert_upright(back.pieces[0])
-    other = dataclasses.replace(asset.pieces[0], texture=Texture.of(textured.picture(32)))
-    assert object_hash(textured.asset(surface=other)) != object_hash(asset)
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "slab" / "object.xml"))
-    assert (model.ntex, model.mesh_texcoordnum.sum() > 0) == (1, True)
-    image = tmp_path / "slab" / asset.textures[0].file_name
-    image.write_bytes(textured.png(textured.picture(32)))
-    with pytest.raises(PoolError, match=asset.textures[0].file_name):
-        read_object(tmp_path / "slab")
 
 
 def test_supports_keep_their_image(tmp_path):

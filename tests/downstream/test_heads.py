@@ -24,7 +24,6 @@ from cluttergen_jax.downstream.placer.heads.regression import (
 )
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lowered
 from cluttergen_jax.downstream.placer.heads.trained import (
-    head_of,
     load_placer,
     placer_folder,
 )
@@ -32,8 +31,7 @@ from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
 from cluttergen_jax.downstream.placer.training.temperature import best_temperature
-from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.learning.policies.embedded import list_policies
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from tests.helpers.queries import HALF, made_up_examples, made_up_query
 
@@ -265,27 +263,3 @@ def test_a_stored_placer_proposes_what_it_did(name, tmp_path, examples):
     there, back = (proposed(each, examples) for each in (head.placer(params, 1.5), load_placer(tmp_path)))
     np.testing.assert_array_equal(there.pose, back.pose)
     np.testing.assert_array_equal(there.score, back.score)
-
-
-def test_what_is_no_such_placer_is_refused(tmp_path):
-    head = HEADS["mixture"]
-    record = {"kind": "placer", "head": "mixture", "network": dataclasses.asdict(head.config)}
-    save_policy(tmp_path, jax.jit(head.init)(jax.random.key(0)), record)
-    with pytest.raises(PoolError, match="placer with the head 'mixture'"):
-        load_placer(tmp_path, "scored")
-    with pytest.raises(PoolError, match="kind 'stability', and no placer"):
-        load_placer(list_policies()["guided"])
-    with pytest.raises(PoolError, match=r"not a checkpoint.*`cluttergen placer train`"):
-        load_placer(tmp_path / "nowhere")
-    with pytest.raises(PoolError, match="head 'other'"):
-        head_of(record | {"head": "other"}, tmp_path)
-    with pytest.raises(PoolError, match="does not say what network"):
-        head_of(record | {"network": {"num_cells": 6}}, tmp_path)
-    larger = dataclasses.asdict(MixtureConfig(6, 4, (9,), 16))
-    (tmp_path / "record.json").write_text(json.dumps({"format": 1, **record, "network": larger}))
-    with pytest.raises(PoolError, match="weights of another network"):
-        load_placer(tmp_path)
-    for temperature in (0, "hot", None):
-        (tmp_path / "record.json").write_text(json.dumps({"format": 1, **record, "temperature": temperature}))
-        with pytest.raises(PoolError, match="temperature"):
-            load_placer(tmp_path)

@@ -16,14 +16,12 @@ from cluttergen_jax.downstream.perception.certainty import (
     reliability,
     write_certainty,
 )
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator, seen_points
 from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
-from cluttergen_jax.downstream.perception.segment.scores import intersection_over_union
 from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
 from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE
 from cluttergen_jax.downstream.robot.frames import matrix_of
@@ -202,27 +200,3 @@ def test_all_objects_of_a_scene_are_found_in_pictures(finder):
 def _picture(camera):
     view = view_of(POSES, camera).view
     return view.rgb, view.depth, camera
-
-
-@pytest.mark.parametrize(
-    "wrong", [FIRST_OBJECT, FIRST_OBJECT + 1, pytest.param(BACKGROUND, marks=pytest.mark.slow)]
-)
-def test_what_the_segmenter_took_for_another_is_found_in_what_nothing_explains(estimator, wrong):
-    """Blue lies on green, and the segmenter takes it for red, for green too, or for the table."""
-    poses = POSES.copy()
-    poses[2] = [POSES[1, 0] + 0.03, POSES[1, 1], TABLE.top + 2 * 0.07 + 0.02, *POSES[2, 3:]]
-    looks = [look_at(poses, camera) for camera in (overhead(), SIDE)]
-    looks = [
-        replace(each, label=np.where(each.mask(2), wrong, each.label).astype(np.uint8)) for each in looks
-    ]
-    found = SceneFinder(OBJECTS, TABLE, ByColour(), estimator)(looks)
-    assert found.seen.all()
-    np.testing.assert_allclose(found.pose[:, :3], poses[:, :3], atol=0.006)
-    # Where it was found the pixels are its own again, whatever the segmenter said.
-    right = [look_at(poses, camera).label for camera in (overhead(), SIDE)]
-    before, after = (
-        np.array([intersection_over_union(one, true, 3) for one, true in zip(labels, right, strict=True)])
-        for labels in ([look.label for look in looks], found.labels)
-    )
-    assert before[:, FIRST_OBJECT + 2].max() == 0
-    assert after[:, FIRST_OBJECT:].min() > 0.8

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import jax
 import numpy as np
-import pyarrow as pa
 import pytest
 
 import cluttergen_jax as cg
@@ -14,12 +13,10 @@ from cluttergen_jax.downstream.placer.pairs import maker as data
 from cluttergen_jax.downstream.placer.pairs import stored as pairs
 from cluttergen_jax.downstream.placer.pairs.stored import (
     load_queries,
-    of_tenths,
     read_pairs,
 )
 from cluttergen_jax.downstream.placer.query import Proposals
 from cluttergen_jax.downstream.placer.sight import QueryMaker
-from cluttergen_jax.downstream.placer.training.examples import TESTING, ExampleSource
 from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID
@@ -125,25 +122,6 @@ def test_queries_show_what_stands_to_the_millimetre(loaded):
         assert len(kept) > 500
         assert not queries.cloud[row][~queries.cloud_mask[row]].any()
         assert kept[:, 2].max() <= heights.max() + 0.002
-
-
-@pytest.mark.parametrize("held_out", ["scenes", "pairs"])
-def test_what_validates_is_not_learned_from(made, held_out):
-    """Of pairs that stand in for a training split: by scenes, or as the paper has it by pairs."""
-    table = pa.table({"pair": np.arange(200), "scene": np.arange(200) * 7 % 31})
-    source = ExampleSource((made.path,), held_out=held_out)
-    learned, validates = (source._wanted(made, split)(table) for split in ("train", "val"))
-    assert not (learned & validates).any()
-    assert validates.any()
-    shared = np.intersect1d(np.asarray(table["scene"])[learned], np.asarray(table["scene"])[validates])
-    tested = of_tenths(TESTING)(table)
-    if held_out == "scenes":
-        assert len(shared) == 0
-        assert (learned | validates).all()
-    else:
-        assert len(shared) > 0, "that is what the study `protocol` is about"
-        assert (learned.sum(), validates.sum(), tested.sum()) == (160, 20, 20)
-        assert not (tested & (learned | validates)).any()
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """Placers side by side: figures are counted from verdicts, rows are kept, tables tell them."""
 
-import json
 from dataclasses import replace
 from functools import partial
 
@@ -12,9 +11,8 @@ from flax import struct
 from scipy.ndimage import minimum_filter
 
 import cluttergen_jax as cg
-from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.placer.evaluation import bench as bench_module
-from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
+from cluttergen_jax.downstream.placer.evaluation.bench import Outcome
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
 from cluttergen_jax.downstream.placer.pairs import maker as data
@@ -142,25 +140,6 @@ def test_figures_are_shares_of_verdicts_with_wilsons_intervals(labels):
     assert sum(each["queries"] for each in figures["by_object"]) == number
     assert figures["calibration"]["brier"] == pytest.approx((3 * 0.1**2 + 3 * 0.3**2) / 6)
     assert figures["calibration"]["gap"] == pytest.approx(0.5 * 0.1 + 0.5 * 0.3)
-
-
-def test_rows_are_kept_and_told_in_a_table(made, tmp_path, capsys, monkeypatch):
-    words = ["placer", "eval", str(made.path), "--placers", "random", "geometry", "--noise", "0"]
-    assert main([*words, "--out", str(tmp_path)]) == 0
-    told = capsys.readouterr().out
-    rows = json.loads((tmp_path / "results.json").read_text())
-    assert [row["trial"]["placer"] for row in rows] == ["random", "geometry"]
-    assert "6 queries of" in told
-    # On a table with two objects at most, who looks always finds room.
-    assert rows[1]["figures"]["success"]["share"] == 1
-    monkeypatch.setattr(Bench, "judge", None)
-    again = cg.placer_eval(made.path, ("random", "geometry"), noise=(0.0,), out=tmp_path)
-    assert [row["figures"] for row in again.rows] == [row["figures"] for row in rows]
-    stored = sorted((tmp_path / "results").glob("*.npz"))
-    assert len(stored) == 2
-    with np.load(stored[0]) as arrays:
-        assert arrays["pose"].shape == (6, 5, 4)
-        assert arrays["verdict"].shape == (6, 5)
 
 
 @pytest.mark.slow

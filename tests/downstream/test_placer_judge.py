@@ -4,7 +4,6 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.placer.evaluation.paper_count import PaperCount
 from cluttergen_jax.downstream.placer.judge import Judge
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.placement.region import action_of_pose
@@ -87,19 +86,3 @@ def test_what_meets_another_object_or_nothing_at_all_does_not_stand(scenes, judg
     assert judged.verdict[1] in (int(Verdict.OUTSIDE), int(Verdict.FELL), int(Verdict.UNSETTLED))
     assert not judge.stand(judged).any()
     assert not judged.has_margin.any()
-
-
-def test_the_papers_count_lets_neighbours_be_pushed_but_not_things_fall(scenes, judge, half_heights):
-    layout = scenes.problem.world.layout
-    count = PaperCount(layout, scenes.rules.physics.config)
-    # The box beside the prism at rest; pushed apart by 5 mm of overlap; and let go 10 cm too high.
-    apart, overlapping, high = (
-        [[x, 0.0, TOP + half_heights[0] + z, 1, 0, 0, 0], [0.0, 0.0, TOP + half_heights[1], 1, 0, 0, 0]]
-        for x, z in ((0.12, 0.0), (0.062, 0.0), (0.12, 0.1))
-    )
-    poses = np.tile(np.eye(7, dtype=np.float32)[3], (3, 3, 1))
-    poses[:, :2] = [apart, overlapping, high]
-    is_placed = np.tile([True, True, False], (3, 1))
-    assert count(poses, is_placed).tolist() == [True, True, False]
-    settling = scenes.rules.physics.settle_batch(poses, is_placed, np.zeros(3, np.int32), np.ones(3, bool))
-    assert settling.verdict.tolist()[:2] == [int(Verdict.STABLE), int(Verdict.DISPLACED)]

@@ -6,9 +6,8 @@ import pytest
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path
+from cluttergen_jax.scene.bank.blocks import block_path
 from cluttergen_jax.scene.bank.card import CARD
-from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE
 from tests.helpers import banks
 
@@ -52,30 +51,6 @@ def test_what_is_certified_is_not_measured_again(bank, capsys):
     assert "2 scenes that stand have their certificate (0 rows are new)" in capsys.readouterr().out
     assert block_path(bank, 0).read_bytes() == before
     assert "| `shake` |" in (bank / CARD).read_text()
-
-
-def test_a_certificate_of_an_older_version_is_shown_and_completed(tmp_path, capsys):
-    path = tmp_path / "bank"
-    banks.two_scenes(path)
-    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
-    now = read_bank(path)
-    lines, table = stats_of(now).certificate.lines(), now.table
-    rows = (
-        StoredBlocks.of(path)
-        .read(0)
-        .drop_columns(
-            ["num_unsupported", "num_fragile", "margin", "margins", "tilt_1", "tilt_2", "tilt_5", "robust"]
-        )
-    )
-    record = {name: value for name, value in now.record.items() if name != "num_scenes"}
-    banks.write_rows(path, 0, rows, record)
-    older = stats_of(read_bank(path)).certificate
-    assert older.margin_median is None
-    assert older.robust is None
-    assert older.lines() == lines[:-3]
-    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
-    assert "(3 rows are new)" in capsys.readouterr().out
-    assert read_bank(path).table.equals(table)
 
 
 def test_a_bank_that_grows_is_certified_as_it_grows(tmp_path, capsys):

@@ -10,11 +10,9 @@ import pytest
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.evaluation.episodes import (
-    Attempts,
     attempts_of,
     figures_of,
     run_episodes,
-    steps_by_attempt,
 )
 from cluttergen_jax.evaluation.studies.fig1a import at_least
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_blocks
@@ -61,20 +59,6 @@ def test_figures_by_hand(made_up):
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] == figures["filled"]
     json.dumps(figures, allow_nan=False)
-
-
-def test_steps_count_placements_that_took_three_attempts():
-    # Scene 0: slot 0 stands at once, slot 1 at its third attempt; scene 1: slot 0 never stands.
-    rows = [(0, 0, 1, 20, 1), (0, 1, 1, 240, 0), (0, 1, 2, 100, 0), (0, 1, 3, 30, 1)]
-    rows += [(1, 0, ordinal, 240, 0) for ordinal in range(1, 6)]
-    scene, slot, ordinal, steps, stable = np.array(rows).T
-    blank = np.zeros(len(rows))
-    attempts = Attempts(scene, slot, blank, ordinal, steps, stable > 0, blank, blank > -1)
-    assert [(each["attempt"], each["count"], each["mean"]) for each in steps_by_attempt(attempts)] == [
-        (1, 1, 240.0),
-        (2, 1, 100.0),
-        (3, 1, 30.0),
-    ]
 
 
 class SlowTable(HalfTable):

@@ -5,7 +5,6 @@ import dataclasses
 import pytest
 
 from cluttergen_jax.config import TRUSTED_METHODS
-from cluttergen_jax.evaluation.rivals import ranking_of, success_notes, tally
 from cluttergen_jax.evaluation.studies.rules import named_rows
 from cluttergen_jax.evaluation.studies.study import Scale
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
@@ -66,23 +65,6 @@ def rows_of(**successes):
         }
         found.append({"trial": dataclasses.asdict(trial), "figures": figures})
     return found
-
-
-def test_rivals_are_read_from_the_rows():
-    rows = rows_of(guided=80, spread=79, drop=20, drop_ruin=99)
-    found = ranking_of(rows)
-    assert (found.better, found.equal, found.worse) == (("drop, ruin",), ("spread",), ("drop",))
-    (note,) = success_notes(rows, lambda row: "two objects")
-    assert "as good (intervals overlap): `spread`" in note
-    assert "better: `drop, ruin`" in note
-    assert note.endswith("0.99, 0.99")
-    told = tally(rows, lambda row: "two objects")
-    assert told.startswith("`guided` is ahead of all others in 0 of 1 comparisons; ")
-    assert told.endswith("as good: `spread` in 1; better: `drop, ruin` in 1")
-    # Nothing is said of a method that has no row.
-    assert tally(rows[1:], lambda row: "two objects") == ""
-    assert ranking_of(rows[1:]) is None
-    assert success_notes(rows[1:], lambda row: "two objects") == []
 
 
 def test_what_was_asked_of_the_dial_stands_beside_what_was_got():

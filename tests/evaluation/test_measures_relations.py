@@ -17,7 +17,7 @@ from cluttergen_jax.evaluation.measures.relations import (
 )
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.placement.world import make_world
-from tests.helpers.worlds import TOP, box
+from tests.helpers.worlds import TOP
 
 GRAVITY = 9.81
 NAMES = ("mug", "hardback_book", "fork", "dinner_plate", "wooden_spoon", "bowl", "water_glass", "soup_can")
@@ -126,18 +126,6 @@ def test_forces_balance_weights(models, scenes):
     np.testing.assert_allclose(contacts.weight, masses * GRAVITY * scenes[1])
     assert contacts.carried_by[scenes[1], SUPPORT].all()
     assert (contacts.penetration < 1e-3).all()
-
-
-def test_a_tower_rests_floor_by_floor():
-    boxes = [box(f"box-{n}", (0.05 - 0.01 * n, 0.05, 0.02), mass=0.1 * (n + 1)) for n in range(3)]
-    models = SceneModels(make_world(boxes, cuboid_table(), StabilityConfig(), ContactConfig()))
-    poses = np.tile(np.eye(7)[3], (1, 3, 1))
-    poses[0, :, 2] = TOP + 0.02 + 0.04 * np.arange(3)
-    contacts = contacts_of(models, poses, np.ones((1, 3), bool), num_threads=1)
-    expected = np.array([[0, 0, 0, 0.6], [0.5, 0, 0, 0], [0, 0.3, 0, 0]]) * GRAVITY
-    np.testing.assert_allclose(np.maximum(contacts.force[0, ..., 2], 0), expected, atol=0.01)
-    assert np.argwhere(contacts.rests_on[0]).tolist() == [[0, 3], [1, 0], [2, 1]]
-    assert np.argwhere(contacts.carried_by[0]).tolist() == [[0, 3], [1, 0], [1, 3], [2, 0], [2, 1], [2, 3]]
 
 
 def test_closure_follows_chains_of_any_length():

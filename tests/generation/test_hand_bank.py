@@ -1,10 +1,6 @@
 """Banks of scenes made by hand: any bank's readers read them, and they grow scene by scene."""
 
-import re
 import shutil
-import signal
-import threading
-import webbrowser
 from dataclasses import replace
 
 import jax
@@ -14,7 +10,6 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.hand import HandBank
-from cluttergen_jax.generation.sources import viewing
 from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.setup import Setup
@@ -160,49 +155,3 @@ def test_a_scene_that_cannot_be_written_may_be_kept_later(setup, tmp_path, monke
         assert scene.is_closed
     assert stats_of(read_bank(tmp_path / "bank")).missing == ()
     assert read_bank(tmp_path / "bank").table["is_success"].to_pylist() == [False, True]
-
-
-@pytest.mark.slow
-def test_a_session_ends_with_the_scenes_that_were_saved_and_the_next_adds_to_them(
-    tmp_path, monkeypatch, request
-):
-    panels = []
-
-    class Panel(viewing.PlacingPanel):
-        def __init__(self, *given):
-            super().__init__(*given)
-            panels.append(self)
-
-    def person(url):
-        """Saves a scene, begins another, and goes."""
-
-        def work():
-            panel = panels[-1]
-            try:
-                for act in (panel.lower, panel.drop, panel.save, panel.new, panel.lower, panel.drop):
-                    panel._worker.submit(panel._do, act).result()
-            finally:
-                signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
-
-        threading.Thread(target=work).start()
-
-    monkeypatch.setattr(viewing, "PlacingPanel", Panel)
-    monkeypatch.setattr(webbrowser, "open", person)
-    # What a shell starts in the background ignores Ctrl-C.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
-    for number in (1, 2):
-        told = []
-        bank = cg.place_by_hand(
-            tmp_path / "bank",
-            objects=("mug", "bowl"),
-            num_objects=1,
-            support="table-0.40x0.40",
-            port=0,
-            show=told.append,
-        )
-        assert f"which holds {number - 1} scenes" in told[0]
-        assert re.match(r"viewer     http://localhost:\d+/[\w-]{32}/ ", told[1])
-        assert f"scenes     {number}, of which {number} succeed" in str(bank)
-        assert bank.table["is_success"].to_pylist() == [True] * number
-    assert cg.verify(tmp_path / "bank").is_sound

@@ -21,7 +21,6 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.placement.region import KeepOut, make_region
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import trio
 
 KEYS = jax.random.split(jax.random.key(3), 6)
@@ -156,38 +155,6 @@ def test_retries_draw_again_until_a_scene_passes(pool):
     passed = np.asarray(once.is_success)
     np.testing.assert_array_equal(more.num_draws == 1, passed)
     np.testing.assert_array_equal(more.poses[passed], once.poses[passed])
-
-
-@pytest.mark.slow
-def test_larger_regions_than_the_samplers_are_refused_or_fail(sample):
-    key, top = jax.random.key(0), 0.7
-    for half in ((0.9, 0.1), (0.0, 0.1), (float("nan"), 0.1)):
-        with pytest.raises(ConfigError, match="sampler's own"):
-            sample(key, region=make_region(jnp.zeros(2), jnp.array(half), 0.0, top))
-
-    # Sides are compared one by one, along the region's own axes; a place that is no number fits nowhere.
-    with pytest.raises(ConfigError, match="one by one"):
-        sample(key, region=make_region(jnp.zeros(2), jnp.array([0.35, 0.30]), jnp.pi / 2, top))
-    for center in ([jnp.nan, 0.0], [50.0, 50.0], [0.25, 0.0]):
-        with pytest.raises(ConfigError, match="place on support"):
-            sample(key, region=make_region(jnp.array(center), jnp.array([0.1, 0.1]), 0.0, top))
-
-    @jax.jit
-    def drawn(half, center):
-        region = make_region(center, half, 0.0, top)
-        return jax.vmap(lambda key: retrying(key, region=region))(KEYS)
-
-    retrying = dataclasses.replace(sample, max_retries=3)
-    assert drawn(jnp.array([0.30, 0.35]), jnp.zeros(2)).is_success.mean() > 0.5
-    for half, center in (
-        ([0.31, 0.35], [0.0, 0.0]),
-        ([0.1, 0.1], [jnp.nan, 0.0]),
-        ([0.1, 0.1], [0.0, 0.3]),
-    ):
-        scenes = drawn(jnp.array(half), jnp.array(center))
-        assert not scenes.is_success.any()
-        assert (scenes.verdict == Verdict.OUTSIDE).all()
-        assert (scenes.num_draws == 1).all()
 
 
 @pytest.mark.slow

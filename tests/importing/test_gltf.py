@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
@@ -69,28 +68,6 @@ def test_nodes_in_a_circle_are_refused(tmp_path):
     gltf.document["nodes"] = [{"mesh": 0, "children": [1]}, {"children": [0]}]
     with pytest.raises(AssetError, match=r"box\.glb: nodes 1, 0 hang on each other in a circle"):
         read_mesh_file(gltf.write(tmp_path / "box.glb"))
-
-
-def test_images_are_laid_by_normalised_coordinates(tmp_path):
-    gltf = Gltf()
-    uv = np.linspace(0, 1, 16, dtype=np.float32).reshape(8, 2)
-    image = tmp_path / "wood.png"
-    Image.new("RGB", (4, 4), (200, 30, 30)).save(image)
-    gltf.document |= {
-        "images": [
-            {"bufferView": gltf.view(np.frombuffer(image.read_bytes(), np.uint8)), "mimeType": "image/png"}
-        ],
-        "textures": [{"source": 0}],
-        "materials": [{"name": "m", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
-    }
-    gltf.primitive["material"] = 0
-    gltf.primitive["attributes"]["TEXCOORD_0"] = gltf.add(uv)
-    (plain,) = read_mesh_file(gltf.write(tmp_path / "plain.glb")).pieces
-    steps = np.round(uv * 65535).astype(np.uint16)
-    gltf.primitive["attributes"]["TEXCOORD_0"] = gltf.add(steps, normalized=True)
-    (quantised,) = read_mesh_file(gltf.write(tmp_path / "quantised.glb")).pieces
-    assert quantised.texture == plain.texture
-    np.testing.assert_allclose(quantised.uv, plain.uv, atol=1e-4)
 
 
 def test_sparse_vertices_are_where_they_are_moved(tmp_path):

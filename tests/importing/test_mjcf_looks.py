@@ -8,9 +8,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from cluttergen_jax.assets.mesh import Mesh, cleaned
 from cluttergen_jax.importing.readers import read_source
-from cluttergen_jax.importing.readers.cube_maps import laid_around
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
 from tests.helpers.drawing import needs_gl
 from tests.helpers.mujoco_pictures import beside
@@ -117,34 +115,6 @@ def test_each_side_of_a_cube_map_shows_its_own_picture(tmp_path):
     unit = piece.mesh.vertices[faces].mean(1) / [0.05, 0.03, 0.02]
     side = 2 * np.abs(unit).argmax(1) + (unit[np.arange(len(unit)), np.abs(unit).argmax(1)] < 0)
     np.testing.assert_array_equal(shown, np.array(list(COLOURS.values()))[side])
-
-
-@pytest.mark.parametrize("size", [(1, 1, 1), (0.3, 0.2, 0.05), (0.04, 0.04, 0.5)])
-@pytest.mark.parametrize("make", [trimesh.creation.box, trimesh.creation.icosphere, trimesh.creation.annulus])
-def test_what_is_cut_for_a_cube_map_stays_closed_and_shows_the_right_places(make, size):
-    solid = make(0.5, 1, 1) if make is trimesh.creation.annulus else make()
-    solid.apply_scale(size)
-    mesh, uv = laid_around(Mesh(solid.vertices, solid.faces), np.asarray(solid.vertices), True, 512)
-    whole = cleaned(mesh)
-    tri = trimesh.Trimesh(whole.vertices, whole.faces, process=False)
-    assert tri.is_watertight
-    assert tri.volume == pytest.approx(solid.volume, rel=1e-6)
-    assert tri.area == pytest.approx(solid.area, rel=1e-6)
-    weights = np.random.default_rng(0).dirichlet((1, 1, 1), len(mesh.faces))
-    points = (mesh.corners * weights[..., None]).sum(1)
-    found = (uv[mesh.faces] * weights[..., None]).sum(1)
-    np.testing.assert_allclose(found, seen(points), atol=0.05)
-
-
-def seen(points):
-    """f64[N, 2]: OpenGL's places of directions on a cube map's side, right and up."""
-    x, y, z = points.T
-    axis = np.abs(points).argmax(1)
-    plus = points[np.arange(len(points)), axis] > 0
-    across = np.choose(axis, [np.where(plus, -z, z), x, np.where(plus, x, -x)])
-    down = np.choose(axis, [-y, np.where(plus, z, -z), -y])
-    away = np.abs(points).max(1)
-    return np.column_stack([across / away + 1, 1 - down / away]) / 2
 
 
 def test_a_missing_picture_costs_the_picture_alone():

@@ -72,24 +72,6 @@ def test_every_spelling_of_a_piece_is_known(tail, tmp_path):
     assert names(tmp_path) == ["blue_mug", "bowl"]
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        MJCF.format("a.obj").replace("</body>", ""),
-        MJCF.format("a.obj")[:60],
-        "<<<" + MJCF.format("a.obj"),
-        MJCF.format("a.obj").replace("</asset>", '<texture name="t" file="gone.png"/></asset>'),
-        f"<mujocoinclude>{MJCF.format('a.obj')}</mujocoinclude>",
-        '<robot><link name="l"><visual><geometry><mesh filename="a.obj"/></geometry></visual></link>',
-    ],
-)
-def test_a_model_that_cannot_be_read_still_owns_what_it_names(tmp_path, text):
-    save(tmp_path, "a.obj", "b.obj")
-    (tmp_path / ("c.urdf" if "<robot" in text else "c.xml")).write_text(text)
-    assert "a" not in names(tmp_path)
-    assert "b" in names(tmp_path)
-
-
 def test_a_mesh_in_mujocos_own_format_is_read(tmp_path):
     box = trimesh.creation.box((0.04, 0.06, 0.08))
     head = struct.pack("4i", len(box.vertices), 0, 0, len(box.faces))

@@ -115,19 +115,6 @@ def test_every_format_covers_an_outline_once(name, seed, tmp_path):
         assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
 
 
-@pytest.mark.parametrize("is_quad", [False, True])
-def test_corners_that_count_back_do_so_from_their_own_line(is_quad, tmp_path):
-    vertices, polygons = prism(np.array([[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]), 0)
-    lines = []
-    for polygon in polygons:
-        for part in [polygon] if is_quad else [polygon[:3], [*polygon[2:], polygon[0]]]:
-            lines += ["v {} {} {}".format(*vertices[i]) for i in part] + ["vt 0 0"]
-            lines += ["f " + " ".join(f"{i}/-1" for i in range(-len(part), 0))]
-    (tmp_path / "box.obj").write_text("\n".join(lines))
-    (shape,) = read_source(tmp_path / "box.obj")
-    assert cleaned(shape.pieces[0].mesh).volume == pytest.approx(0.1 * 0.1 * HEIGHT)
-
-
 def fanned(points, start):
     vertices, polygons = prism(points, start)
     faces = [[each[0], each[i], each[i + 1]] for each in polygons for i in range(1, len(each) - 1)]

@@ -98,28 +98,6 @@ def test_a_tree_holds_objects_not_files(tmp_path):
     }
 
 
-MJCF = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
-  <body name="cup" pos="0 0 0.5"><freejoint/>
-    <geom type="box" size=".03 .02 .05" rgba="0 1 0 1" contype="0" conaffinity="0" mass="0"/>
-    <geom type="cylinder" size=".02 .03" mass="0.3"/><geom type="sphere" size=".01" pos="0 0 .03" mass="0.1"/>
-  </body>
-  {more}
-</worldbody></mujoco>"""
-
-
-def test_mjcf_geoms_are_convex_parts(tmp_path):
-    path = tmp_path / "things.xml"
-    path.write_text(MJCF.format(more=""))
-    (shape,) = read_source(path)
-    assert len(shape.pieces) == 1
-    assert shape.pieces[0].rgba == (0.0, 1.0, 0.0, 1.0)
-    assert len(shape.parts) == 2
-    assert shape.stated.body.mass == pytest.approx(0.4)
-    path.write_text(MJCF.format(more='<body><geom type="capsule" size=".01 .02"/></body>'))
-    names = [shape.name for shape in read_source(path)]
-    assert names == ["cup", "things-1"]
-
-
 def exported(suffix, **options):
     return trimesh.Trimesh.export(trimesh.creation.box(SIZE), file_type=suffix, **options)
 

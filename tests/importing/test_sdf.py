@@ -7,7 +7,7 @@ from PIL import Image
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import read_shape, read_source, survey
+from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.materials import GREY
 
 BOX = "<geometry><box><size>0.1 0.06 0.04</size></box></geometry>"
@@ -186,18 +186,3 @@ def test_materials_give_colours_and_images(tmp_path):
         shape = read(tmp_path, model(link(visual(BOX + look))))
         assert shape.pieces[0].rgba == pytest.approx(rgba), look
     assert "material 'Cup/Glaze' is named and nowhere defined" in shape.notes
-
-
-def test_the_models_of_a_world_are_objects_of_their_own(tmp_path):
-    world = model(link(visual()), "mug") + model(link(visual(mesh("../cup/meshes/cup.obj"))), "jug")
-    write(tmp_path / "cup", f"<world>{world}<include><uri>model://sun</uri></include></world>", config="")
-    (tmp_path / "all.sdf").write_text("<sdf><world><include><uri>model://cup</uri></include></world></sdf>")
-    (tmp_path / "molecule.sdf").write_text("  benzene\n 6 6 0\n$$$$\n")
-    found = survey(tmp_path)
-    assert [each.name for each in found.sources] == ["mug", "jug"]
-    np.testing.assert_allclose(
-        np.ptp(bounds(read_shape(found.sources[1]).pieces), axis=0), [0.02, 0.04, 0.06]
-    )
-    reasons = {each.name.rpartition("/")[2]: each.reason for each in found.skipped}
-    assert "has none of its own" in reasons["all.sdf"]
-    assert reasons["molecule.sdf"] == "not well-formed XML"

@@ -10,7 +10,7 @@ import trimesh
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.planning import plan_all
-from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
+from cluttergen_jax.importing.readers import ReadOptions, read_shape
 from cluttergen_jax.importing.sets import layouts
 
 BODY = '<body name="{}"><geom type="box" size=".02 .02 .02"/></body>'
@@ -140,25 +140,6 @@ def test_collision_shapes_beside_a_mesh_are_kept_as_its_parts(tmp_path):
     )
     assert "its collision parts are those of mug_coacd.stl" in shape.notes
     assert kept(tmp_path, "mug").parts is None
-
-
-@pytest.mark.parametrize(
-    ("mesh", "files"),
-    [
-        ("pot/textured.obj", ["pot/collision.obj"]),
-        ("pot.obj", ["pot_collision.obj", "pot_hull.obj"]),
-        ("pot.obj", ["collision/pot_0.obj", "collision/pot_1.obj", "collision/pan_0.obj"]),
-        ("visual/pot.obj", ["collision/pot_0.obj", "collision/pot_1.obj"]),
-        ("pot.obj", ["pot_convex_0.stl", "pot_convex_1.stl", "pot_hull.stl"]),
-    ],
-)
-def test_numbered_parts_are_found_together(tmp_path, mesh, files):
-    for file in (mesh, *files):
-        save_box(tmp_path / file)
-    (source,) = (each for each in find_sources(tmp_path) if each.name == "pot")
-    (planned,) = plan_all([source.path], ReadOptions(collision="keep")).objects
-    own = [tmp_path / file for file in files if "pan" not in file and "hull" not in file]
-    assert list(planned.source.parts) == own
 
 
 def test_shapes_that_are_not_convex_are_not_kept(tmp_path):

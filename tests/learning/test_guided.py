@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax import train
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.methods import proposer_of
 from cluttergen_jax.learning.networks.stability import (
@@ -154,22 +153,6 @@ def test_a_stored_network_places_as_before(rules, tmp_path):
     poses = [jax.jit(each)(jax.random.key(2), episode) for each in (propose, stored)]
     np.testing.assert_array_equal(*poses)
     assert not stored.is_robust
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"pool": "kitchen"}, "pool = 'kitchen'"),
-        ({"num_objects": 20}, "num_objects = 20"),
-        ({"preset": "gpu"}, "preset = 'gpu'"),
-        ({"num_attempts": 7}, "1920 to"),
-        ({"seed": -1}, "seed = -1"),
-    ],
-)
-def test_arguments_that_mean_nothing_here_are_refused(given, words, tmp_path):
-    with pytest.raises(ConfigError, match=words):
-        train(variant="guided", out=tmp_path / "run", **given)
-    assert not (tmp_path / "run").exists()
 
 
 TINY = guided.GuidedConfig(

@@ -137,34 +137,6 @@ def test_two_real_runs_are_made_stopped_left_alone_and_made_again(home, tmp_path
     assert all("a run that needs" in reason for reason in failed.values())
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        ["--suite-list"],
-        ["--pools", "dining"],
-        ["--suite", "paper", "--seed", "1", "--variant", "beta"],
-        ["--suite", "extended", "--support", "bar_table"],
-        ["--suite", "paper", "--change", "all"],
-        ["--change", "tilt"],
-        ["--suite", "all"],
-        ["--memory-limit", "nan"],
-        ["--memory-limit", "inf"],
-        ["--memory-limit", "0"],
-        ["--seed", "-1"],
-        ["--seed", "4294967296"],
-        ["--suite", "paper", "--seeds", "0", "-1"],
-        ["--eval-action", "best"],
-        ["--eval-every", "-1"],
-        ["--suite", "paper", "--pools", "nowhere"],
-        ["--suite", "paper", "--coordinator", "127.0.0.1:1"],
-    ],
-)
-def test_what_cannot_be_meant_is_refused(wrong, tmp_path, capsys):
-    assert main(["train", "--out", str(tmp_path / "run"), *wrong]) == 2
-    assert capsys.readouterr().err.lstrip(" ╭─").startswith(("error: ", "Invalid choice"))
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.parametrize("attempts", [1, 10])
 @pytest.mark.parametrize("variant", sorted(POLICIES))
 def test_every_variant_begins_with_one_attempt_and_with_ten(variant, attempts, tmp_path):

@@ -71,25 +71,6 @@ def test_regions_change_with_every_episode_and_orders_do_not():
     np.testing.assert_array_equal(asked.region.half_extents, plain.rules.region.half_extents)
 
 
-def test_an_episode_without_auto_reset_stays_over():
-    envs = [PlacementEnv(made_up_rules(max_attempts=1), auto_reset=each) for each in (False, True)]
-    reset, (plain, resetting) = jax.jit(envs[0].reset), (jax.jit(env.step) for env in envs)
-    state = other = reset(jax.random.key(0))
-    for action in (GOOD, GOOD, BAD):
-        state, other = plain(state, action), resetting(other, action)
-        np.testing.assert_array_equal(state.done, other.done)
-        np.testing.assert_array_equal(state.reward, other.reward)
-    # The same episode, but for what comes after it; and beginning again with its key is what the other did.
-    jax.tree.map(np.testing.assert_array_equal, state.metrics, other.metrics)
-    assert int(state.pipeline_state.episode.slot) == 2
-    begun = reset(state.pipeline_state.key).pipeline_state.episode
-    np.testing.assert_array_equal(begun.object_index, other.pipeline_state.episode.object_index)
-    for action in (GOOD, BAD):
-        state = plain(state, action)
-        assert (float(state.done), float(state.reward)) == (1, 0)
-    assert int(state.metrics["num_finished"]) == 1
-
-
 @pytest.mark.parametrize("auto_reset", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_brax_wrappers_scan_over_it(auto_reset):
     env = wrap(PlacementEnv(made_up_rules(max_attempts=2), auto_reset=auto_reset), episode_length=3)

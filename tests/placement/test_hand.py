@@ -71,23 +71,6 @@ def test_the_clock_stands_still_a_minute_after_the_latest_input():
     assert clock.seconds == 110
 
 
-def test_what_a_person_does_counts_and_pauses_do_not(setup):
-    hours = Hours()
-    scene = begun(setup, now=hours)
-    hours.now += 20.0
-    assert scene.clock.seconds == 0
-    scene.touch()
-    hours.now += 20.0
-    scene.hold(0.1, 0.0, 0.0)
-    hours.now += 1000.0
-    scene.lower()
-    hours.now += 5.0
-    assert scene.clock.seconds == 20 + 60 + 5
-    scene.close()
-    hours.now += 30.0
-    assert scene.clock.seconds == 85
-
-
 def test_an_attempt_by_hand_is_an_attempt_by_the_rules(setup):
     """The rules' own `attempt`, from an episode of the same key, is the oracle."""
     rules = setup.problem.rules
@@ -159,22 +142,6 @@ def test_whatever_a_person_does_the_books_are_right(setup):
     assert (counts.rest_steps > 0).tolist() == result.is_placed.tolist()
     assert len(set(verdicts)) > 2
     assert len(verdicts) > 25
-
-
-def test_lowering_touches_what_is_there(setup):
-    scene = begun(setup, PRISM)
-    bare = scene.lower()
-    assert bare.is_on_top
-    assert scene.held.z == pytest.approx(HALF_HEIGHT[PRISM] + 0.001, abs=1e-4)
-    scene.drop()
-    scene.choose(BOX)
-    onto = scene.lower()
-    assert onto.lift == pytest.approx(2 * HALF_HEIGHT[PRISM], abs=1e-3)
-    assert scene.held.z == pytest.approx(2 * HALF_HEIGHT[PRISM] + HALF_HEIGHT[BOX] + 0.001, abs=1e-3)
-    # Moved again it is held high, so that it is not dragged through others.
-    scene.hold(0.1, 0.1, 0.0)
-    assert not scene.held.is_lowered
-    assert scene.held.z > 2 * HALF_HEIGHT[PRISM] + HALF_HEIGHT[BOX]
 
 
 def test_a_neighbour_that_is_pushed_is_named_and_put_back(setup):

@@ -106,18 +106,6 @@ def test_only_what_can_be_done_is_offered(panel):
     assert panel.handle.visible
 
 
-def test_the_handle_moves_within_the_plane_alone(panel):
-    assert panel.handle.active_axes == (True, True, False)
-    hold(panel, 0.12)
-    assert panel.handle.position[0] == pytest.approx(0.12)
-    # Dragged off the region it comes back to its side.
-    hold(panel, 3.0)
-    assert panel.handle.position[0] == pytest.approx(panel.scenes.region.half_extents[0])
-    height = float(panel.handle.position[2])
-    assert "touches the bare top" in press(panel, panel.lower)
-    assert panel.handle.position[2] < height
-
-
 def test_a_failure_is_told_drawn_and_cleared_away(panel):
     stood = panel.scene.poses.copy()
     hold(panel, -0.1)
@@ -133,13 +121,3 @@ def test_a_failure_is_told_drawn_and_cleared_away(panel):
     assert panel._failed is None
     assert panel.scene.names[panel.scene.current] == panel._object.value != name
     assert panel._object.options == tuple(panel.scene.names[index] for index in panel.scene.left)
-
-
-def test_undo_brings_the_object_back_into_the_hand(panel):
-    hold(panel, 0.1)
-    name = panel._object.value
-    press(panel, panel.drop)
-    assert press(panel, panel.undo) == f"{name} was taken back"
-    assert (panel._object.value, panel.scene.num_placed) == (name, 0)
-    assert panel.handle.position[0] == pytest.approx(0.1)
-    assert "1 attempt," in panel._status.content

@@ -4,13 +4,10 @@ import io
 
 import numpy as np
 import pytest
-import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.scene_cloud import scene_points
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.geometry import transformed
 from cluttergen_jax.rendering.assets import close_points, scene_spec
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
@@ -123,20 +120,3 @@ def test_rays_and_opengl_see_the_same(name):
     np.testing.assert_allclose(drawn.depth[is_smooth], cast.depth[is_smooth], atol=0.001)
     # Nor is the one a fraction of a pixel beside the other.
     assert (drawn.label != cast.label).mean() < 0.003
-
-
-def test_cloud_points_lie_on_objects_and_table():
-    mug, plate = find_pool("dining")["mug"], find_pool("dining")["dinner_plate"]
-    turned = np.array([0.1, -0.2, 0.8, np.cos(0.4), 0, 0, np.sin(0.4)])
-    poses = np.stack([turned, [-0.1, 0.1, 0.71, 1, 0, 0, 0]])
-    cloud = scene_points([mug, plate], poses, cuboid_table())
-    counts = np.bincount(cloud.labels)
-    assert counts[2:].tolist() == [1024, 1024]
-    assert counts[1] == pytest.approx(0.6 * 0.7 * 4000, rel=0.1)
-    table = cloud.points[cloud.labels == 1]
-    np.testing.assert_allclose(table[:, 2], 0.7, atol=1e-6)
-    np.testing.assert_allclose(np.abs(table).max(0)[:2], [0.3, 0.35], atol=1e-6)
-    spun = trimesh.transformations.quaternion_matrix(turned[3:])
-    expected = mug.cloud @ spun[:3, :3].T + turned[:3]
-    np.testing.assert_allclose(cloud.points[cloud.labels == 2], expected, atol=1e-6)
-    np.testing.assert_allclose(transformed(turned, mug.cloud), expected, atol=1e-9)

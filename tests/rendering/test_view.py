@@ -48,16 +48,6 @@ def test_attempts_are_made_again_and_end_in_the_stored_scene(source):
         assert recording.region.half_extents == pytest.approx((0.1, 0.12))
 
 
-def test_proposals_are_drawn_beside_the_attempt_and_change_nothing(source):
-    plain, drawn = source.recorded(0), source.recorded(0, 16)
-    assert all(attempt.proposals is None for attempt in plain.attempts)
-    for one, other in zip(plain.attempts, drawn.attempts, strict=True):
-        np.testing.assert_array_equal(one.trajectory, other.trajectory)
-        assert other.proposals.shape == (16, 4)
-        assert ((other.proposals >= 0) & (other.proposals <= 1)).all()
-        assert len(np.unique(other.proposals, axis=0)) == 16
-
-
 def test_a_scene_that_ends_elsewhere_is_not_passed_off(bank, source, monkeypatch):
     honest = BankSource.still
 
@@ -124,17 +114,6 @@ def test_render_writes_what_is_asked_for(bank, source, tmp_path):
     assert main(["render", str(other), "--sheet", *quick]) == 0
     sheets = {each.name for each in tmp_path.glob("*sheet.png")}
     assert sheets == {f"{bank.name}-sheet.png", "other-bank-sheet.png"}
-
-
-def test_a_figure_that_cannot_be_made_costs_nothing_else(bank, source, tmp_path, capsys):
-    asked = ["--scenes", "all", "--figure", "--points", "--no-picture"]
-    assert main(["render", str(bank), *asked, "--out", str(tmp_path)]) == 1
-    assert {each.name for each in tmp_path.iterdir()} == {f"{k:06d}-points.ply" for k in source.numbers}
-    said = capsys.readouterr().err
-    assert "4 could not be made" in said
-    for number in source.numbers:
-        assert f"{number:06d}-figure.png: {source.name}, scene {number}: no object failed 2 times" in said
-    assert said.count("Try: another scene") == 1
 
 
 def test_port_in_use_is_refused_and_zero_takes_a_free_one():

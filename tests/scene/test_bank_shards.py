@@ -12,13 +12,12 @@ from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import blocks as module
 from cluttergen_jax.scene.bank import index as module_index
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.bank import index_bytes, recovered_record
-from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, with_record, write_shard
+from cluttergen_jax.scene.bank.bank import recovered_record
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, shard_path, write_shard
 from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import check_whole
 from cluttergen_jax.scene.bank.index import BankIndex
 from cluttergen_jax.scene.bank.stats import stats_of
-from cluttergen_jax.scene.bank.table import SCHEMA
 from tests.helpers import banks
 
 NUM_BLOCKS, IN_A_SHARD = 8, 3
@@ -136,17 +135,3 @@ def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_loo
     write(tmp_path)
     assert changes_of(read_bank(tmp_path)) == []
     assert read_bank(tmp_path).table["shake"].null_count == (NUM_BLOCKS - 1) * BLOCK_SIZE
-
-
-def test_files_of_an_older_version_get_the_columns_that_they_lack(tmp_path, sharded):
-    write(tmp_path)
-    record = {k: v for k, v in read_bank(tmp_path).record.items() if k not in ("num_scenes", "files")}
-    for block, num_columns in ((6, len(SCHEMA)), (7, len(SCHEMA) - 2)):
-        rows = StoredBlocks.of(tmp_path).read(block).select(SCHEMA.names[:num_columns])
-        pq.write_table(with_record(rows, record), block_path(tmp_path, block))
-    shard_path(tmp_path, range(6, 8)).unlink()
-    older = {name: value for name, value in read_bank(tmp_path).record.items() if name != "files"}
-    (tmp_path / "bank.json").write_bytes(index_bytes(older))
-    write(tmp_path)
-    assert len({pq.read_schema(file) for file in tmp_path.glob("*.parquet")}) == 1
-    assert files(tmp_path) == files(sharded)

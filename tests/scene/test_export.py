@@ -8,16 +8,12 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 import pytest
-import trimesh
 
-from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shading import linear
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import rotate
 from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.export import FORMATS, export_scenes
-from cluttergen_jax.scene.export.frames import euler_of, principal_of
 from tests.helpers.exports import CLOSE, assert_same_pose, dining_scene, exporter, spread
 from tests.helpers.worlds import trio
 
@@ -189,19 +185,3 @@ def test_existing_folders_are_left_alone(tmp_path):
     export_scenes([scene], tmp_path / "new", "sdf", overwrite=True)
     assert (tmp_path / "new" / "scenes" / "000000.sdf").is_file()
     assert not (tmp_path / "new" / "scenes" / "000000.xml").exists()
-
-
-def test_principal_frames_and_angles_turn_back():
-    rng = np.random.default_rng(0)
-    for asset in find_pool("dining").objects:
-        principal = principal_of(asset)
-        turn = rotate(np, principal.turn, np.eye(3)).T
-        np.testing.assert_allclose(
-            turn @ np.diag(principal.moments) @ turn.T, asset.inertia, atol=1e-12, rtol=1e-9
-        )
-        assert np.linalg.det(turn) == pytest.approx(1)
-    for _ in range(50):
-        quaternion = rng.normal(size=4)
-        quaternion /= np.linalg.norm(quaternion)
-        turn = trimesh.transformations.euler_matrix(*euler_of(quaternion), "sxyz")[:3, :3]
-        np.testing.assert_allclose(turn, rotate(np, quaternion, np.eye(3)).T, atol=1e-12)

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.scene import collect
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.bank.verify import verify_scene
 from tests.helpers.exports import fourteen_scenes
 
@@ -57,17 +55,3 @@ def test_what_cannot_be_done_is_explained_and_leaves_nothing(bank, numbers, tmp_
         assert main(["export", *more, "--out", str(tmp_path / "out")]) == 2
         assert says in capsys.readouterr().err
         assert list(tmp_path.iterdir()) == []
-
-
-def test_a_whole_bank_is_one_model(bank, numbers):
-    good, _ = numbers
-    scenes = list(read_scenes(read_bank(bank)))
-    assert [scene.origin.index for scene in scenes] == good
-    many = collect(scenes)
-    assert many.qpos.shape == (len(good), 7 * 3)
-    data = mujoco.MjData(many.model)
-    for row in range(3):
-        many.reset(data, row)
-        start = data.qpos.reshape(-1, 7)[:, :3].copy()
-        mujoco.mj_step(many.model, data, nstep=240)
-        assert np.linalg.norm(data.qpos.reshape(-1, 7)[:, :3] - start, axis=1).max() < 5e-4

@@ -125,19 +125,6 @@ def test_large_files_that_are_there_are_not_sent_again_and_a_push_is_one_commit(
     assert server.files(NAME)["README.md"] == b"my own words"
 
 
-def test_who_may_not_push_is_told(bank, server, monkeypatch):
-    with pytest.raises(BankError, match="rights") as caught:
-        cg.push_bank(bank, "other/bank", hub=server.url)
-    assert "hf auth login" in str(caught.value)
-    monkeypatch.setenv("HF_TOKEN", "hf_wrong")
-    with pytest.raises(BankError, match="hf auth login"):
-        cg.push_bank(bank, NAME, hub=server.url)
-    monkeypatch.delenv("HF_TOKEN")
-    with pytest.raises(BankError, match="without a token"):
-        cg.push_bank(bank, NAME, hub=server.url)
-    assert server.commits == {}
-
-
 def test_without_a_network_it_is_said(bank, tmp_path, monkeypatch):
     pytest.importorskip("huggingface_hub", reason="needs the extra hub")
     with hub_server() as gone:

@@ -75,30 +75,6 @@ def test_beside_a_robot_poses_names_and_options_are_what_they_were(scene):
     assert moved(model, data, attachment.bodies) < 5e-4
 
 
-def test_two_scenes_stand_elsewhere_in_one_model(scene):
-    spec = arm()
-    turn = np.array([np.cos(0.4), 0, 0, np.sin(0.4)])
-    near = scene.attach_to(spec, "near/")
-    far = scene.attach_to(spec, "far/", position=(1.0, 2.0, 0.3), quaternion=turn)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[:] = far.qpos(model, near.qpos(model, np.zeros(model.nq)))
-    mujoco.mj_forward(model, data)
-    for attachment in (near, far):
-        for name, pose in zip(attachment.bodies, attachment.poses, strict=True):
-            np.testing.assert_allclose(data.body(name).xpos, pose[:3], atol=1e-12)
-
-    # What the far scene is to its table, the near one is to its own.
-    def seen(prefix, name):
-        table, body = data.body(prefix + "support"), data.body(prefix + name)
-        return table.xmat.reshape(3, 3).T @ (body.xpos - table.xpos)
-
-    for name in scene.names:
-        np.testing.assert_allclose(seen("far/", name), seen("near/", name), atol=1e-9)
-    np.testing.assert_allclose(model.key("far/scene").qpos, model.key("near/scene").qpos)
-    assert moved(model, data, far.bodies) < 5e-4
-
-
 def test_a_name_that_is_taken_and_a_bad_turn_are_refused(scene):
     spec = arm()
     scene.attach_to(spec, "clutter/")
