@@ -6,13 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from cluttergen_jax.assets.mjcf import own_contact
 from cluttergen_jax.assets.obj import write_parts
 from cluttergen_jax.assets.object_files import object_hash, read_object, write_object
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.measures.robustness import Change, changed
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.xml import scene_xml
@@ -92,16 +89,6 @@ def test_what_slides_on_a_slope(tmp_path, make, frictions, degrees, moves):
     way = slid(make(scene_of(*frictions), tmp_path), degrees)
     assert tuple(way > 0.05) == moves, way
     assert (way[~np.array(moves)] < 0.005).all()
-
-
-def test_a_change_of_all_friction_changes_an_objects_own():
-    scene = scene_of(0.4)
-    models = SceneModels(make_world(scene.objects, TABLE, STABILITY, CONTACT), STABILITY, CONTACT)
-    halved = changed(models, Change("half", friction=0.5)).of(np.ones(1, bool)).model
-    geom = halved.geom("box-0.part-0")
-    np.testing.assert_allclose(geom.friction, [0.2, 0.002, 0.00004])
-    (usual, _) = own_contact(0.4, CONTACT.friction)
-    assert usual[0] == pytest.approx(0.4)
 
 
 def test_it_is_kept_on_disk_and_absent_where_there_is_none(tmp_path):

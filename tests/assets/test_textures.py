@@ -4,24 +4,20 @@ import io
 import json
 import struct
 
-import mujoco
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pieces import drawn
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.assets.texture import Texture
-from cluttergen_jax.errors import BankError, PoolError
+from cluttergen_jax.errors import PoolError
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.supports import support_from_mesh
 from cluttergen_jax.rendering.viewer.scene_nodes import textured_mesh
-from cluttergen_jax.scene.bank.bank import read_bank
-from cluttergen_jax.scene.bank.writer import BankWriter
 from tests.helpers import textured
 from tests.helpers.shapes import SOURCE
 from tests.helpers.textured import assert_upright
@@ -135,27 +131,6 @@ def test_supports_keep_their_image(tmp_path):
     (tmp_path / "tray" / piece.texture.file_name).write_bytes(textured.png(textured.picture(32)))
     with pytest.raises(PoolError, match=piece.texture.file_name):
         read_support(tmp_path / "tray")
-
-
-def test_a_bank_stores_each_image_once(tmp_path):
-    scene = textured.scene(textured.asset("one"), textured.asset("two"))
-
-    def write():
-        with BankWriter(tmp_path / "bank", {"pool": "printed"}, 1, scene.assets, scene.support):
-            pass
-
-    write()
-    images = list((tmp_path / "bank").rglob("*.png"))
-    assert [path.parent.name for path in images] == ["textures"]
-    bank = read_bank(tmp_path / "bank")
-    for name, asset in scene.assets.items():
-        assert object_hash(bank.object(name)) == object_hash(asset)
-        assert mujoco.MjModel.from_xml_path(str(bank.path / "assets" / "objects" / name / "object.xml")).ntex
-    images[0].unlink()
-    with pytest.raises(BankError, match=images[0].name):
-        bank.object("two")
-    write()
-    assert_upright(bank.object("two").pieces[0])
 
 
 def test_welding_keeps_seams_and_simplifying_keeps_the_image():

@@ -1,17 +1,13 @@
 """The suite `downstream`: studies whose results bring their tables along; what is made is not made again."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
-from cluttergen_jax.downstream.rearrange.episode import RearrangeResult
-from cluttergen_jax.downstream.rearrange.trials import Rearrangements
-from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.downstream.studies import rearrangement
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
 from cluttergen_jax.downstream.studies.protocol import PROTOCOL
 from cluttergen_jax.downstream.studies.study import SETS, Found
@@ -51,21 +47,6 @@ def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path)
     assert "### Stable placement from one camera's view" in page
     assert "| random | 0.5 |" in page
     assert f"`cluttergen evaluate --suite downstream`, {result['date']}, 10 or 20 trials a row" in page
-
-
-def test_rearrangements_are_counted_by_episode_and_by_object():
-    row = RearrangeResult(
-        outcome="success", detail="", setting="paper", objects=["mug", "bowl"], right=[True, True], picks=3,
-        fewest=2, waits=1, retries=0, looks=4, layouts=1, error=0.001, turn_error=0.01, path=6.0,
-        seconds=60.0, cpu=9.0,
-    )  # fmt: skip
-    rows = (row, replace(row, outcome=str(Outcome.CONTACT), right=[True, False], picks=1))
-    asked = {"setting": "paper", "observer": "true"}
-    found = rearrangement.row_of(asked, Rearrangements("paper", "true poses", rows))
-    assert found["figures"]["success"]["share"] == 0.5
-    assert found["figures"]["right"]["share"] == 0.75
-    assert found["figures"]["causes"] == {"contact": 1}
-    assert (found["figures"]["picks"], found["figures"]["fewest"]) == (2, 2)
 
 
 def test_what_the_suite_does_not_know_is_refused(tmp_path):

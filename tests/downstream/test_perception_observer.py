@@ -11,7 +11,6 @@ from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
 from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation
-from cluttergen_jax.downstream.rearrange import perceive
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView
 from cluttergen_jax.downstream.rearrange.perceive import MOST_LOOKS, PerceptionObserver
 from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK
@@ -84,19 +83,6 @@ def test_objects_are_found_by_pictures_alone(finder, execution, view):
     assert found.seen.all()
     np.testing.assert_allclose(found.pose[:, :3], POSES[:, :3], atol=0.008)
     np.testing.assert_array_equal(again(view, SCENE.names, UNKNOWN).pose, found.pose)
-
-
-def test_the_source_of_the_observer_asks_for_pictures_and_the_hand_alone():
-    import ast
-    import inspect
-
-    tree = ast.parse(inspect.getsource(perceive))
-    asked = {
-        node.attr
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "world"
-    }
-    assert asked == {"picture", "names", "tool", "time", "joints", "opening", "seed"}
 
 
 class Unsure:

@@ -94,23 +94,6 @@ def with_handle():
     return replace(cup, pieces=(*with_surface(cup).pieces, placed))
 
 
-def test_an_object_on_another_is_found_at_its_height(estimator):
-    poses = standing((0.0, 0.0, 0.3), (0.2, 0.2, 0.0), (0.2, -0.2, 1.0))
-    poses[2] = [0.0, 0.0, TABLE.top + 0.08 + OBJECTS[2].half_extents[2], *poses[2, 3:]]
-    shift, _ = errors(estimator, 2, estimator(2, [look_at(poses, SIDE)]), poses[2])
-    assert shift < 0.006
-
-
-def test_adds_is_measured_on_surfaces(estimator):
-    model = estimator.model(0)
-    pose = matrix_of(POSES[0])
-    assert model.surface_distance(pose, pose) < 0.001
-    assert model.surface_distance(pose, pose @ turn_matrix(np.pi)) < 0.001
-    lifted = pose.copy()
-    lifted[2, 3] += 0.01
-    assert 0.002 < model.surface_distance(pose, lifted) < 0.01
-
-
 # Comparison
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.downstream.fitting.fit import FitConfig
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.segment.examples import example_of
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
@@ -22,7 +22,6 @@ from cluttergen_jax.downstream.perception.segment.network import (
 )
 from cluttergen_jax.downstream.perception.segment.refine import (
     enlarged,
-    fitted_to_depth,
 )
 from cluttergen_jax.downstream.perception.segment.scores import confusion, intersection_over_union, iou_of
 from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
@@ -100,21 +99,6 @@ def test_mirrored_examples_keep_centres_in_their_masks():
         turned = _mirrored(example, np.array(flips))
         for number, (x, y) in enumerate(np.asarray(turned.center)):
             assert turned.label[int(y), int(x)] == FIRST_OBJECT + number
-
-
-def test_objects_end_where_the_table_begins_and_have_their_thin_parts():
-    height = np.zeros((20, 30), np.float32)
-    height[5:10, 5:10] = 0.04
-    height[7, 10:13] = 0.02
-    height[7, 25] = 0.02
-    height[0, 0] = np.nan
-    label = np.full(height.shape, BACKGROUND, np.uint8)
-    label[4:11, 4:10] = FIRST_OBJECT
-    fitted = fitted_to_depth(label, height)
-    expected = np.zeros(height.shape, bool)
-    expected[5:10, 5:10] = expected[7, 10:13] = True
-    assert np.array_equal(fitted == FIRST_OBJECT, expected)
-    assert (fitted_to_depth(np.zeros_like(label), height) == BACKGROUND).all()
 
 
 # How it is scored

@@ -8,10 +8,9 @@ import pytest
 from cluttergen_jax.downstream.perception.classes import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
 from cluttergen_jax.downstream.perception.views import stored
-from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE, wrist_camera
+from cluttergen_jax.downstream.perception.views.cameras import SIZE
 from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
 from cluttergen_jax.downstream.perception.views.stored import VIEWS, row_of
-from cluttergen_jax.downstream.robot.frames import made
 from cluttergen_jax.errors import BankError, ConfigError
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
 from tests.helpers.perception import POSES, overhead, view_of
@@ -38,18 +37,6 @@ def views(tmp_path_factory, bank):
 
 
 # What is drawn
-
-
-def test_the_camera_on_the_hand_looks_where_the_hand_points():
-    down = made(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.2, 1.3]))
-    camera = wrist_camera(down)
-    assert (camera.width, camera.height) == SIZE
-    assert camera.K[0, 0] == FOCAL
-    assert camera.rotation[2, 2] < -0.98
-    pixels, depth = camera.project(down[:3, 3] - [0, 0, 0.4])
-    assert depth > 0.4
-    assert (pixels > 0).all()
-    assert (pixels < SIZE).all()
 
 
 # What is stored

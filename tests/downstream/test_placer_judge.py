@@ -54,16 +54,6 @@ def test_verdicts_are_those_of_an_attempt_of_the_decision_process(scenes, judge,
     assert {int(Verdict.STABLE), int(Verdict.DISPLACED)} <= set(expected.tolist())
 
 
-def test_what_becomes_of_a_proposal_does_not_depend_on_the_others(scenes, judge, half_heights):
-    episodes = scenes.episodes(scenes.places())
-    row, pose = random_proposals(scenes, half_heights, 20)
-    together = judge.settle(episodes, row, pose)
-    apart = [judge.settle(episodes, row[k : k + 1], pose[k : k + 1]) for k in (0, 7, 19)]
-    for k, one in zip((0, 7, 19), apart, strict=True):
-        assert together.verdict[k] == one.verdict[0]
-        assert np.array_equal(together.poses[k], one.poses[0])
-
-
 def test_where_the_scenes_own_object_rests_it_stands_with_a_margin(scenes, judge):
     places = scenes.places()
     own = scenes.poses[places[:, 0], places[:, 1]]

@@ -16,7 +16,6 @@ pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
 import cluttergen_jax as cg
-from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import Judge
@@ -237,14 +236,3 @@ def test_interrupted_trials_go_on_and_rows_of_other_settings_are_refused(made_ro
 def test_settings_that_cannot_be_are_refused(given, told, tmp_path):
     with pytest.raises(ConfigError, match=told):
         cg.rearrange(tmp_path, **given)
-
-
-@pytest.mark.slow
-def test_the_command_rearranges_and_says_how_it_went(home, tmp_path, capsys):
-    words = ["rearrange", "--num-episodes", "1", "--out", str(tmp_path), "--threads", "1"]
-    assert main(words) == 0
-    told = capsys.readouterr().out
-    assert "true poses" in told
-    assert (tmp_path / "paper" / EPISODES).is_file()
-    assert main(words) == 0
-    assert capsys.readouterr().out == told

@@ -76,32 +76,6 @@ def test_one_look_alone_does_not_turn_a_thing_round(told, known):
     assert turns == known
 
 
-def test_until_a_look_is_believed_it_should_be_where_the_hand_put_it():
-    class Told(TrueObserver):
-        certainty = 1.0
-
-        def __call__(self, world, names, known):
-            self.known = known
-            found = super().__call__(world, names, known)
-            return replace(found, certainty=np.full(len(names), self.certainty))
-
-    execution, observer = Execution(SCENE, 0), Told()
-    sight = ObjectTracker(observer, EpisodeView(execution, SCENE.names))
-    first = sight()
-    # As if it lay 5 cm to the side of where it really is.
-    aside = matrix_of(first[0])
-    aside[0, 3] += 0.05
-    sight.take(0, inverse(execution.tool) @ aside)
-    execution.move_fingers(-0.01, Phase.FREE)
-    observer.certainty = 0.2
-    sight()
-    execution.move_fingers(0.01, Phase.FREE)
-    for observer.certainty, shift in ((0.2, 0.05), (1.0, 0.05), (1.0, 0.0)):
-        sight()
-        assert np.allclose(observer.known[:, :3] - first[:, :3], [[shift, 0, 0], [0, 0, 0]], atol=2e-3)
-        execution.wait(0.1, Phase.FREE)
-
-
 def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():
     class Once(TrueObserver):
         seen = 0

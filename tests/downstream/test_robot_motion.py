@@ -15,8 +15,6 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeWorld,
-    Put,
-    _ended,
     lift_episode,
     place_episode,
 )
@@ -300,28 +298,6 @@ def test_an_unplanned_contact_stops_the_arm(kinematics):
         )
     assert told.value.outcome == Outcome.CONTACT
     assert "cube" in told.value.detail or "wall" in told.value.detail
-
-
-def test_what_moved_and_what_does_not_stay_are_found():
-    episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
-    episode_world.check_others()
-    low = episode_world.execution.model.body("low").id
-    episode_world.execution.data.xfrc_applied[low, 0] = 3.0
-    episode_world.execution.wait(0.2, Phase.FREE)
-    with pytest.raises(Failed) as told:
-        episode_world.check_others()
-    assert (told.value.outcome, told.value.detail) == (Outcome.DISPLACED, "low")
-    episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
-    episode_world.execution.data.xfrc_applied[episode_world.execution.model.body("cube").id, 0] = 3.0
-
-    def put():
-        episode_world.put = Put(2, episode_world.execution.pose(TARGET))
-        episode_world.check_stands()
-
-    # How far it went is told of what failed, too.
-    result = _ended(episode_world, put)
-    assert (result.outcome, result.proposal) == (Outcome.UNSTABLE, 2)
-    assert result.error > 0.004
 
 
 def test_what_touches_something_too_early_has_slipped(grasps, kinematics):

@@ -16,7 +16,6 @@ pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
-import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.robot import trials as robot_trials
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
@@ -25,7 +24,7 @@ from cluttergen_jax.downstream.robot.motion import plan
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.planner_hash import planner_hash
 from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials, run_trials
-from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers.placing import write_bank
 
@@ -113,25 +112,6 @@ def test_rates_are_of_all_and_of_those_that_were_possible():
     assert "of 3 where" in told
     assert "no grasp 1" in told
     assert "fork" in told
-
-
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"task": "throw"}, "lift, place"),
-        ({"placer": "magic"}, "drop"),
-        ({"placer": "geometri"}, "geometry"),
-        ({"noise": 1.0}, "a placer that looks"),
-        ({"placer": "geometry", "task": "lift", "noise": 0.0}, "a placer that looks"),
-        ({"placer": "geometry", "noise": -1.0}, "0 to 10"),
-        ({"num_episodes": 0}, "num_episodes"),
-        ({"films": True, "film": "avi"}, "gif, mp4"),
-        ({"bank": "bank", "pool": "dining"}, "one or the other"),
-    ],
-)
-def test_settings_that_cannot_be_are_refused(given, told, tmp_path):
-    with pytest.raises(ConfigError, match=told):
-        cg.robot_place(tmp_path, **given)
 
 
 @pytest.mark.slow

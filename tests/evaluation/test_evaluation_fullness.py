@@ -4,7 +4,6 @@ import dataclasses
 
 import pytest
 
-from cluttergen_jax.config import TRUSTED_METHODS
 from cluttergen_jax.evaluation.studies.rules import named_rows
 from cluttergen_jax.evaluation.studies.study import Scale
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
@@ -36,16 +35,6 @@ def test_rows_are_called_what_they_were_asked_as(name):
 def test_tables_of_the_paper_keep_its_rules(name):
     for trial in STUDIES[name].trials(Scale()):
         assert (trial.order, trial.ruin_after, trial.min_margin, trial.budget) == ("random", 0, 0.0, None)
-
-
-@pytest.mark.parametrize(
-    "name", ["density", "crowds", "unseen", "diversity", "robustness", "survival", "time"]
-)
-def test_rows_of_other_tables_ask_for_one_margin(name):
-    trials = STUDIES[name].trials(Scale())
-    assert {trial.min_margin for trial in trials} == {MIN_MARGIN}
-    names = {row_name(dataclasses.asdict(trial)) for trial in trials}
-    assert set(TRUSTED_METHODS) <= names
 
 
 def rows_of(**successes):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.measures.contacts import closure, contacts_of
+from cluttergen_jax.evaluation.measures.contacts import contacts_of
 from cluttergen_jax.evaluation.measures.relations import (
     Relation,
     relations,
@@ -126,16 +126,6 @@ def test_forces_balance_weights(models, scenes):
     np.testing.assert_allclose(contacts.weight, masses * GRAVITY * scenes[1])
     assert contacts.carried_by[scenes[1], SUPPORT].all()
     assert (contacts.penetration < 1e-3).all()
-
-
-def test_closure_follows_chains_of_any_length():
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        edges = rng.random((6, 7)) < 0.25
-        edges[np.arange(6), np.arange(6)] = False
-        square = np.vstack([edges, np.zeros(7, bool)]).astype(int)
-        walks = sum(np.linalg.matrix_power(square, length) for length in range(1, 8)) > 0
-        np.testing.assert_array_equal(closure(edges[None])[0], walks[:6])
 
 
 def test_tilt_is_measured_from_the_nearest_rest(models):

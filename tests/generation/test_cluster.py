@@ -120,17 +120,3 @@ def test_verify_and_certify_find_there_what_they_find_here(ray, tmp_path):
     assert contents(tmp_path / "here") == contents(tmp_path / "there")
     # What has its certificate is not measured again.
     assert cg.certify(tmp_path / "there" / "bank", seconds=0.1, **on).num_new == 0
-
-
-@pytest.mark.slow
-def test_rows_of_a_table_are_the_same_on_a_cluster(ray, pool, tmp_path):
-    asked = {"methods": ["random", "clear"], "pools": [pool], "num_objects": 2, "trials": 20}
-    here = cg.evaluate(**asked).rows
-    there = cg.evaluate(**asked, out=tmp_path, cluster="local", workers=2).rows
-    timed = [name for name in here[0] if "second" in name]
-    for one, two in zip(here, there, strict=True):
-        assert {k: v for k, v in one.items() if k not in timed} == {
-            k: v for k, v in two.items() if k not in timed
-        }
-    # Kept as if they had been made here.
-    assert cg.evaluate(**asked, out=tmp_path).rows == there

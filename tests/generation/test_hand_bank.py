@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.hand import HandBank
 from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
-from cluttergen_jax.scene.bank.writer import BankWriter
 from tests.helpers.problems import trio_problem
 
 SEED = 7
@@ -135,23 +133,3 @@ def test_it_goes_on_where_it_ended_with_the_objects_that_come_next(made, setup, 
     assert table.num_rows == read_bank(tmp_path / "bank").num_scenes == 4
     assert table.slice(0, 3).equals(read_bank(path).table)
     assert cg.verify(tmp_path / "bank").stands.tolist() == [True] * 3
-
-
-def test_a_scene_that_cannot_be_written_may_be_kept_later(setup, tmp_path, monkeypatch):
-    with opened(tmp_path / "bank", setup) as bank:
-        bank.keep(give_up(bank))
-        scene, write = fill(bank), BankWriter.write_block
-
-        def full(*_):
-            raise BankError("the disk is full")
-
-        monkeypatch.setattr(BankWriter, "write_block", full)
-        with pytest.raises(BankError, match="the disk is full"):
-            bank.keep(scene)
-        # As after a writer that was killed: asked for, and not there.
-        assert stats_of(read_bank(tmp_path / "bank")).missing == ((1, 1),)
-        monkeypatch.setattr(BankWriter, "write_block", write)
-        bank.keep(scene)
-        assert scene.is_closed
-    assert stats_of(read_bank(tmp_path / "bank")).missing == ()
-    assert read_bank(tmp_path / "bank").table["is_success"].to_pylist() == [False, True]

@@ -70,20 +70,6 @@ def test_an_unchanged_pool_is_read_not_made(tree, here):
     assert not second.failures
 
 
-def test_what_is_lost_twice_becomes_one_hull_and_says_so(tmp_path):
-    beam = trimesh.creation.box((0.1, 0.02, 0.02))
-    post = trimesh.creation.box((0.02, 0.02, 0.1))
-    trimesh.boolean.union([beam, post]).export(tmp_path / "cross.stl")
-    (source,) = find_sources(tmp_path / "cross.stl")
-    job = run.Job(source, "key", ObjectConfig(trials=8))
-    asset = run.made(
-        run.next_try(run.next_try(job, "it was not done after 80 s"), "it was not done after 107 s")
-    )
-    assert len(asset.parts) == 1
-    assert "one hull" in asset.flags[0]
-    assert "107 s" in asset.flags[0]
-
-
 def test_changed_content_needs_force(tree, here):
     import_sources([tree / "crate.obj"], "mine", QUICK)
     with pytest.raises(PoolError, match="`force`"):

@@ -23,7 +23,6 @@ from tests.helpers.cases import CASES
 from tests.helpers.shapes import make_box
 
 BOX = '<geom type="box" size=".03 .03 .03" mass=".1"/>'
-MOTOR = '<actuator><motor joint="j"/></actuator>'
 
 
 def write(path, *bodies, rest=""):
@@ -88,21 +87,6 @@ def test_what_most_files_have_is_scenery_and_what_few_have_is_one_object(tmp_pat
 def test_chains_of_four_joints_are_robots_and_shorter_ones_are_not(tmp_path, joints, free):
     write(tmp_path / "thing.xml", body("thing", arm(joints), free))
     assert planned(tmp_path)[0] == (["thing"] if joints < 4 else [])
-
-
-@pytest.mark.parametrize(
-    ("rest", "is_object"),
-    [
-        ("", True),
-        (MOTOR, False),
-        ('<equality><weld body1="lid" body2="hand"/></equality>', False),
-    ],
-)
-def test_what_motors_or_mocap_bodies_move_is_an_actor(tmp_path, rest, is_object):
-    lid = f'<body name="lid"><joint name="j"/>{BOX}</body>'
-    hand = f'<body name="hand" mocap="true">{BOX}</body>'
-    write(tmp_path / "pot.xml", body("pot", lid), hand, rest=rest)
-    assert planned(tmp_path)[0] == (["pot"] if is_object else [])
 
 
 def test_settings_take_one_body_and_leave_another(tmp_path):

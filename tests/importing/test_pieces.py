@@ -1,13 +1,11 @@
 """What belongs together: a model, what it names, and the pieces that lie beside it, are one object."""
 
-import struct
 from pathlib import Path
 
-import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.importing.readers import find_sources, read_shape, survey
+from cluttergen_jax.importing.readers import find_sources, survey
 from cluttergen_jax.importing.readers.pieces import whole_of
 
 CASES = Path(__file__).parents[1] / "cases" / "import" / "13_pieces_beside_model"
@@ -70,15 +68,3 @@ def test_every_spelling_of_a_piece_is_known(tail, tmp_path):
     assert whole_of(f"blue_mug{tail}") == "blue_mug"
     save(tmp_path, "blue_mug.obj", f"blue_mug{tail}.stl", "bowl.obj")
     assert names(tmp_path) == ["blue_mug", "bowl"]
-
-
-def test_a_mesh_in_mujocos_own_format_is_read(tmp_path):
-    box = trimesh.creation.box((0.04, 0.06, 0.08))
-    head = struct.pack("4i", len(box.vertices), 0, 0, len(box.faces))
-    data = box.vertices.astype("f4").tobytes() + box.faces.astype("i4").tobytes()
-    (tmp_path / "box.msh").write_bytes(head + data)
-    (tmp_path / "loose.msh").write_bytes(b"")
-    (tmp_path / "carton.xml").write_text(MJCF.format("box.msh"))
-    (source,) = find_sources(tmp_path)
-    (piece,) = read_shape(source).pieces
-    np.testing.assert_allclose(np.ptp(piece.mesh.vertices, axis=0), [0.04, 0.06, 0.08], atol=1e-6)

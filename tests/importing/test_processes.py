@@ -70,16 +70,6 @@ def test_a_crash_costs_only_its_own_job():
     assert "memory" in lost
 
 
-def test_a_job_without_an_end_is_ended_and_the_rest_goes_on():
-    found = outcomes(["spin", "well"], limit=0.6)
-    assert found[1].result == "well"
-    assert found[0].is_late
-    assert "not done after 0.6 s" in found[0].fault or found[0].seconds > 0.65
-    assert found[0].seconds >= 0.6
-    if sys.platform.startswith("linux"):
-        assert 0 < found[0].cpu_seconds <= found[0].seconds + 0.1
-
-
 @pytest.mark.parametrize("how", ["spin", signal.SIGSEGV])
 def test_a_lost_job_is_tried_once_more_in_another_way(how):
     found = outcomes([how], limit=0.6, again=plain)[0]

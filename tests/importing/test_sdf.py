@@ -117,22 +117,6 @@ def test_wrong_forms_name_file_and_element(tmp_path, form):
     assert WRONG[form] in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("inside", "told"),
-    [
-        (link(visual(), more="<pose>0 0 0</pose>"), "<link><pose>0 0 0</pose>.*6 numbers"),
-        (link(visual(), more='<pose relative_to="b">0 0 0 0 0 0</pose>'), "'b' is named and nowhere defined"),
-        (link(visual(), more='<pose relative_to="a">0 0 0 0 0 0</pose>'), "'a' hangs on itself"),
-        ("<include><uri>model://saucer</uri></include>", "includes 'model://saucer'.*gz sdf -p"),
-        (link(""), "neither visual nor collision"),
-        (link("<collision name='c'><geometry><plane/></geometry></collision>"), "neither visual nor"),
-    ],
-)
-def test_models_that_cannot_be_read_say_why(tmp_path, inside, told):
-    with pytest.raises(AssetError, match=rf"(?s)model\.sdf.*{told}"):
-        read(tmp_path, model(inside))
-
-
 SCRIPT = """// material Cup/Paint {
 material Cup/Base
 {

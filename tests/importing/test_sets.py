@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
 from cluttergen_jax.importing.sets import layouts
@@ -140,13 +139,3 @@ def test_collision_shapes_beside_a_mesh_are_kept_as_its_parts(tmp_path):
     )
     assert "its collision parts are those of mug_coacd.stl" in shape.notes
     assert kept(tmp_path, "mug").parts is None
-
-
-def test_shapes_that_are_not_convex_are_not_kept(tmp_path):
-    save_box(tmp_path / "mug.obj")
-    trimesh.creation.torus(0.03, 0.005).export(tmp_path / "mug_col.obj")
-    shape = kept(tmp_path, "mug", collision="keep")
-    assert shape.parts is None
-    assert any("were not kept: they are not convex" in note for note in shape.notes)
-    with pytest.raises(ConfigError, match="collision"):
-        ReadOptions(collision="all")

@@ -82,11 +82,6 @@ def test_bodies_that_mujoco_makes_are_objects_too(tmp_path):
     np.testing.assert_allclose(sizes[3], 0.04, atol=1e-3)
 
 
-def test_a_file_that_includes_itself_ends(tmp_path):
-    (tmp_path / "a.xml").write_text('<mujoco><include file="a.xml"/><worldbody><body/></worldbody></mujoco>')
-    assert names(tmp_path) == ["a"]
-
-
 def test_an_object_depends_on_its_own_files_alone(mixed):
     (toy,) = (source for source in find_sources(mixed) if source.name == "toy")
     before = cache.cache_key(toy, ObjectConfig())

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-import trimesh
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import find_sources, read_source
+from cluttergen_jax.importing.readers import read_source
 from tests.helpers.cases import CASES
 
 BOX = '<box size=".1 .06 .04"/>'
@@ -20,12 +19,6 @@ def write(folder, body, name="thing.urdf"):
 
 def link(name="a", form=BOX, inside="", more=""):
     return f'<link name="{name}"><visual><geometry>{form}</geometry>{inside}</visual>{more}</link>'
-
-
-def save_box(path, size=(0.1, 0.06, 0.04)):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box(size).export(path)
-    return path
 
 
 def read(path):
@@ -115,26 +108,6 @@ def test_a_joint_that_mimics_another_follows_it(tmp_path):
     shape = read(write(tmp_path, fingers('<mimic joint="f1" multiplier="-2" offset="0.01"/>')))
     assert heights(shape) == [0.02, -0.03]
     assert "'f2' (prismatic) at -0.03 m" in shape.notes[0]
-
-
-@pytest.mark.parametrize(
-    ("said", "place"),
-    [
-        (r"meshes\cup.stl", "meshes/cup.stl"),
-        (r"C:\Users\bob\cup\meshes\cup.stl", "meshes/cup.stl"),
-        ("file:///D:/models/cup/meshes/cup.stl", "meshes/cup.stl"),
-        ("/home/bob/cup/visual/cup.stl", "visual/cup.stl"),
-        (r"\\server\share\cup.stl", "cup.stl"),
-        ("package://cups/meshes/the%20cup.stl", "meshes/the cup.stl"),
-        ("../elsewhere/cup.stl", "meshes/cup.stl"),
-    ],
-)
-def test_meshes_are_found_that_are_named_as_on_another_machine(tmp_path, said, place):
-    save_box(tmp_path / "cup" / place)
-    path = write(tmp_path / "cup", link(form=f'<mesh filename="{said}"/>'))
-    np.testing.assert_allclose(size_of(read(path)), [0.1, 0.06, 0.04], atol=1e-6)
-    # The file belongs to the model: it is no object of its own.
-    assert [source.kind for source in find_sources(tmp_path)] == ["urdf"]
 
 
 @pytest.mark.parametrize(

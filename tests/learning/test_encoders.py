@@ -13,7 +13,7 @@ from cluttergen_jax.learning.agents import Agent
 from cluttergen_jax.learning.networks import cloud_encoder, pointnet2
 from cluttergen_jax.learning.networks.actor_critic import NetworkConfig
 from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, CloudNet, encode_scenes, init_encoder
-from cluttergen_jax.learning.networks.pointnet2 import ball_query, farthest_points
+from cluttergen_jax.learning.networks.pointnet2 import ball_query
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from tests.helpers.problems import made_up_rules
@@ -78,18 +78,6 @@ def net(request):
     cloud, mask = jnp.asarray(points(40)), jnp.ones(40, bool)
     weights = jax.jit(module.init)(jax.random.key(1), cloud, mask, jnp.arange(12))
     return jax.jit(lambda cloud, mask, index: module.apply(weights, cloud, mask, index))
-
-
-def test_farthest_points_are_those_of_numpy():
-    cloud, number = points(60), 25
-    mask = np.random.default_rng(1).uniform(size=60) < 0.6
-    for counts in (np.ones(60, bool), mask):
-        among = np.flatnonzero(counts)
-        expected = among[farthest_first(np.float64(cloud[among]))][:number]
-        dirty = np.where(counts[:, None], cloud, 7.0)
-        index, is_chosen = jax.jit(farthest_points, static_argnums=2)(dirty, counts, number)
-        np.testing.assert_array_equal(index, expected)
-        assert bool(is_chosen.all())
 
 
 @pytest.mark.parametrize("at_once", [1 << 20, 150])

@@ -76,12 +76,3 @@ def test_what_is_lower_than_an_underside_is_not_in_its_way(height, is_in_the_way
                 assert abs(share) < 1e-5
             else:
                 assert share > 0.1
-
-
-def test_larger_regions_are_told_beyond_the_picture_what_is_over_its_edge(room):
-    shares = np.asarray(room(observation(half=(0.5, 0.5))))
-    # Between pixels the transform rings a little.
-    assert (np.abs(shares - 0.5) < 0.51).all()
-    assert shares[7, 5, :, 0].max() > 0.3
-    # The picture repeats every 0.64 m: the block at x = 0.1 must not be seen again at x = -0.54 + cells.
-    assert np.abs(shares[:4, :, :, 0]).max() < 5e-3

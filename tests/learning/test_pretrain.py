@@ -8,8 +8,6 @@ import pytest
 from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, init_encoder
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.training import pretrain
-from cluttergen_jax.learning.training.classifier import make_clouds
 from cluttergen_jax.learning.training.presets import choose_encoder, fitted
 from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining
 from cluttergen_jax.learning.training.run import Run, RunConfig, with_encoder
@@ -39,14 +37,6 @@ def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pretrained") / "run"
     run = Pretraining(CONFIG, folder)
     return folder, run.run(), run._start()
-
-
-def test_what_is_learned_from_is_not_tested_with():
-    learned, held_out = (pretrain._seeds(CONFIG, each) for each in (False, True))
-    assert not set(learned) & set(held_out)
-    clouds = [make_clouds(("mug", "fork"), seeds, 32, "") for seeds in (learned, held_out)]
-    assert [each.label.tolist() for each in clouds] == [[0] * 4 + [1] * 4] * 2
-    assert not any(np.array_equal(a, b) for a in clouds[0].cloud for b in clouds[1].cloud)
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 import pytest
 
-from cluttergen_jax.learning.training.random_comparison import comparison_lines, difference_interval
+from cluttergen_jax.learning.training.random_comparison import comparison_lines
 from cluttergen_jax.proportions import wilson
 
 
@@ -15,13 +15,6 @@ def told(policy, random, curve, training_success=None):
     rows = [{"success": each, "attempts": 3200.0 * (k + 1)} for k, each in enumerate(curve)]
     known = {"random": rate(random), "training_success": training_success or policy}
     return " ".join(comparison_lines(rate(policy) | known, rows))
-
-
-def test_the_interval_of_a_difference():
-    # Newcombe (1998), table II: 56/70 and 48/80, method 10.
-    low, high = difference_interval(rate(56 / 70, 70), rate(48 / 80, 80))
-    assert (low, high) == pytest.approx((0.0524, 0.3339), abs=2e-4)
-    assert difference_interval(rate(0.5), rate(0.5))[0] < 0 < difference_interval(rate(0.5), rate(0.5))[1]
 
 
 @pytest.mark.parametrize(

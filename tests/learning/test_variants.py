@@ -5,14 +5,12 @@ import multiprocessing
 import pytest
 
 from cluttergen_jax.assets.body import make_object
-from cluttergen_jax.assets.modeller.catalog import FAMILIES, POOLS, make_shape
+from cluttergen_jax.assets.modeller.catalog import make_shape
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing import cache
 from cluttergen_jax.learning.training import variants as module
 from cluttergen_jax.learning.training.variants import (
-    HELD_OUT_FAMILIES,
-    TRAINING_FAMILIES,
     ShapeVariant,
     variants,
 )
@@ -28,12 +26,6 @@ def home(tmp_path, monkeypatch):
 
 def refuse(*args):
     raise AssertionError("a body was made that is in the cache")
-
-
-def test_families_are_parted():
-    assert not set(TRAINING_FAMILIES) & set(HELD_OUT_FAMILIES)
-    assert set(TRAINING_FAMILIES) | set(HELD_OUT_FAMILIES) == set(FAMILIES)
-    assert [len(set(families) & set(HELD_OUT_FAMILIES)) for families in POOLS.values()] == [2] * len(POOLS)
 
 
 @pytest.mark.slow

@@ -54,23 +54,6 @@ def test_an_action_that_is_no_number_is_a_failed_attempt():
     assert not episode.is_placed.any()
 
 
-@pytest.mark.slow
-def test_regions_change_with_every_episode_and_orders_do_not():
-    plain, changing = (PlacementEnv(trio_problem(change=name).rules) for name in ("none", "all"))
-    keys = jax.random.split(jax.random.key(0), 64)
-    usual, changed = (jax.jit(jax.vmap(env.reset))(keys).pipeline_state.episode for env in (plain, changing))
-    np.testing.assert_array_equal(usual.object_index, changed.object_index)
-    half = np.asarray(changed.region.half_extents)
-    assert len(np.unique(half, axis=0)) == 64
-    assert (half <= np.asarray(changing.rules.region.half_extents) + 1e-6).all()
-    # The table's own region bounds what is drawn, and what may be drawn is what the world is made for.
-    assert half.max() > 0.3
-    assert np.ptp(np.asarray(usual.region.half_extents), axis=0).max() == 0
-    # A region that is asked for is the one that is taken.
-    asked = changing.rules.begin(keys[0], region=plain.rules.region)
-    np.testing.assert_array_equal(asked.region.half_extents, plain.rules.region.half_extents)
-
-
 @pytest.mark.parametrize("auto_reset", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_brax_wrappers_scan_over_it(auto_reset):
     env = wrap(PlacementEnv(made_up_rules(max_attempts=2), auto_reset=auto_reset), episode_length=3)

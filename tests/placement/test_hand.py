@@ -3,13 +3,12 @@
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from cluttergen_jax.placement.hand import HandScene
 from cluttergen_jax.placement.hand.clock import ActiveClock
-from cluttergen_jax.placement.region import action_of_pose, no_keep_out
+from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.types import Verdict
@@ -69,30 +68,6 @@ def test_the_clock_stands_still_a_minute_after_the_latest_input():
     clock.stop()
     hours.now = 9060.0
     assert clock.seconds == 110
-
-
-def test_an_attempt_by_hand_is_an_attempt_by_the_rules(setup):
-    """The rules' own `attempt`, from an episode of the same key, is the oracle."""
-    rules = setup.problem.rules
-    scene, episode = begun(setup, key=3), rules.begin(jax.random.key(3))
-    attempt = jax.jit(rules.attempt)
-    for x, y in ((-0.1, 0.05), (-0.08, 0.06), (0.15, -0.2), (0.0, 0.1), (0.2, 0.2)):
-        if not scene.left:
-            break
-        scene.hold(x, y, 0.4)
-        scene.lower()
-        held = scene.held
-        action = action_of_pose(
-            jnp.array([held.x, held.y, held.z]), held.yaw, episode.region, rules.height_range(episode)
-        )
-        episode, transition = attempt(episode, action)
-        told = scene.drop()
-        assert told.attempt.verdict == int(transition.verdict)
-        assert told.attempt.object_index == int(transition.object_index)
-        np.testing.assert_allclose(scene.poses, episode.poses, atol=1e-6)
-        np.testing.assert_array_equal(scene.is_placed, episode.is_placed)
-    assert scene.num_attempts == int(episode.counts.attempts.sum())
-    assert not scene.left
 
 
 def test_whatever_a_person_does_the_books_are_right(setup):

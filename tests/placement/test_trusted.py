@@ -7,12 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.placement.baselines import LowestFit, Spread, make_proposer
+from cluttergen_jax.placement.baselines import LowestFit, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.run import Rollout
-from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.trusted import TrustedConfig, TrustedSearch
 from cluttergen_jax.types import Verdict
 
@@ -76,26 +75,6 @@ def placed_first(rules):
         if int(transition.verdict) == Verdict.STABLE:
             return episode, np.asarray(episode.poses[0])
     raise AssertionError("the first object never stood")
-
-
-@pytest.mark.slow
-def test_bearers_are_known_by_name_level_margin_and_offset():
-    rules = rules_of()
-    episode, pose = placed_first(rules)
-    T = episode.region.T_world_region
-    above = T.inverse().apply(jnp.asarray(pose[:3]))[:2]
-    far = jnp.where(above > 0, -1.0, 1.0) * episode.region.half_extents * 0.6
-    placer = Spread(LowestFit(rules))
-    looked = jax.jit(placer.look)(episode, Candidates(jnp.stack([above, far]), jnp.zeros(2)))
-    on, off = (jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), looked.bearers) for i in (0, 1))
-    assert bool(on.is_on)
-    assert on.level == 1
-    assert on.margin == pytest.approx(float(episode.bearing.margin[0]), abs=1e-6)
-    # Its centre of mass is over that of what would bear it, or nearly so: well within the support.
-    assert on.offset < 0
-    assert not off.is_on
-    assert off.level == 0
-    assert off.margin == pytest.approx(0.1)
 
 
 def test_a_map_with_owners_is_the_map_to_a_micrometre():

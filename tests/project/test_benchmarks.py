@@ -90,31 +90,6 @@ def test_rows_are_made_once_and_what_failed_or_goes_on_is_made_again(tmp_path):
     assert made[4:] == ["longer", "poor"]
 
 
-def test_gpu_is_measured_in_miniature_and_written(tmp_path, capsys):
-    args = gpu.Gpu(parts=("doctor",), out=tmp_path / "out", small=True)
-    readme = tmp_path / "README.md"
-    for _ in range(2):
-        gpu.main(args, readme)
-    said = capsys.readouterr().out
-    assert said.count("doctor: machine: kept") == 1
-    assert not readme.exists()
-    # A miniature's rows are not taken for those of full size.
-    assert not (args.out / "rows.json").exists()
-    rows = Rows(args.folder / "rows.json")
-    rows.parts["steps"] = {
-        "warp, 2": {"lanes": 2, "steps/s awake": 12345.6},
-        "warp, 4": {"failed": "no room"},
-    }
-    text = gpu.body_of(rows)
-    assert "| warp, 2 |" in text
-    assert "12,346" in text
-    assert "- steps: warp, 4: no room" in text
-    assert rows.of("doctor")["machine"]["machine"] in text
-    assert "miniature" in text
-    gpu.main(gpu.Gpu(out=args.out, small=True, write=True), readme)
-    assert "miniature" in readme.read_text()
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("part", gpu.PARTS)

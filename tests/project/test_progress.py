@@ -9,11 +9,6 @@ import pytest
 from cluttergen_jax.progress import Progress, interruptible
 
 
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
-
-
 class Clock:
     """Seconds that pass when told to."""
 
@@ -34,16 +29,6 @@ def test_a_log_gets_a_line_every_ten_seconds_and_one_at_the_end():
         "drawing: 4 of 4 pictures, 24 s passed, 0 s left, loss 0.5",
         "drawing: 4 of 4 pictures done in 24 s",
     ]
-
-
-def test_a_terminal_gets_a_bar():
-    terminal = Terminal()
-    with Progress("drawing", 2, "picture", file=terminal) as shown:
-        shown.say("a line that stays")
-        shown.update(2)
-    assert "100%" in terminal.getvalue()
-    assert "a line that stays\n" in terminal.getvalue()
-    assert "passed" not in terminal.getvalue()
 
 
 # Ctrl-C

@@ -52,14 +52,6 @@ def test_interrupted_bank_is_continued_to_the_same_bits(bank, pool, tmp_path):
     assert read_bank(path).table.equals(read_bank(bank).table)
 
 
-def test_another_seed_makes_other_scenes_but_not_in_the_same_bank(bank, pool, tmp_path, capsys):
-    assert generate(pool, bank, "-n", "3", "--seed", "1") == 2
-    assert "seed" in capsys.readouterr().err
-    assert generate(pool, tmp_path / "other", "-n", "3", "--seed", "1", "--max-files", "0") == 0
-    one, two = read_bank(bank).table["poses"][0], read_bank(tmp_path / "other").table["poses"][0]
-    assert one != two
-
-
 def test_files_hold_the_poses_twice_and_stand(bank):
     scenes = [scene for scene in read_bank(bank).scenes() if scene.is_success][:5]
     assert scenes

@@ -94,17 +94,6 @@ def test_a_bank_older_than_digests_opens_and_gets_them(bank, whole, capsys):
     assert all_bytes(bank) == all_bytes(whole)
 
 
-def test_a_bank_without_digests_of_its_rows_is_verified_with_a_note(bank, capsys):
-    record = read_bank(bank).record
-    record["files"].pop(ROWS)
-    (bank / "bank.json").write_bytes(index_bytes(record))
-    assert verify(bank) == 0
-    assert "has no digests of its rows" in capsys.readouterr().out
-    with pytest.raises(BankError, match="no digests of the bank's rows"):
-        check_whole(read_bank(bank))
-    check_whole(read_bank(bank), allow_unchecked=True)
-
-
 def moved(rows):
     rows[0]["poses"][0][0] += 0.001
     return rows

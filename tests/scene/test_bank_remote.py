@@ -11,13 +11,11 @@ import pyarrow.fs as pafs
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.remote import RemoteFolder, mirrored, publish_all
 from tests.helpers import banks
-from tests.helpers.worlds import trio
 
 fsspec = pytest.importorskip("fsspec", reason="needs the extra remote")
 NUM_BLOCKS = 5
@@ -136,29 +134,3 @@ def bucket(tmp_path, monkeypatch):
     yield "s3://tests/bank?" + place
     server.terminate()
     server.wait()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_a_bank_is_made_and_used_on_a_real_s3_server(bucket, tmp_path, home):
-    pool = str(write_pool(tmp_path / "trio", Pool("trio", tuple(trio()))))
-    options = {"pool": pool, "num_scenes": 300, "method": "random", "num_objects": 2, "max_files": 3}
-    here = cg.generate(tmp_path / "bank", **options, render=False)
-    there = cg.generate(bucket, **options, render=False)
-    assert f"stored     {bucket}" in str(there)
-    # The card names the folder, which both call alike.
-    assert contents(bucket) == files(tmp_path / "bank")
-    shutil.rmtree(home)
-    # Everything is there already: nothing is made again.
-    again = cg.generate(bucket, **options, render=False)
-    assert "speed" not in str(again)
-    assert again.table.equals(here.table)
-    shutil.rmtree(home)
-    assert cg.verify(bucket).is_sound
-    np.testing.assert_array_equal(cg.load_bank(bucket).qpos, cg.load_bank(tmp_path / "bank").qpos)
-    shutil.rmtree(home)
-    write(bucket.replace("/bank?", "/shards?"))
-    write(tmp_path / "shards")
-    assert contents(bucket.replace("/bank?", "/shards?")) == files(tmp_path / "shards")
-    assert sum(map(len, cg.stream_bank(bucket.replace("/bank?", "/shards?"), 100))) == NUM_BLOCKS * 192
-    assert mirrored(bucket).name == "bank"

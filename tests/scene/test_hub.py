@@ -108,23 +108,6 @@ def test_a_link_where_a_pull_would_work_is_not_followed(bank, tmp_path, folder):
     assert contents(precious) == {"deep/letter": b"mine"}
 
 
-def test_large_files_that_are_there_are_not_sent_again_and_a_push_is_one_commit(bank, server):
-    cg.push_bank(bank, NAME, hub=server.url)
-    (bank / "README.md").write_text("my own words")
-    (bank / "overview.png").write_bytes(b"a picture")
-    cg.push_bank(bank, NAME, hub=server.url)
-    (bank / "overview.png").unlink()
-    cg.push_bank(bank, NAME, hub=server.url)
-    assert [("overview.png" in files, len(files) > 10) for files in server.commits[NAME]] == [
-        (False, False),
-        (False, True),
-        (True, True),
-        (False, True),
-    ]
-    assert list(server.put.values()) == [1]
-    assert server.files(NAME)["README.md"] == b"my own words"
-
-
 def test_without_a_network_it_is_said(bank, tmp_path, monkeypatch):
     pytest.importorskip("huggingface_hub", reason="needs the extra hub")
     with hub_server() as gone:
