@@ -10,10 +10,8 @@ from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerCompariso
 from cluttergen_jax.downstream.placer.training.run import PlacerTraining
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
 from cluttergen_jax.downstream.studies.protocol import PROTOCOL
-from cluttergen_jax.downstream.studies.study import SETS, Found
+from cluttergen_jax.downstream.studies.study import Found
 from cluttergen_jax.downstream.suite import STUDIES, result_of
-from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.evaluation import suites
 from cluttergen_jax.evaluation.report import document, read_results, tables_of, write_report
 from cluttergen_jax.tables import Table
 
@@ -47,27 +45,6 @@ def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path)
     assert "### Stable placement from one camera's view" in page
     assert "| random | 0.5 |" in page
     assert f"`cluttergen evaluate --suite downstream`, {result['date']}, 10 or 20 trials a row" in page
-
-
-def test_what_the_suite_does_not_know_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="`methods` with suite 'downstream'"):
-        cg.evaluate_suite("downstream", methods=("drop",), out=tmp_path)
-    with pytest.raises(ConfigError, match="`heads` with suite 'paper'"):
-        cg.evaluate_suite("paper", heads=("scored",), out=tmp_path)
-    with pytest.raises(ConfigError, match=r"only = 'placment'.*Did you mean 'placement'"):
-        cg.evaluate_suite("downstream", only=("placment",), out=tmp_path)
-    with pytest.raises(ConfigError, match=r"pools = 'garden'.*household"):
-        cg.evaluate_suite("downstream", pools=("garden",), out=tmp_path)
-    with pytest.raises(ConfigError, match=r"pools = 'nosuch'.*Allowed: household, dining, kitchen"):
-        cg.evaluate_suite("downstream", pools=("dining", "nosuch"), only=("placement",), out=tmp_path)
-    with pytest.raises(BankError, match="is not a bank"):
-        cg.evaluate_suite("downstream", bank=tmp_path / "nosuch", only=("source",), out=tmp_path)
-    with pytest.raises(ConfigError, match=r"head 'score'.*Did you mean 'scored'"):
-        cg.evaluate_suite("downstream", heads=("score",), out=tmp_path)
-    with pytest.raises(ConfigError, match="num_pairs = -1"):
-        cg.evaluate_suite("downstream", num_pairs=-1, out=tmp_path)
-    assert len({one.name for one in SETS}) == len(SETS)
-    assert not STUDIES.keys() & suites.STUDIES.keys(), "a page tells studies apart by their names"
 
 
 @pytest.fixture(scope="module")

@@ -17,18 +17,15 @@ from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
 from cluttergen_jax.downstream.placer.pairs import maker as data
 from cluttergen_jax.downstream.placer.pairs import stored as pairs
-from cluttergen_jax.downstream.placer.pairs.stored import images_of, load_queries
+from cluttergen_jax.downstream.placer.pairs.stored import load_queries
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import GeometryPlacer
 from cluttergen_jax.downstream.placer.query import without_scores
-from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras
-from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.search.search import SearchConfig
 from cluttergen_jax.proportions import wilson
 from cluttergen_jax.sensing.noise import NOISE_OFF
-from cluttergen_jax.sensing.partial import PartialMap, merged
 from cluttergen_jax.types import Verdict
 from tests.helpers.placing import write_bank
 
@@ -78,26 +75,6 @@ def test_no_ceiling_lies_below_what_stands(made, seen):
     )
     is_top = queries.heights.height > VOID
     assert (ceilings.height >= low[:, i][:, :, j] - 0.004)[is_top].all()
-
-
-def test_a_query_of_two_cameras_is_their_two_maps_merged(made, seen):
-    problem = made.setup("test").problem
-    maker, cameras = QueryMaker(problem), SceneCameras(problem, "free")
-    labels = seen[1][1]
-    table = next(iter(made.tables("test")))
-    names = list(problem.world.names)
-    scenes = {scene.index: scene for scene in cg.read_bank(made.path.parent / "bank").scenes()}
-    for row, first in enumerate(images_of(table, maker.T_world_region)):
-        scene, number = scenes[int(labels.scene[row])], int(labels.num_standing[row])
-        poses, is_placed = np.zeros((3, 7)), np.zeros(3, bool)
-        for name, pose in list(zip(scene.objects, scene.poses, strict=True))[:number]:
-            poses[names.index(name)], is_placed[names.index(name)] = pose, True
-        (second,) = cameras.further(poses, is_placed, (SPLITS["test"], int(labels.pair[row])), 2)
-        assert np.abs(second.camera.eye - first.camera.eye).max() > 0.01
-        both = merged([PartialMap.of(*view, maker.grid) for view in (first, second)])
-        # Poses of pairs are single precision, in another frame.
-        wrong = np.abs(both.height - seen[2][0].heights.height[row]) > 1e-3
-        assert wrong.mean() < 0.01
 
 
 def test_figures_are_shares_of_verdicts_with_wilsons_intervals(labels):

@@ -36,46 +36,6 @@ def test_an_estimate_of_something_round_agrees_whatever_its_turn():
         assert np.allclose(sight(0)[0], first[0], atol=1e-3) != believed
 
 
-@pytest.mark.parametrize(
-    ("told", "known"),
-    [
-        # Degrees that each moment tells, and what is then known.
-        ([0, 180, 0], [0, 180, 0]),
-        ([0, 0, 180, 0], [0, 0, 0, 0]),
-        ([0, 0, 180, 0, 180, 180, 180, 0], [0, 0, 0, 0, 0, 180, 180, 180]),
-        ([0, 0, 0, 0, 180, 180], [0, 0, 0, 0, 0, 180]),
-        ([0, 0, "sure", 180], [0, 0, 0, 180]),
-        ([0, 0, "taken", 0, 180, 180], [0, 0, 0, 0, 0, 180]),
-        ([0, 0, "taken", 180], [0, 0, 0, 180]),
-    ],
-)
-def test_one_look_alone_does_not_turn_a_thing_round(told, known):
-    class Told(TrueObserver):
-        turn, certainty = 0.0, 0.95
-
-        def __call__(self, world, names, known):
-            found = super().__call__(world, names, known)
-            half = np.radians(self.turn) / 2
-            pose = found.pose * [1, 1, 1, 0, 0, 0, 0] + [0, 0, 0, np.cos(half), 0, 0, np.sin(half)]
-            return replace(found, pose=pose, certainty=np.full(len(names), self.certainty))
-
-    execution, observer = Execution(SCENE, 0), Told()
-    sight = ObjectTracker(observer, EpisodeView(execution, SCENE.names))
-    turns = []
-    for each in told:
-        if each == "sure":
-            observer.certainty = 1.0
-        elif each == "taken":
-            sight.take(0, np.eye(4))
-        else:
-            observer.turn = each
-            sight()
-            execution.wait(0.01, Phase.FREE)
-        w, z = sight.poses[0, [3, 6]]
-        turns.append(round(np.degrees(2 * np.arctan2(z, w))))
-    assert turns == known
-
-
 def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():
     class Once(TrueObserver):
         seen = 0

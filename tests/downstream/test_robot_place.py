@@ -1,11 +1,6 @@
 """`robot place`: rows are kept and taken up again, causes are counted, and places are what a search finds."""
 
 import math
-import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -133,31 +128,3 @@ def test_the_command_moves_objects_and_says_how_it_went(bank, home, tmp_path, ca
     assert (tmp_path / "place" / EPISODES).is_file()
     assert main(words) == 0
     assert capsys.readouterr().out == told
-
-
-@pytest.mark.slow
-def test_what_is_killed_goes_on_where_it_stopped(bank, home, tmp_path):
-    words = [
-        "robot",
-        "place",
-        str(bank.path),
-        "--num-episodes",
-        "3",
-        "--out",
-        str(tmp_path),
-        "--threads",
-        "1",
-    ]
-    rows = tmp_path / "place" / EPISODES
-    process = subprocess.Popen([sys.executable, "-m", "cluttergen_jax", *words], env=os.environ.copy())
-    while process.poll() is None and not rows.is_file():
-        time.sleep(0.05)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    kept = rows.read_text().splitlines()
-    assert 2 <= len(kept) <= 4
-    assert main(words) == 0
-    whole = rows.read_text().splitlines()
-    assert len(whole) == 4
-    # The first line tells of all rows, and changes with them.
-    assert whole[1 : len(kept)] == kept[1:]

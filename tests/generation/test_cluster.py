@@ -5,7 +5,6 @@ import re
 import signal
 from contextlib import suppress
 
-import numpy as np
 import psutil
 import pytest
 
@@ -13,10 +12,8 @@ import cluttergen_jax as cg
 from cluttergen_jax import cluster as clusters
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
-from cluttergen_jax.config import VerifyConfig
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.scene.bank import BankWriter
-from tests.helpers import banks
 from tests.helpers import clusters as work
 from tests.helpers.worlds import trio
 
@@ -102,21 +99,3 @@ def at_work(process):
             if re.match(r"ray::.*run", " ".join(each.cmdline())):
                 found.append(each)
     return found
-
-
-@pytest.mark.slow
-def test_verify_and_certify_find_there_what_they_find_here(ray, tmp_path):
-    for name in ("here", "there"):
-        banks.with_files(tmp_path / name / "bank")
-    on = {"cluster": "local", "workers": 2}
-    check = VerifyConfig(seconds=0.5)
-    assert (
-        cg.verify(tmp_path / "here" / "bank", check).as_json()
-        == cg.verify(tmp_path / "there" / "bank", check, **on).as_json()
-    )
-    found = cg.certify(tmp_path / "here" / "bank", seconds=0.1)
-    same = cg.certify(tmp_path / "there" / "bank", seconds=0.1, **on)
-    np.testing.assert_array_equal(found.shake, same.shake)
-    assert contents(tmp_path / "here") == contents(tmp_path / "there")
-    # What has its certificate is not measured again.
-    assert cg.certify(tmp_path / "there" / "bank", seconds=0.1, **on).num_new == 0

@@ -1,13 +1,7 @@
 """Imports: pools from trees of files, failures named, nothing made twice, nothing half-written."""
 
-import os
-import re
-import signal
-import subprocess
-import sys
 import time
 
-import numpy as np
 import pytest
 import trimesh
 
@@ -103,35 +97,3 @@ def test_a_damaged_entry_is_made_again(tree, here):
     (entry,) = cache.cache_root().iterdir()
     (entry / "cloud.npy").write_bytes(b"")
     assert import_sources([tree / "crate.obj"], "mine", QUICK).num_cached == 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_an_import_that_is_stopped_keeps_what_was_made(tree, home, here, how):
-    rng = np.random.default_rng(0)
-    for index in range(2):
-        trimesh.creation.box(rng.uniform(0.03, 0.1, 3)).export(tree / f"more-{index}.stl")
-    code = "from cluttergen_jax.cli.main import main; raise SystemExit(main())"
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, "import", str(tree), "--pool", "mine", "--jobs", "1", "--trials", "8"],
-        start_new_session=True,
-        stderr=subprocess.PIPE,
-        text=True,
-        # Ctrl-C is ignored in what a shell runs in its background, and children inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    # The line that tells of an object comes while the others are made, once it is kept.
-    assert process.stderr is not None
-    said = []
-    while not said or ": made in" not in said[-1]:
-        said.append(process.stderr.readline())
-        assert said[-1], said
-    (os.killpg if how == signal.SIGINT else os.kill)(process.pid, how)
-    _, rest = process.communicate(timeout=60)
-    assert process.returncode == (130 if how == signal.SIGINT else -how), rest
-    assert how == signal.SIGKILL or re.search(r"[1-3] of 5 objects were made and are kept\n", rest)
-    assert not (home / "pools" / "mine").exists()
-    report = import_sources([tree], "mine", QUICK)
-    assert 1 <= report.num_cached < 4
-    assert len(report.objects) == 4
-    assert not list((home / "cache").glob(".*"))

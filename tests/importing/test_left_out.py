@@ -165,25 +165,6 @@ def test_what_is_too_large_is_told_in_one_block(quick_import, capsys):
     assert [each.name for each in import_sources([cube], "again", CONFIG).left_out] == ["unit_cube.obj"]
 
 
-def test_names_get_numbers_among_what_was_made(quick_import, tmp_path):
-    for number in (1, 2, 3):
-        path = tmp_path / "set" / str(number) / "mug.obj"
-        path.parent.mkdir(parents=True)
-        trimesh.creation.box((0.05, 0.05, 0.05 + 0.01 * number)).export(path)
-    (tmp_path / "set" / "1" / "mug.obj").write_text("v 0 0 0\n")
-    report = import_sources([tmp_path / "set"], "t", CONFIG)
-    assert [each.name for each in report.objects] == ["mug", "mug-2"]
-    assert [each.name for each in report.failures] == ["mug (1/mug.obj)"]
-    assert set(report.costs) == {"mug", "mug-2", "mug (1/mug.obj)"}
-    # A pool keeps its names, with the first one mended.
-    trimesh.creation.box((0.05, 0.05, 0.04)).export(tmp_path / "set" / "1" / "mug.obj")
-    again = import_sources(
-        [tmp_path / "set"], "t", ImportConfig(CONFIG.object, jobs=1, progress=False, add=True)
-    )
-    sizes = {each.name: round(float(2 * each.half_extents[2]), 3) for each in again.pool.objects}
-    assert sizes == {"mug": 0.07, "mug-2": 0.08, "mug-3": 0.04}
-
-
 # Pieces apart
 
 

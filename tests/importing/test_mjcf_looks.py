@@ -42,14 +42,6 @@ COLOURS = {
 }
 """MuJoCo's names of the sides +x, -x, +y, -y, +z, -z."""
 
-BESIDE = (
-    "<keyframe><key qpos='.1'/></keyframe><actuator><motor joint='turn'/></actuator>"
-    "<sensor><jointpos joint='turn'/></sensor><equality><joint joint1='turn'/></equality>"
-    "<contact><exclude body1='all' body2='pb'/></contact>"
-    "<tendon><fixed name='f'><joint joint='turn' coef='1'/></fixed></tendon>"
-)
-"""What names bodies and joints."""
-
 
 def write_model(folder, texture, geoms, material="", more=""):
     """A model of one body whose geoms wear `texture`."""
@@ -121,37 +113,3 @@ def test_a_missing_picture_costs_the_picture_alone():
     (shape,) = read_source(CASES / "14_mjcf_missing_image" / "objects" / "tin" / "tin.xml")
     assert [piece.texture for piece in shape.pieces] == [None]
     assert any("'label.png' cannot be read" in note for note in shape.notes)
-
-
-def test_of_several_pictures_those_that_are_there_are_kept(tmp_path):
-    """Beside pictures that are missing, empty or stand-ins of Git LFS, on a cube's side and in a part."""
-    (tmp_path / "images").mkdir()
-    picture().save(tmp_path / "images" / "good.png")
-    (tmp_path / "images" / "empty.png").write_bytes(b"")
-    (tmp_path / "images" / "lfs.png").write_text("version https://git-lfs.github.com/spec/v1\n")
-    (tmp_path / "child.xml").write_text(
-        "<mujoco><asset><texture name='t' type='2d' file='inner.png'/>"
-        "<material name='m' texture='t'/></asset>"
-        "<worldbody><body name='b'><geom size='.01' material='m'/></body></worldbody></mujoco>"
-    )
-    files = {"a": "file='good.png'", "b": "file='empty.png'", "c": "file='lfs.png'", "d": "fileup='gone.png'"}
-    looks = "".join(
-        f"<texture name='{name}' type='{'cube' if name == 'd' else '2d'}' {file}/>"
-        f"<material name='{name}' texture='{name}' rgba='0 1 0 1'/>"
-        for name, file in files.items()
-    )
-    geoms = "".join(
-        f"<geom size='.01' pos='{k / 50} 0 0' material='{name}'/>" for k, name in enumerate(files)
-    )
-    path = tmp_path / "thing.xml"
-    path.write_text(
-        f"<mujoco><compiler texturedir='images'/>{BESIDE}"
-        f"<asset>{looks}<model name='child' file='child.xml'/></asset>"
-        f"<worldbody><body name='all'><joint name='turn'/>{geoms}<attach model='child' body='b' prefix='p'/>"
-        "</body></worldbody></mujoco>"
-    )
-    model = read_mjcf(path)
-    assert [piece.texture is not None for piece in model.pieces] == [True, False, False, False, False]
-    assert [piece.rgba for piece in model.pieces][1:4] == [(0, 1, 0, 1)] * 3
-    for name in ("empty", "lfs", "gone", "inner"):
-        assert any(f"'{name}.png' cannot be read" in note for note in model.notes)

@@ -9,7 +9,7 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import cleaned, joined
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import find_sources, read_source
+from cluttergen_jax.importing.readers import read_source
 
 SIZE = np.array([0.06, 0.04, 0.11])
 
@@ -78,24 +78,6 @@ def test_urdf_links_origins_scales_and_joints(tmp_path):
     np.testing.assert_allclose(rod.mean(0), [0.1 + slid[0], slid[1], 0.1], atol=1e-4)
     assert shape.pieces[0].rgba == (0.8, 0.1, 0.1, 1.0)
     assert len(shape.parts) == 1
-
-
-def test_a_tree_holds_objects_not_files(tmp_path):
-    make_urdf(tmp_path / "lamp" / "0")
-    make_urdf(tmp_path / "lamp" / "1")
-    save_box(tmp_path / "cups" / "big cup.obj")
-    save_box(tmp_path / "cups" / "big cup.stl")
-    save_box(tmp_path / "cups" / "small.stl")
-    save_box(tmp_path / "025_mug" / "google_16k" / "textured.obj")
-    save_box(tmp_path / "025_mug" / "google_16k" / "nontextured.ply")
-    names = {source.name: source.label for source in find_sources(tmp_path)}
-    assert names == {
-        "025_mug": "mug",
-        "big_cup": "big cup",
-        "small": "small",
-        "lamp": "lamp",
-        "lamp-2": "lamp",
-    }
 
 
 def exported(suffix, **options):

@@ -79,27 +79,6 @@ def test_mixture_integrates_to_one_and_its_entropy_is_exact(symmetry):
     assert float(mixture.entropy()) == pytest.approx(surprise.mean(), abs=0.03)
 
 
-@pytest.mark.parametrize("symmetry", [1, 2])
-@pytest.mark.slow
-def test_mixture_draws_follow_its_weights(symmetry):
-    mixture = mixture_of(SCORES, symmetry)
-    draws = np.asarray(jax.vmap(mixture.sample)(jax.random.split(jax.random.key(4), 20_000)))
-    turn = (draws[:, 3] * symmetry) % 1.0
-    counts, _ = np.histogramdd(
-        np.column_stack([draws[:, :2], turn]), bins=(5, 5, 3), range=[(0, 1), (0, 1), (0, 1)]
-    )
-    expected = np.exp(np.asarray(mixture.log_weight, np.float64))
-    expected *= 20_000 / expected.sum()
-    assert scipy.stats.chisquare(counts.reshape(-1), expected).pvalue > 1e-4
-    if symmetry == 2:
-        assert 0.47 < np.mean(draws[:, 3] < 0.5) < 0.53
-    start = np.asarray(BOTTOMS)[(draws[:, 0] * 5).astype(int), (draws[:, 1] * 5).astype(int)]
-    assert ((draws[:, 2] >= start - 1e-4) & (draws[:, 2] <= start + 0.2 + 1e-4)).all()
-    component = int(np.argmax(mixture.log_weight))
-    middle = [(component // 15 + 0.5) / 5, (component // 3 % 5 + 0.5) / 5]
-    np.testing.assert_allclose(mixture.mean()[:2], middle, atol=0.1)
-
-
 def test_beta_has_its_mode_inside_unless_it_is_free():
     dist = Beta.from_raw(RAW)
     assert float(jnp.minimum(dist.alpha, dist.beta).min()) > 1

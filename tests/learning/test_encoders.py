@@ -22,7 +22,6 @@ from tests.helpers.runs import compiled_once
 __all__ = ["compiled_once"]
 
 KINDS = ("pointnet", "pointnet2")
-ENCODERS = {"set": "PointNet_0", "pointnet": "encoder", "pointnet2": "encoder"}
 SMALL = NetworkConfig(
     scene_encoder="pointnet2",
     object_points=16,
@@ -161,30 +160,6 @@ def test_frozen_weights_keep_their_bits_through_an_update():
     same = jax.tree.map(lambda a, b: bool((a == b).all()), start.params["params"], after.params["params"])
     assert all(jax.tree.leaves(same.pop("encoder")))
     assert not any(jax.tree.leaves(same))
-
-
-@pytest.mark.parametrize(("kind", "is_frozen"), [("set", True), ("pointnet", True), ("pointnet", False)])
-@pytest.mark.slow
-def test_frozen_encoders_get_no_gradient_and_keep_their_features(kind, is_frozen):
-    config = dataclasses.replace(
-        SMALL, scene_encoder=kind, history_width=0, encoder_frozen=is_frozen, token_width=8
-    )
-    agent = Agent(config, *world(), NUM_OBJECTS)
-    seen = scenes(3) | {"focus": jnp.array([0, 2, 1])}
-    params = agent.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
-
-    @jax.jit
-    def values(params):
-        kept = agent.encode(params)(seen)
-        assert ("encoded" in kept) == (is_frozen and config.reads_clouds)
-        slope = jax.grad(lambda params: jnp.sum(agent.apply(params, kept)[1]))(params)
-        return agent.apply(params, seen)[1], agent.apply(params, kept)[1], slope["params"]
-
-    whole, kept, slope = values(params)
-    np.testing.assert_allclose(whole, kept, rtol=1e-5)
-    moves = [bool(jnp.any(leaf != 0)) for leaf in jax.tree.leaves(slope[ENCODERS[kind]])]
-    assert not any(moves) if is_frozen else sum(moves) > len(moves) / 2
-    assert bool(jnp.any(slope["critic"]["Dense_0"]["kernel"] != 0))
 
 
 @pytest.mark.parametrize("kind", ["set", *KINDS])

@@ -24,22 +24,6 @@ def made_up(config=CONFIG):
     return rules, agent, jax.jit(agent.init)(jax.random.key(1), observation), observation
 
 
-@pytest.mark.slow
-def test_draws_lie_about_rest_on_what_is_below():
-    rules, agent, params, observation = made_up()
-    # A wall 3 cm high stands under the half of the region with x > 0.
-    observation["heights"] = jnp.zeros((6, 6)).at[3:].set(0.03)
-    observation["region"] = observation["region"].at[2].set(0.2)
-    batch = jax.tree.map(lambda leaf: leaf[None], observation)
-    dist = jax.jit(agent.apply)(params, batch)[0]
-    draws = jax.jit(jax.vmap(dist.sample))(jax.random.split(jax.random.key(2), 2000))[:, 0]
-    half = float(rules.geometry.half_extents[observation["focus"], 2])
-    above = np.asarray(draws[:, 2]) * 0.2 - half - np.where(np.asarray(draws[:, 0]) > 0.5, 0.03, 0.0)
-    assert above.min() >= -0.0011
-    assert above.max() <= 0.0091
-    assert abs(np.median(above) - 0.002) < 0.001
-
-
 @pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, turn_symmetry=1, undersides=True)])
 @pytest.mark.slow
 def test_no_draw_has_a_broken_density(config):

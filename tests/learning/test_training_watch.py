@@ -5,13 +5,11 @@ import signal
 import sys
 import types
 
-import numpy as np
 import pytest
 
-from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.metrics_log import MetricsLog, WandbLog, read_rows
-from tests.helpers.runs import PPO, compiled_once, make_run
+from tests.helpers.runs import compiled_once
 
 __all__ = ["compiled_once"]
 
@@ -79,30 +77,3 @@ def evaluations():
         return {"success": success, **interval, "episodes": 256, "action": "sampled"}
 
     return evaluate, given
-
-
-@pytest.mark.slow
-def test_evaluations_stand_beside_trainings_own_check(tmp_path):
-    evaluate, given = evaluations()
-    said = []
-    folder = tmp_path / "run"
-    run = make_run(folder, evaluate=evaluate, eval_every=PPO.batch_size)
-    run.train(show=said.append)
-    assert len(given) == 4
-    rows = read_rows(folder / "evaluations.csv")
-    assert [row["attempts"] for row in rows] == [16, 32, 48, 64]
-    np.testing.assert_allclose([row["success"] for row in rows], [0.1, 0.2, 0.3, 0.4])
-    record = read_record(folder / "policy")["evaluation"]
-    assert record["success"] == pytest.approx(0.4)
-    assert record["action"] == "sampled"
-    assert record["training_success"] == np.mean(
-        [row["success"] for row in read_rows(folder / "progress.csv")[-2:]]
-    )
-    spoken = [line for line in said if line.startswith("evaluation")]
-    assert len(spoken) == 4
-    own = f"training's check {record['training_success']:.3f}"
-    assert f"{own}, whole last check 0.400 [0.350, 0.450] (256 episodes" in spoken[-1]
-    assert said[1].startswith("memory")
-    # What is done is not done again.
-    make_run(folder, evaluate=evaluate).train(show=said.append)
-    assert len(given) == 4
