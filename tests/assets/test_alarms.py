@@ -2,13 +2,10 @@
 
 import re
 
-import numpy as np
 import pytest
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.deviation import size_alarm
-from cluttergen_jax.assets.inertia import MassProperties
-from cluttergen_jax.assets.stated_mass import combined, mass_alarm
 from cluttergen_jax.cli.pool_table import pool_table
 from cluttergen_jax.importing.readers import read_source
 from tests.helpers.shapes import slab
@@ -34,26 +31,6 @@ def test_what_collides_is_about_what_is_seen(colliding, told):
     assert re.search(told, found)
     # Whichever of the two is the wrong one.
     assert found.split("together")[1] == size_alarm(colliding, points(CARTON)).split("together")[1]
-
-
-@pytest.mark.parametrize(
-    ("mass", "told"),
-    [
-        (0.007, "9.11 kg/m^3 over its convex hull, where 50 to 8,000 are likely"),
-        (0.037, "48.2 kg/m^3 over its convex hull"),
-        (0.1, ""),
-        (0.4, ""),
-        (6.0, ""),
-        (6.3, "8,203 kg/m^3 over its convex hull"),
-        (8.0, "10,417 kg/m^3 over its convex hull"),
-        (np.nan, ""),
-        (-1.0, ""),
-    ],
-)
-def test_a_mass_that_does_not_fit_the_size(mass, told):
-    alarm = mass_alarm(combined([MassProperties(mass, np.zeros(3), np.eye(3))]), slab(CARTON))
-    assert bool(alarm) == bool(told)
-    assert told in alarm
 
 
 URDF = """<robot name="carton"><link name="box">

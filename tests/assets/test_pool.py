@@ -59,22 +59,6 @@ def test_a_damaged_file_is_named(tmp_path, pool, name, harm):
         read_pool(tmp_path / "two")
 
 
-def test_a_failed_write_leaves_nothing(tmp_path, pool, monkeypatch):
-    path = write_pool(tmp_path / "two", pool)
-
-    def fail(folder, asset):
-        folder.mkdir()
-        (folder / "half").write_text("written")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(pools, "write_object", fail)
-    for target in (path, tmp_path / "other"):
-        with pytest.raises(KeyboardInterrupt):
-            write_pool(target, pool, overwrite=True)
-    assert [each.name for each in tmp_path.iterdir()] == ["two"]
-    assert read_pool(path).hash == pool.hash
-
-
 def test_all_is_the_union_and_clashes_are_prefixed(tmp_path, monkeypatch):
     monkeypatch.setattr(pools, "embedded_root", lambda: tmp_path)
     write_pool(tmp_path / "pools" / "study", Pool("study", (make_box("box"), make_box("lamp"))))

@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.placer.pairs.stored import (
 from cluttergen_jax.downstream.placer.query import Proposals
 from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.downstream.splits import SPLITS
-from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.heightmap import VOID
 from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.types import Verdict
@@ -147,20 +147,3 @@ def test_splits_share_no_scene():
         for index in (0, 1, 2, 3, 499, 999_999, 1_000_000, 2_000_000)
     }
     assert len(keys) == 8 * len(seeds)
-
-
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ({"split": "train"}, r"split = 'train'.*seed is 2000000.*'test'"),
-        ({"pool": "dining"}, "`pool` together with `bank`"),
-        ({"num_pairs": 0}, "num_pairs = 0"),
-        ({"seed": -1}, "seed = -1"),
-        ({"seed": 1_000_000}, "seed = 1000000"),
-        ({"camera": "behind"}, "camera 'behind'.*overhead"),
-    ],
-)
-def test_settings_that_cannot_be_meant_are_refused(bank, tmp_path, options, match):
-    with pytest.raises(ConfigError, match=match):
-        cg.placer_data(tmp_path / "pairs", bank.path, **options)
-    assert not blocks(tmp_path)

@@ -13,7 +13,6 @@ pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
-import cluttergen_jax as cg
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import Judge
@@ -28,7 +27,7 @@ from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES
-from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.errors import BankError
 from tests.helpers.arm import PLACES, SCENE, standing, task_of
 
 
@@ -199,20 +198,3 @@ def test_interrupted_trials_go_on_and_rows_of_other_settings_are_refused(made_ro
     (tmp_path / EPISODES).write_text("{}\n[1, 2")
     with pytest.raises(BankError, match="damaged"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"setting": "heap"}, "stacked"),
-        ({"choose": "best"}, "clearance"),
-        ({"order": "random"}, "lowest"),
-        ({"num_episodes": 0}, "num_episodes"),
-        ({"layout": 10}, "layout"),
-        ({"layout": 1, "pick": True}, "one or the other"),
-        ({"films": True, "film": "avi"}, "gif, mp4"),
-    ],
-)
-def test_settings_that_cannot_be_are_refused(given, told, tmp_path):
-    with pytest.raises(ConfigError, match=told):
-        cg.rearrange(tmp_path, **given)

@@ -18,13 +18,12 @@ from cluttergen_jax.downstream.robot.episode import (
     lift_episode,
     place_episode,
 )
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
+from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, pose_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose, home_pose
 from cluttergen_jax.downstream.robot.motion import execute as robot_execute
 from cluttergen_jax.downstream.robot.motion.collision import (
     CLEARANCE,
-    ROOM,
     SELF_CLEARANCE,
     Kind,
     Mode,
@@ -32,7 +31,6 @@ from cluttergen_jax.downstream.robot.motion.collision import (
 )
 from cluttergen_jax.downstream.robot.motion.execute import Phase
 from cluttergen_jax.downstream.robot.motion.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
-from cluttergen_jax.downstream.robot.motion.mover import Mover
 from cluttergen_jax.downstream.robot.motion.plan import Planner
 from cluttergen_jax.downstream.robot.motion.timing import MAX_ACCELERATION, MAX_SPEED, SHARE, timed
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
@@ -298,27 +296,3 @@ def test_an_unplanned_contact_stops_the_arm(kinematics):
         )
     assert told.value.outcome == Outcome.CONTACT
     assert "cube" in told.value.detail or "wall" in told.value.detail
-
-
-def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
-    """The cube is put down by feel where, unknown to the arm, a box stands."""
-    hidden = SCENE.poses.copy()
-    hidden[0] = standing(0.15, -0.2, LOW)
-    episode_world = EpisodeWorld(replace(SCENE, poses=hidden), TARGET, (), 0)
-    told = SCENE.poses.copy()
-
-    def see(only):
-        now = episode_world.execution.poses()
-        return np.stack([told[0], told[1], now[TARGET]])
-
-    world = PlanningWorld(SCENE.names, SCENE.objects, told, TARGET, TABLE, base_pose(TABLE))
-    mover = Mover(episode_world.execution, world, kinematics, TARGET, 0, see, rooms=(ROOM, 0.0), feels=True)
-    place = matrix_of(np.array(standing(0.15, -0.2, CUBE)))[None]
-    mover.pick(mover.find_pick(grasps, place))
-    with pytest.raises(Failed, match="too early") as failure:
-        mover.place(place)
-    assert failure.value.outcome == Outcome.SLIP
-    # It was lifted off again, and can be put down elsewhere.
-    free = np.array(standing(0.15, 0.2, CUBE))
-    assert mover.place(matrix_of(free)[None]) == 0
-    assert np.linalg.norm(episode_world.execution.poses()[TARGET, :3] - free[:3]) < 0.01

@@ -1,10 +1,8 @@
 """Certificates: measured by hand where a hand can, kept in the bank, and taken up again."""
 
-import numpy as np
 import pytest
 
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.blocks import block_path
 from cluttergen_jax.scene.bank.card import CARD
@@ -51,21 +49,3 @@ def test_what_is_certified_is_not_measured_again(bank, capsys):
     assert "2 scenes that stand have their certificate (0 rows are new)" in capsys.readouterr().out
     assert block_path(bank, 0).read_bytes() == before
     assert "| `shake` |" in (bank / CARD).read_text()
-
-
-def test_a_bank_that_grows_is_certified_as_it_grows(tmp_path, capsys):
-    path = tmp_path / "bank"
-    banks.two_scenes(path)
-    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
-    with banks.writer(path, BLOCK_SIZE + 1) as writer:
-        # The block is there, certified or not.
-        assert writer.has_block(0, 3)
-        writer.write_block(
-            1, banks.rows(1, 4).slice(3, 1).set_column(0, "index", [np.array([256], np.int32)])
-        )
-    shake = read_bank(path).table["shake"]
-    assert shake.null_count == 2
-    assert main(["certify", str(path)]) == 0
-    # The new scene failed, and has nothing to be certified.
-    assert "(0 rows are new)" in capsys.readouterr().out
-    assert read_bank(path).table["shake"].equals(shake)

@@ -20,7 +20,7 @@ from cluttergen_jax.evaluation.studies import furniture, table1, table2
 from cluttergen_jax.evaluation.studies.findings import Findings, each_standing, row_of
 from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
 from cluttergen_jax.evaluation.studies.survival import SURVIVAL
-from cluttergen_jax.evaluation.suites import STUDIES, SUITES, find_suite
+from cluttergen_jax.evaluation.suites import STUDIES, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -34,20 +34,6 @@ def runner(tmp_path_factory):
 
 
 # What is asked
-
-
-@pytest.mark.parametrize("suite", SUITES)
-def test_suites_have_trials_at_every_scale(suite):
-    studies = find_suite(suite, Scale())
-    names = [study.name for study in studies]
-    assert len(set(names)) == len(names)
-    assert all(each.trials for each in studies)
-    assert all(max(t.trials for t in each.trials) == each.study.size for each in studies)
-    quick = find_suite(suite, Scale(quick=True))
-    assert all(t.trials <= 16 for study in quick for t in study.trials)
-    # Whatever sets two rows of a study apart, its table can tell: none is made twice.
-    assert all(len(set(each.trials)) == len(each.trials) for each in studies)
-    assert [study.name for study in find_suite(suite, Scale(), (names[-1],))] == names[-1:]
 
 
 def test_suites_ask_what_the_paper_asked():

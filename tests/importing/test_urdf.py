@@ -108,19 +108,3 @@ def test_a_joint_that_mimics_another_follows_it(tmp_path):
     shape = read(write(tmp_path, fingers('<mimic joint="f1" multiplier="-2" offset="0.01"/>')))
     assert heights(shape) == [0.02, -0.03]
     assert "'f2' (prismatic) at -0.03 m" in shape.notes[0]
-
-
-@pytest.mark.parametrize(
-    "body",
-    [
-        '<xacro:macro name="m"/>' + link(),
-        link(form='<box size="${width} 1 1"/>'),
-        link(form='<mesh filename="$(find cups)/meshes/cup.stl"/>'),
-    ],
-)
-@pytest.mark.parametrize("space", ["", ' xmlns:xacro="http://www.ros.org/wiki/xacro"'])
-def test_an_unprocessed_xacro_is_named_as_one(tmp_path, body, space):
-    path = write(tmp_path, body, "cup.urdf")
-    path.write_text(path.read_text().replace("<robot", f"<robot{space}"))
-    with pytest.raises(AssetError, match=r"cup\.urdf is an unprocessed xacro.*Try: xacro cup\.urdf > "):
-        read(path)

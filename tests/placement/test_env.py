@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from brax.envs.wrappers.training import wrap
 
 from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.clouds import scene_cloud
@@ -52,24 +51,6 @@ def test_an_action_that_is_no_number_is_a_failed_attempt():
         np.testing.assert_array_equal(episode.attempt, number)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state.obs, state.reward)))
     assert not episode.is_placed.any()
-
-
-@pytest.mark.parametrize("auto_reset", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_brax_wrappers_scan_over_it(auto_reset):
-    env = wrap(PlacementEnv(made_up_rules(max_attempts=2), auto_reset=auto_reset), episode_length=3)
-    first = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 2))
-
-    def step(state, action):
-        after = env.step(state, jnp.stack([GOOD, action]))
-        seen = (after.done, after.info["steps"], after.info["truncation"], after.obs["focus"])
-        return after, seen
-
-    _, (done, steps, truncation, focus) = jax.lax.scan(step, first, jnp.stack([BAD, BAD, GOOD, GOOD]))
-    # The first scene is cut short at its third attempt; the second one's object has two. Then all is anew.
-    np.testing.assert_array_equal(done, [[0, 0], [0, 1], [1, 0], [0, 0]])
-    np.testing.assert_array_equal(steps, [[1, 1], [2, 2], [3, 1], [1, 2]])
-    np.testing.assert_array_equal(truncation, [[0, 0], [0, 0], [1, 0], [0, 0]])
-    np.testing.assert_array_equal([focus[2, 0], focus[1, 1]], first.obs["focus"])
 
 
 def test_scene_cloud_follows_the_poses():

@@ -1,7 +1,6 @@
 """Where scenes to look at come from, what is said of them, and how the viewer refuses what cannot be."""
 
 import shutil
-import socket
 from dataclasses import replace
 
 import mujoco
@@ -13,7 +12,6 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import AssetError, BankError, ConfigError
 from cluttergen_jax.generation.sources import BankSource, open_source
 from cluttergen_jax.generation.sources.viewing import native_model
-from cluttergen_jax.rendering.viewer.viewer import free_port
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from tests.helpers.drawing import needs_gl
 
@@ -114,19 +112,6 @@ def test_render_writes_what_is_asked_for(bank, source, tmp_path):
     assert main(["render", str(other), "--sheet", *quick]) == 0
     sheets = {each.name for each in tmp_path.glob("*sheet.png")}
     assert sheets == {f"{bank.name}-sheet.png", "other-bank-sheet.png"}
-
-
-def test_port_in_use_is_refused_and_zero_takes_a_free_one():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        with pytest.raises(ConfigError, match=f"{port} cannot be listened on"):
-            free_port("127.0.0.1", port)
-        assert main(["view", "--host", "127.0.0.1", "--port", str(port), "--no-browser"]) == 2
-    assert free_port("127.0.0.1", 0) > 0
-    with pytest.raises(ConfigError, match="65535"):
-        free_port("127.0.0.1", 70000)
 
 
 def test_native_model_begins_at_the_scene_and_stands(source):
