@@ -1,9 +1,13 @@
 """The suite: which runs, in which order, what is skipped, taken up, and what Ctrl-C leaves."""
 
+import numpy as np
+
+from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.evaluation.suites import Scale, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
+from cluttergen_jax.learning.ppo.checkpoint import save_policy, save_state
 from cluttergen_jax.learning.training.suite import (
     DEFAULT_ATTEMPTS,
     POOLS,
@@ -11,6 +15,8 @@ from cluttergen_jax.learning.training.suite import (
     PlannedRun,
     plan,
 )
+from cluttergen_jax.learning.training.suite_run import config_of
+from cluttergen_jax.learning.training.train import TrainConfig, recipe_of
 
 POLICIES = set(VARIANTS) - set(FOR_ANY_POOL)
 
@@ -39,3 +45,31 @@ def test_tables_are_covered_and_the_first_seed_comes_first():
     dining = {run.attempts for run in runs if run.pool == "dining" and run.variant == "policy"}
     assert dining == set(TABLE_ATTEMPTS)
     assert {run.attempts for run in runs if run.pool != "dining"} == {5}
+
+
+def finish_run(args, updates, is_whole=True):
+    """What a run of `args` leaves after so many updates."""
+    settings = args.settings()
+    recipe = recipe_of(args, settings)
+    args.folder.mkdir(parents=True, exist_ok=True)
+    save_state(args.folder / "last", {"x": np.ones(2)}, recipe | {"num_updates": updates})
+    known = {"evaluation": {"success": 0.5}} if is_whole else {}
+    save_policy(args.folder / "policy", {"params": {"actor": np.ones(2)}}, recipe | {"success": 0.25} | known)
+    (args.folder / "progress.csv").write_text("update,attempts,attempts_per_second\n0,2048,1000.0\n")
+
+
+def contents(folder):
+    """Every file below a folder."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_what_is_done_is_left_alone_and_other_settings_are_refused(tmp_path, capsys):
+    command = ["train", "--suite", "paper", "--suite-only", "dining-policy-0", "--out", str(tmp_path)]
+    (run,) = plan("paper", only="dining-policy-0")
+    config = config_of(TrainConfig(), run, tmp_path)
+    finish_run(config, config.settings().ppo.num_updates)
+    before = contents(tmp_path)
+    assert main(command) == 0
+    assert main([*command, "--num-attempts", "9999"]) == 2
+    assert "another ppo" in capsys.readouterr().err
+    assert contents(tmp_path) == before
