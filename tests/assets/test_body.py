@@ -169,16 +169,6 @@ def test_own_parts_that_fill_the_cavity_are_replaced_by_coacd():
     assert asset.flags == ()
 
 
-def test_the_light_tier_is_one_hull():
-    asset = make_object(open_box(), BodyConfig(tier="light"))
-    assert len(asset.parts) == 1
-    assert len(asset.parts[0].vertices) <= MAX_PART_VERTICES
-    assert asset.tier == "light"
-    assert asset.quality.cavity_fill > 0.9
-    standard = make_object(open_box())
-    assert asset.mass == standard.mass
-
-
 def test_settings_out_of_range_are_refused():
     with pytest.raises(ConfigError):
         DecompositionConfig(max_parts=64)

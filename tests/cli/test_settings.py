@@ -1,6 +1,5 @@
 """Settings that cannot be meant, and places that cannot be written to: refused with a sentence, at once."""
 
-import errno
 import math
 from dataclasses import replace
 
@@ -10,7 +9,7 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.assets.reach import check_reach
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.cli.main import main, run
+from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.runner import Runner
@@ -113,17 +112,6 @@ def test_a_file_in_the_place_of_the_folder_is_explained(words, tmp_path, monkeyp
     assert str(taken) in said
     assert "Try: " in said
     assert taken.read_text() == "mine"
-
-
-@pytest.mark.parametrize("code", [errno.EROFS, errno.EACCES, errno.ENOSPC, errno.EIO])
-def test_what_the_disk_refuses_is_explained(code, capsys):
-    class Refused:
-        def run(self):
-            raise OSError(code, "no", "bank/verification.json")
-
-    assert run(Refused()) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: bank/verification.json: no. Try: ")
 
 
 @pytest.mark.parametrize(

@@ -95,17 +95,6 @@ def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp
         write_views(more.path, {"made": bank}, "train", 6, CONFIG)
 
 
-@needs_gl
-def test_a_damaged_block_is_named_and_made_again(views, bank, tmp_path):
-    made_ = write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)
-    whole = rows_of(made_.path)
-    VIEWS.block_path(made_.path, "train", 0).write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(BankError, match="missing or damaged"):
-        list(made_.views("train"))
-    write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)
-    assert rows_of(made_.path) == whole
-
-
 def test_frames_are_read_as_they_were_written_and_damaged_ones_are_refused(tmp_path):
     view = view_of(POSES, overhead()).view
     depth = view.depth.copy()

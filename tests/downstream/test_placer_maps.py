@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.downstream.placer.map_search import APART, best_apart, search
-from cluttergen_jax.downstream.placer.proposers import BASELINES, GeometryPlacer
-from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery
+from cluttergen_jax.downstream.placer.proposers import GeometryPlacer
+from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.search.fit import UnderSide
 from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
@@ -80,17 +80,3 @@ def test_what_is_hidden_is_free_to_one_and_taken_to_the_other():
     assert (place["occupied"][:, 0] > 0).all()
     assert (place["free"][:, 0] < 0).any()
     assert np.allclose(place["occupied"][:, 2], HALF + CLEARANCE, atol=1e-6)
-
-
-@pytest.mark.parametrize("name", BASELINES)
-def test_a_baseline_answers_many_queries_at_once_as_it_answers_one(name):
-    placer, keys = BASELINES[name](), jax.random.split(jax.random.key(2), 3)
-    heights = bare()
-    heights[10:20, 10:20] = 0.04
-    asked = query(heights)
-    many = jax.jit(jax.vmap(placer, in_axes=(0, None)))(keys, asked)
-    one = jax.jit(placer)(keys[1], asked)
-    assert many.pose.shape == (3, NUM_PROPOSALS, 4)
-    assert jnp.isnan(many.score).all()
-    assert np.allclose(many.pose[1], one.pose, atol=1e-5)
-    assert (jnp.abs(many.pose[..., :2]) <= 0.2).all()

@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.motion import plan
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.planner_hash import planner_hash
-from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials, run_trials
+from cluttergen_jax.downstream.robot.trials import EPISODES, run_trials
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers.placing import write_bank
@@ -95,18 +95,6 @@ def test_rows_are_not_continued_with_other_grasps_or_another_planner(bank, made,
             run_trials(scenes, "lift", 3, 0, tmp_path, {})
     planner_hash.cache_clear()
     assert len(run_trials(scenes, "lift", 3, 0, tmp_path, {}).rows) == 3
-
-
-def test_rates_are_of_all_and_of_those_that_were_possible():
-    rows = (GOOD, GOOD, failed(Outcome.NO_GRASP), failed(Outcome.CONTACT, "fork"))
-    trials = RobotTrials("place", rows)
-    assert trials.success_rate == 0.5
-    assert [row.outcome for row in trials.possible] == ["success", "success", "contact"]
-    told = str(trials)
-    assert "0.500 [0.150, 0.850] of 4 of all episodes" in told
-    assert "of 3 where" in told
-    assert "no grasp 1" in told
-    assert "fork" in told
 
 
 @pytest.mark.slow

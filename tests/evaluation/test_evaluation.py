@@ -1,14 +1,11 @@
 """Episodes of a trial and their figures."""
 
-import dataclasses
 import json
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.evaluation.episodes import (
     attempts_of,
     figures_of,
@@ -16,7 +13,7 @@ from cluttergen_jax.evaluation.episodes import (
 )
 from cluttergen_jax.evaluation.studies.fig1a import at_least
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_blocks
-from tests.helpers.problems import HalfTable, made_up_rules
+from tests.helpers.problems import made_up_rules
 
 
 @jax.tree_util.Partial
@@ -59,27 +56,3 @@ def test_figures_by_hand(made_up):
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] == figures["filled"]
     json.dumps(figures, allow_nan=False)
-
-
-class SlowTable(HalfTable):
-    """Attempts that fail take 240 steps."""
-
-    def settle(self, poses, is_placed, focus, is_active):
-        result = super().settle(poses, is_placed, focus, is_active)
-        return result.replace(num_steps=jnp.where(result.num_steps == 60, 240, result.num_steps))
-
-
-def test_whole_attempts_count_all_steps_and_the_history_tells_what_decided():
-    whole = SlowTable(StabilityConfig(stop_when_decided=False))
-    cut = made_up_rules(history_stride=12)
-    patient = dataclasses.replace(cut, physics=whole, history_steps=whole.config.decision_step)
-    assert patient.history_rows == cut.history_rows
-    fails = jnp.array([0.1, 0.5, 0.1, 0.5])
-    after, expected = (
-        jax.jit(lambda key, rules=rules: rules.attempt(rules.begin(key), fails)[0])(jax.random.key(0))
-        for rules in (patient, cut)
-    )
-    assert int(after.counts.steps[0]) == 240
-    assert int(expected.counts.steps[0]) == 60
-    for ours, theirs in zip(jax.tree.leaves(after.history), jax.tree.leaves(expected.history), strict=True):
-        np.testing.assert_array_equal(ours, theirs)

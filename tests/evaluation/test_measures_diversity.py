@@ -113,19 +113,6 @@ def test_box_is_the_rectangle_between_extremes():
     assert np.isnan(plan_box_area(scenes_at(positions), is_placed & False, REGION))
 
 
-def test_turning_a_long_object_counts_for_more():
-    def turned(k):
-        turns = np.tile([1.0, 0, 0, 0], (2, K, 1))
-        turns[1, k] = Rotation.from_euler("z", 0.5).as_quat()[[3, 0, 1, 2]]
-        poses = scenes_at(np.zeros((2, K, 2)), turns)
-        return scene_distances(vectors_of(poses, np.ones((2, K), bool)))[0, 1]
-
-    for k, half in enumerate(HALVES):
-        radius = np.sqrt((half[0] ** 2 + half[1] ** 2) / 3)
-        assert turned(k) == pytest.approx(2 * np.sin(0.25) * radius / np.sqrt(K))
-    assert turned(0) > turned(1) > turned(2)
-
-
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**31))
 def test_distance_is_a_metric_whatever_is_absent(seed):

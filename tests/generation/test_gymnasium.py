@@ -33,11 +33,6 @@ def envs():
     return GymnasiumVectorEnv(of_one(), NUM)
 
 
-@pytest.fixture(scope="module")
-def next_step():
-    return made_vector_env(AutoresetMode.NEXT_STEP)
-
-
 def made_vector_env(mode):
     """As `make_vector_env` makes it, with the call that does."""
     return GymnasiumVectorEnv(of_one(), NUM, mode, partial(made_vector_env, mode))
@@ -69,15 +64,6 @@ def test_gymnasium_checks_the_single_environment(single):
         # Metres have no bounds; and no picture is drawn.
         warnings.filterwarnings("ignore", message=".*infinity.*|.*render modes.*")
         check_env(single)
-
-
-def test_many_do_what_gymnasium_makes_of_one(single, envs, next_step):
-    theirs = SyncVectorEnv([lambda: single] * NUM, autoreset_mode=AutoresetMode.NEXT_STEP)
-    assert next_step.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
-    theirs = SyncVectorEnv([lambda: single] * NUM, autoreset_mode=AutoresetMode.SAME_STEP)
-    assert envs.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
-    assert envs.observation_space == theirs.observation_space
-    assert envs.action_space == theirs.action_space
 
 
 @pytest.mark.slow

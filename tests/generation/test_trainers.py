@@ -5,12 +5,8 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
-from brax.envs.wrappers.training import VmapWrapper, wrap
-from brax.training.acme import running_statistics, specs
-from brax.training.acting import generate_unroll
-from brax.training.agents.ppo import losses, networks
+from brax.training.agents.ppo import networks
 from brax.training.agents.ppo import train as ppo
 
 import cluttergen_jax as cg
@@ -80,48 +76,6 @@ def test_actions_of_other_kinds_propose_the_same_poses():
     assert upright.action_size == 3
     with pytest.raises(ConfigError, match=r"action_range = \(1.0, 0.0\)"):
         ActionRange(env, 1.0, 0.0)
-
-
-def two_updates(env, num_envs=4, num_steps=8):
-    """Brax's pieces put together: parameters and states before and after, and the losses."""
-    net = networks.make_ppo_networks(
-        env.observation_size, env.action_size, running_statistics.normalize, (16,), (16,)
-    )
-    keys = jax.random.split(jax.random.PRNGKey(0), 5)
-    state = jax.jit(env.reset)(jax.random.split(keys[0], num_envs))
-    statistics = running_statistics.init_state(specs.Array((env.observation_size,), jnp.float32))
-    params = losses.PPONetworkParams(net.policy_network.init(keys[1]), net.value_network.init(keys[2]))
-    adam = optax.adam(1e-3)
-
-    def update(carry, key):
-        params, optimizer, statistics, state = carry
-        policy = networks.make_inference_fn(net)((statistics, params.policy))
-        key_act, key_loss = jax.random.split(key)
-        state, data = generate_unroll(env, state, policy, key_act, num_steps, extra_fields=("truncation",))
-        data = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data)
-        statistics = running_statistics.update(statistics, data.observation)
-        loss = functools.partial(losses.compute_ppo_loss, ppo_network=net)
-        (value, _), gradient = jax.value_and_grad(loss, has_aux=True)(params, statistics, data, key_loss)
-        changes, optimizer = adam.update(gradient, optimizer)
-        return (optax.apply_updates(params, changes), optimizer, statistics, state), value
-
-    first = (params, adam.init(params), statistics, state)
-    last, values = jax.jit(lambda carry: jax.lax.scan(update, carry, keys[3:]))(first)
-    return first, last, values
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("wrapping", ["Brax's", "own reset"])
-def test_two_updates_of_brax_ppo(wrapping):
-    own = made_up_env(auto_reset=wrapping == "own reset")
-    env = VmapWrapper(own) if wrapping == "own reset" else wrap(own, own.episode_length)
-    first, last, values = two_updates(env)
-    assert np.isfinite(values).all()
-    assert jax.tree.structure(first) == jax.tree.structure(last)
-    for before, after in zip(jax.tree.leaves(first[0]), jax.tree.leaves(last[0]), strict=True):
-        assert np.isfinite(after).all()
-        assert np.abs(after - before).max() > 1e-4
-    assert np.isfinite(last[2].mean).all()
 
 
 @pytest.mark.slow

@@ -39,18 +39,6 @@ def test_sound_weights_are_read_and_the_critic_is_left(folder):
     assert params["actor"]["bias"].dtype == np.float32
 
 
-def test_equal_arrays_are_stored_once(tmp_path):
-    half = np.random.default_rng(0).normal(size=(64, 64)).astype(np.float16).astype(np.float32)
-    params = {"one": {"kernel": half}, "two": {"kernel": half.copy()}, "three": {"kernel": -half}}
-    save_policy(tmp_path, params, {})
-    with zipfile.ZipFile(tmp_path / "weights.npz") as archive:
-        sizes = {each.filename: each.file_size for each in archive.infolist()}
-    assert sizes["two/kernel.npy"] < 500 < half.size < sizes["one/kernel.npy"]
-    jax.tree.map(
-        np.testing.assert_array_equal, read_policy(tmp_path, jax.tree.map(np.zeros_like, params)), params
-    )
-
-
 @pytest.mark.parametrize(
     ("name", "value", "says"),
     [

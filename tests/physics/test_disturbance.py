@@ -34,11 +34,6 @@ def over_the_edge(layout, index, margin, turn=0.0):
     return scene(layout, {index: (*at, TOP + HEIGHT[index])})
 
 
-def on_another(layout, margin):
-    """A cube on a cube, its centre of mass so many metres inside the lower one's edge."""
-    return scene(layout, {LOWER: (0, 0, TOP + 0.03), CUBE: (0.03 - margin, 0, TOP + 0.09)})
-
-
 def settle(engine, focus, *scenes):
     poses, is_placed = (np.stack(arrays) for arrays in zip(*scenes, strict=True))
     return engine.settle_batch(poses, is_placed, np.full(len(poses), focus), np.ones(len(poses), bool))
@@ -57,17 +52,6 @@ def test_what_would_tip_by_hand_arithmetic_is_fragile(layout, engines):
     # The tilt goes once around: it finds every edge.
     opposite = over_the_edge(layout, TALL, 0.002, turn=2)
     assert settle(robust, TALL, opposite).verdict.tolist() == [Verdict.FRAGILE]
-
-
-def test_what_lies_on_another_wakes_it_and_is_judged_with_it(layout, engines):
-    plain, robust = engines
-    scenes = [on_another(layout, margin) for margin in (0.001, 0.01, 0.03)]
-    assert (settle(plain, CUBE, *scenes).verdict == Verdict.STABLE).all()
-    assert settle(robust, CUBE, *scenes).verdict.tolist() == [
-        Verdict.FRAGILE,
-        Verdict.STABLE,
-        Verdict.STABLE,
-    ]
 
 
 def test_only_the_verdict_tells_and_the_next_attempt_feels_nothing_of_it(layout, engines):

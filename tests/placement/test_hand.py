@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.placement.hand import HandScene
-from cluttergen_jax.placement.hand.clock import ActiveClock
 from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.setup import Setup
@@ -16,15 +15,6 @@ from tests.helpers.problems import trio_problem
 
 BOX, PRISM, TALL = 0, 1, 2
 HALF_HEIGHT = (0.05, 0.03, 0.1)
-
-
-class Hours:
-    """A clock that goes on when it is told to."""
-
-    now = 0.0
-
-    def __call__(self):
-        return self.now
 
 
 def setup_of(**placement):
@@ -49,25 +39,6 @@ def place(scene, which, x, y, yaw=0.0):
     scene.hold(x, y, yaw)
     scene.lower()
     return scene.drop()
-
-
-def test_the_clock_stands_still_a_minute_after_the_latest_input():
-    hours = Hours()
-    clock = ActiveClock(hours)
-    hours.now = 500.0
-    assert clock.seconds == 0
-    clock.touch()
-    for now, seconds in ((510.0, 10), (560.0, 60), (9000.0, 60)):
-        hours.now = now
-        assert clock.seconds == seconds
-    clock.touch()
-    hours.now = 9030.0
-    clock.touch()
-    hours.now = 9050.0
-    assert clock.seconds == 60 + 30 + 20
-    clock.stop()
-    hours.now = 9060.0
-    assert clock.seconds == 110
 
 
 def test_whatever_a_person_does_the_books_are_right(setup):

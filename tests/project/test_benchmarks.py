@@ -7,7 +7,6 @@ from benchmarks import (
     engines,
     gpu,
     last_check,
-    other_mujoco,
 )
 from benchmarks.bodies import box
 from benchmarks.rows import Rows
@@ -47,16 +46,6 @@ def test_engines_run(pool):
     assert contenders["native, 1 thread"].success == 1.0
     assert all(each.turns[0].attempts > 0 for each in contenders.values())
     assert "| native, 1 thread |" in engines.body_of(contenders, [], args)
-
-
-@pytest.mark.parametrize("is_libccd", [False, True])
-@pytest.mark.parametrize(("turn", "expected"), [("1 0 0 0", True), ("0.95 0.31 0 0", False)])
-def test_a_saved_scene_stands_or_falls_in_any_mujoco(turn, expected, is_libccd, tmp_path):
-    (tmp_path / "scene.xml").write_text(f"""<mujoco><worldbody><geom type="plane" size="1 1 1"/>
-      <body name="box" pos="0 0 0.05" quat="{turn}">
-      <freejoint/><geom type="box" size="0.02 0.02 0.05"/></body>
-      </worldbody><keyframe><key name="scene" qpos="0 0 0.05 {turn}"/></keyframe></mujoco>""")
-    assert other_mujoco.stands(tmp_path / "scene.xml", is_libccd) is expected
 
 
 def test_rows_are_made_once_and_what_failed_or_goes_on_is_made_again(tmp_path):
