@@ -1,6 +1,5 @@
 """Images on surfaces: read from every format, kept by pools and banks, the right way up wherever they go."""
 
-import io
 import json
 import struct
 
@@ -17,7 +16,6 @@ from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.supports import support_from_mesh
-from cluttergen_jax.rendering.viewer.scene_nodes import textured_mesh
 from tests.helpers import textured
 from tests.helpers.shapes import SOURCE
 from tests.helpers.textured import assert_upright
@@ -156,16 +154,3 @@ def test_welding_keeps_seams_and_simplifying_keeps_the_image():
     # All around, the two sides of the seam included, but for the poles, where a place has every colour.
     is_away = np.linalg.norm(middle[:, :2], axis=1) > 0.02
     assert np.quantile(np.minimum(off, 1 - off)[is_away], 0.99) < 0.02
-
-
-def test_the_viewer_is_given_the_image():
-    blob = io.BytesIO(textured_mesh(textured.piece()).export(file_type="glb"))
-    (geometry,) = trimesh.load_scene(blob, file_type="glb", process=False).geometry.values()
-    piece = Piece(
-        Mesh(geometry.vertices, geometry.faces),
-        (1.0, 1.0, 1.0, 1.0),
-        geometry.visual.uv,
-        Texture.of(geometry.visual.material.baseColorTexture),
-    )
-    assert_upright(piece)
-    assert geometry.visual.material.doubleSided

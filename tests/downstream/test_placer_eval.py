@@ -4,28 +4,20 @@ from dataclasses import replace
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from flax import struct
 from scipy.ndimage import minimum_filter
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.placer.evaluation import bench as bench_module
 from cluttergen_jax.downstream.placer.evaluation.bench import Outcome
-from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
 from cluttergen_jax.downstream.placer.pairs import maker as data
 from cluttergen_jax.downstream.placer.pairs import stored as pairs
 from cluttergen_jax.downstream.placer.pairs.stored import load_queries
-from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
-from cluttergen_jax.downstream.placer.proposers import GeometryPlacer
-from cluttergen_jax.downstream.placer.query import without_scores
 from cluttergen_jax.downstream.splits import SPLITS
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
-from cluttergen_jax.placement.search.search import SearchConfig
 from cluttergen_jax.proportions import wilson
-from cluttergen_jax.sensing.noise import NOISE_OFF
 from cluttergen_jax.types import Verdict
 from tests.helpers.placing import write_bank
 
@@ -106,28 +98,3 @@ def test_figures_are_shares_of_verdicts_with_wilsons_intervals(labels):
     assert sum(each["queries"] for each in figures["by_object"]) == number
     assert figures["calibration"]["brier"] == pytest.approx((3 * 0.1**2 + 3 * 0.3**2) / 6)
     assert figures["calibration"]["gap"] == pytest.approx(0.5 * 0.1 + 0.5 * 0.3)
-
-
-@pytest.mark.slow
-def test_a_chain_fills_a_table_by_what_the_camera_sees(tmp_path):
-    scenes = PartialScenes(write_bank(tmp_path / "bank", 2, SPLITS["test"]))
-    made = Chains(scenes, 5, "overhead", NOISE_OFF, seed=0)
-    found = made.run(GeometryPlacer("occupied", SearchConfig(64, 16, 8)))
-    assert made.num_chains == 2
-    assert found["success"]["share"] == 1
-    assert found["placed"] == 3
-    assert [each["standing"] for each in found["by_slot"]] == [0, 1, 2]
-    # Who lets everything go at one place gets no farther than the first object.
-    stubborn = made.run(OnePlace())
-    assert stubborn["success"]["share"] == 0
-    assert stubborn["placed"] == 1
-    assert stubborn["by_slot"][1] == {"standing": 1, "chains": 2, "share": 0.0}
-
-
-class OnePlace(struct.PyTreeNode):
-    """Proposes the middle of the table, five times."""
-
-    def __call__(self, key, query):
-        return without_scores(
-            jnp.tile(jnp.array([0.0, 0.0, 0.001, 0.0]).at[2].add(query.half_extents[2]), (5, 1))
-        )

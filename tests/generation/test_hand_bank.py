@@ -1,6 +1,5 @@
 """Banks of scenes made by hand: any bank's readers read them, and they grow scene by scene."""
 
-import shutil
 from dataclasses import replace
 
 import jax
@@ -109,27 +108,3 @@ def test_every_reader_reads_it(made, tmp_path):
     assert "| `seconds` | `float` | that the person who made the scene spent on it" in card
     assert "- method: hand" in card
     assert "- attempts per object: as many as were wanted" in card
-
-
-def test_it_goes_on_where_it_ended_with_the_objects_that_come_next(made, setup, tmp_path):
-    path, _, _ = made
-    shutil.copytree(path, tmp_path / "bank")
-    (tmp_path / "bank" / "scenes" / "000002.xml").unlink()
-    with opened(tmp_path / "bank", setup) as bank:
-        # What a killed writer left out is written.
-        assert cg.verify(tmp_path / "bank").is_sound
-        assert bank.num_kept == 3
-        resumed = bank.begin()
-        bank.keep(fill(bank, y=0.1))
-    with opened(tmp_path / "other", setup) as bank:
-        orders = []
-        for _ in range(4):
-            orders.append(bank.begin().all)
-            bank.keep(give_up(bank))
-    assert resumed.number == 3
-    assert resumed.all == orders[3]
-    assert len(set(map(tuple, orders))) > 1
-    table = read_bank(tmp_path / "bank").table
-    assert table.num_rows == read_bank(tmp_path / "bank").num_scenes == 4
-    assert table.slice(0, 3).equals(read_bank(path).table)
-    assert cg.verify(tmp_path / "bank").stands.tolist() == [True] * 3

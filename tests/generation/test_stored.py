@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.scene.bank import read_bank
 from tests.helpers import banks
@@ -72,19 +71,3 @@ def test_a_real_scene_stands_in_the_one_model_and_absent_objects_wait(tmp_path):
         np.testing.assert_allclose(poses[:, :3], start[:, :3], atol=2e-3)
         assert turn_between(np, poses[:, 3:], start[:, 3:]).max() < 0.01
         assert np.asarray(scene.is_present).sum() == 2
-
-
-def test_a_subset_is_drawn_by_its_seed(path, bank):
-    some, again, other = (cg.load_bank(path, num_scenes=50, seed=seed) for seed in (1, 1, 2))
-    assert len(some) == 50
-    np.testing.assert_array_equal(some.index, again.index)
-    assert set(some.index.tolist()) != set(other.index.tolist())
-    assert set(some.index.tolist()) < set(bank.index.tolist())
-    rows = {int(number): place for place, number in enumerate(bank.index)}
-    places = np.array([rows[int(number)] for number in some.index])
-    np.testing.assert_array_equal(some.qpos, np.asarray(bank.qpos)[places])
-    assert len(cg.load_bank(path, num_scenes=10_000)) == len(bank)
-    with pytest.raises(ConfigError, match="num_scenes"):
-        cg.load_bank(path, num_scenes=0)
-    with pytest.raises(ConfigError, match="seed = -1"):
-        cg.load_bank(path, num_scenes=1, seed=-1)

@@ -1,7 +1,5 @@
 """Variants: equally many of each family, none of a held-out one, the same before and after the cache."""
 
-import multiprocessing
-
 import pytest
 
 from cluttergen_jax.assets.body import make_object
@@ -48,21 +46,4 @@ def test_a_body_that_fails_is_named_and_the_others_stay(home, monkeypatch):
     monkeypatch.setattr(module, "run_all", some)
     with pytest.raises(AssetError, match=r"fork-0: no convex part"):
         variants(2, 0, PAIR)
-    assert cache.load(ShapeVariant("cereal_box", 0).key, "cereal_box-0") is not None
-
-
-@pytest.mark.slow
-def test_what_is_left_early_leaves_no_worker_and_no_half_body(home, monkeypatch):
-    class Interrupted(module.Progress):
-        def update(self, *args, **options):
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(module, "Progress", Interrupted)
-    before = set(multiprocessing.active_children())
-    with pytest.raises(KeyboardInterrupt):
-        variants(2, 0, PAIR, num_processes=1)
-    for process in set(multiprocessing.active_children()) - before:
-        process.join(20)
-        assert not process.is_alive()
-    # What was finished is there, and it is whole.
     assert cache.load(ShapeVariant("cereal_box", 0).key, "cereal_box-0") is not None

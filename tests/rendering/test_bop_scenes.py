@@ -123,13 +123,6 @@ def test_what_contradicts_a_split_is_refused_before_any_work(first, tmp_path):
         assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize("split", ["models", "", "../train", "trainer", "train_", "val/x", "Test"])
-def test_names_of_no_split_are_refused(first, tmp_path, split):
-    with pytest.raises(ConfigError, match="train, val or test"):
-        added(first, tmp_path, split=split)
-    assert not list(tmp_path.iterdir())
-
-
 def test_scenes_of_unknown_origin_are_not_mixed_with_others(first, tmp_path):
     added(first, tmp_path, "1")
     origin = tmp_path / "bop" / "train_synt" / "000001" / "origin.json"

@@ -3,7 +3,6 @@
 import shutil
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -11,7 +10,6 @@ from cluttergen_jax.api.render import render
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import AssetError, BankError, ConfigError
 from cluttergen_jax.generation.sources import BankSource, open_source
-from cluttergen_jax.generation.sources.viewing import native_model
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from tests.helpers.drawing import needs_gl
 
@@ -112,14 +110,3 @@ def test_render_writes_what_is_asked_for(bank, source, tmp_path):
     assert main(["render", str(other), "--sheet", *quick]) == 0
     sheets = {each.name for each in tmp_path.glob("*sheet.png")}
     assert sheets == {f"{bank.name}-sheet.png", "other-bank-sheet.png"}
-
-
-def test_native_model_begins_at_the_scene_and_stands(source):
-    recording = source.still(int(source.successes[0]))
-    model, qpos = native_model(recording)
-    np.testing.assert_allclose(qpos.reshape(-1, 7), recording.poses, atol=1e-6)
-    np.testing.assert_allclose(model.qpos0, qpos, atol=1e-6)
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_step(model, data, 240)
-    assert np.abs(data.qpos.reshape(-1, 7)[:, :3] - recording.poses[:, :3]).max() < 0.005

@@ -187,23 +187,6 @@ def test_what_is_pulled_is_looked_at_first(bank, tmp_path, server, harm, says):
     assert contents(tmp_path) == before
 
 
-def test_nothing_else_is_overwritten(bank, tmp_path, server, folder):
-    server.commits[NAME] = [{"thesis.tex": b"important"}]
-    with pytest.raises(BankError, match="not a bank"):
-        cg.push_bank(bank, NAME, hub=server.url)
-    assert server.commits[NAME] == [{"thesis.tex": b"important"}]
-    cg.push_bank(bank, NAME, hub=str(folder))
-    (tmp_path / "here").mkdir()
-    (tmp_path / "here" / "thesis.tex").write_text("important")
-    with pytest.raises(BankError, match="exists and is not a bank"):
-        cg.pull_bank(NAME, tmp_path / "here", hub=str(folder), overwrite=True)
-    with pytest.raises(BankError, match="`overwrite`"):
-        cg.pull_bank(NAME, bank, hub=str(folder))
-    (bank / "overview.png").write_bytes(b"old")
-    cg.pull_bank(NAME, bank, hub=str(folder), overwrite=True)
-    assert not (bank / "overview.png").exists()
-
-
 @pytest.mark.parametrize(
     "name", ["bank", "a/b/c", "../bank", "me/..", "/me/bank", "me/ba nk", "me/a..b", "", "me/-x"]
 )
