@@ -10,12 +10,10 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax import cluster as clusters
-from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.scene.bank import BankWriter
 from tests.helpers import clusters as work
-from tests.helpers.worlds import trio
 
 pytest.importorskip("ray", reason="needs the extra ray")
 TWO = Cluster("local", 2)
@@ -29,11 +27,6 @@ def ray():
     ray.init("local", num_cpus=4, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
     yield ray
     ray.shutdown()
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
 def test_every_item_has_one_result_and_workers_share_them(ray, tmp_path):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.config import TRUSTED_METHODS, VerifyConfig
 from cluttergen_jax.generation.sources.opening import open_source
 from cluttergen_jax.placement.config import MIN_MARGIN
@@ -12,15 +11,9 @@ from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.card import card_text
 from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.spec import SceneSpec
-from tests.helpers.worlds import trio
 
 RULES = ("order", "ruin_after", "budget", "min_margin")
 PAPER = {"order": "random", "ruin_after": 0, "budget": None, "min_margin": 0.0}
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
 def rules(method, **asked):

@@ -15,20 +15,13 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.placement.region import KeepOut, make_region
 from cluttergen_jax.scene.bank import read_bank
-from tests.helpers.worlds import trio
 
 KEYS = jax.random.split(jax.random.key(3), 6)
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
 @pytest.fixture(scope="module")

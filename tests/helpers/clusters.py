@@ -37,8 +37,6 @@ def variables() -> Callable[[str], str | None]:
     return os.environ.get
 
 
-
-
 class Deaths:
     """Makes a function that kills its process at item 3, at most so many times in all.
 
@@ -59,5 +57,3 @@ class Deaths:
             return -item
 
         return work
-
-

@@ -1,15 +1,10 @@
 """What objects are called: after what says something, in Latin letters, and as the pool has them already."""
 
 import pytest
-import trimesh
 
 from cluttergen_jax.importing.readers import find_sources
 from cluttergen_jax.importing.readers.source import plain_name
-
-
-def save_box(path):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box((0.05, 0.05, 0.05)).export(path)
+from tests.helpers.shapes import save_box
 
 
 def names(folder):

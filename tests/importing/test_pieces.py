@@ -3,19 +3,14 @@
 from pathlib import Path
 
 import pytest
-import trimesh
 
 from cluttergen_jax.importing.readers import find_sources, survey
 from cluttergen_jax.importing.readers.pieces import whole_of
+from tests.helpers.shapes import save_box
 
 CASES = Path(__file__).parents[1] / "cases" / "import" / "13_pieces_beside_model"
 MJCF = """<mujoco><asset><mesh name="m" file="{}"/></asset>
 <worldbody><body><geom type="mesh" mesh="m" mass="0.3"/></body></worldbody></mujoco>"""
-
-
-def save_box(path, side=0.05):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box((side, side, side)).export(path)
 
 
 def save(folder, *files, model="", mesh="a.obj"):

@@ -11,14 +11,10 @@ import trimesh
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
 from cluttergen_jax.importing.sets import layouts
+from tests.helpers.shapes import save_box
 
 BODY = '<body name="{}"><geom type="box" size=".02 .02 .02"/></body>'
 MODELS = ["bottle", "bread", "can", "cereal", "lemon", "milk", "plate-with-hole", "round-nut", "square-nut"]
-
-
-def save_box(path):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box((0.05, 0.05, 0.05)).export(path)
 
 
 def save_model(path, *bodies):

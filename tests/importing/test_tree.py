@@ -4,22 +4,17 @@ import os
 
 import numpy as np
 import pytest
-import trimesh
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.readers import find_sources, read_shape, read_source, survey
 from cluttergen_jax.importing.run import ObjectConfig
+from tests.helpers.shapes import save_box
 
 URDF = """<robot name="r"><link name="a"><visual><geometry><mesh filename="{}"/></geometry></visual></link>
 </robot>"""
 TOY = """<mujoco><compiler meshdir="parts"/><asset><mesh name="m" file="wheel.stl"/></asset>
 <worldbody><body name="toy"><freejoint/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
-
-
-def save_box(path, side=0.05):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box((side, side, side)).export(path)
 
 
 def names(folder):

@@ -8,18 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene.bank import read_bank, verify
 from cluttergen_jax.scene.bank.verify import verify_scene
-from tests.helpers.worlds import trio
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
 @pytest.fixture(scope="module")
