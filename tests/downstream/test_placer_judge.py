@@ -9,7 +9,7 @@ from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.types import Verdict
 from tests.helpers.placing import write_bank
-from tests.helpers.worlds import TOP, trio
+from tests.helpers.worlds import trio
 
 
 @pytest.fixture(scope="module")
@@ -52,17 +52,6 @@ def test_verdicts_are_those_of_an_attempt_of_the_decision_process(scenes, judge,
     expected = np.asarray(jax.jit(jax.vmap(attempted))(row, pose))
     assert np.array_equal(judged.verdict, expected)
     assert {int(Verdict.STABLE), int(Verdict.DISPLACED)} <= set(expected.tolist())
-
-
-def test_where_the_scenes_own_object_rests_it_stands_with_a_margin(scenes, judge):
-    places = scenes.places()
-    own = scenes.poses[places[:, 0], places[:, 1]]
-    yaw = 2 * np.arctan2(own[:, 6], own[:, 3])
-    pose = np.column_stack([own[:, :2], own[:, 2] - TOP + 0.001, yaw]).astype(np.float32)
-    judged = judge.settle(scenes.episodes(places), np.arange(len(places)), pose)
-    assert (judged.verdict == int(Verdict.STABLE)).all()
-    assert judged.has_margin.all()
-    assert judge.stand(judged).all()
 
 
 def test_what_meets_another_object_or_nothing_at_all_does_not_stand(scenes, judge, half_heights):

@@ -4,8 +4,6 @@ import pytest
 
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.blocks import block_path
-from cluttergen_jax.scene.bank.card import CARD
 from cluttergen_jax.scene.bank.table import CERTIFICATE
 from tests.helpers import banks
 
@@ -41,11 +39,3 @@ def test_numbers_are_those_of_the_mechanics(bank):
     # Friction holds until 0.5 g; the tall one tips over at 0.1 g. What is let go takes a while for 5 mm.
     assert 0.5 * 9.81 - 0.05 < one["shake"] < 0.5 * 9.81 + 0.6
     assert 0.1 * 9.81 - 0.05 < two["shake"] < 0.1 * 9.81 + 0.6
-
-
-def test_what_is_certified_is_not_measured_again(bank, capsys):
-    before = block_path(bank, 0).read_bytes()
-    assert main(["certify", str(bank)]) == 0
-    assert "2 scenes that stand have their certificate (0 rows are new)" in capsys.readouterr().out
-    assert block_path(bank, 0).read_bytes() == before
-    assert "| `shake` |" in (bank / CARD).read_text()

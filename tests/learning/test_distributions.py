@@ -11,7 +11,6 @@ from cluttergen_jax.learning.networks.distributions import (
     HEADS,
     Beta,
     Mixture,
-    TruncatedNormal,
 )
 
 RAW = jax.random.normal(jax.random.key(0), (40, 4, 2)) * 2.5
@@ -77,12 +76,3 @@ def test_mixture_integrates_to_one_and_its_entropy_is_exact(symmetry):
     draws = jax.vmap(mixture.sample)(jax.random.split(jax.random.key(8), 50_000))
     surprise = -np.asarray(jax.vmap(mixture.log_prob)(draws), np.float64)
     assert float(mixture.entropy()) == pytest.approx(surprise.mean(), abs=0.03)
-
-
-def test_beta_has_its_mode_inside_unless_it_is_free():
-    dist = Beta.from_raw(RAW)
-    assert float(jnp.minimum(dist.alpha, dist.beta).min()) > 1
-    # The paper's diversity needs densities that rise towards both edges.
-    edges = HEADS["beta_free"](jnp.full((4, 2), -1.0))
-    assert float(edges.log_prob(jnp.full(4, 0.01))) > float(edges.log_prob(jnp.full(4, 0.5))) + 2
-    assert isinstance(HEADS["normal"](RAW), TruncatedNormal)

@@ -10,8 +10,6 @@ import pytest
 from cluttergen_jax.placement.baselines import LowestFit, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
-from cluttergen_jax.placement.rollout import BlockSampler
-from cluttergen_jax.placement.rollout.run import Rollout
 from cluttergen_jax.placement.search.trusted import TrustedConfig, TrustedSearch
 from cluttergen_jax.types import Verdict
 
@@ -88,20 +86,3 @@ def test_a_map_with_owners_is_the_map_to_a_micrometre():
     assert is_object.any()
     assert set(np.unique(owned.owner)) == {0, rules.geometry.num_objects}
     assert np.asarray(owned.height)[is_object].min() > 0.003
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["spread"])
-def test_scenes_stand_and_are_spread(method):
-    rules = rules_of("dining", ("mug", "bowl", "soup_can", "cereal_box"))
-    sampler = BlockSampler(rules, make_proposer(method, rules))
-    scenes = Rollout().run_all(sampler, jax.random.key(0), 16, 16)
-    assert scenes.is_success.mean() >= 0.9
-    standing = jax.vmap(rules.physics.stand)(
-        jnp.asarray(scenes.poses)[np.arange(16)[:, None], np.argsort(scenes.object_index, axis=1)],
-        jnp.asarray(scenes.is_placed),
-        jnp.asarray(scenes.is_success),
-    )
-    assert np.all(np.asarray(standing.verdict)[scenes.is_success] == Verdict.STABLE)
-    # Uniform draws use the whole table, not one corner of it.
-    assert np.ptp(scenes.poses[scenes.is_success][..., 0]) > 0.2
