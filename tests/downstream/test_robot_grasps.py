@@ -13,7 +13,7 @@ from mujoco.rollout import Rollout
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of
-from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, HandCheck
+from cluttergen_jax.downstream.robot.grasping.candidates import Candidates
 from cluttergen_jax.downstream.robot.grasping.grasps import (
     grasp_file,
     grasps_of,
@@ -33,17 +33,6 @@ def from_above(*heights, width=0.04):
     """The tool over the middle of an object at these heights, closing along y."""
     pose = made(np.stack([DOWN] * len(heights)), np.array([[0, 0, z] for z in heights]))
     return Candidates(pose, np.full(len(heights), width), np.ones(len(heights), bool))
-
-
-def test_the_hand_is_clear_of_an_object_only_where_it_is():
-    tall = box("tall", (0.02, 0.02, 0.06))
-    check = HandCheck(tall)
-    # At its top; its fingers in the plane below it; the palm in it; one finger in it.
-    assert check.clear_of(from_above(0.05).pose[0], 0.04) == (True, True)
-    assert check.clear_of(from_above(-0.055).pose[0], 0.04)[1] is False
-    assert check.clear_of(from_above(0.01).pose[0], 0.04) == (False, False)
-    aside = made(DOWN, np.array([0, 0.02, 0.05]))
-    assert check.clear_of(aside, 0.04) == (False, False)
 
 
 def test_a_firm_grasp_holds_and_one_of_a_heavy_or_slippery_thing_does_not():

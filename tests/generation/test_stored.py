@@ -1,5 +1,7 @@
 """A bank as a reset: draws are scenes of the bank, in one model, and they stand there."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -71,3 +73,19 @@ def test_a_real_scene_stands_in_the_one_model_and_absent_objects_wait(tmp_path):
         np.testing.assert_allclose(poses[:, :3], start[:, :3], atol=2e-3)
         assert turn_between(np, poses[:, 3:], start[:, 3:]).max() < 0.01
         assert np.asarray(scene.is_present).sum() == 2
+
+
+@pytest.mark.parametrize("batch_size", [1, 50, 1000])
+def test_batches_are_the_bank_in_one_model(tmp_path, batch_size):
+    with banks.writer(tmp_path / "bank", 600, shard_blocks=2) as writer:
+        for block in range(3):
+            writer.write_block(block, banks.rows(block, min(256, 600 - 256 * block)))
+        writer.finish()
+    whole = cg.load_bank(tmp_path / "bank")
+    batches = list(itertools.islice(cg.stream_bank(tmp_path / "bank", batch_size), 500))
+    assert [len(each) for each in batches[:-1]] == [batch_size] * (len(batches) - 1)
+    # One model, so that what is compiled for a batch serves the next.
+    assert len({id(each.model()) for each in batches}) == 1
+    joined = jax.tree.map(lambda *leaves: np.concatenate(leaves), *batches)
+    for one, two in zip(jax.tree.leaves(joined), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_array_equal(one, two)
