@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.downstream.robot.grasping.antipodal import MAX_WIDTH, Union, sample_pairs
+from cluttergen_jax.downstream.robot.grasping.antipodal import FRICTION, MAX_WIDTH, Union, sample_pairs
 from tests.helpers.worlds import box
 from tests.sensing.scenes import model_of
 
@@ -40,3 +41,15 @@ def test_lines_enter_where_rays_of_mujoco_hit(name):
     hit = np.array(hits)
     assert 30 < (hit >= 0).sum() < 300
     assert np.allclose(np.where(hit < 0, np.inf, hit), entered, atol=2e-5)
+
+
+def test_far_ends_face_the_line_within_the_friction_cone():
+    wedge = Mesh.points(
+        np.array([[x, y, z] for x in (-0.03, 0.03) for y, z in ((-0.02, 0), (0.02, 0), (0.0, 0.04))])
+    )
+    pairs = sample_pairs(Union([wedge]), 4000, np.random.default_rng(4))
+    slanted = np.abs(pairs.axis[:, 0]) < 0.5
+    # Its slanted sides lean by 26.6 degrees each; the cone's half angle is 21.8.
+    assert np.degrees(np.arctan(FRICTION)) < 26.5
+    assert not slanted.any()
+    assert (~slanted).any()
