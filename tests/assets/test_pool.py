@@ -59,6 +59,19 @@ def test_a_damaged_file_is_named(tmp_path, pool, name, harm):
         read_pool(tmp_path / "two")
 
 
+def test_nothing_is_overwritten_untold(tmp_path, pool):
+    path = write_pool(tmp_path / "two", pool)
+    with pytest.raises(PoolError, match="exists"):
+        write_pool(path, pool)
+    other = Pool("two", pool.objects[:1])
+    write_pool(path, other, overwrite=True)
+    assert read_pool(path).names == ("tall",)
+    assert [each.name for each in tmp_path.iterdir()] == ["two"]
+    (tmp_path / "notes").mkdir()
+    with pytest.raises(PoolError, match="exists"):
+        write_pool(tmp_path / "notes", pool, overwrite=True)
+
+
 def test_all_is_the_union_and_clashes_are_prefixed(tmp_path, monkeypatch):
     monkeypatch.setattr(pools, "embedded_root", lambda: tmp_path)
     write_pool(tmp_path / "pools" / "study", Pool("study", (make_box("box"), make_box("lamp"))))

@@ -14,7 +14,7 @@ from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.importing.readers import read_source
+from cluttergen_jax.importing.readers import ReadOptions, read_source
 from cluttergen_jax.importing.supports import support_from_mesh
 from tests.helpers import textured
 from tests.helpers.shapes import SOURCE
@@ -117,6 +117,19 @@ def test_an_image_that_is_lost_is_said(harm, tmp_path):
     (shape,) = read_source(path)
     assert any(said in note for note in shape.notes), shape.notes
     assert (shape.pieces[0].texture is None) == (harm not in (_moved_in_glb, _with_relief))
+
+
+def test_large_images_are_shrunk_unless_asked(tmp_path):
+    path = textured.write_obj(tmp_path)
+    textured.picture(1500).save(tmp_path / "slab.png", "JPEG")
+    (usual,), (large,), (small,) = (
+        read_source(path, options)[0].pieces
+        for options in (None, ReadOptions(max_texture=4096), ReadOptions(max_texture=16))
+    )
+    assert [each.texture.image.size[0] for each in (usual, large, small)] == [1024, 1500, 16]
+    for piece in (usual, large):
+        for (x, y), colour in textured.quarters():
+            np.testing.assert_allclose(textured.colour_at(piece, x, y), colour, atol=12)
 
 
 def test_supports_keep_their_image(tmp_path):

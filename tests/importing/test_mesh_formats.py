@@ -8,10 +8,8 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.readers import find_sources, read_source
+from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.materials import GREY
-from cluttergen_jax.importing.run import ObjectConfig
 from tests.helpers.cases import CASES
 
 DIE = (CASES / "03_dae_unit" / "inch_die.dae").read_text()
@@ -68,37 +66,6 @@ def test_a_material_that_is_nowhere_defined_is_told(tmp_path):
 
 def test_a_tab_behind_mtllib_is_a_space():
     assert colours(CASES / "10_obj_mtllib") == {(1.0, 0.0, 0.0)}
-
-
-@pytest.mark.parametrize(
-    "lines",
-    [
-        "mtllib red.mtl blue.mtl",
-        "mtllib red.mtl\nmtllib blue.mtl",
-        "# mtllib none.mtl\nmtllib\tred.mtl  blue.mtl",
-    ],
-)
-def test_all_material_files_are_read(tmp_path, lines):
-    for name, kd in (("red", "1 0 0"), ("blue", "0 0 1")):
-        (tmp_path / f"{name}.mtl").write_text(f"newmtl {name}\nKd {kd}\n")
-    box = trimesh.creation.box((0.1, 0.1, 0.1)).export(file_type="obj").split("\n")
-    faces = [line for line in box if line.startswith("f ")]
-    rest = [line for line in box if line.startswith("v ")]
-    text = [
-        lines,
-        *rest,
-        "usemtl red",
-        *faces[:6],
-        " usemtl\tblue",
-        *(each.replace("f ", "f\t") for each in faces[6:]),
-    ]
-    (tmp_path / "box.obj").write_text("\n".join(text))
-    assert colours(tmp_path / "box.obj") == {(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)}
-    # What both files hold belongs to the object.
-    (source,) = find_sources(tmp_path / "box.obj")
-    before = cache.cache_key(source, ObjectConfig())
-    (tmp_path / "blue.mtl").write_text("newmtl blue\nKd 0 1 0\n")
-    assert cache.cache_key(source, ObjectConfig()) != before
 
 
 def test_a_material_file_whose_name_has_spaces_goes_before_two_files(tmp_path):

@@ -40,6 +40,12 @@ def test_every_mesh_format_gives_the_same_box(tmp_path, suffix):
     assert (shape.name, shape.label) == ("crate", "crate")
 
 
+@pytest.mark.parametrize("suffix", ["ply", "glb"])
+def test_colours_are_read(tmp_path, suffix):
+    (shape,) = read_source(save_box(tmp_path / f"crate.{suffix}"))
+    np.testing.assert_allclose(shape.pieces[0].rgba[:3], np.array([200, 40, 40]) / 255, atol=0.02)
+
+
 URDF = """<robot name="r">
   <material name="red"><color rgba="0.8 0.1 0.1 1"/></material>
   <link name="base"/>

@@ -9,9 +9,7 @@ from benchmarks import (
     last_check,
 )
 from benchmarks.bodies import box
-from benchmarks.rows import Rows
 from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.errors import ConfigError
 
 
 @pytest.fixture
@@ -46,37 +44,6 @@ def test_engines_run(pool):
     assert contenders["native, 1 thread"].success == 1.0
     assert all(each.turns[0].attempts > 0 for each in contenders.values())
     assert "| native, 1 thread |" in engines.body_of(contenders, [], args)
-
-
-def test_rows_are_made_once_and_what_failed_or_goes_on_is_made_again(tmp_path):
-    made, said = [], []
-
-    def case(name, row=None, error=None):
-        def make():
-            made.append(name)
-            if error is not None:
-                raise error
-            return {"value": 1.5} if row is None else row
-
-        return name, make
-
-    def cases():
-        return iter(
-            [
-                case("whole"),
-                case("longer", row={"goes_on": True}),
-                case("poor", error=ConfigError("no", "yes")),
-            ]
-        )
-
-    for _ in range(2):
-        Rows(tmp_path / "rows.json", say=said.append).make("part", cases())
-    assert made == ["whole", "longer", "poor", "longer"]
-    assert "part: whole: kept" in said
-    rows = Rows(tmp_path / "rows.json", retries=True, say=said.append)
-    assert set(rows.of("part")) == {"whole", "longer"}
-    rows.make("part", cases())
-    assert made[4:] == ["longer", "poor"]
 
 
 @pytest.mark.slow

@@ -1,35 +1,11 @@
 """What is said while something long runs, and how Ctrl-C is answered meanwhile."""
 
-import io
 import signal
 import threading
 
 import pytest
 
-from cluttergen_jax.progress import Progress, interruptible
-
-
-class Clock:
-    """Seconds that pass when told to."""
-
-    now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
-def test_a_log_gets_a_line_every_ten_seconds_and_one_at_the_end():
-    log, clock = io.StringIO(), Clock()
-    with Progress("drawing", 4, "picture", file=log, clock=clock) as shown:
-        for _ in range(4):
-            clock.now += 6.0
-            shown.update(note="loss 0.5")
-    assert log.getvalue().splitlines() == [
-        "drawing: 2 of 4 pictures, 12 s passed, 12 s left, loss 0.5",
-        "drawing: 4 of 4 pictures, 24 s passed, 0 s left, loss 0.5",
-        "drawing: 4 of 4 pictures done in 24 s",
-    ]
-
+from cluttergen_jax.progress import interruptible
 
 # Ctrl-C
 

@@ -8,13 +8,14 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from cluttergen_jax.assets.shading import linear
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.export import FORMATS, export_scenes
-from tests.helpers.exports import CLOSE, assert_same_pose, dining_scene, exporter, spread
+from tests.helpers.exports import CLOSE, assert_same_pose, dining_scene, exporter, matrix, spread
 from tests.helpers.worlds import trio
 
 
@@ -126,6 +127,19 @@ def test_sdf_is_well_formed_and_complete(folder_of, scene):
         assert (path.parent / uri.text).is_file()
     names = [each.get("name") for each in root.find("world/model/link")]
     assert len(names) == len(set(names))
+
+
+def test_glb_comes_back_with_y_up(folder_of, scene):
+    data = (folder_of("glb") / "scenes" / "000000.glb").read_bytes()
+    assert data[:4] == b"glTF"
+    assert int.from_bytes(data[8:12], "little") == len(data)
+    read = trimesh.load(folder_of("glb") / "scenes" / "000000.glb")
+    y_up = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+    frames = {node: read.graph[node][0] for node in read.graph.nodes}
+    for name, pose in zip(scene.names, scene.poses, strict=True):
+        np.testing.assert_allclose(frames[name], y_up @ matrix(pose), atol=CLOSE)
+    # The lowest point of the whole scene is the floor, and up is y.
+    assert read.bounds[0][1] == pytest.approx(0.0, abs=1e-4)
 
 
 def test_glb_holds_masses_parts_and_linear_colours(folder_of, scene):

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.scene import CAMERAS
+from cluttergen_jax.scene import CAMERAS, Camera, scene_cameras
 from tests.helpers.exports import exporter, spread
 
 NAMES = ("mug", "bottle", "soup_can", "bowl")
@@ -54,6 +54,19 @@ def check(cameras, scene):
     np.testing.assert_allclose(cameras["overhead"][1], np.eye(3), atol=1e-6)
     assert positions["front"][1] < 0 < positions["side"][0]
     assert positions["wrist"][2] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_the_same_camera_in_opencvs_frame(scene):
+    """Up in the world is up in the picture, and back again it is the same camera."""
+    middle = np.array([*scene.support.region.center, scene.support.top])
+    for camera in scene_cameras(scene.support):
+        pinhole = camera.pinhole
+        np.testing.assert_allclose(pinhole.project(middle)[0], [320, 240], atol=1e-9)
+        lifted = middle + 0.01 * camera.rotation[:, 1]
+        assert pinhole.project(lifted)[0][1] < 239
+        again = Camera.of(camera.name, pinhole)
+        for name in ("position", "quaternion", "fovy"):
+            np.testing.assert_allclose(getattr(again, name), getattr(camera, name), atol=1e-12)
 
 
 def test_mjcf_cameras(folder_of, scene):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.sensing.camera import Camera, free, overhead
+from cluttergen_jax.assets.support import Rectangle, cuboid_table
+from cluttergen_jax.sensing.camera import PRESETS, Camera, find_preset, free, overhead, side
 
 
 @pytest.fixture(params=range(5))
@@ -47,6 +47,14 @@ def test_overhead_sees_the_whole_region_from_at_least_its_height(support, size):
     np.testing.assert_allclose(camera.rotation[:, 2], [0, 0, -1], atol=1e-12)
 
 
+def test_the_papers_camera_is_two_half_widths_to_the_side():
+    camera = side(cuboid_table())
+    np.testing.assert_allclose(camera.eye, [-0.6, 0.0, 0.7 + 0.4], atol=1e-12)
+    assert (camera.width, camera.height) == (224, 224)
+    assert 2 * np.degrees(np.arctan(112 / camera.K[1, 1])) == pytest.approx(60)
+    np.testing.assert_allclose(camera.project([0, 0, 0.7])[0], [112, 112], atol=1e-9)
+
+
 def test_free_cameras_are_where_they_may_be_and_all_around():
     support = cuboid_table()
     rng = np.random.default_rng(0)
@@ -61,3 +69,13 @@ def test_free_cameras_are_where_they_may_be_and_all_around():
     assert counts.min() > 25
     pixels = np.stack([camera.project(middle)[0] for camera in cameras])
     assert np.abs(pixels - [80, 60]).max() < 0.03 * 3**0.5 / 0.6 * 615 / 4 * 1.1
+
+
+def test_presets_follow_the_region():
+    support = cuboid_table()
+    moved = Rectangle((0.1, -0.05), (0.1, 0.2), 0.5)
+    turned = type(support)(support.name, support.label, support.boxes, support.top, moved, support.provenance)
+    for name in PRESETS:
+        camera = find_preset(name)(turned, np.random.default_rng(0))
+        pixel = camera.project([0.1, -0.05, support.top])[0]
+        assert np.abs(pixel - [camera.width / 2, camera.height / 2]).max() < 10
