@@ -42,6 +42,15 @@ def home(tmp_path, monkeypatch):
     return tmp_path / "home"
 
 
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    """The path of a pool of three small objects."""
+    from cluttergen_jax.assets.pool import Pool, write_pool
+    from tests.helpers.worlds import trio
+
+    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
+
+
 @pytest.fixture(autouse=True)
 def keeps_ctrl_c():
     """What answers Ctrl-C after a test is what did before."""

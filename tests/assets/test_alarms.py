@@ -2,19 +2,13 @@
 
 import re
 
-import numpy as np
 import pytest
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
-from cluttergen_jax.assets.mass import MassProperties, combine_masses, mass_alarm
-from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.quality.deviation import size_alarm
-from cluttergen_jax.cli.flags import with_flags
-from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.pool_table import pool_table
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.importing.readers import ReadOptions, read_source
-from tests.helpers.shapes import open_box_slabs, slab
+from cluttergen_jax.importing.readers import read_source
+from tests.helpers.shapes import slab
 
 CARTON = (0.04, 0.03, 0.08)
 
@@ -39,37 +33,6 @@ def test_what_collides_is_about_what_is_seen(colliding, told):
     assert found.split("together")[1] == size_alarm(colliding, points(CARTON)).split("together")[1]
 
 
-def test_hollow_things_thin_shells_and_coarse_boxes_raise_no_alarm():
-    tray = join_meshes(open_box_slabs()).vertices
-    assert size_alarm(tray, points((0.05, 0.04, 0.03), (0, 0, 0.03))) == ""
-    # A bent wire, whose hull is a sixth of the box that stands in for it.
-    bow = np.concatenate([points((0.05, 0.001, 0.001)), points((0.001, 0.001, 0.02), (0.049, 0, 0.019))])
-    bow = np.concatenate([bow, points((0.001, 0.02, 0.001), (-0.049, 0.019, 0))])
-    lower, upper = bow.min(0), bow.max(0)
-    assert size_alarm(bow, points((upper - lower) / 2, (upper + lower) / 2)) == ""
-    assert size_alarm(points(CARTON), points(np.array(CARTON) * 1.2)) == ""
-
-
-@pytest.mark.parametrize(
-    ("mass", "told"),
-    [
-        (0.007, "9.11 kg/m^3 over its convex hull, where 50 to 8,000 are likely"),
-        (0.037, "48.2 kg/m^3 over its convex hull"),
-        (0.1, ""),
-        (0.4, ""),
-        (6.0, ""),
-        (6.3, "8,203 kg/m^3 over its convex hull"),
-        (8.0, "10,417 kg/m^3 over its convex hull"),
-        (np.nan, ""),
-        (-1.0, ""),
-    ],
-)
-def test_a_mass_that_does_not_fit_the_size(mass, told):
-    alarm = mass_alarm(combine_masses([MassProperties(mass, np.zeros(3), np.eye(3))]), slab(CARTON))
-    assert bool(alarm) == bool(told)
-    assert told in alarm
-
-
 URDF = """<robot name="carton"><link name="box">
   <visual><geometry><box size="0.08 0.06 0.16"/></geometry></visual>
   <collision><geometry><box size="0.18 0.18 0.24"/></geometry></collision>
@@ -91,17 +54,3 @@ def test_a_file_that_contradicts_itself_is_flagged_and_its_table_says_so(tmp_pat
     assert mass.startswith("its stated mass of 40 kg does not fit its size")
     assert any("40 kg is not taken" in note for note in asset.notes)
     assert f"  ! carton: {mass}" in pool_table([asset])
-
-
-def test_a_mass_by_volume_is_asked_for_and_named(tmp_path):
-    (tmp_path / "carton.xml").write_text(MJCF.replace(".09 .09 .12", ".04 .03 .08"))
-    (shape,) = read_source(tmp_path / "carton.xml")
-    (flag,) = make_object(shape, BodyConfig(tier="light")).flags
-    assert "--mass volume takes its volume" in with_flags(flag, Import)
-    (shape,) = read_source(tmp_path / "carton.xml", ReadOptions(mass="volume", density=100))
-    asset = make_object(shape, BodyConfig(tier="light"))
-    assert asset.flags == ()
-    assert asset.mass == pytest.approx(0.08 * 0.06 * 0.16 * 100)
-    assert any("the mass that its file states is not asked for" in note for note in asset.notes)
-    with pytest.raises(ConfigError, match="mass = 'weight'"):
-        ReadOptions(mass="weight")

@@ -7,17 +7,13 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
-from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.assets.config import MAX_PART_VERTICES, DecompositionConfig
 from cluttergen_jax.assets.mass import mass_properties
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import CLOUD_SIZE
-from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.parts import (
-    finish_parts,
     hull_of,
     reduce_vertices,
-    with_plain_bottom,
 )
 from cluttergen_jax.assets.quality.deviation import deviation, is_within_parts
 from cluttergen_jax.assets.settle import settled_turn, tilt_of
@@ -83,17 +79,6 @@ def test_mass_and_inertia_of_a_box_and_a_cylinder():
     np.testing.assert_allclose(np.diag(rod.inertia), [side, side, 2.0 * 0.02**2 / 2], rtol=1e-3)
 
 
-def test_moving_mass_keeps_its_moments():
-    before = mass_properties(slab((0.05, 0.03, 0.02), (0.1, 0, 0)), density=500)
-    turn = rotation_about([1, 2, 3], 40)
-    after = before.transform(turn, np.array([0.0, 0.0, 1.0]))
-    direct = mass_properties(
-        slab((0.05, 0.03, 0.02), (0.1, 0, 0)).transform(turn, np.array([0.0, 0.0, 1.0])), density=500
-    )
-    np.testing.assert_allclose(after.center, direct.center, atol=1e-9)
-    np.testing.assert_allclose(after.inertia, direct.inertia, atol=1e-9)
-
-
 # --- parts ------------------------------------------------------------------------------------------
 
 
@@ -108,28 +93,6 @@ def test_reduced_hulls_lie_inside_and_lose_little(seed):
     assert len(small.vertices) == len(few)
     assert is_within_parts(few * 0.999, [whole.points]).all()
     assert small.volume > 0.8 * whole.volume
-
-
-def test_bottoms_become_flat_and_stay_wide():
-    rng = np.random.default_rng(0)
-    can = cylinder(0.03, 0.05, sections=64).vertices
-    rough = can + np.where(can[:, 2:] < 0, rng.uniform(0, 0.0025, (len(can), 1)) * [0, 0, 1], 0)
-    (part,) = finish_parts([rough], 12)
-    bottom = part[part[:, 2] == part[:, 2].min()]
-    assert len(part) <= MAX_PART_VERTICES
-    assert len(bottom) >= 8
-    assert np.linalg.norm(bottom[:, :2], axis=1).min() > 0.029
-
-
-def test_a_round_base_stays_round():
-    can = cylinder(0.03, 0.05, sections=64).vertices
-    kept = with_plain_bottom(can, -0.05)
-    low = kept[kept[:, 2] == -0.05]
-    assert 8 <= len(low) <= 12
-    # However it leans, the can stands on nearly as wide a base.
-    angles = np.linspace(0, 2 * np.pi, 100)
-    reach = (low[:, :2] @ np.stack([np.cos(angles), np.sin(angles)])).max(0)
-    assert reach.min() > 0.9 * 0.03
 
 
 # --- deviation and clouds ---------------------------------------------------------------------------
@@ -149,14 +112,6 @@ def test_a_filled_cavity_is_a_deviation():
     hull = np.concatenate([each.vertices for each in open_box_slabs()])
     assert deviation([hull], solid) > 0.2
     assert deviation([each.vertices for each in open_box_slabs()], solid) < 0.015
-
-
-def test_every_prefix_of_the_order_is_spread_out():
-    points = np.random.default_rng(0).uniform(size=(800, 3))
-    order = farthest_first(points)
-    assert sorted(order) == list(range(800))
-    gaps = [np.linalg.norm(points[order[:i]] - points[order[i]], axis=1).min() for i in range(1, 800)]
-    assert (np.diff(gaps) <= 1e-12).all()
 
 
 # --- rest -------------------------------------------------------------------------------------------
@@ -212,23 +167,6 @@ def test_own_parts_that_fill_the_cavity_are_replaced_by_coacd():
     assert asset.quality.cavity_fill <= 0.2
     assert asset.quality.holds_ball
     assert asset.flags == ()
-
-
-def test_the_light_tier_is_one_hull():
-    asset = make_object(open_box(), BodyConfig(tier="light"))
-    assert len(asset.parts) == 1
-    assert len(asset.parts[0].vertices) <= MAX_PART_VERTICES
-    assert asset.tier == "light"
-    assert asset.quality.cavity_fill > 0.9
-    standard = make_object(open_box())
-    assert asset.mass == standard.mass
-
-
-def test_the_same_shape_gives_the_same_bytes():
-    shape = shape_of(slab((0.04, 0.01, 0.01)), slab((0.01, 0.01, 0.03), (0, 0, 0.03)))
-    first, second = make_object(shape), make_object(shape)
-    assert len(first.parts) > 1
-    assert object_hash(first) == object_hash(second)
 
 
 def test_settings_out_of_range_are_refused():

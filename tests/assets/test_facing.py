@@ -69,15 +69,6 @@ def test_what_faces_outwards_stays_as_it_is():
         np.testing.assert_array_equal(after.faces, join_meshes(meshes).faces)
 
 
-def test_sides_of_several_colours_are_turned_by_what_they_enclose():
-    box = slab((0.05, 0.04, 0.03))
-    sides = [Mesh(box.vertices, box.faces[[i, i + 1]]) for i in range(0, 12, 2)]
-    wrong = [inverted(each) if index % 2 else each for index, each in enumerate(sides)]
-    pieces = orient_faces([Piece(mesh) for mesh in wrong], solid_of([box]))
-    assert facing_out(join_meshes([piece.mesh for piece in pieces]), box) == 1.0
-    assert sum(len(piece.mesh.faces) for piece in pieces) == 12
-
-
 def test_a_bowl_of_one_sheet_is_seen_from_both_sides():
     is_bowl = BALL.vertices[BALL.faces, 2].max(1) < 0.01
     bowl = inverted(Mesh(BALL.vertices, BALL.faces[is_bowl]), slice(0, 400))

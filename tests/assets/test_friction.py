@@ -1,21 +1,15 @@
 """Objects with a friction of their own: slippery against everything, in every model that is made of them."""
 
-import hashlib
-import json
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 
-from cluttergen_jax.assets.mjcf import own_contact
 from cluttergen_jax.assets.obj import write_parts
 from cluttergen_jax.assets.object_files import object_hash, read_object, write_object
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.errors import PoolError
-from cluttergen_jax.evaluation.measures.robustness import Change, changed
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.xml import scene_xml
@@ -97,16 +91,6 @@ def test_what_slides_on_a_slope(tmp_path, make, frictions, degrees, moves):
     assert (way[~np.array(moves)] < 0.005).all()
 
 
-def test_a_change_of_all_friction_changes_an_objects_own():
-    scene = scene_of(0.4)
-    models = SceneModels(make_world(scene.objects, TABLE, STABILITY, CONTACT), STABILITY, CONTACT)
-    halved = changed(models, Change("half", friction=0.5)).of(np.ones(1, bool)).model
-    geom = halved.geom("box-0.part-0")
-    np.testing.assert_allclose(geom.friction, [0.2, 0.002, 0.00004])
-    (usual, _) = own_contact(0.4, CONTACT.friction)
-    assert usual[0] == pytest.approx(0.4)
-
-
 def test_it_is_kept_on_disk_and_absent_where_there_is_none(tmp_path):
     plain, slippery = box("box", FLAT), replace(box("box", FLAT), friction=0.1)
     for name, asset in (("plain", plain), ("slippery", slippery)):
@@ -119,17 +103,3 @@ def test_it_is_kept_on_disk_and_absent_where_there_is_none(tmp_path):
     assert object_hash(plain) == "f7ef94af8fd4da0950ad9e78d54d86d833a19c7477be484105911d70b6164f45"
     alone = mujoco.MjModel.from_xml_path(str(tmp_path / "slippery" / "object.xml"))
     assert alone.geom_friction[0, 0] == pytest.approx(0.1)
-
-
-@pytest.mark.parametrize("value", [0, -1.0, "0.5", True, [0.5], float("nan")])
-def test_what_is_no_coefficient_is_refused_when_read(tmp_path, value):
-    write_object(tmp_path, replace(box("box", FLAT), friction=0.5))
-    record = json.loads((tmp_path / "object.json").read_text())
-    del record["hash"]
-    record["friction"] = value
-    text = json.dumps(record, sort_keys=True, separators=(",", ":"))
-    record["hash"] = hashlib.sha256(text.encode()).hexdigest()
-    (tmp_path / "object.json").write_text(json.dumps(record))
-    # JSON has no word for what is no number.
-    with pytest.raises(PoolError, match="is not JSON" if value != value else "friction"):
-        read_object(tmp_path)

@@ -5,16 +5,13 @@ from dataclasses import replace
 import pytest
 import trimesh
 
-from cluttergen_jax.assets import pool as pools
 from cluttergen_jax.assets.pool import Pool, find_pool, user_root, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
-from cluttergen_jax.scene.bank import read_bank
 from tests.helpers.imports import made_here
 from tests.helpers.shapes import make_box
-from tests.helpers.worlds import box, prism
 
 QUICK = ObjectConfig(trials=8)
 
@@ -25,14 +22,6 @@ def pools_of_a_user(home, monkeypatch):
     monkeypatch.setattr(run, "_outcomes", made_here)
     write_pool(user_root() / "a", Pool("a", (make_box("mug"), make_box("pan")), licence="CC0"))
     write_pool(user_root() / "b", Pool("b", (make_box("mug", seed=1), make_box("lid")), licence="MIT"))
-
-
-def test_a_union_prefixes_what_clashes():
-    union = find_pool("a+b")
-    assert union.names == ("a-mug", "pan", "b-mug", "lid")
-    assert (union.name, union.licence) == ("a-b", "CC0; MIT")
-    assert find_pool("a+b").hash == union.hash != find_pool("b+a").hash
-    assert find_pool(f"{user_root() / 'a'}+dining").names[:2] == ("a-mug", "pan")
 
 
 def test_all_but_some():
@@ -58,39 +47,6 @@ def test_what_cannot_be_put_together(text, message):
     write_pool(user_root() / "light", Pool("light", (lean,), tier="light"))
     with pytest.raises(PoolError, match=message):
         find_pool(text)
-
-
-@pytest.mark.slow
-def test_a_bank_of_a_composition_is_made_continued_and_verified(tmp_path, capsys):
-    write_pool(user_root() / "c", Pool("c", (box("cube", (0.03, 0.03, 0.03)), prism("can", 0.03, 0.04))))
-    write_pool(
-        user_root() / "d", Pool("d", (box("slab", (0.05, 0.05, 0.01)), box("cube", (0.02, 0.02, 0.02))))
-    )
-    out = str(tmp_path / "bank")
-    line = [
-        "generate",
-        "--pool",
-        "c+d",
-        "--exclude",
-        "c-cube",
-        "--method",
-        "clear",
-        "--no-render",
-        "--out",
-        out,
-    ]
-    assert main([*line, "-n", "1"]) == 0
-    bank = read_bank(out)
-    assert bank.record["recipe"]["pool"] == "c+d~c-cube"
-    # No key of its own: banks of whole pools that older versions made are continued as before.
-    assert "exclude" not in bank.record["recipe"]
-    assert set(bank.record["assets"]["objects"]) == {"can", "slab", "d-cube"}
-    assert main(["generate", "--pool", "c+d~c-cube", *line[5:], "-n", "2"]) == 0
-    assert read_bank(out).num_scenes == 2
-    assert main(["verify", out, "--seconds", "1"]) == 0
-    # Another exclusion is another bank.
-    assert main([*line[:3], "--exclude", "can", *line[5:], "-n", "2"]) == 2
-    assert "another names, pool" in capsys.readouterr().err
 
 
 def test_adding_to_a_pool(tmp_path):
@@ -139,9 +95,3 @@ def test_show_list_and_remove(capsys):
     assert "damaged" in capsys.readouterr().out
     assert not list(user_root().iterdir())
     assert main(["pool", "show"]) == main(["pool", "list", "a"]) == 2
-
-
-def test_a_pool_that_hides_behind_an_embedded_name_is_not_removed(capsys):
-    write_pool(user_root() / "dining", Pool("dining", (make_box("mug"),)))
-    assert main(["pool", "remove", "dining"]) == 2
-    assert find_pool("dining").hash == pools.read_pool(pools.embedded_root() / "pools" / "dining").hash

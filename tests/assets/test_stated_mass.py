@@ -5,7 +5,6 @@ import pytest
 
 from cluttergen_jax.assets.body import make_object
 from cluttergen_jax.assets.mass import MassProperties, choose_mass, combine_masses, mass_properties
-from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.cli.pool_table import pool_table
 from cluttergen_jax.importing.readers import ReadOptions, read_source
@@ -35,15 +34,6 @@ def stated(mass, inertia=None, center=(0.0, 0.0, 0.0)):
 
 def judged(mass, inertia=None, center=(0.0, 0.0, 0.0)):
     return choose_mass(stated(mass, inertia, center), slab(HALF), UNIFORM, DENSITY)
-
-
-def test_bodies_joined_are_the_body_of_their_union():
-    a, b = slab((0.05, 0.02, 0.01)), slab((0.01, 0.02, 0.04), (0.06, 0.0, 0.03))
-    whole = mass_properties(join_meshes([a, b]), 700.0)
-    both = combine_masses([mass_properties(mesh, 700.0) for mesh in (a, b)]).body
-    assert both.mass == pytest.approx(whole.mass)
-    np.testing.assert_allclose(both.center, whole.center, atol=1e-12)
-    np.testing.assert_allclose(both.inertia, whole.inertia, rtol=1e-9, atol=1e-15)
 
 
 def test_a_urdf_weighs_what_its_links_weigh_and_its_frozen_joint_is_named(tmp_path):

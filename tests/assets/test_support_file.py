@@ -1,14 +1,10 @@
 """Supports on disk: what is read is what was written, and damage is named."""
 
-import json
-
 import numpy as np
 import pytest
 
 from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.assets.support_file import find_support, list_supports, read_support, write_support
-from cluttergen_jax.errors import PoolError
-from tests.helpers.records import unsigned
 
 
 def assert_same(left, right):
@@ -46,24 +42,3 @@ def test_embedded_supports_are_what_the_modeller_makes(tmp_path, monkeypatch):
     assert set(list_supports()) == set(SUPPORTS)
     for name in SUPPORTS:
         assert_same(find_support(name), make_support(name))
-
-
-def test_damage_is_named(tmp_path):
-    with pytest.raises(PoolError, match="round_table"):
-        find_support("sofa")
-    with pytest.raises(PoolError, match=r"support\.json"):
-        read_support(tmp_path)
-    folder = write_support(tmp_path / "a", make_support("bar_table"))
-    path = folder / "support.json"
-    whole = unsigned(json.loads(path.read_text()))
-    for key in ("boxes", "region", "top"):
-        path.write_text(json.dumps({k: v for k, v in whole.items() if k != key}))
-        with pytest.raises(PoolError, match=key):
-            read_support(folder)
-    path.write_text(json.dumps(whole | {"boxes": [whole["boxes"][0] | {"center": [0, float("nan"), 0]}]}))
-    with pytest.raises(PoolError, match="not JSON"):
-        read_support(folder)
-    path.write_text(json.dumps(whole))
-    (folder / "visual-1.obj").unlink()
-    with pytest.raises(PoolError, match=r"visual-1\.obj"):
-        read_support(folder)

@@ -1,14 +1,11 @@
 """Symmetries in space: of shapes whose groups are known, and of what breaks them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.symmetry import symmetries_of
 
@@ -58,20 +55,3 @@ def test_known_shapes_have_their_groups(name, place):
         turn = trimesh.transformations.rotation_matrix(1.0, axis, found.point)
         points = trimesh.transform_points(moved.vertices[:8], turn)
         assert trimesh.proximity.closest_point_naive(moved, points)[1].max() < 0.003
-
-
-def test_a_coloured_side_leaves_only_the_turns_that_keep_it():
-    body, mark = trimesh.creation.box((0.06, 0.10, 0.04)), trimesh.creation.box((0.05, 0.09, 0.002))
-    lid = piece(mark.apply_translation([0, 0, 0.02]), (0.9, 0.1, 0.1, 1.0))
-    assert len(symmetries_of([piece(body), replace(lid, rgba=(0.5, 0.5, 0.5, 1.0))]).motions) == 3
-    (motion,) = symmetries_of([piece(body), lid]).motions
-    np.testing.assert_allclose(np.diag(motion)[:3], [-1, -1, 1], atol=1e-3)
-
-
-def test_dishes_are_round_and_a_handle_is_seen():
-    dining = find_pool("dining")
-    for name, num_axes in (("bowl", 1), ("bottle", 1), ("mug", 0)):
-        found = symmetries_of(dining[name].pieces)
-        assert (len(found.axes), len(found.motions)) == (num_axes, 0), name
-        if num_axes:
-            np.testing.assert_allclose(np.abs(found.axes[0]), [0, 0, 1], atol=0.02)

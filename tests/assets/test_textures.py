@@ -1,11 +1,8 @@
 """Images on surfaces: read from every format, kept by pools and banks, the right way up wherever they go."""
 
-import dataclasses
-import io
 import json
 import struct
 
-import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -13,17 +10,12 @@ from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.mesh_repair.simplify import simplify_pieces
-from cluttergen_jax.assets.object_files import object_files, object_hash, read_object, write_object
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.assets.texture import Texture
-from cluttergen_jax.errors import BankError, PoolError
-from cluttergen_jax.importing.cache import source_digest
-from cluttergen_jax.importing.readers import find_sources, read_source
+from cluttergen_jax.errors import PoolError
+from cluttergen_jax.importing.readers import ReadOptions, read_source
 from cluttergen_jax.importing.supports import support_from_mesh
-from cluttergen_jax.rendering.viewer.scene_nodes import textured_mesh
-from cluttergen_jax.scene.bank.bank import read_bank
-from cluttergen_jax.scene.bank.writer import BankWriter
 from tests.helpers import textured
 from tests.helpers.shapes import SOURCE
 from tests.helpers.textured import assert_upright
@@ -46,39 +38,6 @@ def test_every_format_brings_its_image_the_right_way_up(way, tmp_path):
     assert shape.notes == ()
     assert piece.texture.image.size == (64, 64)
     assert_upright(piece)
-
-
-def test_the_colour_of_a_gltf_material_multiplies_its_image(tmp_path):
-    path = textured.write_gltf(tmp_path, "slab.gltf")
-    document = json.loads(path.read_text())
-    # 0.214 is 0.5 as it is shown.
-    document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [0.214, 0.214, 0.214, 1.0]
-    path.write_text(json.dumps(document))
-    (dim,) = read_source(path)[0].pieces
-    assert_upright(dim, 0.5)
-    assert dim.rgba[0] != 0.5  # MuJoCo takes exactly this grey for no colour at all.
-
-
-@pytest.mark.parametrize(
-    ("name", "place"),
-    [
-        ("label.png", "textures/label.png"),
-        ("C:\\\\models\\\\art\\\\label.png", "label.png"),
-        ("-s 1 1 1 -clamp on label.png", "label.png"),
-        ("my%20label.png", "my label.png"),
-        ("../pictures/label.png", "../pictures/label.png"),
-    ],
-)
-def test_an_image_is_found_where_it_moved_to(name, place, tmp_path):
-    path = textured.write_obj(tmp_path / "in")
-    (tmp_path / "in" / "slab.mtl").write_text(f"newmtl printed\nmap_Kd {name}\n")
-    (tmp_path / "in" / place).parent.mkdir(exist_ok=True)
-    (tmp_path / "in" / "slab.png").rename(tmp_path / "in" / place)
-    (shape,) = read_source(path)
-    assert_upright(shape.pieces[0])
-    before = source_digest(find_sources(path)[0])
-    (tmp_path / "in" / place).write_bytes(textured.png(textured.picture(32)))
-    assert source_digest(find_sources(path)[0]) != before
 
 
 def _without_image(folder):
@@ -160,21 +119,17 @@ def test_an_image_that_is_lost_is_said(harm, tmp_path):
     assert (shape.pieces[0].texture is None) == (harm not in (_moved_in_glb, _with_relief))
 
 
-def test_objects_keep_their_image_on_disk(tmp_path):
-    asset = textured.asset()
-    write_object(tmp_path / "slab", asset)
-    back = read_object(tmp_path / "slab")
-    assert object_files(back) == object_files(asset)
-    assert object_hash(back) == object_hash(asset)
-    assert_upright(back.pieces[0])
-    other = dataclasses.replace(asset.pieces[0], texture=Texture.of(textured.picture(32)))
-    assert object_hash(textured.asset(surface=other)) != object_hash(asset)
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "slab" / "object.xml"))
-    assert (model.ntex, model.mesh_texcoordnum.sum() > 0) == (1, True)
-    image = tmp_path / "slab" / asset.textures[0].file_name
-    image.write_bytes(textured.png(textured.picture(32)))
-    with pytest.raises(PoolError, match=asset.textures[0].file_name):
-        read_object(tmp_path / "slab")
+def test_large_images_are_shrunk_unless_asked(tmp_path):
+    path = textured.write_obj(tmp_path)
+    textured.picture(1500).save(tmp_path / "slab.png", "JPEG")
+    (usual,), (large,), (small,) = (
+        read_source(path, options)[0].pieces
+        for options in (None, ReadOptions(max_texture=4096), ReadOptions(max_texture=16))
+    )
+    assert [each.texture.image.size[0] for each in (usual, large, small)] == [1024, 1500, 16]
+    for piece in (usual, large):
+        for (x, y), colour in textured.quarters():
+            np.testing.assert_allclose(textured.colour_at(piece, x, y), colour, atol=12)
 
 
 def test_supports_keep_their_image(tmp_path):
@@ -187,27 +142,6 @@ def test_supports_keep_their_image(tmp_path):
     (tmp_path / "tray" / piece.texture.file_name).write_bytes(textured.png(textured.picture(32)))
     with pytest.raises(PoolError, match=piece.texture.file_name):
         read_support(tmp_path / "tray")
-
-
-def test_a_bank_stores_each_image_once(tmp_path):
-    scene = textured.scene(textured.asset("one"), textured.asset("two"))
-
-    def write():
-        with BankWriter(tmp_path / "bank", {"pool": "printed"}, 1, scene.assets, scene.support):
-            pass
-
-    write()
-    images = list((tmp_path / "bank").rglob("*.png"))
-    assert [path.parent.name for path in images] == ["textures"]
-    bank = read_bank(tmp_path / "bank")
-    for name, asset in scene.assets.items():
-        assert object_hash(bank.object(name)) == object_hash(asset)
-        assert mujoco.MjModel.from_xml_path(str(bank.path / "assets" / "objects" / name / "object.xml")).ntex
-    images[0].unlink()
-    with pytest.raises(BankError, match=images[0].name):
-        bank.object("two")
-    write()
-    assert_upright(bank.object("two").pieces[0])
 
 
 def test_welding_keeps_seams_and_simplifying_keeps_the_image():
@@ -233,16 +167,3 @@ def test_welding_keeps_seams_and_simplifying_keeps_the_image():
     # All around, the two sides of the seam included, but for the poles, where a place has every colour.
     is_away = np.linalg.norm(middle[:, :2], axis=1) > 0.02
     assert np.quantile(np.minimum(off, 1 - off)[is_away], 0.99) < 0.02
-
-
-def test_the_viewer_is_given_the_image():
-    blob = io.BytesIO(textured_mesh(textured.piece()).export(file_type="glb"))
-    (geometry,) = trimesh.load_scene(blob, file_type="glb", process=False).geometry.values()
-    piece = Piece(
-        Mesh(geometry.vertices, geometry.faces),
-        (1.0, 1.0, 1.0, 1.0),
-        geometry.visual.uv,
-        Texture.of(geometry.visual.material.baseColorTexture),
-    )
-    assert_upright(piece)
-    assert geometry.visual.material.doubleSided

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 import cluttergen_jax
-from cluttergen_jax.cli.commands import COMMANDS, load
-from cluttergen_jax.cli.flags import with_flags
+from cluttergen_jax.cli.commands import COMMANDS
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.policies.embedded import list_policies
@@ -124,29 +123,6 @@ def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monk
         assert main(words) == 2
         assert flag in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("command", "text", "said"),
-    [
-        ("generate", "max_attempts = 11. Allowed: 1 to 10.", "--attempts 11. Allowed: 1 to 10."),
-        ("generate", "Try: num_threads=0, which takes", "Try: --threads 0, which takes"),
-        ("generate", "Try: method='clear'.", "Try: --method clear."),
-        ("generate", "objects=('mug', 'bowl')", "--objects mug bowl"),
-        ("generate", "repeat=True or render=False", "--repeat or --no-render"),
-        ("generate", "another `out`, or `overwrite`", "another --out, or --overwrite"),
-        # A config's field is a flag of the command that has it.
-        ("render", "View.azimuth = -500. Allowed", "--azimuth -500. Allowed"),
-        # What the command has no option for, or what is no argument, stays.
-        ("export", "num_threads = -1", "num_threads = -1"),
-        ("generate", "`cluttergen generate` of my_method = 3", "`cluttergen generate` of my_method = 3"),
-        # The first words of a command are no flags.
-        ("verify", "path = 'x'", "path = 'x'"),
-        ("doctor", "out = 3", "out = 3"),
-    ],
-)
-def test_arguments_become_flags(command, text, said):
-    assert with_flags(text, load(command)) == said
 
 
 def test_the_library_speaks_of_no_flags():

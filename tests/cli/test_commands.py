@@ -12,7 +12,6 @@ import pytest
 
 from cluttergen_jax import config
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.commands import COMMANDS, load, overview
 from cluttergen_jax.cli.main import main, parse_words
@@ -22,11 +21,9 @@ from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.evaluation.suites import SUITES
 from cluttergen_jax.generation import generate, make_sampler
 from cluttergen_jax.learning.training.presets import PRESETS
-from cluttergen_jax.placement.problem import ProblemConfig, crowding, make_problem
+from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.placement.region import REGION_CHANGES
 from cluttergen_jax.scene.export.formats import FORMATS
-from tests.helpers.banks import two_scenes
-from tests.helpers.worlds import box
 
 HEAVY = {"jax", "mujoco", "flax", "brax", "scipy", "trimesh", "coacd", "pyarrow", "matplotlib", "PIL"}
 EXPLAINED = """
@@ -57,19 +54,6 @@ def test_help_imports_nothing_heavy():
     assert {each for modules in found.values() for each in modules} <= {"tyro", "numpy"}
 
 
-def test_help_that_no_one_reads_ends_in_silence():
-    reader, writer = os.pipe()
-    os.close(reader)
-    words = [
-        sys.executable,
-        "-c",
-        "from cluttergen_jax.cli.main import program; program(['train', '--help'])",
-    ]
-    done = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True)
-    os.close(writer)
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 def test_the_table_of_commands_says_what_their_docstrings_say():
     for name, about in COMMANDS.items():
         command = load(name)
@@ -96,14 +80,6 @@ def test_the_table_of_commands_says_what_their_docstrings_say():
 )
 def test_choices_are_all_that_there_is(words, known):
     assert get_args(words) == tuple(known)
-
-
-def test_completion_knows_commands_and_choices(tmp_path):
-    script = tmp_path / "completion"
-    assert main(["--tyro-write-completion", "bash", str(script)]) == 0
-    text = script.read_text()
-    for word in (*COMMANDS, *METHODS, *FORMATS, *PRESETS, *REGION_CHANGES, "native", "fixed"):
-        assert re.search(rf"['\" ]{word}['\" ]", text), word
 
 
 # Misspelt names
@@ -154,24 +130,7 @@ def test_a_request_that_cannot_be_met_is_refused_at_once(words, said, tmp_path, 
     assert not (tmp_path / "bank").exists()
 
 
-def test_crowding_counts_the_smallest_objects_and_every_repeat():
-    plates = [box(f"plate{side}", (side, side, 0.01)) for side in (0.1, 0.05, 0.15)]
-    region = Rectangle((0.0, 0.0), (0.1, 0.25))
-    assert crowding(plates, 1, region) == pytest.approx(0.1)
-    assert crowding(plates, 2, region) == pytest.approx(0.5)
-    assert crowding(plates, 4, region) == pytest.approx(1.5)
-
-
 # Errors that name a path once, and speak of what was given
-
-
-def test_a_file_of_a_bank_is_no_bank(tmp_path, capsys):
-    two_scenes(tmp_path / "bank")
-    (part,) = (tmp_path / "bank").glob("scenes-*.parquet")
-    assert main(["verify", str(part)]) == 2
-    said = capsys.readouterr().err
-    assert f"cluttergen verify {tmp_path / 'bank'}." in said
-    assert "again" not in said
 
 
 def test_what_samples_scenes_loads_neither_trainers_nor_importers():

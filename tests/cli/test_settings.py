@@ -1,6 +1,5 @@
 """Settings that cannot be meant, and places that cannot be written to: refused with a sentence, at once."""
 
-import errno
 import math
 from dataclasses import replace
 
@@ -10,10 +9,9 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.assets.support_map import check_region
-from cluttergen_jax.cli.main import main, run
+from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.simulate import horizons_of
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
@@ -44,48 +42,6 @@ def test_numbers_have_to_be_finite_and_above_zero(config, name, value):
     with pytest.raises(ConfigError, match=name):
         replace(config, **{name: value})
     assert getattr(replace(config, **{name: 2}), name) == 2
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"friction": (0.5, 0.005)},
-        {"friction": (math.nan, 0.005, 0.0001)},
-        {"solref": (0.0, 1.0)},
-        {"solimp": "firm"},
-        {"condim": 2},
-        {"cone": "round"},
-        {"noslip_iterations": -1},
-    ],
-)
-def test_contact_parameters_are_checked(wrong):
-    with pytest.raises(ConfigError, match=next(iter(wrong))):
-        ContactConfig(**wrong)
-
-
-@pytest.mark.parametrize("seconds", [math.nan, math.inf, 0.0, 1e12])
-def test_certify_refuses_a_horizon_before_it_writes(tmp_path, capsys, seconds):
-    bank = tmp_path / "bank"
-    two_scenes(bank)
-    before = {path: path.read_bytes() for path in bank.rglob("*") if path.is_file()}
-    assert main(["certify", str(bank), "--seconds", str(seconds)]) == 2
-    assert f"--seconds {seconds}. Allowed: a finite number above zero, 3600" in capsys.readouterr().err
-    assert {path: path.read_bytes() for path in bank.rglob("*") if path.is_file()} == before
-    assert main(["verify", str(bank), "--seconds", str(seconds)]) == 2
-    assert "3600" in capsys.readouterr().err
-    if seconds < 1:
-        with pytest.raises(ConfigError):
-            horizons_of((1.0, seconds))
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_rectangles_are_finite(value):
-    for wrong in ({"center": (0.0, value)}, {"half_extents": (value, 0.1)}, {"yaw": value}):
-        with pytest.raises(ConfigError, match="finite"):
-            Rectangle(**wrong)
-    for side in (0.0, -0.1):
-        with pytest.raises(ConfigError, match="above zero"):
-            Rectangle(half_extents=(0.1, side))
 
 
 # Regions
@@ -156,17 +112,6 @@ def test_a_file_in_the_place_of_the_folder_is_explained(words, tmp_path, monkeyp
     assert str(taken) in said
     assert "Try: " in said
     assert taken.read_text() == "mine"
-
-
-@pytest.mark.parametrize("code", [errno.EROFS, errno.EACCES, errno.ENOSPC, errno.EIO])
-def test_what_the_disk_refuses_is_explained(code, capsys):
-    class Refused:
-        def run(self):
-            raise OSError(code, "no", "bank/verification.json")
-
-    assert run(Refused()) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: bank/verification.json: no. Try: ")
 
 
 @pytest.mark.parametrize(

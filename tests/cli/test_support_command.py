@@ -6,7 +6,7 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.modeller.furniture import make_support
-from cluttergen_jax.assets.support_file import find_support, list_supports, user_supports
+from cluttergen_jax.assets.support_file import find_support, user_supports
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.scene.bank import read_bank
 
@@ -60,25 +60,3 @@ def test_a_name_stands_for_one_table(file, tmp_path, capsys):
     assert find_support("mine").top == pytest.approx(0.5)
     np.testing.assert_allclose(sorted(find_support("mine").region.half_extents), [0.15, 0.2], atol=1e-6)
     assert [each.name for each in user_supports().iterdir()] == ["mine"]
-
-
-@pytest.mark.parametrize(
-    ("asked", "says"),
-    [
-        (["--support", "{file}", "--name", "round_table"], "round_table"),
-        (["--support", "{file}", "--name", "table-1x2"], "table-WxD"),
-        (["--support", "{file}", "--name", "../x"], "a-z"),
-        (["--support", "{file}"], "2 m"),
-        (["--support", "{file}", "--pool", "mine"], "--support"),
-        (["{file}", "--support", "{file}"], "--support"),
-        (["{file}", "--pool", "mine", "--name", "desk"], "--name"),
-        (["{file}"], "--pool NAME"),
-        (["--support", "nowhere.obj"], "does not exist"),
-    ],
-)
-def test_what_cannot_be_is_said(file, asked, says, capsys):
-    scale = ["--scale", "0.01"] if "--name" in asked else []
-    assert main(["import", *(each.format(file=file) for each in asked), *scale]) == 2
-    assert says in capsys.readouterr().err
-    assert not user_supports().exists()
-    assert "drawer_desk" in list_supports()

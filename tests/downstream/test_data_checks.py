@@ -61,6 +61,10 @@ HUGE = 10**12
         (lambda folder: cg.placer_train(folder, num_epochs=HUGE), "num_epochs.*1000000"),
         (lambda folder: cg.placer_eval(folder, num_pairs=HUGE), "num_pairs.*10000000"),
         (lambda folder: cg.perception_data(folder, num_views=HUGE), "num_views.*1000000"),
+        (lambda folder: cg.perception_data(folder, num_views=0), "num_views"),
+        (lambda folder: cg.perception_data(folder, split="tests"), "split"),
+        (lambda folder: cg.perception_data(folder, arm=1.5), "arm"),
+        (lambda folder: cg.perception_data(folder, arm=0.0, num_objects=99), "num_objects"),
         (lambda folder: cg.perception_train(folder, num_views=HUGE), "num_views.*1000000"),
         (lambda folder: cg.perception_eval(folder, num_views=HUGE), "num_views.*1000000"),
         (lambda folder: cg.evaluate(trials=HUGE), "trials.*1000000"),
@@ -71,6 +75,6 @@ HUGE = 10**12
         (lambda folder: cg.pretrain(out=folder, num_shapes=HUGE), "num_shapes.*1000000"),
     ],
 )
-def test_counts_that_nobody_means_are_refused_at_once(tmp_path, call, told):
+def test_what_cannot_be_meant_is_refused_at_once(tmp_path, call, told):
     with pytest.raises(ConfigError, match=told):
         call(tmp_path / "out")

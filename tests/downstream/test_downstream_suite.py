@@ -1,30 +1,18 @@
 """The suite `downstream`: studies whose results bring their tables along; what is made is not made again."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
-import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.perception.evaluate import PerceptionResult, PerceptionRow
-from cluttergen_jax.downstream.perception.scoring import JudgedMoment
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
 from cluttergen_jax.downstream.placer.training import PlacerTraining
-from cluttergen_jax.downstream.rearrange.episode import RearrangeResult
-from cluttergen_jax.downstream.rearrange.trials import Rearrangements
-from cluttergen_jax.downstream.robot.episode import EpisodeResult
-from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.downstream.robot.trials import RobotTrials
-from cluttergen_jax.downstream.studies import perception, rearrangement, robot
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
 from cluttergen_jax.downstream.studies.protocol import PROTOCOL
-from cluttergen_jax.downstream.studies.study import SETS, Found
+from cluttergen_jax.downstream.studies.study import Found
 from cluttergen_jax.downstream.suite import STUDIES, result_of
-from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.evaluation import suites
 from cluttergen_jax.evaluation.report import document, read_results, tables_of, write_report
-from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
 
 
@@ -57,85 +45,6 @@ def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path)
     assert "### Stable placement from one camera's view" in page
     assert "| random | 0.5 |" in page
     assert f"`cluttergen evaluate --suite downstream`, {result['date']}, 10 or 20 trials a row" in page
-
-
-def test_episodes_of_the_arm_are_counted_by_outcome():
-    end = EpisodeResult(Outcome.SUCCESS, "", "mug", 7, 0.002, 0.1, 0.0, 0.001, 0, 20.0, 1.0)
-    rows = (end, end, replace(end, outcome=Outcome.SLIP, object="bowl", error=np.nan, turn_error=np.nan))
-    asked = {"task": "place", "placer": "drop"}
-    found = robot.row_of(asked, RobotTrials("place", rows))
-    assert found["trial"] == asked | {"episodes": 3}
-    assert found["figures"]["causes"] == {"slip": 1}
-    assert found["figures"]["by_object"]["bowl"]["share"] == 0
-    assert found["figures"]["error"] == pytest.approx(0.002)
-    lost = robot.row_of({"task": "lift"}, RobotTrials("lift", rows[2:]))
-    low, high = wilson(2, 3)
-    cells = robot.table_of([found, lost]).rows
-    assert cells[0][:6] == ("place", "drop", "-", f"0.667 [{low:.3f}, {high:.3f}]", "slip 1", "2.0")
-    assert cells[1][:2] == ("lift", "-")
-    assert cells[1][5:7] == ("-", "-")
-
-
-def test_rearrangements_are_counted_by_episode_and_by_object():
-    row = RearrangeResult(
-        outcome="success", detail="", setting="paper", objects=["mug", "bowl"], right=[True, True], picks=3,
-        fewest=2, waits=1, retries=0, looks=4, layouts=1, error=0.001, turn_error=0.01, path=6.0,
-        seconds=60.0, cpu=9.0,
-    )  # fmt: skip
-    rows = (row, replace(row, outcome=str(Outcome.CONTACT), right=[True, False], picks=1))
-    asked = {"setting": "paper", "observer": "true"}
-    found = rearrangement.row_of(asked, Rearrangements("paper", "true poses", rows))
-    assert found["figures"]["success"]["share"] == 0.5
-    assert found["figures"]["right"]["share"] == 0.75
-    assert found["figures"]["causes"] == {"contact": 1}
-    assert (found["figures"]["picks"], found["figures"]["fewest"]) == (2, 2)
-
-
-def test_moments_are_counted_over_all_their_objects():
-    moment = JudgedMoment(
-        moment=0, has_arm=False,
-        confused=[[800, 0, 0, 0, 400, 0, 0, 200, 200], [600, 0, 200, 0, 400, 0, 300, 0, 100]],
-        corrected=[[800, 0, 0, 0, 400, 0, 0, 0, 400]] * 2,
-        objects=["mug", "mug"], share=[0.9, 0.1], adds=[0.001, 0.2], turn=[0.2, 0.0], shift=[0.0, 0.0],
-        certainty=[0.9, 0.1], features=[[0.0] * 7] * 2, cpu=2.0,
-    )  # fmt: skip
-    row = PerceptionRow(1, 1.0, (moment, moment), ("mug",))
-    told = perception.row_of(PerceptionResult("household", (row,)), row)
-    figures, masks = told["figures"], told["figures"]["segmenter"]
-    # The first picture shows half of it, which is enough; in the second its mask is mostly of something else.
-    assert (masks["found"]["share"], masks["false"]["share"]) == (0.5, 0.5)
-    assert masks["mean_iou"] == pytest.approx(np.mean([1400 / 1900, 800 / 1000, 300 / 1000]))
-    corrected = figures["corrected"]
-    assert (corrected["found"]["share"], corrected["false"]["share"], corrected["mean_iou"]) == (1, 0, 1)
-    pixels, poses = perception.tables_of([told])
-    assert [row[0] for row in pixels.rows] == ["household", "household, corrected by poses"]
-    assert len(poses.rows) == 1
-    (told,) = PerceptionResult("household", (row,))._by_object()
-    assert told == ("mug", "2", "1.000", "0.000", "0.000"), "of what is well seen"
-    # Of the two objects only the one that is well seen counts.
-    assert (figures["adds"]["share"], figures["turn"]["share"], figures["both"]["share"]) == (1, 0, 0)
-    assert "segmenter" not in perception.row_of(PerceptionResult("true", (row,)), row)["figures"]
-
-
-def test_what_the_suite_does_not_know_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="`methods` with suite 'downstream'"):
-        cg.evaluate_suite("downstream", methods=("drop",), out=tmp_path)
-    with pytest.raises(ConfigError, match="`heads` with suite 'paper'"):
-        cg.evaluate_suite("paper", heads=("scored",), out=tmp_path)
-    with pytest.raises(ConfigError, match=r"only = 'placment'.*Did you mean 'placement'"):
-        cg.evaluate_suite("downstream", only=("placment",), out=tmp_path)
-    with pytest.raises(ConfigError, match=r"pools = 'garden'.*household"):
-        cg.evaluate_suite("downstream", pools=("garden",), out=tmp_path)
-    with pytest.raises(ConfigError, match=r"pools = 'nosuch'.*Allowed: household, dining, kitchen"):
-        cg.evaluate_suite("downstream", pools=("dining", "nosuch"), only=("placement",), out=tmp_path)
-    with pytest.raises(BankError, match="is not a bank"):
-        cg.evaluate_suite("downstream", bank=tmp_path / "nosuch", only=("source",), out=tmp_path)
-    with pytest.raises(ConfigError, match=r"head 'score'.*Did you mean 'scored'"):
-        cg.evaluate_suite("downstream", heads=("score",), out=tmp_path)
-    with pytest.raises(ConfigError, match="num_pairs = -1"):
-        cg.evaluate_suite("downstream", num_pairs=-1, out=tmp_path)
-    assert len({one.name for one in SETS}) == len(SETS)
-    assert not STUDIES.keys() & suites.STUDIES.keys(), "a page tells studies apart by their names"
 
 
 @pytest.fixture(scope="module")

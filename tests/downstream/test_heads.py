@@ -8,12 +8,10 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.fitting import FitConfig, num_examples, take
-from cluttergen_jax.downstream.placer.examples import concatenate_examples
-from cluttergen_jax.downstream.placer.heads.checkpoint import head_of, load_placer, placer_folder
+from cluttergen_jax.downstream.fitting import FitConfig
+from cluttergen_jax.downstream.placer.heads.checkpoint import load_placer, placer_folder
 from cluttergen_jax.downstream.placer.heads.features import (
     MIRRORED,
-    UNSEEN,
     crops_of,
     features_of,
     own_shape,
@@ -29,10 +27,9 @@ from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHe
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
 from cluttergen_jax.downstream.placer.training import PlacerTraining, best_temperature
-from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.learning.policies.embedded import list_policies
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
-from tests.helpers.queries import HALF, TALL, made_up_examples, made_up_query, stacked
+from tests.helpers.queries import HALF, made_up_examples, made_up_query
 
 HEADS = {
     "scored": ScoredHead(ScoredConfig(8, 16, 16, 32, 16, 4, 2)),
@@ -115,44 +112,6 @@ def test_a_mirrored_scene_is_a_mirrored_picture():
     np.testing.assert_allclose(features_of(query, pose)[0, 26:28], [0.2, 0.4], rtol=1e-5)
 
 
-def test_what_is_hidden_is_seen_in_the_features():
-    query = made_up_query()
-    on_top, behind, free = pose_at(
-        [0.05, 0.0, TALL + 0.041, 0.0], [0.105, 0.0, 0.041, np.pi / 2], [-0.1, 0.0, 0.041, 0.0]
-    )
-    features = np.asarray(features_of(query, np.stack([on_top, behind, free])))
-    np.testing.assert_allclose(features[:, 0], [10 * (TALL + 0.001), 0.01, 0.01], atol=1e-5)
-    hidden, into = features[:, 2], features[:, 3]
-    assert hidden[0] == into[0] == hidden[2] == into[2] == 0
-    assert hidden[1] > 0.9
-    assert into[1] > 0.9
-    assert TALL > UNSEEN
-    # Over what may be there, it would rest on top of that.
-    np.testing.assert_allclose(features[1, 16:18], [-3.0, 10 * (0.001 - TALL)], atol=1e-5)
-
-
-def test_padded_queries_are_read_as_before(examples):
-    """Worlds of other sizes are joined: maps and under-sides are padded, and nothing that is read changes."""
-    small = stacked([made_up_query()])
-    large = examples.replace(
-        query=examples.query.replace(
-            heights=_wider(examples.query.heights), ceilings=_wider(examples.query.ceilings)
-        )
-    )
-    one = take(examples, np.arange(1)).replace(query=small)
-    both = concatenate_examples([one, large])
-    assert num_examples(both) == 9
-    first = jax.tree.map(lambda leaf: leaf[0], both)
-    alone = jax.tree.map(lambda leaf: leaf[0], one)
-    before, after = (np.asarray(features_of(each.query, each.candidate)) for each in (alone, first))
-    # The last feature is a share of the map's cells that are there, which padding leaves as it is.
-    np.testing.assert_allclose(after, before, atol=1e-6)
-
-
-def _wider(heights):
-    return heights.replace(height=np.pad(heights.height, [(0, 0), (0, 5), (0, 3)], constant_values=-1e3))
-
-
 # Learning
 
 
@@ -212,18 +171,6 @@ def test_the_printed_loss_weighs_each_error_by_the_others_share(params):
         lambda p, t: b / (a + b) * p + a / (a + b) * t, slopes["position"][1], slopes["turn"][1]
     )
     jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6), slopes["total"][1], expected)
-
-
-def test_a_whole_turn_makes_no_difference_to_the_symmetric_loss(params):
-    printed = HEADS["regression"]
-    symmetric = dataclasses.replace(printed, config=dataclasses.replace(printed.config, loss="symmetric"))
-    parts = jax.jit(
-        lambda params, example: [head.loss(params, example, None)[1]["turn"] for head in (printed, symmetric)]
-    )
-    once, again = (np.array(parts(params, one_example(0.5 + turn))) for turn in (0, 2 * np.pi))
-    assert once[1] == pytest.approx(again[1], rel=1e-4)
-    # q and -q turn alike and are told apart by the printed one.
-    assert abs(once[0] - again[0]) > 0.1
 
 
 @pytest.mark.parametrize("true", [0.5, 1.0, 3.0])
@@ -312,27 +259,3 @@ def test_a_stored_placer_proposes_what_it_did(name, tmp_path, examples):
     there, back = (proposed(each, examples) for each in (head.placer(params, 1.5), load_placer(tmp_path)))
     np.testing.assert_array_equal(there.pose, back.pose)
     np.testing.assert_array_equal(there.score, back.score)
-
-
-def test_what_is_no_such_placer_is_refused(tmp_path):
-    head = HEADS["mixture"]
-    record = {"kind": "placer", "head": "mixture", "network": dataclasses.asdict(head.config)}
-    save_policy(tmp_path, jax.jit(head.init)(jax.random.key(0)), record)
-    with pytest.raises(PoolError, match="placer with the head 'mixture'"):
-        load_placer(tmp_path, "scored")
-    with pytest.raises(PoolError, match="kind 'stability', and no placer"):
-        load_placer(list_policies()["guided"])
-    with pytest.raises(PoolError, match=r"not a checkpoint.*`cluttergen placer train`"):
-        load_placer(tmp_path / "nowhere")
-    with pytest.raises(PoolError, match="head 'other'"):
-        head_of(record | {"head": "other"}, tmp_path)
-    with pytest.raises(PoolError, match="does not say what network"):
-        head_of(record | {"network": {"num_cells": 6}}, tmp_path)
-    larger = dataclasses.asdict(MixtureConfig(6, 4, (9,), 16))
-    (tmp_path / "record.json").write_text(json.dumps({"format": 1, **record, "network": larger}))
-    with pytest.raises(PoolError, match="weights of another network"):
-        load_placer(tmp_path)
-    for temperature in (0, "hot", None):
-        (tmp_path / "record.json").write_text(json.dumps({"format": 1, **record, "temperature": temperature}))
-        with pytest.raises(PoolError, match="temperature"):
-            load_placer(tmp_path)

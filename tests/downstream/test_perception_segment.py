@@ -20,15 +20,12 @@ from cluttergen_jax.downstream.perception.segment.network import (
 )
 from cluttergen_jax.downstream.perception.segment.network_segmenter import (
     NetworkSegmenter,
-    by_pieces,
     enlarge,
-    fit_to_depth,
     load_segmenter,
     segmenter_folder,
 )
 from cluttergen_jax.downstream.perception.segment.training import SegmenterTraining, example_of
 from cluttergen_jax.downstream.perception.types import (
-    BACKGROUND,
     FIRST_OBJECT,
     check_images,
     confusion,
@@ -80,14 +77,6 @@ def test_examples_are_of_the_networks_size_and_centres_lie_in_their_masks():
         assert np.median(height) == pytest.approx(2 * asset.half_extents[2], abs=0.006)
 
 
-def test_noise_is_the_same_for_the_same_seed():
-    view = view_of(POSES, overhead())
-    first, again, other = (example_of(view, Known, seed) for seed in (0, 0, 1))
-    assert np.array_equal(first.rgb, again.rgb)
-    assert np.array_equal(first.depth, again.depth)
-    assert not np.array_equal(first.rgb, other.rgb)
-
-
 @pytest.mark.parametrize("size", [(240, 320), (480, 640), (200, 330)])
 def test_pictures_of_any_size_are_read_and_answered(size):
     depth = np.full(size, 0.7, np.float32)
@@ -113,36 +102,6 @@ def test_mirrored_examples_keep_centres_in_their_masks():
             assert turned.label[int(y), int(x)] == FIRST_OBJECT + number
 
 
-def test_a_piece_of_surface_is_of_one_class_and_steps_part_pieces():
-    height = np.zeros((8, 12), np.float32)
-    height[2:6, 1:6], height[2:6, 6:11] = 0.05, 0.10
-    chance = np.zeros((8, 12, 4), np.float32)
-    chance[..., BACKGROUND], chance[2:6, 1:6, 2], chance[2:6, 6:11, 3] = 0.1, 1.0, 1.0
-    # Some of the first object is taken for the second, and some of the table for the first.
-    chance[3, 2], chance[7, :3] = [0, 0, 0.3, 0.7], [0.4, 0, 0.6, 0]
-    mixed = by_pieces(chance, 1 - height, height)
-    assert (mixed[2:6, 1:6].argmax(-1) == 2).all()
-    assert (mixed[2:6, 6:11].argmax(-1) == 3).all()
-    np.testing.assert_allclose(mixed[7], chance[7], atol=1e-6)
-    unknown = by_pieces(chance, np.full_like(height, np.nan), height)
-    np.testing.assert_allclose(unknown, chance, atol=1e-6)
-
-
-def test_objects_end_where_the_table_begins_and_have_their_thin_parts():
-    height = np.zeros((20, 30), np.float32)
-    height[5:10, 5:10] = 0.04
-    height[7, 10:13] = 0.02
-    height[7, 25] = 0.02
-    height[0, 0] = np.nan
-    label = np.full(height.shape, BACKGROUND, np.uint8)
-    label[4:11, 4:10] = FIRST_OBJECT
-    fitted = fit_to_depth(label, height)
-    expected = np.zeros(height.shape, bool)
-    expected[5:10, 5:10] = expected[7, 10:13] = True
-    assert np.array_equal(fitted == FIRST_OBJECT, expected)
-    assert (fit_to_depth(np.zeros_like(label), height) == BACKGROUND).all()
-
-
 # How it is scored
 
 
@@ -161,18 +120,6 @@ def test_scores_are_those_of_hand_arithmetic():
 def refused(rgb, depth, told):
     with pytest.raises(ConfigError, match=told):
         check_images(rgb, depth, overhead())
-
-
-def test_images_that_cannot_be_used_are_refused():
-    view = view_of(POSES, overhead()).view
-    refused(view.rgb[:-1], view.depth, "picture of type uint8 and shape")
-    refused(view.rgb.astype(np.float32), view.depth, "float32")
-    refused(view.rgb, view.depth.T, "a depth image")
-    refused(view.rgb, (1000 * view.depth).astype(np.uint16), "not millimetres")
-    refused(view.rgb, np.full_like(view.depth, np.nan), "nothing was measured")
-    depth = view.depth.copy()
-    depth[0] = (np.nan,)
-    assert np.isnan(check_images(view.rgb, depth, overhead())[1][0]).all()
 
 
 # Runs
@@ -202,31 +149,6 @@ def test_gradient_steps_lower_the_loss_and_leave_a_segmenter(trained):
     again = load_segmenter(trained)(view.rgb, view.depth, view.camera)
     assert np.array_equal(found.label, again.label)
     assert (trained / "weights.npz").stat().st_size < 2e6
-
-
-@pytest.mark.slow
-def test_a_run_that_was_stopped_ends_as_one_that_was_not(tmp_path, monkeypatch):
-    config = FitConfig(num_epochs=2, batch_size=4, learning_rate=5e-3)
-    whole, stopped = run(tmp_path / "whole", config).run(), run(tmp_path / "stopped", config)
-    batch = SegmenterTraining._batch
-
-    def stop(self, number, *sizes):
-        if number == 2:
-            import signal
-
-            signal.raise_signal(signal.SIGINT)
-        return batch(self, number, *sizes)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(SegmenterTraining, "_batch", stop)
-        with pytest.raises(KeyboardInterrupt):
-            stopped.run()
-    again = run(tmp_path / "stopped", config).run()
-    weights = [np.load(folder / "weights.npz") for folder in (whole, again)]
-    for name in weights[0].files:
-        np.testing.assert_array_equal(weights[0][name], weights[1][name])
-    with pytest.raises(ConfigError, match="another fit"):
-        run(tmp_path / "stopped", dataclasses.replace(config, num_epochs=3))
 
 
 def stored(folder, **changes):

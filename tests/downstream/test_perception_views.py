@@ -1,30 +1,18 @@
 """Views: what is drawn, how they are stored, continued and refused."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
 
-import cluttergen_jax as cg
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
 from cluttergen_jax.downstream.perception.types import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.views import store as stored
 from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
 from cluttergen_jax.downstream.perception.views.stage import (
-    FOCAL,
-    NUM_TEXTURES,
     SIZE,
-    TEXTURES_OF,
-    expose,
-    wrist_camera,
 )
 from cluttergen_jax.downstream.perception.views.store import VIEWS, row_of
-from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.errors import BankError, ConfigError
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
 from tests.helpers.perception import POSES, overhead, view_of
@@ -51,24 +39,6 @@ def views(tmp_path_factory, bank):
 
 
 # What is drawn
-
-
-def test_exposure_keeps_the_order_of_brightness():
-    ramp = np.repeat(np.arange(0, 250, 50, dtype=np.uint8)[:, None], 3, 1)[:, None].repeat(400, 1)
-    seen = expose(ramp, np.random.default_rng(0)).mean((1, 2))
-    assert (np.diff(seen) > 0).all()
-
-
-def test_the_camera_on_the_hand_looks_where_the_hand_points():
-    down = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.2, 1.3]))
-    camera = wrist_camera(down)
-    assert (camera.width, camera.height) == SIZE
-    assert camera.K[0, 0] == FOCAL
-    assert camera.rotation[2, 2] < -0.98
-    pixels, depth = camera.project(down[:3, 3] - [0, 0, 0.4])
-    assert depth > 0.4
-    assert (pixels > 0).all()
-    assert (pixels < SIZE).all()
 
 
 # What is stored
@@ -127,23 +97,6 @@ def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp
         write_views(more.path, {"made": bank}, "train", 6, CONFIG)
 
 
-def test_each_split_has_textures_of_its_own():
-    assert sorted(number for numbers in TEXTURES_OF.values() for number in numbers) == list(
-        range(NUM_TEXTURES)
-    )
-
-
-@needs_gl
-def test_a_damaged_block_is_named_and_made_again(views, bank, tmp_path):
-    made_ = write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)
-    whole = rows_of(made_.path)
-    VIEWS.block_path(made_.path, "train", 0).write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(BankError, match="missing or damaged"):
-        list(made_.views("train"))
-    write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)
-    assert rows_of(made_.path) == whole
-
-
 def test_frames_are_read_as_they_were_written_and_damaged_ones_are_refused(tmp_path):
     view = view_of(POSES, overhead()).view
     depth = view.depth.copy()
@@ -161,51 +114,3 @@ def test_frames_are_read_as_they_were_written_and_damaged_ones_are_refused(tmp_p
     (tmp_path / "depth.npy").unlink()
     with pytest.raises(BankError, match=r"depth\.npy"):
         read_frame(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"num_views": 0}, "num_views"),
-        ({"split": "tests"}, "split"),
-        ({"arm": 1.5}, "arm"),
-        ({"seed": -1}, "seed"),
-        ({"num_objects": 99}, "num_objects"),
-    ],
-)
-def test_settings_that_cannot_be_are_refused(given, told, tmp_path):
-    with pytest.raises(ConfigError, match=told):
-        cg.perception_data(tmp_path / "views", **{"arm": 0.0} | given)
-
-
-KILLED = """
-import sys
-from pathlib import Path
-from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
-from cluttergen_jax.scene.bank import read_bank
-config = ViewConfig(seed=5, arm=0.0)
-write_views(sys.argv[1], {"made": read_bank(sys.argv[2])}, "train", int(sys.argv[3]), config)
-"""
-
-
-@needs_gl
-@pytest.mark.slow
-def test_what_a_killed_process_left_is_taken_up_again(bank, tmp_path):
-    number = 3 * VIEWS.block_size
-    command = [sys.executable, "-c", KILLED, str(tmp_path / "killed"), str(bank.path), str(number)]
-    process = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
-    first = VIEWS.block_path(tmp_path / "killed", "train", 0)
-    for _ in range(1200):
-        if first.exists() or process.poll() is not None:
-            break
-        time.sleep(0.1)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    before = first.stat().st_mtime_ns
-    assert not VIEWS.block_path(tmp_path / "killed", "train", 2).exists()
-    killed = write_views(tmp_path / "killed", {"made": bank}, "train", number, CONFIG)
-    whole = write_views(tmp_path / "whole", {"made": bank}, "train", number, CONFIG)
-    assert first.stat().st_mtime_ns == before
-    for block in range(3):
-        one, other = (VIEWS.block_path(each.path, "train", block) for each in (killed, whole))
-        assert one.read_bytes() == other.read_bytes()

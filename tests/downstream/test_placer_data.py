@@ -5,25 +5,20 @@ from dataclasses import replace
 
 import jax
 import numpy as np
-import pyarrow as pa
 import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench
-from cluttergen_jax.downstream.placer.examples import TESTING, ExampleSource
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs import maker as data
 from cluttergen_jax.downstream.placer.pairs import store as pairs
-from cluttergen_jax.downstream.placer.pairs.store import load_queries, of_tenths, read_pairs
+from cluttergen_jax.downstream.placer.pairs.store import load_queries, read_pairs
 from cluttergen_jax.downstream.placer.query import Proposals
 from cluttergen_jax.downstream.samples import SPLITS
-from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.heightmap import VOID
-from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.types import Verdict
-from tests.helpers import banks
 from tests.helpers.placing import write_bank
 from tests.helpers.records import unsigned
 
@@ -109,21 +104,6 @@ def test_splits_share_neither_cameras_nor_noise(bank, tmp_path, monkeypatch):
         cg.placer_data(both.path, bank.path, num_pairs=4)
 
 
-def test_a_pair_tells_of_the_scene_that_it_is_of(bank, made):
-    rows = [row for table in made.tables("test") for row in table.to_pylist()]
-    scenes = {scene.index: scene for scene in bank.scenes()}
-    assert {(row["scene"], row["slot"]) for row in rows} == {(i, k) for i in scenes for k in range(3)}
-    for row in rows:
-        scene, slot = scenes[row["scene"]], row["slot"]
-        assert row["object"] == scene.objects[slot]
-        assert row["standing"] == list(scene.objects[:slot])
-        top = np.array([0, 0, bank.support.top, 0, 0, 0, 0])
-        assert row["target_pose"] == pytest.approx(scene.poses[slot] - top, abs=1e-6)
-        labels = np.frombuffer(row["labels"], np.uint8)
-        # From above every object shows, and nothing else.
-        assert set(labels) == {0, 1, *range(2, 2 + slot)}
-
-
 def test_queries_show_what_stands_to_the_millimetre(loaded):
     queries, labels = loaded
     from cluttergen_jax.downstream.placer.map_from_depth import CELL
@@ -140,25 +120,6 @@ def test_queries_show_what_stands_to_the_millimetre(loaded):
         assert len(kept) > 500
         assert not queries.cloud[row][~queries.cloud_mask[row]].any()
         assert kept[:, 2].max() <= heights.max() + 0.002
-
-
-@pytest.mark.parametrize("held_out", ["scenes", "pairs"])
-def test_what_validates_is_not_learned_from(made, held_out):
-    """Of pairs that stand in for a training split: by scenes, or as the paper has it by pairs."""
-    table = pa.table({"pair": np.arange(200), "scene": np.arange(200) * 7 % 31})
-    source = ExampleSource((made.path,), held_out=held_out)
-    learned, validates = (source._filter_of(made, split)(table) for split in ("train", "val"))
-    assert not (learned & validates).any()
-    assert validates.any()
-    shared = np.intersect1d(np.asarray(table["scene"])[learned], np.asarray(table["scene"])[validates])
-    tested = of_tenths(TESTING)(table)
-    if held_out == "scenes":
-        assert len(shared) == 0
-        assert (learned | validates).all()
-    else:
-        assert len(shared) > 0, "that is what the study `protocol` is about"
-        assert (learned.sum(), validates.sum(), tested.sum()) == (160, 20, 20)
-        assert not (tested & (learned | validates)).any()
 
 
 @pytest.mark.slow
@@ -184,37 +145,3 @@ def test_splits_share_no_scene():
         for index in (0, 1, 2, 3, 499, 999_999, 1_000_000, 2_000_000)
     }
     assert len(keys) == 8 * len(seeds)
-
-
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ({"split": "train"}, r"split = 'train'.*seed is 2000000.*'test'"),
-        ({"pool": "dining"}, "`pool` together with `bank`"),
-        ({"num_pairs": 0}, "num_pairs = 0"),
-        ({"seed": -1}, "seed = -1"),
-        ({"seed": 1_000_000}, "seed = 1000000"),
-        ({"camera": "behind"}, "camera 'behind'.*overhead"),
-    ],
-)
-def test_settings_that_cannot_be_meant_are_refused(bank, tmp_path, options, match):
-    with pytest.raises(ConfigError, match=match):
-        cg.placer_data(tmp_path / "pairs", bank.path, **options)
-    assert not blocks(tmp_path)
-
-
-def test_banks_of_which_no_pairs_can_be_made_are_named(tmp_path):
-    with pytest.raises(BankError, match="is not a bank"):
-        cg.placer_data(tmp_path / "pairs", tmp_path)
-    # The made-up bank's record does not tell what its scenes were made on.
-    banks.two_scenes(tmp_path / "made-up")
-    with pytest.raises(BankError, match="how it was made is not recorded whole"):
-        cg.placer_data(tmp_path / "pairs", tmp_path / "made-up")
-    record = read_bank(tmp_path / "made-up").record
-    del record["assets"]
-    (tmp_path / "made-up" / "bank.json").write_bytes(index_bytes(record))
-    with pytest.raises(BankError, match="no digests of its assets"):
-        cg.placer_data(tmp_path / "pairs", tmp_path / "made-up")
-    write_bank(tmp_path / "failed", 1, is_success=False)
-    with pytest.raises(BankError, match="none of its scenes stands"):
-        cg.placer_data(tmp_path / "pairs", tmp_path / "failed")

@@ -1,12 +1,6 @@
 """Rearrangement by the arm: two boxes that change places; only what the observer tells guides it."""
 
-import ast
-import inspect
-import os
-import signal
-import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,8 +13,6 @@ pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
-import cluttergen_jax as cg
-from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
@@ -33,14 +25,13 @@ from cluttergen_jax.downstream.rearrange.task import (
     SETTINGS,
     RearrangeOptions,
     RearrangeResult,
-    RearrangeSetting,
 )
-from cluttergen_jax.downstream.rearrange.trials import is_stacked, run_rearrangements
+from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES
-from cluttergen_jax.errors import BankError, ConfigError
-from tests.helpers.arm import BOXES, HALF, PLACES, SCENE, TOP, grasps_of_box, standing, task_of
+from cluttergen_jax.errors import BankError
+from tests.helpers.arm import PLACES, SCENE, standing, task_of
 
 
 def test_two_boxes_change_places_by_way_of_a_third_and_the_truth_is_read_by_two_alone(monkeypatch):
@@ -60,24 +51,6 @@ def test_two_boxes_change_places_by_way_of_a_third_and_the_truth_is_read_by_two_
     assert result.right == [True, True]
     assert result.error < 0.003
     assert readers == {"observe", "judge"}
-
-
-def test_the_source_reads_the_truth_nowhere_else():
-    folder = Path(inspect.getfile(RearrangeSetting)).parent
-    names = {"poses", "pose", "qpos", "xpos", "xquat", "true_poses"}
-    found = {}
-    for path in folder.glob("*.py"):
-        tree = ast.parse(path.read_text())
-        of_execution = [
-            node
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Attribute)
-            and node.attr in names
-            and ast.unparse(node.value).endswith(("execution", "data", "world", "view"))
-        ]
-        found[path.stem] = len(of_execution)
-    # Its own model of meetings is no episode.
-    assert {name for name, number in found.items() if number} == {"observe", "judge", "order"}
 
 
 class Shifted(TrueObserver):
@@ -176,31 +149,6 @@ def test_the_judge_finds_what_is_wrong():
     assert (told.value.outcome, told.value.detail) == (Outcome.DISPLACED, "blue")
 
 
-def test_a_heap_counts_if_the_arm_gets_at_what_lies_on_top():
-    poses = standing(PLACES)
-    poses[1, :3] = [*PLACES[0], TOP + 2 * HALF[2] + BOXES[1].half_extents[2]]
-    heap = replace(SCENE, poses=poses)
-    grasps = tuple(map(grasps_of_box, SCENE.names))
-    # From below, through the box that it lies on.
-    upwards = grasps[1].pose * [1, 1, -1, 1, 1, 1, 1] @ np.diag([1.0, 1, 1, 0, 0, 0, 0]) + [
-        0,
-        0,
-        0,
-        1,
-        0,
-        0,
-        0,
-    ]
-    no_way = (grasps[0], replace(grasps[1], pose=upwards))
-    assert is_stacked(heap, grasps, 1)
-    # Any grasp counts, also by an end: heaps are not made easier.
-    ends = replace(grasps[1], pose=grasps[1].pose + np.eye(7)[1] * 0.05)
-    assert is_stacked(heap, (grasps[0], ends), 1)
-    assert not is_stacked(heap, grasps, 2)
-    assert not is_stacked(heap, no_way, 1)
-    assert not is_stacked(SCENE, grasps, 1)
-
-
 GOOD = RearrangeResult(
     "success", "", "paper", ["mug", "fork"], [True, True], 2, 2, 0, 0, 3, 1, 0.001, 0.01, 5.0, 30.0, 9.0
 )
@@ -253,63 +201,3 @@ def test_interrupted_trials_go_on_and_rows_of_other_settings_are_refused(made_ro
     (tmp_path / EPISODES).write_text("{}\n[1, 2")
     with pytest.raises(BankError, match="damaged"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"setting": "heap"}, "stacked"),
-        ({"choose": "best"}, "clearance"),
-        ({"order": "random"}, "lowest"),
-        ({"num_episodes": 0}, "num_episodes"),
-        ({"layout": 10}, "layout"),
-        ({"layout": 1, "pick": True}, "one or the other"),
-        ({"films": True, "film": "avi"}, "gif, mp4"),
-    ],
-)
-def test_settings_that_cannot_be_are_refused(given, told, tmp_path):
-    with pytest.raises(ConfigError, match=told):
-        cg.rearrange(tmp_path, **given)
-
-
-@pytest.mark.slow
-def test_the_command_rearranges_and_says_how_it_went(home, tmp_path, capsys):
-    words = ["rearrange", "--num-episodes", "1", "--out", str(tmp_path), "--threads", "1"]
-    assert main(words) == 0
-    told = capsys.readouterr().out
-    assert "true poses" in told
-    assert (tmp_path / "paper" / EPISODES).is_file()
-    assert main(words) == 0
-    assert capsys.readouterr().out == told
-
-
-KILLED = """
-import sys
-import cluttergen_jax as cg
-cg.rearrange(sys.argv[1], num_episodes=2, num_threads=1)
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_run_goes_on_to_the_same_episodes(home, tmp_path):
-    process = subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(tmp_path / "killed")],
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-    file = tmp_path / "killed" / "paper" / EPISODES
-    for _ in range(2400):
-        if file.exists() or process.poll() is not None:
-            break
-        time.sleep(0.1)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    left = file.read_text().splitlines()
-    assert len(left) == 2, "how rows were made, and the first"
-    killed, whole = (
-        cg.rearrange(tmp_path / name, num_episodes=2, num_threads=1) for name in ("killed", "whole")
-    )
-    # The first line tells of all rows, and changes with them.
-    assert file.read_text().splitlines()[1:2] == left[1:]
-    assert [repr(replace(row, cpu=0)) for row in killed.rows] == [
-        repr(replace(row, cpu=0)) for row in whole.rows
-    ]

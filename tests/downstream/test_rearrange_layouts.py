@@ -7,16 +7,13 @@ from shapely.geometry import MultiPoint
 
 pytest.importorskip("mink", reason="needs the extra robot")
 
-from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.symmetry import ROUND, turn_matrix, turn_symmetry
 from cluttergen_jax.downstream.rearrange.layouts import (
-    SceneDraw,
     choose_unlike,
     clearance_of,
 )
 from cluttergen_jax.downstream.transforms import equal_places, offset
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from tests.helpers.worlds import box, prism
@@ -99,20 +96,3 @@ def test_equal_places_are_no_error_and_others_are(order):
     shift, turn = offset(off, place, order)
     assert shift == pytest.approx(0.01)
     assert turn == pytest.approx(0 if order == ROUND else np.radians(15), abs=1e-6)
-
-
-@pytest.mark.slow
-def test_scenes_are_drawn_where_they_are_asked_for_around_what_stands():
-    draw = SceneDraw("household", "clear", 3, 1)
-    names = [asset.name for asset in draw.objects]
-    assert names == [asset.name for asset in find_pool("household").objects]
-    stay = np.array([[0.0, 0.15, draw.support.top + draw.objects[0].resting[0].height, 1, 0, 0, 0]])
-    region = Rectangle((0.0, 0.15), (0.2, 0.1))
-    found = draw(5, [3, 6], region, [0], stay, number=16)
-    assert len(found) > 8
-    assert np.array_equal(found, draw(5, [3, 6], region, [0], stay, number=16))
-    assert (np.abs(found[..., :2] - region.center) <= region.half_extents).all()
-    for poses in found:
-        assert clearance_of([draw.objects[k] for k in (3, 6, 0)], np.concatenate([poses, stay]), 2) > 0
-    with pytest.raises(ConfigError, match="3 at most"):
-        draw(5, [1, 2, 3, 4], region)

@@ -6,12 +6,10 @@ from itertools import product
 import numpy as np
 
 from cluttergen_jax.downstream.rearrange.order import (
-    Meetings,
     Relations,
     is_possible,
     smallest_waiting,
 )
-from tests.helpers.worlds import box
 
 START, AWAY, HOME = range(3)
 
@@ -80,18 +78,3 @@ def test_what_swaps_needs_one_to_wait_and_a_ring_too():
     two_rings = relations_of(4, blocks=[(0, 1), (1, 0), (2, 3), (3, 2)])
     assert len(smallest_waiting(two_rings, range(4))) == 2
     assert smallest_waiting(relations_of(3, blocks=[(0, 1), (1, 2)]), range(3)) == ()
-
-
-def test_who_lies_on_whom_now_and_later():
-    objects = [box("a", (0.02, 0.02, 0.02)), box("b", (0.05, 0.05, 0.01)), box("c", (0.02, 0.02, 0.02))]
-    poses = np.zeros((3, 7))
-    poses[:, 3] = 1
-    poses[:, :3] = [[0, 0, 0.0395], [0, 0, 0.01], [0.3, 0, 0.02]]
-    goals = poses.copy()
-    goals[[0, 2]] = poses[[2, 0]]
-    relations = Meetings(objects).relations(poses, goals)
-    assert np.argwhere(relations.lies_on).tolist() == [[0, 1]]
-    assert np.argwhere(relations.goal_on).tolist() == [[2, 1]]
-    # Both of the small ones are in each other's place; what is beneath stays in its own, under the other.
-    assert relations.blocks[0, 2]
-    assert relations.blocks[2, 0]

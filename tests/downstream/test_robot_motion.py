@@ -12,21 +12,18 @@ pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
-from cluttergen_jax.assets.support import Rectangle, cuboid_table
+
+from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeWorld,
-    Put,
-    _run_episode,
     lift_episode,
     place_episode,
-    stand_beside,
 )
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose, home_pose
 from cluttergen_jax.downstream.robot.motion import execute as robot_execute
 from cluttergen_jax.downstream.robot.motion.collision import (
     CLEARANCE,
-    ROOM,
     SELF_CLEARANCE,
     Kind,
     Mode,
@@ -34,10 +31,9 @@ from cluttergen_jax.downstream.robot.motion.collision import (
 )
 from cluttergen_jax.downstream.robot.motion.execute import Phase
 from cluttergen_jax.downstream.robot.motion.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
-from cluttergen_jax.downstream.robot.motion.mover import LIFT, Mover
 from cluttergen_jax.downstream.robot.motion.plan import MAX_ACCELERATION, MAX_SPEED, SHARE, Planner, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of, raise_by, rigid
+from cluttergen_jax.downstream.transforms import angle_between, inverse, pose_of, rigid
 from cluttergen_jax.scene import Scene
 from tests.helpers.worlds import box
 
@@ -300,120 +296,3 @@ def test_an_unplanned_contact_stops_the_arm(kinematics):
         )
     assert told.value.outcome == Outcome.CONTACT
     assert "cube" in told.value.detail or "wall" in told.value.detail
-
-
-def test_what_moved_and_what_does_not_stay_are_found():
-    episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
-    episode_world.check_others()
-    low = episode_world.execution.model.body("low").id
-    episode_world.execution.data.xfrc_applied[low, 0] = 3.0
-    episode_world.execution.wait(0.2, Phase.FREE)
-    with pytest.raises(Failed) as told:
-        episode_world.check_others()
-    assert (told.value.outcome, told.value.detail) == (Outcome.DISPLACED, "low")
-    episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
-    episode_world.execution.data.xfrc_applied[episode_world.execution.model.body("cube").id, 0] = 3.0
-
-    def put():
-        episode_world.put = Put(2, episode_world.execution.pose(TARGET))
-        episode_world.check_stands()
-
-    # How far it went is told of what failed, too.
-    result = _run_episode(episode_world, put)
-    assert (result.outcome, result.proposal) == (Outcome.UNSTABLE, 2)
-    assert result.error > 0.004
-
-
-def test_what_touches_something_too_early_has_slipped(grasps, kinematics):
-    """The cube is put down by feel where, unknown to the arm, a box stands."""
-    hidden = SCENE.poses.copy()
-    hidden[0] = standing(0.15, -0.2, LOW)
-    episode_world = EpisodeWorld(replace(SCENE, poses=hidden), TARGET, (), 0)
-    told = SCENE.poses.copy()
-
-    def see(only):
-        now = episode_world.execution.poses()
-        return np.stack([told[0], told[1], now[TARGET]])
-
-    world = PlanningWorld(SCENE.names, SCENE.objects, told, TARGET, TABLE, base_pose(TABLE))
-    mover = Mover(episode_world.execution, world, kinematics, TARGET, 0, see, rooms=(ROOM, 0.0), feels=True)
-    place = matrix_of(np.array(standing(0.15, -0.2, CUBE)))[None]
-    mover.pick(mover.find_pick(grasps, place))
-    with pytest.raises(Failed, match="too early") as failure:
-        mover.place(place)
-    assert failure.value.outcome == Outcome.SLIP
-    # It was lifted off again, and can be put down elsewhere.
-    free = np.array(standing(0.15, 0.2, CUBE))
-    assert mover.place(matrix_of(free)[None]) == 0
-    assert np.linalg.norm(episode_world.execution.poses()[TARGET, :3] - free[:3]) < 0.01
-
-
-@pytest.mark.parametrize(("degrees", "is_corrected"), [(2, True), (10, False)])
-def test_the_hand_is_not_turned_into_the_table(kinematics, degrees, is_corrected):
-    """What has turned in the hand is levelled on the way down, unless a finger would meet the table."""
-    world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
-    mover = Mover(EpisodeWorld(SCENE, TARGET, (), 0).execution, world, kinematics, TARGET, 0)
-    half = np.radians(degrees) / 2
-    turned = matrix_of(np.array([0, 0, 0, np.cos(half), np.sin(half), 0, 0]))
-    place = matrix_of(np.array(standing(-0.15, 0.1, CUBE)))
-    level = rigid(DOWN, place[:3, 3] - [0, 0, CUBE.half_extents[2] - 0.013])
-    start = next(kinematics.solutions(raise_by(level, LIFT), 1))
-    lower = kinematics.line(start, np.array([0, 0, -LIFT]))
-    mover._T_tool_object, mover._opening = turned @ inverse(level) @ place, 0.03
-    path = mover._correct_lowering(lower, place)
-    assert (path is not None) == is_corrected
-    if path is not None:
-        assert angle_between(kinematics.tool(path[-1]), level) > np.radians(degrees) / 2
-        assert world.blocker(path[-1], 0.03, Mode.CARRY) is None
-
-
-def test_what_cannot_be_levelled_is_let_go_where_it_touches(grasps, kinematics, monkeypatch):
-    """It touches 12 mm higher than planned, as something long does that hangs askew."""
-    execution = EpisodeWorld(SCENE, TARGET, (), 0).execution
-    world, too_high = (
-        PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE)),
-        0.0,
-    )
-
-    def see(only):
-        seen = execution.poses()
-        seen[TARGET, 2] += too_high
-        return seen
-
-    mover = Mover(execution, world, kinematics, TARGET, 0, see)
-    mover.pick(mover.find_pick(grasps))
-    monkeypatch.setattr(mover, "_correct_lowering", lambda lower, place: None)
-    too_high = 0.012
-    mover._in_hand()
-    place = standing(0.15, -0.15, CUBE)
-    assert mover.place(matrix_of(np.array(place))[None]) == 0
-    assert mover.go_home()
-    assert np.abs(execution.poses()[TARGET] - place)[:3].max() < 0.005
-    assert angle_between(matrix_of(execution.poses()[TARGET]), matrix_of(np.array(place))) < np.radians(2)
-
-
-def test_what_finds_no_place_is_put_back(grasps, kinematics):
-    episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
-    world = PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
-    mover = Mover(episode_world.execution, world, kinematics, TARGET, 0)
-    plan = mover.find_pick(grasps)
-    mover.pick(plan)
-    assert episode_world.execution.poses()[TARGET, 2] > SCENE.poses[TARGET, 2] + 0.1
-    with pytest.raises(Failed) as told:
-        mover.place(matrix_of(np.array(standing(0.6, 0.0, CUBE)))[None])
-    # It was picked up: this is no lack of a grasp that can be reached.
-    assert told.value.outcome == Outcome.NO_PATH
-    mover.put_back(plan)
-    assert mover.go_home()
-    assert np.abs(episode_world.execution.poses()[TARGET] - SCENE.poses[TARGET]).max() < 0.003
-
-
-@pytest.mark.parametrize("yaw", [0.0, 0.5])
-def test_the_stand_lies_beside_the_table(yaw):
-    support = replace(TABLE, region=Rectangle((0.02, 0.01), (0.2, 0.2), yaw))
-    stand = stand_beside(support)
-    assert stand.center[2] + stand.half_extents[2] == pytest.approx(TOP)
-    gap = np.abs(np.array(stand.center[:2])) - [0.3, 0.35]
-    assert gap.max() > 0
-    base = base_pose(support)
-    assert np.linalg.norm(stand.center[:2] - base[:2]) < 0.8

@@ -1,11 +1,6 @@
 """`robot place`: rows are kept and taken up again, causes are counted, and places are what a search finds."""
 
 import math
-import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -16,17 +11,14 @@ pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
-import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.robot import trials as robot_trials
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.motion import plan
 from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.downstream.robot.places import SearchPlaces
-from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials, planner_hash, run_trials
-from cluttergen_jax.downstream.rows import RowFile
-from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.downstream.robot.trials import EPISODES, planner_hash, run_trials
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers.placing import write_bank
 
@@ -87,13 +79,6 @@ def test_interrupted_trials_go_on_where_they_stopped(bank, made, tmp_path):
         run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 0})
 
 
-@pytest.mark.parametrize("content", [b"\x80\xff", b"[" * 100_000, b"3", b"{}\n[]"])
-def test_strange_rows_are_damaged(content, tmp_path):
-    (tmp_path / EPISODES).write_bytes(content)
-    with pytest.raises(BankError, match="damaged"):
-        RowFile(tmp_path / EPISODES, {}, EpisodeResult, "robot place").read(1)
-
-
 def test_rows_are_not_continued_with_other_grasps_or_another_planner(bank, made, tmp_path, monkeypatch):
     scenes = list(read_scenes(bank))
     run_trials(scenes, "lift", 2, 0, tmp_path, {})
@@ -109,50 +94,6 @@ def test_rows_are_not_continued_with_other_grasps_or_another_planner(bank, made,
             run_trials(scenes, "lift", 3, 0, tmp_path, {})
     planner_hash.cache_clear()
     assert len(run_trials(scenes, "lift", 3, 0, tmp_path, {}).rows) == 3
-
-
-def test_rates_are_of_all_and_of_those_that_were_possible():
-    rows = (GOOD, GOOD, failed(Outcome.NO_GRASP), failed(Outcome.CONTACT, "fork"))
-    trials = RobotTrials("place", rows)
-    assert trials.success_rate == 0.5
-    assert [row.outcome for row in trials.possible] == ["success", "success", "contact"]
-    told = str(trials)
-    assert "0.500 [0.150, 0.850] of 4 of all episodes" in told
-    assert "of 3 where" in told
-    assert "no grasp 1" in told
-    assert "fork" in told
-
-
-@pytest.mark.slow
-def test_places_are_where_the_object_stands_among_the_others(bank):
-    scenes = list(read_scenes(bank))
-    places = SearchPlaces(bank, "drop", 0, 1)
-    found = places(0, scenes[0])
-    assert np.array_equal(found[0], scenes[0].poses[-1])
-    assert len(found) > 1
-    half = np.array([0.3, 0.35])
-    assert (np.abs(found[:, :2]) < half).all()
-    assert np.array_equal(found, places(0, scenes[0]))
-    assert not np.array_equal(found[1:], places(1, scenes[0])[1 : len(found)])
-
-
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"task": "throw"}, "lift, place"),
-        ({"placer": "magic"}, "drop"),
-        ({"placer": "geometri"}, "geometry"),
-        ({"noise": 1.0}, "a placer that looks"),
-        ({"placer": "geometry", "task": "lift", "noise": 0.0}, "a placer that looks"),
-        ({"placer": "geometry", "noise": -1.0}, "0 to 10"),
-        ({"num_episodes": 0}, "num_episodes"),
-        ({"films": True, "film": "avi"}, "gif, mp4"),
-        ({"bank": "bank", "pool": "dining"}, "one or the other"),
-    ],
-)
-def test_settings_that_cannot_be_are_refused(given, told, tmp_path):
-    with pytest.raises(ConfigError, match=told):
-        cg.robot_place(tmp_path, **given)
 
 
 @pytest.mark.slow
@@ -174,31 +115,3 @@ def test_the_command_moves_objects_and_says_how_it_went(bank, home, tmp_path, ca
     assert (tmp_path / "place" / EPISODES).is_file()
     assert main(words) == 0
     assert capsys.readouterr().out == told
-
-
-@pytest.mark.slow
-def test_what_is_killed_goes_on_where_it_stopped(bank, home, tmp_path):
-    words = [
-        "robot",
-        "place",
-        str(bank.path),
-        "--num-episodes",
-        "3",
-        "--out",
-        str(tmp_path),
-        "--threads",
-        "1",
-    ]
-    rows = tmp_path / "place" / EPISODES
-    process = subprocess.Popen([sys.executable, "-m", "cluttergen_jax", *words], env=os.environ.copy())
-    while process.poll() is None and not rows.is_file():
-        time.sleep(0.05)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    kept = rows.read_text().splitlines()
-    assert 2 <= len(kept) <= 4
-    assert main(words) == 0
-    whole = rows.read_text().splitlines()
-    assert len(whole) == 4
-    # The first line tells of all rows, and changes with them.
-    assert whole[1 : len(kept)] == kept[1:]

@@ -193,24 +193,3 @@ def test_a_box_is_placed_by_what_cameras_see_alone(scene, placer, grasps, withhe
     assert result.looks == 3
     assert result.displaced < 0.002
     assert withheld == [("box",), ("box",)]
-
-
-def test_what_is_seen_decides_where_it_is_put(scene, placer):
-    """Pictures of a table with and without the others; the truth is the same."""
-    others = Execution(scene, 2)
-    alone = Execution(Scene(scene.names[2:], scene.objects[2:], scene.poses[2:], scene.support), 0)
-    camera = placer.overhead
-    for each in (others, alone):
-        each.data.qpos[each.panda.qpos[0]] -= 1.3
-    seen, bare = (
-        placer.measure(each.depth(camera), camera, np.random.default_rng(0)) for each in (others, alone)
-    )
-    assert len(placer.columns([seen]).seen) > len(placer.columns([bare]).seen)
-    proposed, same = (placer.propose([seen], "box", 0) for _ in range(2))
-    assert np.array_equal(proposed, same)
-    assert not np.array_equal(proposed, placer.propose([bare], "box", 0))
-    last = np.array([0.01, 0.02, 0.5, 0.3], np.float32)
-    kept = placer.propose([bare], "box", 0, last)
-    assert np.allclose(kept[-1, [0, 1, 3]], last[[0, 1, 3]])
-    # It rests on the top, as far as that was seen.
-    assert abs(kept[-1, 2] - BOX.half_extents[2]) < 0.004

@@ -1,14 +1,9 @@
 """Certificates: measured by hand where a hand can, kept in the bank, and taken up again."""
 
-import numpy as np
 import pytest
 
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path
-from cluttergen_jax.scene.bank.card import CARD
-from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE
 from tests.helpers import banks
 
@@ -44,70 +39,3 @@ def test_numbers_are_those_of_the_mechanics(bank):
     # Friction holds until 0.5 g; the tall one tips over at 0.1 g. What is let go takes a while for 5 mm.
     assert 0.5 * 9.81 - 0.05 < one["shake"] < 0.5 * 9.81 + 0.6
     assert 0.1 * 9.81 - 0.05 < two["shake"] < 0.1 * 9.81 + 0.6
-
-
-def test_stats_and_card_say_what_was_measured(bank, capsys):
-    found = stats_of(read_bank(bank)).certificate
-    rows = read_bank(bank).table.to_pylist()[:2]
-    assert found.scenes == 2
-    assert found.shake_least == min(row["shake"] for row in rows)
-    assert found.shake_median == pytest.approx(np.mean([row["shake"] for row in rows]))
-    assert found.horizon_drift == max(row["horizon_drift"] for row in rows)
-    assert (found.horizon_seconds, found.on_others) == (0.5, 0.0)
-    assert main(["stats", str(bank)]) == 0
-    said = capsys.readouterr().out
-    assert len(found.lines()) >= 3
-    for line in found.lines():
-        assert line in said
-    card = (bank / CARD).read_text()
-    assert f"{found.shake_median:.2f} m/s^2 in the median" in card
-
-
-def test_what_is_certified_is_not_measured_again(bank, capsys):
-    before = block_path(bank, 0).read_bytes()
-    assert main(["certify", str(bank)]) == 0
-    assert "2 scenes that stand have their certificate (0 rows are new)" in capsys.readouterr().out
-    assert block_path(bank, 0).read_bytes() == before
-    assert "| `shake` |" in (bank / CARD).read_text()
-
-
-def test_a_certificate_of_an_older_version_is_shown_and_completed(tmp_path, capsys):
-    path = tmp_path / "bank"
-    banks.two_scenes(path)
-    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
-    now = read_bank(path)
-    lines, table = stats_of(now).certificate.lines(), now.table
-    rows = (
-        StoredBlocks.of(path)
-        .read(0)
-        .drop_columns(
-            ["num_unsupported", "num_fragile", "margin", "margins", "tilt_1", "tilt_2", "tilt_5", "robust"]
-        )
-    )
-    record = {name: value for name, value in now.record.items() if name != "num_scenes"}
-    banks.write_rows(path, 0, rows, record)
-    older = stats_of(read_bank(path)).certificate
-    assert older.margin_median is None
-    assert older.robust is None
-    assert older.lines() == lines[:-3]
-    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
-    assert "(3 rows are new)" in capsys.readouterr().out
-    assert read_bank(path).table.equals(table)
-
-
-def test_a_bank_that_grows_is_certified_as_it_grows(tmp_path, capsys):
-    path = tmp_path / "bank"
-    banks.two_scenes(path)
-    assert main(["certify", str(path), "--seconds", "0.1"]) == 0
-    with banks.writer(path, BLOCK_SIZE + 1) as writer:
-        # The block is there, certified or not.
-        assert writer.has_block(0, 3)
-        writer.write_block(
-            1, banks.rows(1, 4).slice(3, 1).set_column(0, "index", [np.array([256], np.int32)])
-        )
-    shake = read_bank(path).table["shake"]
-    assert shake.null_count == 2
-    assert main(["certify", str(path)]) == 0
-    # The new scene failed, and has nothing to be certified.
-    assert "(0 rows are new)" in capsys.readouterr().out
-    assert read_bank(path).table["shake"].equals(shake)

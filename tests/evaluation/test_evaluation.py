@@ -1,25 +1,19 @@
 """Episodes of a trial and their figures."""
 
-import dataclasses
 import json
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.evaluation.episodes import (
-    Attempts,
     attempts_of,
     figures_of,
     run_episodes,
-    steps_by_attempt,
-    within,
 )
 from cluttergen_jax.evaluation.studies.fig1a import at_least
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_blocks
-from tests.helpers.problems import HalfTable, made_up_rules
+from tests.helpers.problems import made_up_rules
 
 
 @jax.tree_util.Partial
@@ -32,14 +26,6 @@ def made_up():
     """A sampler over the made-up physics, and twenty of its episodes."""
     sampler = BlockSampler(made_up_rules(history_stride=0), uniform)
     return sampler, run_episodes(Rollout(attempts_of), sampler, 20, seed=3)
-
-
-def test_scenes_are_counted_within_some_attempts():
-    # By hand: of four scenes of ten objects, one failed; the others took 10, 16 and 50 attempts.
-    found = within(np.array([True, True, True, False]), np.array([10, 16, 50, 10]), 10)
-    assert [each["times"] for each in found] == [1.0, 1.5, 5.0]
-    assert [each["share"] for each in found] == [0.25, 0.25, 0.75]
-    assert all(each["low95"] <= each["share"] <= each["high95"] for each in found)
 
 
 @pytest.mark.slow
@@ -70,41 +56,3 @@ def test_figures_by_hand(made_up):
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] == figures["filled"]
     json.dumps(figures, allow_nan=False)
-
-
-def test_steps_count_placements_that_took_three_attempts():
-    # Scene 0: slot 0 stands at once, slot 1 at its third attempt; scene 1: slot 0 never stands.
-    rows = [(0, 0, 1, 20, 1), (0, 1, 1, 240, 0), (0, 1, 2, 100, 0), (0, 1, 3, 30, 1)]
-    rows += [(1, 0, ordinal, 240, 0) for ordinal in range(1, 6)]
-    scene, slot, ordinal, steps, stable = np.array(rows).T
-    blank = np.zeros(len(rows))
-    attempts = Attempts(scene, slot, blank, ordinal, steps, stable > 0, blank, blank > -1)
-    assert [(each["attempt"], each["count"], each["mean"]) for each in steps_by_attempt(attempts)] == [
-        (1, 1, 240.0),
-        (2, 1, 100.0),
-        (3, 1, 30.0),
-    ]
-
-
-class SlowTable(HalfTable):
-    """Attempts that fail take 240 steps."""
-
-    def settle(self, poses, is_placed, focus, is_active):
-        result = super().settle(poses, is_placed, focus, is_active)
-        return result.replace(num_steps=jnp.where(result.num_steps == 60, 240, result.num_steps))
-
-
-def test_whole_attempts_count_all_steps_and_the_history_tells_what_decided():
-    whole = SlowTable(StabilityConfig(stop_when_decided=False))
-    cut = made_up_rules(history_stride=12)
-    patient = dataclasses.replace(cut, physics=whole, history_steps=whole.config.decision_step)
-    assert patient.history_rows == cut.history_rows
-    fails = jnp.array([0.1, 0.5, 0.1, 0.5])
-    after, expected = (
-        jax.jit(lambda key, rules=rules: rules.attempt(rules.begin(key), fails)[0])(jax.random.key(0))
-        for rules in (patient, cut)
-    )
-    assert int(after.counts.steps[0]) == 240
-    assert int(expected.counts.steps[0]) == 60
-    for ours, theirs in zip(jax.tree.leaves(after.history), jax.tree.leaves(expected.history), strict=True):
-        np.testing.assert_array_equal(ours, theirs)

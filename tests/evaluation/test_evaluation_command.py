@@ -2,13 +2,9 @@
 
 import json
 
-import pytest
-
 import cluttergen_jax
 from cluttergen_jax.cli.evaluate import Evaluate
 from cluttergen_jax.cli.main import run
-from cluttergen_jax.evaluation.running import num_failed
-from cluttergen_jax.learning.policies.embedded import list_policies
 
 SUPPORTS = ("table", "round_table")
 
@@ -47,20 +43,6 @@ def test_command_takes_up_what_was_made_before(tmp_path, capsys):
     assert json.loads((tmp_path / "results.json").read_text())[0] == first
 
 
-def test_suites_fail_where_a_first_seed_is_missing():
-    rows = [
-        {"trial": {"training_seed": seed}, "missing": "no checkpoint", "hint": "train"} for seed in (0, 1)
-    ]
-    few = {"missing": "2 of 512 scenes succeed"}
-    results = [
-        {"records": [*rows, {"trial": {}, "figures": {}}], "measure": {"rows": [few]}},
-        {"records": []},
-    ]
-    assert num_failed(results) == 1
-    timed = {"missing": "the timed process failed: x", "hint": "again"}
-    assert num_failed([{"records": [], "measure": {"rows": [timed]}}]) == 1
-
-
 def test_a_suite_from_python_hands_out_each_study_as_it_is_done(tmp_path, capsys):
     given = []
     # One scene of each row, too few to tell anything about how different scenes are.
@@ -75,30 +57,3 @@ def test_a_suite_from_python_hands_out_each_study_as_it_is_done(tmp_path, capsys
     assert json.loads((tmp_path / "diversity.json").read_text()) == result
     assert all((tmp_path / name).is_file() for name in ("diversity.md", "diversity.csv", "all.md"))
     assert "now called extended" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"pools": ("breakfast",)}, "dining"),
-        ({"methods": ("magic",)}, "random"),
-        ({"supports": ("moon",)}, "round_table"),
-        ({"suite": "all"}, "extended"),
-        ({"suite": "paper", "only": ("table3",)}, "table1"),
-        ({"quick": True}, "--suite"),
-        ({"checkpoints": "nowhere"}, "training runs"),
-        ({"checkpoint": str(list_policies()["dining-normal"])}, "--methods normal"),
-        ({"methods": ("policy",), "pools": ("study",), "max_attempts": 9}, "cluttergen train"),
-        ({"suite": "paper", "only": ("table1",), "methods": ("drop",)}, "short_memory"),
-        ({"supports": ()}, "one name or more"),
-        ({"num_threads": -1}, "0 to 4096"),
-        ({"seeds": 2}, "without a suite"),
-        (
-            {"suite": "paper", "supports": ("round_table",), "repeat": True},
-            "--supports, --repeat with a suite",
-        ),
-    ],
-)
-def test_mistakes_are_explained(tmp_path, capsys, options, said):
-    assert command(tmp_path, **options) == 2
-    assert said in capsys.readouterr().err

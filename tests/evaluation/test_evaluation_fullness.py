@@ -2,15 +2,8 @@
 
 import dataclasses
 
-import numpy as np
 import pytest
 
-from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.config import TRUSTED_METHODS
-from cluttergen_jax.evaluation.rivals import ranking_of, success_notes, tally
-from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.store import Store
-from cluttergen_jax.evaluation.studies import density, unseen
 from cluttergen_jax.evaluation.studies.rules import named_rows
 from cluttergen_jax.evaluation.studies.study import Scale
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
@@ -31,11 +24,6 @@ NAMES = (
 PAPERS = ("table1", "table2", "fig1a", "steps_by_attempt", "attempts", "acceptance", "closed_loop")
 
 
-@pytest.fixture(scope="module")
-def runner(tmp_path_factory):
-    return Runner(Store(tmp_path_factory.mktemp("results")))
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_rows_are_called_what_they_were_asked_as(name):
     (trial,) = named_rows([SMALL], name)
@@ -47,40 +35,6 @@ def test_rows_are_called_what_they_were_asked_as(name):
 def test_tables_of_the_paper_keep_its_rules(name):
     for trial in STUDIES[name].trials(Scale()):
         assert (trial.order, trial.ruin_after, trial.min_margin, trial.budget) == ("random", 0, 0.0, None)
-
-
-@pytest.mark.parametrize(
-    "name", ["density", "crowds", "unseen", "diversity", "robustness", "survival", "time"]
-)
-def test_rows_of_other_tables_ask_for_one_margin(name):
-    trials = STUDIES[name].trials(Scale())
-    assert {trial.min_margin for trial in trials} == {MIN_MARGIN}
-    names = {row_name(dataclasses.asdict(trial)) for trial in trials}
-    assert set(TRUSTED_METHODS) <= names
-
-
-@pytest.mark.parametrize("fill", density.FILLS)
-def test_tables_by_fill_are_filled_by_so_much(runner, fill):
-    trial = dataclasses.replace(SMALL, pool="all", num_objects=20, support=density.filled_table(fill))
-    width, depth = 2 * np.asarray(runner.resolve(trial).region.half_extents)
-    boxes = [
-        np.ptp(np.concatenate([part.vertices for part in each.parts])[:, :2], axis=0)
-        for each in find_pool("all").objects
-    ]
-    mean = np.mean([x * y for x, y in boxes])
-    # Sides are in whole centimetres.
-    assert 20 * mean / (width * depth) == pytest.approx(fill, rel=0.02)
-    assert depth / width == pytest.approx(7 / 6, rel=0.05)
-
-
-def test_imported_groups_are_merged_where_they_are_at_hand():
-    pools = [t.pool for t in unseen.trials(Scale(imported=(("paper_a", 10), ("paper_b", 7))))]
-    assert list(dict.fromkeys(pools)) == ["held_out_families", "training_families", "paper_a+paper_b"]
-    (last, *_) = [
-        t for t in unseen.trials(Scale(imported=(("paper_a", 10), ("paper_b", 7)))) if "+" in t.pool
-    ]
-    assert last.num_objects == 17
-    assert len(unseen.trials(Scale())) == 6
 
 
 def rows_of(**successes):
@@ -100,23 +54,6 @@ def rows_of(**successes):
         }
         found.append({"trial": dataclasses.asdict(trial), "figures": figures})
     return found
-
-
-def test_rivals_are_read_from_the_rows():
-    rows = rows_of(guided=80, spread=79, drop=20, drop_ruin=99)
-    found = ranking_of(rows)
-    assert (found.better, found.equal, found.worse) == (("drop, ruin",), ("spread",), ("drop",))
-    (note,) = success_notes(rows, lambda row: "two objects")
-    assert "as good (intervals overlap): `spread`" in note
-    assert "better: `drop, ruin`" in note
-    assert note.endswith("0.99, 0.99")
-    told = tally(rows, lambda row: "two objects")
-    assert told.startswith("`guided` is ahead of all others in 0 of 1 comparisons; ")
-    assert told.endswith("as good: `spread` in 1; better: `drop, ruin` in 1")
-    # Nothing is said of a method that has no row.
-    assert tally(rows[1:], lambda row: "two objects") == ""
-    assert ranking_of(rows[1:]) is None
-    assert success_notes(rows[1:], lambda row: "two objects") == []
 
 
 def test_what_was_asked_of_the_dial_stands_beside_what_was_got():

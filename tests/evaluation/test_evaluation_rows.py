@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from cluttergen_jax.evaluation.resolved import Checkpoints, MissingCheckpointErr
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial, key_of
-from cluttergen_jax.learning.policies.embedded import list_policies
 
 SMALL = Trial(num_objects=2, trials=6)
 
@@ -74,42 +72,6 @@ def test_rows_are_kept_with_both_counts(runner):
     arrays = runner.arrays(trial)
     assert arrays["is_success"].mean() == figures["success"]
     assert arrays["poses"].shape == (6, 2, 7)
-
-
-def test_missing_checkpoints_are_rows_of_their_own(runner, tmp_path):
-    trial = dataclasses.replace(SMALL, method="policy", pool="study", training_seed=41)
-    record = runner.row(trial)
-    assert "no checkpoint" in record["missing"]
-    assert record["hint"] == "cluttergen train --pool study --variant policy --seed 41 --num-objects 2"
-    other = dataclasses.replace(trial, training_seed=0, attempts=3)
-    # A folder of runs hides what is embedded.
-    elsewhere = Runner(Store(tmp_path / "runs"), Checkpoints(folder=tmp_path))
-    assert "--attempts 3 --out runs/study-policy-attempts3-0" in elsewhere.row(other)["hint"]
-    with pytest.raises(ConfigError, match="folder of training runs"):
-        Checkpoints(folder=tmp_path / "nowhere")
-
-
-def test_each_row_asks_the_checkpoint_of_its_own_method(tmp_path):
-    own = tmp_path / "runs" / "mine-normal-0" / "policy"
-    shutil.copytree(list_policies()["dining-normal"], own)
-    trials = {
-        name: dataclasses.replace(SMALL, method=name) for name in ("normal", "policy", "guided", "drop")
-    }
-    embedded = list_policies()
-    theirs = {"policy": embedded["dining-policy"], "guided": embedded["guided"], "drop": None}
-    # The folder of the run itself will do as well.
-    for place in (own, own.parent):
-        given = Checkpoints(path=place)
-        found = {name: given.find(trial) for name, trial in trials.items()}
-        assert {name: each and each.path for name, each in found.items()} == {"normal": own, **theirs}
-        given.check_asked(trials.values())
-        with pytest.raises(ConfigError, match="trained as 'normal', with rows of guided, drop") as refused:
-            given.check_asked([trials["guided"], trials["drop"]])
-        assert "methods=('normal',)" in str(refused.value)
-    # A folder of runs is of single pools' policies: what serves every pool comes with the package.
-    assert Checkpoints(folder=tmp_path / "runs").find(trials["guided"]).path == embedded["guided"]
-    with pytest.raises(ConfigError, match="a training run itself"):
-        Checkpoints(folder=own.parent)
 
 
 def test_a_row_that_fails_leaves_the_others(tmp_path, monkeypatch):

@@ -20,7 +20,7 @@ from cluttergen_jax.evaluation.studies import furniture, table1, table2
 from cluttergen_jax.evaluation.studies.findings import Findings, each_standing, row_of
 from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
 from cluttergen_jax.evaluation.studies.survival import SURVIVAL
-from cluttergen_jax.evaluation.suites import STUDIES, SUITES, find_suite
+from cluttergen_jax.evaluation.suites import STUDIES, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -36,20 +36,6 @@ def runner(tmp_path_factory):
 # What is asked
 
 
-@pytest.mark.parametrize("suite", SUITES)
-def test_suites_have_trials_at_every_scale(suite):
-    studies = find_suite(suite, Scale())
-    names = [study.name for study in studies]
-    assert len(set(names)) == len(names)
-    assert all(each.trials for each in studies)
-    assert all(max(t.trials for t in each.trials) == each.study.size for each in studies)
-    quick = find_suite(suite, Scale(quick=True))
-    assert all(t.trials <= 16 for study in quick for t in study.trials)
-    # Whatever sets two rows of a study apart, its table can tell: none is made twice.
-    assert all(len(set(each.trials)) == len(each.trials) for each in studies)
-    assert [study.name for study in find_suite(suite, Scale(), (names[-1],))] == names[-1:]
-
-
 def test_suites_ask_what_the_paper_asked():
     studies = {study.name: study.trials for study in find_suite("paper", Scale())}
     assert {t.pool for t in studies["table1"]} == set(table1.GROUP_OF_POOL)
@@ -61,16 +47,6 @@ def test_suites_ask_what_the_paper_asked():
     assert len(studies["furniture"]) == 50 * (1 + len(furniture.ROWS))
     assert set(furniture.SUPPORTS) <= set(list_supports())
     assert len([t for t in studies["table1"] if t.method == "policy"]) == 15
-
-
-def test_methods_choose_rows_and_leave_out_studies_without_any():
-    studies = find_suite("paper", Scale(methods=("policy",)))
-    assert all({trial.method for trial in study.trials} == {"policy"} for study in studies)
-    everything = {study.name for study in find_suite("paper", Scale())}
-    assert everything - {study.name for study in find_suite("paper", Scale(methods=("normal",)))} >= {
-        "furniture",
-        "attempts",
-    }
 
 
 # What is shown
@@ -174,21 +150,6 @@ def test_results_page_agrees_with_its_json():
     # New studies have no result until they are made.
     assert {result["name"] for result in results} <= {*STUDIES, *DOWNSTREAM}
     assert (DOCS / "results.md").read_text(encoding="utf-8") == document(results, notes)
-
-
-def test_rows_of_episodes_come_with_what_a_suite_made(tmp_path, monkeypatch):
-    spec = importlib.util.spec_from_file_location("make_results", DOCS / "make_results.py")
-    make_results = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(make_results)
-    monkeypatch.setattr(make_results, "FOLDER", tmp_path / "results")
-    rows = tmp_path / "made" / "episodes" / "rearrange-3-true" / "paper" / "episodes.jsonl"
-    (rows.parent / "films").mkdir(parents=True)
-    (rows.parent / "films" / "success.gif").write_bytes(b"film")
-    rows.write_bytes(b"{}\n")
-    make_results.take_over(tmp_path / "made", keep_rows=False)
-    taken = [each for each in (tmp_path / "results").rglob("*") if each.is_file()]
-    assert [each.relative_to(tmp_path / "results") for each in taken] == [rows.relative_to(tmp_path / "made")]
-    assert taken[0].read_bytes() == rows.read_bytes()
 
 
 def test_damaged_results_are_named(tmp_path):

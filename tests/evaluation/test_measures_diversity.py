@@ -10,8 +10,11 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.arrangement import by_object
 from cluttergen_jax.evaluation.measures.diversity import (
+    edge_share,
     embed,
+    independent_distance,
     nearest_distance,
+    plan_box_area,
     plan_clusters,
     plan_entropy,
     scene_distances,
@@ -76,6 +79,19 @@ def test_entropy_of_one_place_is_zero_and_of_all_cells_that_of_an_even_spread():
     assert result.count.tolist() == [24, 24, 0]
 
 
+def test_shares_along_the_edges():
+    rng = np.random.default_rng(2)
+    positions = np.zeros((4000, K, 2))
+    positions[:, 0] = rng.uniform(-1, 1, (4000, 2)) * REGION.half_extents
+    positions[:, 1] = [0.99 * REGION.half_extents[0], 0.0]
+    shares = edge_share(scenes_at(positions), np.ones((4000, K), bool) & [True, True, False], REGION)
+    assert shares[0] == pytest.approx(0.36, abs=0.03)
+    assert shares[1] == 1
+    assert np.isnan(shares[2])
+    with pytest.raises(ConfigError, match="band"):
+        edge_share(scenes_at(positions), np.ones((4000, K), bool), REGION, 0.6)
+
+
 def test_clusters_are_told_from_an_even_spread():
     rng = np.random.default_rng(3)
     positions = np.zeros((500, K, 2))
@@ -90,41 +106,11 @@ def test_clusters_are_told_from_an_even_spread():
     assert np.isnan([numbers[2], shares[2]]).all()
 
 
-def test_correction_removes_most_of_the_bias():
-    rng = np.random.default_rng(1)
-    positions = rng.uniform(-1, 1, (40, 500, 2)) * REGION.half_extents
-    # Forty scenes of five hundred objects: as many samples of the same estimate.
-    result = plan_entropy(scenes_at(positions), np.ones((40, 500), bool), REGION, 0.1)
-    truth = np.log(24)
-    bias, plain_bias = result.entropy.mean() - truth, result.plain.mean() - truth
-    assert plain_bias < -0.2
-    assert abs(bias) < 0.4 * abs(plain_bias)
-
-
-def test_distance_of_one_object_is_that_of_its_points():
-    rng = np.random.default_rng(2)
-    poses, _ = random_scenes(rng, 2)
-    # Eight equal masses at these points have the second moment of the solid box.
-    for k, half in enumerate(HALVES):
-        points = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3) * np.array(half) / np.sqrt(3)
-        first, second = (Rotation.from_quat(p[[4, 5, 6, 3]]).apply(points) + p[:3] for p in poses[:, k])
-        expected = np.sqrt(np.square(first - second).sum(1).mean())
-        only = np.tile(np.arange(K) == k, (2, 1))
-        vectors = vectors_of(poses, only, num_slots=1)
-        assert scene_distances(vectors)[0, 1] == pytest.approx(expected)
-
-
-def test_turning_a_long_object_counts_for_more():
-    def turned(k):
-        turns = np.tile([1.0, 0, 0, 0], (2, K, 1))
-        turns[1, k] = Rotation.from_euler("z", 0.5).as_quat()[[3, 0, 1, 2]]
-        poses = scenes_at(np.zeros((2, K, 2)), turns)
-        return scene_distances(vectors_of(poses, np.ones((2, K), bool)))[0, 1]
-
-    for k, half in enumerate(HALVES):
-        radius = np.sqrt((half[0] ** 2 + half[1] ** 2) / 3)
-        assert turned(k) == pytest.approx(2 * np.sin(0.25) * radius / np.sqrt(K))
-    assert turned(0) > turned(1) > turned(2)
+def test_box_is_the_rectangle_between_extremes():
+    positions = np.array([[[-0.1, 0.0]], [[0.2, 0.05]], [[0.0, -0.1]], [[0.29, 0.19]]])
+    is_placed = np.array([[True], [True], [True], [False]])
+    assert plan_box_area(scenes_at(positions), is_placed, REGION) == pytest.approx(0.3 * 0.15)
+    assert np.isnan(plan_box_area(scenes_at(positions), is_placed & False, REGION))
 
 
 @settings(max_examples=30, deadline=None)
@@ -141,6 +127,13 @@ def test_distance_is_a_metric_whatever_is_absent(seed):
     # What stands where an absent object would be does not matter.
     elsewhere = np.where(is_placed[..., None], poses, rng.normal(size=poses.shape))
     np.testing.assert_array_equal(scene_distances(vectors_of(elsewhere, is_placed)), distances)
+
+
+def test_independent_distance_is_that_of_even_draws():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1, 1, (2, 200_000, 2)) * REGION.half_extents
+    drawn = np.sqrt(np.square(points[0] - points[1]).sum(1).mean())
+    assert independent_distance(REGION) == pytest.approx(drawn, rel=0.01)
 
 
 def test_nearest_is_the_nearest_and_zero_for_a_repeated_scene():

@@ -8,15 +8,16 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.measures.contacts import closure, contacts_of
+from cluttergen_jax.evaluation.measures.contacts import contacts_of
 from cluttergen_jax.evaluation.measures.relations import (
     Relation,
     relations,
     tilt_from_rest,
+    vessel_of,
 )
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.placement.world import make_world
-from tests.helpers.worlds import TOP, box
+from tests.helpers.worlds import TOP
 
 GRAVITY = 9.81
 NAMES = ("mug", "hardback_book", "fork", "dinner_plate", "wooden_spoon", "bowl", "water_glass", "soup_can")
@@ -127,28 +128,6 @@ def test_forces_balance_weights(models, scenes):
     assert (contacts.penetration < 1e-3).all()
 
 
-def test_a_tower_rests_floor_by_floor():
-    boxes = [box(f"box-{n}", (0.05 - 0.01 * n, 0.05, 0.02), mass=0.1 * (n + 1)) for n in range(3)]
-    models = SceneModels(make_world(boxes, cuboid_table(), StabilityConfig(), ContactConfig()))
-    poses = np.tile(np.eye(7)[3], (1, 3, 1))
-    poses[0, :, 2] = TOP + 0.02 + 0.04 * np.arange(3)
-    contacts = contacts_of(models, poses, np.ones((1, 3), bool), num_threads=1)
-    expected = np.array([[0, 0, 0, 0.6], [0.5, 0, 0, 0], [0, 0.3, 0, 0]]) * GRAVITY
-    np.testing.assert_allclose(np.maximum(contacts.force[0, ..., 2], 0), expected, atol=0.01)
-    assert np.argwhere(contacts.rests_on[0]).tolist() == [[0, 3], [1, 0], [2, 1]]
-    assert np.argwhere(contacts.carried_by[0]).tolist() == [[0, 3], [1, 0], [1, 3], [2, 0], [2, 1], [2, 3]]
-
-
-def test_closure_follows_chains_of_any_length():
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        edges = rng.random((6, 7)) < 0.25
-        edges[np.arange(6), np.arange(6)] = False
-        square = np.vstack([edges, np.zeros(7, bool)]).astype(int)
-        walks = sum(np.linalg.matrix_power(square, length) for length in range(1, 8)) > 0
-        np.testing.assert_array_equal(closure(edges[None])[0], walks[:6])
-
-
 def test_tilt_is_measured_from_the_nearest_rest(models):
     can = models.world.objects[NAMES.index("soup_can")]
     for degrees in (0, 7, 20):
@@ -156,3 +135,11 @@ def test_tilt_is_measured_from_the_nearest_rest(models):
         assert np.degrees(tilt_from_rest(can, np.r_[0, 0, 0, turn])) == pytest.approx(degrees, abs=1e-6)
     for rest in can.resting:
         assert tilt_from_rest(can, np.r_[0, 0, 0, rest.quaternion]) < 1e-6
+
+
+def test_vessels_are_what_holds_something(models):
+    vessels = {name: vessel_of(asset) for name, asset in zip(NAMES, models.world.objects, strict=True)}
+    assert {name for name, vessel in vessels.items() if vessel} == {"mug", "bowl", "water_glass"}
+    glass = vessels["water_glass"]
+    points = np.array([[0, 0, 0], [0, 0, 0.05], [0, 0, 0.07], [0.05, 0, 0], [0, 0, -0.059]])
+    assert glass.holds(points).tolist() == [True, True, False, False, False]

@@ -11,10 +11,8 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.evaluation.measures.certificate import certificates
 from cluttergen_jax.evaluation.measures.robustness import (
     PHYSICS_CHANGES,
-    Change,
     RobustConfig,
     ShakeConfig,
-    changed,
     creep,
     robust,
     shake,
@@ -117,21 +115,6 @@ def test_a_ladder_stands_as_friction_lets_it(models):
     assert {name: stands.tolist() for name, stands in result.items()} == {
         change.name: [change.friction >= 1, True] for change in PHYSICS_CHANGES
     }
-
-
-def test_changes_reach_the_model(models):
-    everyone = np.ones(4, bool)
-    plain = models.of(everyone).model
-    heavy = changed(models, Change("heavy", mass=3.0)).of(everyone).model
-    bodies = plain.jnt_bodyid
-    np.testing.assert_allclose(heavy.body_mass[bodies], 3 * plain.body_mass[bodies])
-    np.testing.assert_allclose(heavy.body_inertia[bodies], 3 * plain.body_inertia[bodies])
-    mixed = changed(models, Change("mixed", mixed_mass=2.0)).of(everyone[:4] & [False, True, True, False])
-    np.testing.assert_allclose(mixed.model.body_mass[mixed.layout.body_index], [0.1, 6.0])
-    slow = changed(models, Change("slow", timestep=2.0, friction=0.5)).of(everyone).model
-    assert slow.opt.timestep == 2 * plain.opt.timestep
-    np.testing.assert_allclose(slow.geom_friction, 0.5 * plain.geom_friction)
-    np.testing.assert_array_equal(slow.geom_solref, plain.geom_solref)
 
 
 def test_certificate_of_a_stack(models):

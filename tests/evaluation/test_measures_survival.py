@@ -9,10 +9,10 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.evaluation.measures.drake_world import DrakePeer
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.simulate import movement, shift_and_turn, without_sinking
-from cluttergen_jax.evaluation.measures.survival import MOST_SINKING, movement_elsewhere
+from cluttergen_jax.evaluation.measures.simulate import movement
+from cluttergen_jax.evaluation.measures.survival import movement_elsewhere
 from cluttergen_jax.placement.world import make_world
-from tests.helpers.worlds import TOP, box, convex, prism, tilted
+from tests.helpers.worlds import TOP, box, prism
 
 OBJECTS = [box("low", (0.05, 0.05, 0.02)), box("tall", (0.02, 0.03, 0.06)), prism("prism", 0.03, 0.02)]
 
@@ -60,25 +60,6 @@ def test_scenes_in_drake(models):
     check(models, "drake")
 
 
-def test_an_object_slides_by_its_own_friction_in_pybullet():
-    pytest.importorskip("pybullet", reason="needs the extra peers")
-    # On a slope of 15 degrees: steeper than the angle of friction of 0.1, not than that of 0.5.
-    slope, half, low = np.radians(15), 0.15, 0.03
-    high = low + 2 * half * np.tan(slope)
-    middle = (low + high) / 2
-    sides = [(-half, low), (half, high), (-half, 0.0), (half, 0.0)]
-    corners = np.array([(x, y, z - middle / 2) for x, z in sides for y in (-0.1, 0.1)])
-    wedge, stone = convex("wedge", corners, 0.05 * np.eye(3), 5.0), box("stone", (0.03, 0.03, 0.01))
-    poses, is_placed = np.tile(np.eye(7)[3], (1, 2, 1)), np.ones((1, 2), bool)
-    poses[0, :, 2] = TOP + middle / 2, TOP + middle + 0.01 / np.cos(slope)
-    poses[0, 1, 3:] = tilted((0, -1, 0), 15)
-    for friction, stands in ((None, True), (0.1, False), (2.0, True)):
-        objects = [wedge, replace(stone, friction=friction)]
-        models = SceneModels(make_world(objects, cuboid_table(), StabilityConfig(), ContactConfig()))
-        assert movement(models, poses, is_placed, (1.0,), 1).survives()[0, 0] == stands
-        assert movement_elsewhere("pybullet", models, poses, is_placed, (1.0,)).survives()[0, 0] == stands
-
-
 def test_a_pair_has_the_objects_own_friction_in_drake():
     drake = pytest.importorskip("pydrake.all", reason="needs the extra peers")
     frictions = (None, 0.1, 0.9)
@@ -99,21 +80,3 @@ def test_a_pair_has_the_objects_own_friction_in_drake():
     pairs = [drake.CalcContactFrictionFromSurfaceProperties(support, one) for one in each]
     np.testing.assert_allclose([pair.static_friction() for pair in pairs], [0.5, 0.1, 0.9])
     peer.close()
-
-
-def test_what_all_objects_sink_together_is_no_motion():
-    start = np.tile(np.eye(7)[3], (3, 1)) + np.arange(3)[:, None] * np.eye(7)[2]
-    sunk = start - 0.002 * np.eye(7)[2]
-    shift, _ = shift_and_turn(without_sinking(sunk, start, MOST_SINKING), start)
-    assert shift == pytest.approx(0, abs=1e-12)
-    one_more = sunk.copy()
-    one_more[2, 2] -= 0.003
-    # Beyond the common sinking, in plan, up, and more than heaps sink: all of that counts.
-    for moved, expected in (
-        (one_more, 0.003),
-        (sunk + 0.004 * np.eye(7)[0], 0.004),
-        (start + 0.006 * np.eye(7)[2], 0.006),
-        (start - 0.7 * np.eye(7)[2], 0.695),
-    ):
-        shift, _ = shift_and_turn(without_sinking(moved, start, MOST_SINKING), start)
-        assert shift.max() == pytest.approx(expected)

@@ -3,25 +3,17 @@
 import os
 import re
 import signal
-import subprocess
-import sys
-import time
 from contextlib import suppress
 
-import numpy as np
 import psutil
 import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax import cluster as clusters
-from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
-from cluttergen_jax.config import VerifyConfig
-from cluttergen_jax.errors import ClutterGenError, ConfigError
-from cluttergen_jax.scene.bank import BankWriter, read_bank
-from tests.helpers import banks
+from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.scene.bank import BankWriter
 from tests.helpers import clusters as work
-from tests.helpers.worlds import trio
 
 pytest.importorskip("ray", reason="needs the extra ray")
 TWO = Cluster("local", 2)
@@ -35,11 +27,6 @@ def ray():
     ray.init("local", num_cpus=4, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
     yield ray
     ray.shutdown()
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
 def test_every_item_has_one_result_and_workers_share_them(ray, tmp_path):
@@ -61,11 +48,6 @@ def test_an_item_that_always_kills_its_worker_is_named(ray, tmp_path):
         list(each_on(TWO, work.Deaths(tmp_path, 100), range(12), "number"))
     # And once more if it was not alone at first.
     assert MOST_DEATHS <= len(list(tmp_path.iterdir())) <= MOST_DEATHS + 1
-
-
-def test_what_the_function_raises_is_raised_here(ray):
-    with pytest.raises(ConfigError, match=r"item \d\. Allowed: none\. Try: another\."):
-        list(each_on(TWO, work.refusals, range(3), "number"))
 
 
 def test_workers_of_other_versions_are_refused(ray, monkeypatch):
@@ -101,18 +83,6 @@ def contents(path):
     return {str(each.relative_to(path)): each.read_bytes() for each in path.rglob("*") if each.is_file()}
 
 
-def begin(pool, path, *more):
-    """The command, as a shell starts it: in a process group of its own."""
-    command = [sys.executable, "-m", "cluttergen_jax", "generate", "--pool", pool, "--out", str(path)]
-    options = ["--method", "random", "--num-scenes", "2300", "--max-files", "0", *more]
-    return subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True, start_new_session=True)
-
-
-def actors(process):
-    """The workers of a command that are at work now, as Ray calls them."""
-    return at_work(psutil.Process(process.pid))
-
-
 def at_work(process):
     """Likewise of a process, as psutil knows it."""
     found = []
@@ -122,71 +92,3 @@ def at_work(process):
             if re.match(r"ray::.*run", " ".join(each.cmdline())):
                 found.append(each)
     return found
-
-
-def is_over(process):
-    """Whether a process has ended; who should take note of it may have ended, too."""
-    try:
-        return process.status() == psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return True
-
-
-def wait_for(condition, process):
-    while not condition():
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.05)
-
-
-@pytest.fixture(scope="module")
-def whole(pool, tmp_path_factory):
-    path = tmp_path_factory.mktemp("one") / "bank"
-    assert begin(pool, path).wait() == 0
-    return path
-
-
-@pytest.mark.slow
-def test_ctrl_c_leaves_a_bank_that_goes_on(pool, whole, tmp_path):
-    path = tmp_path / "bank"
-    running = begin(pool, path, "--cluster", "local", "--workers", "2")
-    wait_for(lambda: list(path.glob("scenes-*.parquet")) and actors(running), running)
-    family = psutil.Process(running.pid).children(recursive=True)
-    os.killpg(running.pid, signal.SIGINT)
-    assert running.wait() == 130
-    while not all(map(is_over, family)):
-        time.sleep(0.1)
-    assert 256 <= read_bank(path).table.num_rows < 2300
-    assert begin(pool, path, "--cluster", "local", "--workers", "3").wait() == 0
-    assert contents(path) == contents(whole)
-
-
-@pytest.mark.slow
-def test_verify_and_certify_find_there_what_they_find_here(ray, tmp_path):
-    for name in ("here", "there"):
-        banks.with_files(tmp_path / name / "bank")
-    on = {"cluster": "local", "workers": 2}
-    check = VerifyConfig(seconds=0.5)
-    assert (
-        cg.verify(tmp_path / "here" / "bank", check).as_json()
-        == cg.verify(tmp_path / "there" / "bank", check, **on).as_json()
-    )
-    found = cg.certify(tmp_path / "here" / "bank", seconds=0.1)
-    same = cg.certify(tmp_path / "there" / "bank", seconds=0.1, **on)
-    np.testing.assert_array_equal(found.shake, same.shake)
-    assert contents(tmp_path / "here") == contents(tmp_path / "there")
-    # What has its certificate is not measured again.
-    assert cg.certify(tmp_path / "there" / "bank", seconds=0.1, **on).num_new == 0
-
-
-@pytest.mark.slow
-def test_rows_of_a_table_are_the_same_on_a_cluster(ray, pool, tmp_path):
-    asked = {"methods": ["random", "clear"], "pools": [pool], "num_objects": 2, "trials": 20}
-    here = cg.evaluate(**asked).rows
-    there = cg.evaluate(**asked, out=tmp_path, cluster="local", workers=2).rows
-    timed = [name for name in here[0] if "second" in name]
-    for one, two in zip(here, there, strict=True):
-        assert {k: v for k, v in one.items() if k not in timed} == {
-            k: v for k, v in two.items() if k not in timed
-        }
-    # Kept as if they had been made here.
-    assert cg.evaluate(**asked, out=tmp_path).rows == there

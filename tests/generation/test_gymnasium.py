@@ -1,18 +1,13 @@
 """Gymnasium's environments: checked by its own checker, and against its own vector environment."""
 
-import copy
-import pickle
 import warnings
 from functools import partial
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-import cluttergen_jax as cg
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.gymnasium_envs import GymnasiumEnv, GymnasiumVectorEnv
 from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation
 from cluttergen_jax.placement.env import PlacementEnv
@@ -36,11 +31,6 @@ def single():
 @pytest.fixture(scope="module")
 def envs():
     return GymnasiumVectorEnv(of_one(), NUM)
-
-
-@pytest.fixture(scope="module")
-def next_step():
-    return made_vector_env(AutoresetMode.NEXT_STEP)
 
 
 def made_vector_env(mode):
@@ -76,15 +66,6 @@ def test_gymnasium_checks_the_single_environment(single):
         check_env(single)
 
 
-def test_many_do_what_gymnasium_makes_of_one(single, envs, next_step):
-    theirs = SyncVectorEnv([lambda: single] * NUM, autoreset_mode=AutoresetMode.NEXT_STEP)
-    assert next_step.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
-    theirs = SyncVectorEnv([lambda: single] * NUM, autoreset_mode=AutoresetMode.SAME_STEP)
-    assert envs.metadata["autoreset_mode"] == theirs.metadata["autoreset_mode"]
-    assert envs.observation_space == theirs.observation_space
-    assert envs.action_space == theirs.action_space
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
 def test_steps_are_those_of_gymnasium_s_own_vector_environment(mode):
@@ -100,20 +81,6 @@ def test_steps_are_those_of_gymnasium_s_own_vector_environment(mode):
         last = mine[4].get("final_info", {}) if mode == AutoresetMode.SAME_STEP else mine[4]
         num_filled += last.get("is_success", np.zeros(1)).sum()
     assert num_ended > num_filled > 0
-
-
-def test_a_copy_goes_on_where_the_other_one_stands(next_step):
-    next_step.reset(seed=3)
-    next_step.step(actions(1)[0])
-    others = [pickle.loads(pickle.dumps(next_step)), copy.deepcopy(next_step)]
-    assert others[0].metadata == next_step.metadata
-    ours = next_step.step(actions(2)[1])
-    for other in others:
-        for one, two in zip(ours, other.step(actions(2)[1]), strict=True):
-            assert_equal(one, two)
-    np.testing.assert_array_equal(others[0].reset()[0], next_step.reset()[0])
-    with pytest.raises(TypeError, match="make_vector_env"):
-        pickle.dumps(GymnasiumVectorEnv(of_one(), NUM))
 
 
 def test_the_step_that_ends_an_episode_begins_the_next(envs):
@@ -138,21 +105,3 @@ def test_the_step_that_ends_an_episode_begins_the_next(envs):
     # Torch takes arrays as its own only where it may write.
     assert obs.flags.writeable
     assert obs.dtype == np.float32
-
-
-def test_what_cannot_be_is_said(envs):
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        GymnasiumVectorEnv(of_one(), 2).step(np.zeros((2, 4)))
-    envs.reset()
-    with pytest.raises(ConfigError, match=r"shape \(4,\).*\(3, 4\)"):
-        envs.step(np.zeros(4))
-    with pytest.raises(ConfigError, match="action of environment 1 with NaN"):
-        envs.step(np.array([[0, 0, 0, 0], [0, np.nan, 0, 0], [0, 0, 0, 0]]))
-    with pytest.raises(ConfigError, match=r"options = \{'region': 1\}"):
-        envs.reset(options={"region": 1})
-    with pytest.raises(ConfigError, match="same_step, next_step"):
-        cg.make_vector_env(2, autoreset="disabled")
-    with pytest.raises(ConfigError, match="num_envs = 0"):
-        cg.make_vector_env(0)
-    with pytest.raises(ConfigError, match="auto_reset"):
-        cg.make_gym_env(auto_reset=True)

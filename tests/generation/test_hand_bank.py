@@ -1,10 +1,5 @@
 """Banks of scenes made by hand: any bank's readers read them, and they grow scene by scene."""
 
-import re
-import shutil
-import signal
-import threading
-import webbrowser
 from dataclasses import replace
 
 import jax
@@ -12,16 +7,12 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.hand import HandBank
-from cluttergen_jax.generation.sources import viewing
 from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
-from cluttergen_jax.scene.bank.writer import BankWriter
 from tests.helpers.problems import trio_problem
 
 SEED = 7
@@ -117,116 +108,3 @@ def test_every_reader_reads_it(made, tmp_path):
     assert "| `seconds` | `float` | that the person who made the scene spent on it" in card
     assert "- method: hand" in card
     assert "- attempts per object: as many as were wanted" in card
-
-
-def test_it_goes_on_where_it_ended_with_the_objects_that_come_next(made, setup, tmp_path):
-    path, _, _ = made
-    shutil.copytree(path, tmp_path / "bank")
-    (tmp_path / "bank" / "scenes" / "000002.xml").unlink()
-    with opened(tmp_path / "bank", setup) as bank:
-        # What a killed writer left out is written.
-        assert cg.verify(tmp_path / "bank").is_sound
-        assert bank.num_kept == 3
-        resumed = bank.begin()
-        bank.keep(fill(bank, y=0.1))
-    with opened(tmp_path / "other", setup) as bank:
-        orders = []
-        for _ in range(4):
-            orders.append(bank.begin().all)
-            bank.keep(give_up(bank))
-    assert resumed.number == 3
-    assert resumed.all == orders[3]
-    assert len(set(map(tuple, orders))) > 1
-    table = read_bank(tmp_path / "bank").table
-    assert table.num_rows == read_bank(tmp_path / "bank").num_scenes == 4
-    assert table.slice(0, 3).equals(read_bank(path).table)
-    assert cg.verify(tmp_path / "bank").stands.tolist() == [True] * 3
-
-
-def test_other_settings_do_not_go_on_with_it(made, setup):
-    path, _, _ = made
-    with pytest.raises(BankError, match="another seed"):
-        HandBank(path, setup, (), SEED + 1)
-    with pytest.raises(BankError, match="another keep_out"):
-        HandBank(path, setup, [Rectangle((0.1, 0.1), (0.02, 0.02))], SEED)
-
-
-def test_a_scene_that_cannot_be_written_may_be_kept_later(setup, tmp_path, monkeypatch):
-    with opened(tmp_path / "bank", setup) as bank:
-        bank.keep(give_up(bank))
-        scene, write = fill(bank), BankWriter.write_block
-
-        def full(*_):
-            raise BankError("the disk is full")
-
-        monkeypatch.setattr(BankWriter, "write_block", full)
-        with pytest.raises(BankError, match="the disk is full"):
-            bank.keep(scene)
-        # As after a writer that was killed: asked for, and not there.
-        assert stats_of(read_bank(tmp_path / "bank")).missing == ((1, 1),)
-        monkeypatch.setattr(BankWriter, "write_block", write)
-        bank.keep(scene)
-        assert scene.is_closed
-    assert stats_of(read_bank(tmp_path / "bank")).missing == ()
-    assert read_bank(tmp_path / "bank").table["is_success"].to_pylist() == [False, True]
-
-
-def test_a_damaged_bank_is_not_written_over(made, setup, tmp_path):
-    path, _, _ = made
-    shutil.copytree(path, tmp_path / "bank")
-    (block,) = (tmp_path / "bank").glob("scenes-*.parquet")
-    data = block.read_bytes()
-    block.write_bytes(data[:500] + bytes(200) + data[700:])
-    damaged = block.read_bytes()
-    with pytest.raises(BankError, match="made by hand cannot be made again"):
-        opened(tmp_path / "bank", setup)
-    assert block.read_bytes() == damaged
-    # The lock is free again.
-    block.write_bytes(data)
-    opened(tmp_path / "bank", setup).close()
-
-
-@pytest.mark.slow
-def test_a_session_ends_with_the_scenes_that_were_saved_and_the_next_adds_to_them(
-    tmp_path, monkeypatch, request
-):
-    panels = []
-
-    class Panel(viewing.PlacingPanel):
-        def __init__(self, *given):
-            super().__init__(*given)
-            panels.append(self)
-
-    def person(url):
-        """Saves a scene, begins another, and goes."""
-
-        def work():
-            panel = panels[-1]
-            try:
-                for act in (panel.lower, panel.drop, panel.save, panel.new, panel.lower, panel.drop):
-                    panel._worker.submit(panel._do, act).result()
-            finally:
-                signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
-
-        threading.Thread(target=work).start()
-
-    monkeypatch.setattr(viewing, "PlacingPanel", Panel)
-    monkeypatch.setattr(webbrowser, "open", person)
-    # What a shell starts in the background ignores Ctrl-C.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
-    for number in (1, 2):
-        told = []
-        bank = cg.place_by_hand(
-            tmp_path / "bank",
-            objects=("mug", "bowl"),
-            num_objects=1,
-            support="table-0.40x0.40",
-            port=0,
-            show=told.append,
-        )
-        assert f"which holds {number - 1} scenes" in told[0]
-        assert re.match(r"viewer     http://localhost:\d+/[\w-]{32}/ ", told[1])
-        assert f"scenes     {number}, of which {number} succeed" in str(bank)
-        assert bank.table["is_success"].to_pylist() == [True] * number
-    assert cg.verify(tmp_path / "bank").is_sound

@@ -4,26 +4,16 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.config import TRUSTED_METHODS, VerifyConfig
-from cluttergen_jax.evaluation import api as evaluation
-from cluttergen_jax.evaluation import comparison
-from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.generation.sources.scene_sources import open_source
-from cluttergen_jax.placement.config import MIN_MARGIN, RUIN_AFTER
+from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.card import card_text
 from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.spec import SceneSpec
-from tests.helpers.worlds import trio
 
 RULES = ("order", "ruin_after", "budget", "min_margin")
 PAPER = {"order": "random", "ruin_after": 0, "budget": None, "min_margin": 0.0}
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
 def rules(method, **asked):
@@ -36,36 +26,11 @@ def test_the_papers_rules_hold_whatever_the_method(method):
     assert rules(method, setting="paper") == PAPER
 
 
-def test_methods_have_rules_of_their_own():
-    plain = PAPER | {"min_margin": MIN_MARGIN}
-    for method in ("random", "drop", "policy", None):
-        assert rules(method) == plain
-    for method in TRUSTED_METHODS:
-        assert rules(method) == plain | {"order": "weighted", "ruin_after": RUIN_AFTER}
-        assert rules(method, max_attempts=2)["ruin_after"] == 2
-
-
 @pytest.mark.parametrize("setting", ["default", "paper"])
 @pytest.mark.parametrize("method", [TRUSTED_METHODS[0], "drop"])
 def test_what_is_given_wins(setting, method):
     given = {"order": "fixed", "ruin_after": 0, "budget": 70, "min_margin": 0.0}
     assert rules(method, setting=setting, **given) == given
-
-
-def test_trials_follow_them(monkeypatch):
-    planned = []
-    monkeypatch.setattr(comparison, "open_runner", lambda folder, trials, *rest: planned.extend(trials))
-    monkeypatch.setattr(comparison, "compare", lambda *args: None)
-    evaluation.evaluate(methods=("random", "drop"))
-    evaluation.evaluate(methods=("drop",), setting="paper")
-    evaluation.evaluate(methods=("drop",), order="weighted", ruin_after=3, budget=60, min_margin=0.0)
-    assert [trial.min_margin for trial in planned] == [MIN_MARGIN, MIN_MARGIN, 0.0, 0.0]
-    assert planned[2] == Trial(method="drop", trials=1000)
-    assert (planned[3].order, planned[3].ruin_after, planned[3].budget) == ("weighted", 3, 60)
-    # A result is found again by what was asked, and older ones where nothing new was.
-    sources = {"pool": "p"}
-    assert len({key_of(trial, sources) for trial in planned}) == 4
-    assert len({trial.title for trial in planned[1:]}) == 3
 
 
 @pytest.fixture(scope="module")

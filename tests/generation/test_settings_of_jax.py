@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.scene.bank import read_bank
-from tests.helpers.worlds import trio
 
 BASELINES = ("random", "clear", "drop", "spread", "guided")
 HOSTILE = {
@@ -23,11 +21,6 @@ HOSTILE = {
     "JAX_DEFAULT_PRNG_IMPL": "rbg",
     "JAX_RANDOM_SEED_OFFSET": "7",
 }
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
 def elsewhere(*words):

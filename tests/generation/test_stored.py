@@ -9,11 +9,8 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.geometry import turn_between
-from cluttergen_jax.scene import collect
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers import banks
 
 
@@ -76,44 +73,6 @@ def test_a_real_scene_stands_in_the_one_model_and_absent_objects_wait(tmp_path):
         np.testing.assert_allclose(poses[:, :3], start[:, :3], atol=2e-3)
         assert turn_between(np, poses[:, 3:], start[:, 3:]).max() < 0.01
         assert np.asarray(scene.is_present).sum() == 2
-
-
-def test_a_bank_without_a_scene_that_stands_is_refused(tmp_path):
-    with banks.writer(tmp_path / "bank", 1) as writer:
-        table = banks.rows(0, 4).to_pylist()[3:]
-        table[0]["index"] = 0
-        schema = banks.rows(0, 1).schema
-        writer.write_block(0, type(banks.rows(0, 1)).from_pylist(table, schema=schema))
-    with pytest.raises(BankError, match="none of its 1 scenes"):
-        cg.load_bank(tmp_path / "bank")
-    with pytest.raises(BankError, match="not a bank"):
-        cg.load_bank(tmp_path)
-
-
-def test_columns_and_scenes_make_the_same_model(path, bank):
-    """`load_bank` reads columns; `collect` is given one scene after another."""
-    many = collect(list(read_scenes(read_bank(path))))
-    assert bank.names == many.names
-    np.testing.assert_array_equal(bank.object_index, many.object_index)
-    np.testing.assert_array_equal(bank.is_present, many.is_present)
-    np.testing.assert_array_equal(bank.qpos, many.qpos.astype(np.float32))
-    np.testing.assert_array_equal(bank.xfrc_applied[:3], many.xfrc_applied[:3].astype(np.float32))
-
-
-def test_a_subset_is_drawn_by_its_seed(path, bank):
-    some, again, other = (cg.load_bank(path, num_scenes=50, seed=seed) for seed in (1, 1, 2))
-    assert len(some) == 50
-    np.testing.assert_array_equal(some.index, again.index)
-    assert set(some.index.tolist()) != set(other.index.tolist())
-    assert set(some.index.tolist()) < set(bank.index.tolist())
-    rows = {int(number): place for place, number in enumerate(bank.index)}
-    places = np.array([rows[int(number)] for number in some.index])
-    np.testing.assert_array_equal(some.qpos, np.asarray(bank.qpos)[places])
-    assert len(cg.load_bank(path, num_scenes=10_000)) == len(bank)
-    with pytest.raises(ConfigError, match="num_scenes"):
-        cg.load_bank(path, num_scenes=0)
-    with pytest.raises(ConfigError, match="seed = -1"):
-        cg.load_bank(path, num_scenes=1, seed=-1)
 
 
 @pytest.mark.parametrize("batch_size", [1, 50, 1000])

@@ -5,29 +5,18 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
-from brax.envs.wrappers.training import VmapWrapper, wrap
-from brax.training.acme import running_statistics, specs
-from brax.training.acting import generate_unroll
-from brax.training.agents.ppo import losses, networks
+from brax.training.agents.ppo import networks
 from brax.training.agents.ppo import train as ppo
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation, OnSurface
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.observation import ObservationConfig
 from tests.helpers.problems import made_up_rules
-from tests.helpers.worlds import trio
 
 BAD = jnp.array([0.1, 0.5, 0.5, 0.2])
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
 def made_up_env(**settings):
@@ -89,48 +78,6 @@ def test_actions_of_other_kinds_propose_the_same_poses():
         ActionRange(env, 1.0, 0.0)
 
 
-def two_updates(env, num_envs=4, num_steps=8):
-    """Brax's pieces put together: parameters and states before and after, and the losses."""
-    net = networks.make_ppo_networks(
-        env.observation_size, env.action_size, running_statistics.normalize, (16,), (16,)
-    )
-    keys = jax.random.split(jax.random.PRNGKey(0), 5)
-    state = jax.jit(env.reset)(jax.random.split(keys[0], num_envs))
-    statistics = running_statistics.init_state(specs.Array((env.observation_size,), jnp.float32))
-    params = losses.PPONetworkParams(net.policy_network.init(keys[1]), net.value_network.init(keys[2]))
-    adam = optax.adam(1e-3)
-
-    def update(carry, key):
-        params, optimizer, statistics, state = carry
-        policy = networks.make_inference_fn(net)((statistics, params.policy))
-        key_act, key_loss = jax.random.split(key)
-        state, data = generate_unroll(env, state, policy, key_act, num_steps, extra_fields=("truncation",))
-        data = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), data)
-        statistics = running_statistics.update(statistics, data.observation)
-        loss = functools.partial(losses.compute_ppo_loss, ppo_network=net)
-        (value, _), gradient = jax.value_and_grad(loss, has_aux=True)(params, statistics, data, key_loss)
-        changes, optimizer = adam.update(gradient, optimizer)
-        return (optax.apply_updates(params, changes), optimizer, statistics, state), value
-
-    first = (params, adam.init(params), statistics, state)
-    last, values = jax.jit(lambda carry: jax.lax.scan(update, carry, keys[3:]))(first)
-    return first, last, values
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("wrapping", ["Brax's", "own reset"])
-def test_two_updates_of_brax_ppo(wrapping):
-    own = made_up_env(auto_reset=wrapping == "own reset")
-    env = VmapWrapper(own) if wrapping == "own reset" else wrap(own, own.episode_length)
-    first, last, values = two_updates(env)
-    assert np.isfinite(values).all()
-    assert jax.tree.structure(first) == jax.tree.structure(last)
-    for before, after in zip(jax.tree.leaves(first[0]), jax.tree.leaves(last[0]), strict=True):
-        assert np.isfinite(after).all()
-        assert np.abs(after - before).max() > 1e-4
-    assert np.isfinite(last[2].mean).all()
-
-
 @pytest.mark.slow
 def test_brax_own_trainer():
     env, seen = made_up_env(auto_reset=False), []
@@ -155,23 +102,3 @@ def test_brax_own_trainer():
     assert float(seen[-1][1]["eval/avg_episode_length"]) <= env.episode_length
     assert ppo.jax is jax
     assert not hasattr(jax, "device_put_replicated")
-
-
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        ({"observation": "vector"}, r"observation = 'vector'.*flat, dict"),
-        ({"action": "velocity"}, r"action = 'velocity'.*pose, surface"),
-        ({"num_cells": -1}, r"num_cells = -1.*0 to 256"),
-        ({"history_stride": 241}, "history_stride = 241"),
-        ({"num_objects": 2.5}, "num_objects = 2.5.*a whole number"),
-        ({"reward": "big"}, "reward = 'big'.*paper"),
-        ({"change": "wild"}, "wild"),
-        ({"objects": "mug"}, "a sequence of names"),
-        ({"num_object": 3}, "Did you mean 'num_objects'"),
-        ({"start": "nowhere"}, "BANK:INDEX"),
-    ],
-)
-def test_settings_that_cannot_be(pool, asked, said):
-    with pytest.raises(ClutterGenError, match=said):
-        cg.make_env(**{"pool": pool} | asked)

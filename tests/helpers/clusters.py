@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from cluttergen_jax.errors import ConfigError
-
 
 def squares() -> Callable[[int], tuple[int, int]]:
     """Makes a function that squares, and says in which process."""
@@ -39,15 +37,6 @@ def variables() -> Callable[[str], str | None]:
     return os.environ.get
 
 
-def refusals() -> Callable[[int], int]:
-    """Makes a function that refuses its item as this package does."""
-
-    def refuse(item: int) -> int:
-        raise ConfigError(f"item {item}", "none", "another")
-
-    return refuse
-
-
 class Deaths:
     """Makes a function that kills its process at item 3, at most so many times in all.
 
@@ -68,14 +57,3 @@ class Deaths:
             return -item
 
         return work
-
-
-def slow_squares() -> Callable[[int], tuple[int, str]]:
-    """Makes a function that squares, takes its time, and says on which of Ray's machines."""
-    import ray
-
-    def work(item: int) -> tuple[int, str]:
-        time.sleep(0.2)
-        return item * item, ray.get_runtime_context().get_node_id()
-
-    return work

@@ -1,6 +1,7 @@
 """Small shapes for the tests of bodies and imports."""
 
 import numpy as np
+import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
@@ -35,6 +36,12 @@ def open_box(own_parts=True, **kwargs):
     cavity = Cavity(slab((0.044, 0.034, 0.027), (0, 0, 0.033)), (0.0, 0.0, 0.06))
     parts = tuple(Mesh.points(each.vertices) for each in slabs) if own_parts else None
     return shape_of(*slabs, name="tray", parts=parts, cavity=cavity, **kwargs)
+
+
+def save_box(path, side=0.05):
+    """A cube's mesh file, with the folders above it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    trimesh.creation.box((side, side, side)).export(path)
 
 
 CUBE_FACES = [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5],

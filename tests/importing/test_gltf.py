@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import read_source
+from cluttergen_jax.importing.readers import ReadOptions, read_source
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from tests.helpers.cases import CASES
 from tests.helpers.gltf import POINTS, Gltf
@@ -31,6 +30,11 @@ def test_compressed_boxes_have_their_size(name):
     (shape,) = read_source(CASES / "08_glb_compressed" / name)
     whole = join_meshes([piece.mesh for piece in shape.pieces])
     np.testing.assert_allclose(np.ptp(whole.bounds, axis=0), [0.1, 0.06, 0.04], atol=1e-4)
+
+
+def test_meshopt_is_refused_with_what_undoes_it():
+    with pytest.raises(AssetError, match=r"EXT_meshopt_compression.*gltf-transform copy meshopt\.glb"):
+        read_source(CASES / "08_glb_compressed" / "meshopt.glb")
 
 
 @pytest.mark.parametrize("file", ["box.glb", "box.gltf", "inline.gltf"])
@@ -64,28 +68,6 @@ def test_nodes_in_a_circle_are_refused(tmp_path):
     gltf.document["nodes"] = [{"mesh": 0, "children": [1]}, {"children": [0]}]
     with pytest.raises(AssetError, match=r"box\.glb: nodes 1, 0 hang on each other in a circle"):
         read_mesh_file(gltf.write(tmp_path / "box.glb"))
-
-
-def test_images_are_laid_by_normalised_coordinates(tmp_path):
-    gltf = Gltf()
-    uv = np.linspace(0, 1, 16, dtype=np.float32).reshape(8, 2)
-    image = tmp_path / "wood.png"
-    Image.new("RGB", (4, 4), (200, 30, 30)).save(image)
-    gltf.document |= {
-        "images": [
-            {"bufferView": gltf.view(np.frombuffer(image.read_bytes(), np.uint8)), "mimeType": "image/png"}
-        ],
-        "textures": [{"source": 0}],
-        "materials": [{"name": "m", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
-    }
-    gltf.primitive["material"] = 0
-    gltf.primitive["attributes"]["TEXCOORD_0"] = gltf.add(uv)
-    (plain,) = read_mesh_file(gltf.write(tmp_path / "plain.glb")).pieces
-    steps = np.round(uv * 65535).astype(np.uint16)
-    gltf.primitive["attributes"]["TEXCOORD_0"] = gltf.add(steps, normalized=True)
-    (quantised,) = read_mesh_file(gltf.write(tmp_path / "quantised.glb")).pieces
-    assert quantised.texture == plain.texture
-    np.testing.assert_allclose(quantised.uv, plain.uv, atol=1e-4)
 
 
 def test_sparse_vertices_are_where_they_are_moved(tmp_path):
@@ -161,3 +143,9 @@ def test_an_extension_that_is_required_and_not_understood_is_refused(tmp_path, n
     gltf.document |= {"extensionsUsed": [name], "extensionsRequired": [name]}
     with pytest.raises(AssetError, match=f"{name}, which is not read.*Try"):
         read_source(gltf.write(tmp_path / "box.glb"))
+
+
+def test_draco_without_its_library_is_told(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "DracoPy", None)
+    with pytest.raises(AssetError, match=r"draco\.glb with KHR_draco_mesh_compression.*pip install DracoPy"):
+        read_source(CASES / "08_glb_compressed" / "draco.glb", ReadOptions())

@@ -1,23 +1,13 @@
 """Imports: pools from trees of files, failures named, nothing made twice, nothing half-written."""
 
-import os
-import re
-import signal
-import subprocess
-import sys
 import time
 
-import numpy as np
 import pytest
 import trimesh
 
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.config import DecompositionConfig
-from cluttergen_jax.assets.decompose import decompose
-from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.quality.deviation import is_within_parts
-from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.inspect_ import Inspect
 from cluttergen_jax.errors import PoolError
@@ -74,35 +64,6 @@ def test_an_unchanged_pool_is_read_not_made(tree, here):
     assert not second.failures
 
 
-def test_what_is_lost_twice_becomes_one_hull_and_says_so(tmp_path):
-    beam = trimesh.creation.box((0.1, 0.02, 0.02))
-    post = trimesh.creation.box((0.02, 0.02, 0.1))
-    trimesh.boolean.union([beam, post]).export(tmp_path / "cross.stl")
-    (source,) = find_sources(tmp_path / "cross.stl")
-    job = run.Job(source, "key", ObjectConfig(trials=8))
-    asset = run.make_job(
-        run.next_try(run.next_try(job, "it was not done after 80 s"), "it was not done after 107 s")
-    )
-    assert len(asset.parts) == 1
-    assert "one hull" in asset.flags[0]
-    assert "107 s" in asset.flags[0]
-
-
-def test_a_minute_jitter_leaves_the_parts_of_a_bracket(tmp_path):
-    bracket = trimesh.boolean.union(
-        [
-            trimesh.creation.box((0.1, 0.03, 0.02)),
-            trimesh.creation.box((0.02, 0.03, 0.1)),
-        ]
-    )
-    solid = solid_of([Mesh(bracket.vertices, bracket.faces)])
-    plain, moved = (decompose(solid, DecompositionConfig(), jitter) for jitter in (0.0, 1e-5))
-    points = np.random.default_rng(0).uniform(-0.05, 0.05, (4000, 3))
-    # Parts may overlap, so it is the space that they take together that is to be the same.
-    differs = is_within_parts(points, plain) != is_within_parts(points, moved)
-    assert differs.mean() < 0.05 * is_within_parts(points, plain).mean()
-
-
 def test_changed_content_needs_force(tree, here):
     import_sources([tree / "crate.obj"], "mine", QUICK)
     with pytest.raises(PoolError, match="`force`"):
@@ -136,35 +97,3 @@ def test_a_damaged_entry_is_made_again(tree, here):
     (entry,) = cache.cache_root().iterdir()
     (entry / "cloud.npy").write_bytes(b"")
     assert import_sources([tree / "crate.obj"], "mine", QUICK).num_cached == 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_an_import_that_is_stopped_keeps_what_was_made(tree, home, here, how):
-    rng = np.random.default_rng(0)
-    for index in range(2):
-        trimesh.creation.box(rng.uniform(0.03, 0.1, 3)).export(tree / f"more-{index}.stl")
-    code = "from cluttergen_jax.cli.main import main; raise SystemExit(main())"
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, "import", str(tree), "--pool", "mine", "--jobs", "1", "--trials", "8"],
-        start_new_session=True,
-        stderr=subprocess.PIPE,
-        text=True,
-        # Ctrl-C is ignored in what a shell runs in its background, and children inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    # The line that tells of an object comes while the others are made, once it is kept.
-    assert process.stderr is not None
-    said = []
-    while not said or ": made in" not in said[-1]:
-        said.append(process.stderr.readline())
-        assert said[-1], said
-    (os.killpg if how == signal.SIGINT else os.kill)(process.pid, how)
-    _, rest = process.communicate(timeout=60)
-    assert process.returncode == (130 if how == signal.SIGINT else -how), rest
-    assert how == signal.SIGKILL or re.search(r"[1-3] of 5 objects were made and are kept\n", rest)
-    assert not (home / "pools" / "mine").exists()
-    report = import_sources([tree], "mine", QUICK)
-    assert 1 <= report.num_cached < 4
-    assert len(report.objects) == 4
-    assert not list((home / "cache").glob(".*"))

@@ -5,17 +5,14 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.mesh import join_meshes
-from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
 from cluttergen_jax.importing.readers.source import AXES, turn_of
-from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 from tests.helpers.imports import made_here
 
 SIZE = (0.03, 0.05, 0.07)
-QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 
 
 @pytest.fixture(autouse=True)
@@ -79,56 +76,6 @@ def test_up_becomes_z_and_front_becomes_x():
             np.testing.assert_array_equal(turn @ axes[up], [0, 0, 1])
             np.testing.assert_array_equal(turn @ axes[front], [1, 0, 0])
             assert np.linalg.det(turn) == 1
-
-
-SETTINGS = """
-[default]
-licence = "CC BY 4.0"
-attribution = "the maker"
-
-["cups/*"]
-friction = 0.1
-mass = 0.05
-
-["large.stl"]
-mass = 0.2
-name = "big_cup"
-label = "a big cup"
-
-["slab.glb"]
-up = "z"
-front = "y"
-density = 1000
-license = "CC0-1.0"
-"""
-
-
-def test_settings_reach_the_object_and_the_cache(folder):
-    for name in ("crate.obj", "cups/small.stl"):
-        (folder / name).unlink()
-    (folder / "objects.toml").write_text(SETTINGS)
-    report = import_sources([folder], "mine", QUICK)
-    pool = find_pool("mine")
-    assert pool.names == ("slab", "big_cup")
-    big, slab = pool["big_cup"], pool["slab"]
-    assert (big.mass, big.friction, big.label) == (0.2, 0.1, "a big cup")
-    assert (big.provenance.licence, big.provenance.attribution) == ("CC BY 4.0", "the maker")
-    assert (slab.provenance.licence, slab.friction) == ("CC0-1.0", None)
-    assert slab.mass == pytest.approx(np.prod(SIZE) * 1000, rel=0.01)
-    np.testing.assert_allclose(2 * slab.half_extents, [0.05, 0.03, 0.07], atol=1e-5)
-    assert report.up_axes["slab"].reason == "as objects.toml says"
-    assert import_sources([folder], "mine", QUICK).num_cached == 2
-
-
-def test_flags_hold_for_all_and_settings_for_one(folder, tmp_path):
-    elsewhere = tmp_path / "other.toml"
-    elsewhere.write_text('["crate.obj"]\nlicence = "MIT"\n')
-    options = ReadOptions(licence="CC0-1.0", friction=0.3)
-    plans = planned(folder, '["crate.obj"]\nmass = 1\n', options, elsewhere)
-    assert plans["crate"].options == ReadOptions(licence="MIT", friction=0.3)
-    assert plans["slab"].options == options
-    shape = read_shape(plans["slab"].source, options)
-    assert (shape.provenance.licence, shape.friction) == ("CC0-1.0", 0.3)
 
 
 @pytest.mark.parametrize(

@@ -8,21 +8,20 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.quality.deviation import piece_gaps
+from cluttergen_jax.assets.quality.deviation import gap_alarm
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import, print_report
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all
-from cluttergen_jax.importing.readers import ReadOptions
+from cluttergen_jax.importing.readers import ReadOptions, read_shape
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 from cluttergen_jax.importing.table_top import Limits
 from tests.helpers.cases import CASES
 from tests.helpers.shapes import make_box
 
 BOX = '<geom type="box" size=".03 .03 .03" mass=".1"/>'
-MOTOR = '<actuator><motor joint="j"/></actuator>'
 
 
 def write(path, *bodies, rest=""):
@@ -58,6 +57,16 @@ def test_scenery_in_every_file_and_mocap_bodies_are_no_objects():
     assert (len(everything), nothing) == (8, {})
 
 
+@pytest.mark.parametrize("name", ["tin-visual.xml", "seen.xml"])
+def test_a_ghost_is_no_object_whatever_it_is_called(tmp_path, name):
+    shutil.copytree(CASES / "18_ghost_twin" / "objects", tmp_path / "set")
+    (tmp_path / "set" / "tin-visual.xml").rename(tmp_path / "set" / name)
+    plan = plan_all([tmp_path / "set"], ReadOptions())
+    assert [each.source.name for each in plan.objects] == ["tin"]
+    if name == "seen.xml":
+        assert [(each.name, each.detail) for each in plan.left_out] == [(name, "of tin.xml")]
+
+
 def test_what_most_files_have_is_scenery_and_what_few_have_is_one_object(tmp_path):
     table = body("table", '<geom type="box" size=".3 .3 .02"/>')
     for index, name in enumerate(("cup", "bowl", "pan", "jug", "pot")):
@@ -77,45 +86,6 @@ def test_what_most_files_have_is_scenery_and_what_few_have_is_one_object(tmp_pat
 def test_chains_of_four_joints_are_robots_and_shorter_ones_are_not(tmp_path, joints, free):
     write(tmp_path / "thing.xml", body("thing", arm(joints), free))
     assert planned(tmp_path)[0] == (["thing"] if joints < 4 else [])
-
-
-@pytest.mark.parametrize(
-    ("rest", "is_object"),
-    [
-        ("", True),
-        (MOTOR, False),
-        ('<equality><weld body1="lid" body2="hand"/></equality>', False),
-    ],
-)
-def test_what_motors_or_mocap_bodies_move_is_an_actor(tmp_path, rest, is_object):
-    lid = f'<body name="lid"><joint name="j"/>{BOX}</body>'
-    hand = f'<body name="hand" mocap="true">{BOX}</body>'
-    write(tmp_path / "pot.xml", body("pot", lid), hand, rest=rest)
-    assert planned(tmp_path)[0] == (["pot"] if is_object else [])
-
-
-def test_fixed_bodies_are_scenery_only_beside_free_ones(tmp_path):
-    drawer = body("drawer", f'<body><joint type="slide"/>{BOX}</body>')
-    write(tmp_path / "fixed" / "a.xml", drawer, body("shelf", '<geom size=".05"/>'))
-    write(tmp_path / "free" / "b.xml", drawer, body("mug", '<geom size=".04"/>', free=True))
-    held = body("pin", '<geom size=".02"/>', free=True)
-    tie = '<equality><weld body1="pin"/></equality>'
-    write(tmp_path / "held" / "c.xml", held, body("cup", '<geom size=".03"/>', free=True), rest=tie)
-    names, left = planned(tmp_path)
-    assert sorted(names) == ["cup", "drawer", "mug", "shelf"]
-    assert set(left) == {"free/b.xml#drawer", "held/c.xml#pin"}
-
-
-def test_markers_and_empty_bodies_are_no_objects(tmp_path):
-    goal = body("goal", '<geom size=".02" contype="0" conaffinity="0"/>')
-    write(tmp_path / "task.xml", body("puck"), goal, body("frame", "<site/>"))
-    names, left = planned(tmp_path)
-    assert names == ["puck"]
-    assert "marker" in left["task.xml#goal"]
-    assert "seen" in left["task.xml#frame"]
-    # Alone in its file it is what the file is for, whatever it collides with.
-    write(tmp_path / "alone" / "picture.xml", goal)
-    assert len(planned(tmp_path / "alone")[0]) == 1
 
 
 def test_settings_take_one_body_and_leave_another(tmp_path):
@@ -194,34 +164,11 @@ def test_what_is_too_large_is_told_in_one_block(quick_import, capsys):
     assert [each.name for each in import_sources([cube], "again", CONFIG).left_out] == ["unit_cube.obj"]
 
 
-def test_names_get_numbers_among_what_was_made(quick_import, tmp_path):
-    for number in (1, 2, 3):
-        path = tmp_path / "set" / str(number) / "mug.obj"
-        path.parent.mkdir(parents=True)
-        trimesh.creation.box((0.05, 0.05, 0.05 + 0.01 * number)).export(path)
-    (tmp_path / "set" / "1" / "mug.obj").write_text("v 0 0 0\n")
-    report = import_sources([tmp_path / "set"], "t", CONFIG)
-    assert [each.name for each in report.objects] == ["mug", "mug-2"]
-    assert [each.name for each in report.failures] == ["mug (1/mug.obj)"]
-    assert set(report.costs) == {"mug", "mug-2", "mug (1/mug.obj)"}
-    # A pool keeps its names, with the first one mended.
-    trimesh.creation.box((0.05, 0.05, 0.04)).export(tmp_path / "set" / "1" / "mug.obj")
-    again = import_sources(
-        [tmp_path / "set"], "t", ImportConfig(CONFIG.object, jobs=1, progress=False, add=True)
-    )
-    sizes = {each.name: round(float(2 * each.half_extents[2]), 3) for each in again.pool.objects}
-    assert sizes == {"mug": 0.07, "mug-2": 0.08, "mug-3": 0.04}
-
-
 # Pieces apart
 
 
-def boxes(*places):
-    meshes = [trimesh.creation.box((0.04, 0.04, 0.04)).apply_translation(place) for place in places]
-    return solid_of([Mesh(each.vertices, each.faces) for each in meshes])
-
-
-@pytest.mark.parametrize("gap", [0.0, 0.001, 0.01, 0.1])
-def test_the_gap_between_pieces_is_measured(gap):
-    gaps = piece_gaps(boxes((0, 0, 0), (0.04 + gap, 0, 0)))
-    assert np.allclose(gaps, [gap] if gap > 0.005 else [], atol=1e-6)
+@pytest.mark.parametrize(("name", "gap"), [("planks", "90 mm"), ("knob_and_handle", "85 mm")])
+def test_pieces_that_do_not_touch_are_flagged(name, gap):
+    plan = plan_all([CASES / "16_pieces_apart" / "objects" / f"{name}.obj"], ReadOptions())
+    shape = read_shape(plan.objects[0].source)
+    assert gap in gap_alarm(solid_of([piece.mesh for piece in shape.pieces]))

@@ -8,10 +8,8 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.readers import find_sources, read_source
+from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.materials import GREY
-from cluttergen_jax.importing.run import ObjectConfig
 from tests.helpers.cases import CASES
 
 DIE = (CASES / "03_dae_unit" / "inch_die.dae").read_text()
@@ -40,47 +38,42 @@ def test_a_unit_that_is_no_length_is_refused(tmp_path, unit):
         read_source(tmp_path / "die.dae")
 
 
+def test_an_image_without_a_path_costs_no_surface():
+    path = CASES / "20_dae_image_without_path" / "objects"
+    np.testing.assert_allclose(size_of(path), [0.06, 0.06, 0.06])
+    (shape,) = read_source(path)
+    assert "no path is given" in shape.notes[0]
+
+
 def colours(path):
     (shape,) = read_source(path)
     return {piece.rgba[:3] for piece in shape.pieces}
 
 
-@pytest.mark.parametrize(
-    "lines",
-    [
-        "mtllib red.mtl blue.mtl",
-        "mtllib red.mtl\nmtllib blue.mtl",
-        "# mtllib none.mtl\nmtllib\tred.mtl  blue.mtl",
-    ],
-)
-def test_all_material_files_are_read(tmp_path, lines):
-    for name, kd in (("red", "1 0 0"), ("blue", "0 0 1")):
-        (tmp_path / f"{name}.mtl").write_text(f"newmtl {name}\nKd {kd}\n")
-    box = trimesh.creation.box((0.1, 0.1, 0.1)).export(file_type="obj").split("\n")
-    faces = [line for line in box if line.startswith("f ")]
-    rest = [line for line in box if line.startswith("v ")]
-    text = [
-        lines,
-        *rest,
-        "usemtl red",
-        *faces[:6],
-        " usemtl\tblue",
-        *(each.replace("f ", "f\t") for each in faces[6:]),
-    ]
-    (tmp_path / "box.obj").write_text("\n".join(text))
-    assert colours(tmp_path / "box.obj") == {(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)}
-    # What both files hold belongs to the object.
-    (source,) = find_sources(tmp_path / "box.obj")
-    before = cache.cache_key(source, ObjectConfig())
-    (tmp_path / "blue.mtl").write_text("newmtl blue\nKd 0 1 0\n")
-    assert cache.cache_key(source, ObjectConfig()) != before
+def painted(folder, use, materials, line="mtllib a.mtl"):
+    text = f"{line}\nusemtl {use}\n" + trimesh.creation.box((0.1, 0.06, 0.04)).export(file_type="obj")
+    (folder / "a.obj").write_text(text)
+    (folder / "a.mtl").write_text(materials)
+    (shape,) = read_source(folder / "a.obj")
+    return shape
 
 
-def test_a_missing_material_file_is_named(tmp_path):
-    (tmp_path / "box.obj").write_text((CASES / "10_obj_mtllib" / "tab.obj").read_text())
-    (shape,) = read_source(tmp_path / "box.obj")
+def test_a_material_that_is_nowhere_defined_is_told(tmp_path):
+    shape = painted(tmp_path, "blue", "newmtl red\nKd 1 0 0\n")
+    assert "a.obj names material 'blue', which is nowhere defined" in shape.notes
     assert shape.pieces[0].rgba == GREY
-    assert shape.notes == ("box.obj names 'tab.mtl', which is not there",)
+
+
+def test_a_tab_behind_mtllib_is_a_space():
+    assert colours(CASES / "10_obj_mtllib") == {(1.0, 0.0, 0.0)}
+
+
+def test_a_material_file_whose_name_has_spaces_goes_before_two_files(tmp_path):
+    (tmp_path / "my cup.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    (tmp_path / "box.obj").write_text(
+        (CASES / "10_obj_mtllib" / "tab.obj").read_text().replace("tab", "my cup", 1)
+    )
+    assert colours(tmp_path / "box.obj") == {(1.0, 0.0, 0.0)}
 
 
 QUADS = "0 1 3 2", "4 6 7 5", "0 4 5 1", "2 3 7 6", "0 2 6 4", "1 5 7 3"

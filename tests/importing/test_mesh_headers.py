@@ -2,49 +2,16 @@
 
 import json
 import struct
-import sys
 import tracemalloc
+from pathlib import Path
 
-import numpy as np
 import pytest
 import trimesh
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 
-OBJ = """# {comment}
-mtllib box.mtl
-v 0 0 0
-v 0.1 0 0
-v 0 0.1 0
-v 0 0 0.1
-usemtl Grün
-f 1 3 2
-f 1 2 4
-usemtl Weiß
-f 1 4 3
-f 2 3 4
-"""
-MTL = "# Größe in Metern\nnewmtl Grün\nKd 0.1 0.8 0.2\nnewmtl Weiß\nKd 0.9 0.9 0.95\n"
-
-
-@pytest.fixture
-def fresh(monkeypatch):
-    """A fresh installation, which lacks what trimesh guesses encodings with."""
-    monkeypatch.setitem(sys.modules, "charset_normalizer", None)
-
-
-@pytest.mark.parametrize("comment", ["Würfel", "x" * 2000 + " Würfel"])
-@pytest.mark.parametrize(
-    ("obj", "mtl"),
-    [("latin-1", "latin-1"), ("utf-8", "latin-1"), ("cp1252", "utf-8"), ("utf-8-sig", "utf-16")],
-)
-def test_materials_are_found_whatever_the_encoding(tmp_path, fresh, comment, obj, mtl):
-    (tmp_path / "box.obj").write_bytes(OBJ.format(comment=comment).encode(obj))
-    (tmp_path / "box.mtl").write_bytes(MTL.encode(mtl))
-    (shape,) = read_source(tmp_path / "box.obj")
-    colours = {piece.rgba[:3] for piece in shape.pieces}
-    np.testing.assert_allclose(sorted(colours), [(0.1, 0.8, 0.2), (0.9, 0.9, 0.95)], atol=0.005)
+CASES = Path(__file__).parents[1] / "cases" / "import" / "09_stl_trailing"
 
 
 def glb(change):
@@ -147,3 +114,18 @@ def test_a_false_count_of_an_stl_file_is_said(tmp_path, count):
     (shape,) = read_source(tmp_path / "a.stl")
     assert len(shape.pieces[0].mesh.faces) == 12
     assert any(f"announces {count:,} triangles: the 12 " in note for note in shape.notes)
+
+
+@pytest.mark.parametrize("rest", [b"\0", b"\r\n", b"x" * 50, b"COLOR=" + bytes(200)])
+def test_bytes_after_the_last_triangle_of_an_stl_file_are_said(tmp_path, rest):
+    (tmp_path / "a.stl").write_bytes(stl_of(12) + rest)
+    (shape,) = read_source(tmp_path / "a.stl")
+    assert shape.pieces[0].mesh.volume == pytest.approx(0.05**3, rel=1e-5)
+    assert any(f"{len(rest)} bytes after its last triangle" in note for note in shape.notes)
+
+
+def test_a_file_with_a_newline_after_its_triangles():
+    """As it was sent."""
+    (shape,) = read_source(CASES / "trail.stl")
+    assert len(shape.pieces[0].mesh.faces) == 12
+    assert any("2 bytes" in note for note in shape.notes)

@@ -8,10 +8,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from cluttergen_jax.assets.mesh import Mesh, clean_mesh
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
-from cluttergen_jax.importing.readers.mjcf_pictures import wrap_cube_map
 from tests.helpers.drawing import needs_gl
 from tests.helpers.mujoco_pictures import beside
 from tests.helpers.textured import picture
@@ -43,14 +41,6 @@ COLOURS = {
     "back": (255, 0, 255),
 }
 """MuJoCo's names of the sides +x, -x, +y, -y, +z, -z."""
-
-BESIDE = (
-    "<keyframe><key qpos='.1'/></keyframe><actuator><motor joint='turn'/></actuator>"
-    "<sensor><jointpos joint='turn'/></sensor><equality><joint joint1='turn'/></equality>"
-    "<contact><exclude body1='all' body2='pb'/></contact>"
-    "<tendon><fixed name='f'><joint joint='turn' coef='1'/></fixed></tendon>"
-)
-"""What names bodies and joints."""
 
 
 def write_model(folder, texture, geoms, material="", more=""):
@@ -119,63 +109,7 @@ def test_each_side_of_a_cube_map_shows_its_own_picture(tmp_path):
     np.testing.assert_array_equal(shown, np.array(list(COLOURS.values()))[side])
 
 
-@pytest.mark.parametrize("size", [(1, 1, 1), (0.3, 0.2, 0.05), (0.04, 0.04, 0.5)])
-@pytest.mark.parametrize("make", [trimesh.creation.box, trimesh.creation.icosphere, trimesh.creation.annulus])
-def test_what_is_cut_for_a_cube_map_stays_closed_and_shows_the_right_places(make, size):
-    solid = make(0.5, 1, 1) if make is trimesh.creation.annulus else make()
-    solid.apply_scale(size)
-    mesh, uv = wrap_cube_map(Mesh(solid.vertices, solid.faces), np.asarray(solid.vertices), True, 512)
-    whole = clean_mesh(mesh)
-    tri = trimesh.Trimesh(whole.vertices, whole.faces, process=False)
-    assert tri.is_watertight
-    assert tri.volume == pytest.approx(solid.volume, rel=1e-6)
-    assert tri.area == pytest.approx(solid.area, rel=1e-6)
-    weights = np.random.default_rng(0).dirichlet((1, 1, 1), len(mesh.faces))
-    points = (mesh.corners * weights[..., None]).sum(1)
-    found = (uv[mesh.faces] * weights[..., None]).sum(1)
-    np.testing.assert_allclose(found, seen(points), atol=0.05)
-
-
-def seen(points):
-    """f64[N, 2]: OpenGL's places of directions on a cube map's side, right and up."""
-    x, y, z = points.T
-    axis = np.abs(points).argmax(1)
-    plus = points[np.arange(len(points)), axis] > 0
-    across = np.choose(axis, [np.where(plus, -z, z), x, np.where(plus, x, -x)])
-    down = np.choose(axis, [-y, np.where(plus, z, -z), -y])
-    away = np.abs(points).max(1)
-    return np.column_stack([across / away + 1, 1 - down / away]) / 2
-
-
-def test_of_several_pictures_those_that_are_there_are_kept(tmp_path):
-    """Beside pictures that are missing, empty or stand-ins of Git LFS, on a cube's side and in a part."""
-    (tmp_path / "images").mkdir()
-    picture().save(tmp_path / "images" / "good.png")
-    (tmp_path / "images" / "empty.png").write_bytes(b"")
-    (tmp_path / "images" / "lfs.png").write_text("version https://git-lfs.github.com/spec/v1\n")
-    (tmp_path / "child.xml").write_text(
-        "<mujoco><asset><texture name='t' type='2d' file='inner.png'/>"
-        "<material name='m' texture='t'/></asset>"
-        "<worldbody><body name='b'><geom size='.01' material='m'/></body></worldbody></mujoco>"
-    )
-    files = {"a": "file='good.png'", "b": "file='empty.png'", "c": "file='lfs.png'", "d": "fileup='gone.png'"}
-    looks = "".join(
-        f"<texture name='{name}' type='{'cube' if name == 'd' else '2d'}' {file}/>"
-        f"<material name='{name}' texture='{name}' rgba='0 1 0 1'/>"
-        for name, file in files.items()
-    )
-    geoms = "".join(
-        f"<geom size='.01' pos='{k / 50} 0 0' material='{name}'/>" for k, name in enumerate(files)
-    )
-    path = tmp_path / "thing.xml"
-    path.write_text(
-        f"<mujoco><compiler texturedir='images'/>{BESIDE}"
-        f"<asset>{looks}<model name='child' file='child.xml'/></asset>"
-        f"<worldbody><body name='all'><joint name='turn'/>{geoms}<attach model='child' body='b' prefix='p'/>"
-        "</body></worldbody></mujoco>"
-    )
-    model = read_mjcf(path)
-    assert [piece.texture is not None for piece in model.pieces] == [True, False, False, False, False]
-    assert [piece.rgba for piece in model.pieces][1:4] == [(0, 1, 0, 1)] * 3
-    for name in ("empty", "lfs", "gone", "inner"):
-        assert any(f"'{name}.png' cannot be read" in note for note in model.notes)
+def test_a_missing_picture_costs_the_picture_alone():
+    (shape,) = read_source(CASES / "14_mjcf_missing_image" / "objects" / "tin" / "tin.xml")
+    assert [piece.texture for piece in shape.pieces] == [None]
+    assert any("'label.png' cannot be read" in note for note in shape.notes)

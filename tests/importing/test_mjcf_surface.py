@@ -10,6 +10,7 @@ import trimesh
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
+from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 
 CASES = Path(__file__).parents[1] / "cases" / "import"
 GHOST = "contype='0' conaffinity='0'"
@@ -114,18 +115,13 @@ def test_what_is_the_object(tmp_path, case):
     np.testing.assert_allclose(size_of(shape), size, atol=0.5)
 
 
-@pytest.mark.parametrize(
-    ("geoms", "reason"),
-    [
-        ("<geom name='ground' type='plane' size='1 1 1'/>", "planes have no inside: 'ground'"),
-        (f"<geom name='goal' size='.1' rgba='1 1 1 0' {GHOST}/>", "not seen and do not collide: 'goal'"),
-        ("", "it has no geoms"),
-    ],
-)
-def test_a_body_of_helpers_is_refused(tmp_path, geoms, reason):
-    with pytest.raises(AssetError, match=reason) as error:
-        read_body(tmp_path, geoms)
-    assert "thing" in str(error.value)
+def test_what_is_left_out_or_taken_is_said(tmp_path):
+    shape = read_body(tmp_path, "<geom name='ground' type='plane' size='1 1 1'/>" + CARTON)
+    assert shape.notes == ("left out, as planes have no inside: 'ground'",)
+    shape = read_body(tmp_path, BALL + "<geom type='box' size='.03 .03 .03'/>")
+    assert shape.notes == ("taken for collision alone, as what is seen covers them: a box",)
+    (shape,) = read_source(CASES / "04_mjcf_region_box" / "region.xml")
+    assert shape.notes == ("left out, as they are not seen and do not collide: 'reg_bbox'",)
 
 
 def test_the_ground_under_a_grid_of_heights_is_where_mujoco_has_it(tmp_path):
@@ -154,3 +150,23 @@ def test_the_ground_under_a_grid_of_heights_is_where_mujoco_has_it(tmp_path):
         assert ours == pytest.approx(theirs, abs=1e-6)
     assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
     assert mesh.volume > 0.12 * 0.10 * 0.01
+
+
+def test_a_scene_shows_no_floor_as_a_ball_and_no_target(tmp_path):
+    scene = read_mjcf_scene(CASES / "02_mjcf_not_solid" / "scene_with_floor.xml")
+    table = join_meshes([piece.mesh for piece in scene.support.pieces])
+    np.testing.assert_allclose(np.ptp(table.vertices, axis=0), (0.8, 0.6, 0.04), atol=1e-6)
+    path = tmp_path / "scene.xml"
+    path.write_text(
+        f"""<mujoco><worldbody><geom type="plane" size="0 0 1"/>
+          <body name="carton" pos="0 0 .08"><freejoint/>{CARTON}{STICKERS}</body>
+          <body name="goal"><freejoint/><geom size=".3" rgba="0 1 0 0" {GHOST}/></body></worldbody>
+        </mujoco>"""
+    )
+    scene = read_mjcf_scene(path)
+    assert scene.names == ("carton",)
+    assert len(scene.objects[0].pieces) == 7
+    assert scene.support.pieces == ()
+    path.write_text(path.read_text().replace(CARTON + STICKERS, f"<geom size='.1' group='3' {GHOST}/>"))
+    with pytest.raises(AssetError, match="nothing of them is seen or collides"):
+        read_mjcf_scene(path)

@@ -1,17 +1,10 @@
 """What objects are called: after what says something, in Latin letters, and as the pool has them already."""
 
-import re
-
 import pytest
-import trimesh
 
 from cluttergen_jax.importing.readers import find_sources
 from cluttergen_jax.importing.readers.source import plain_name
-
-
-def save_box(path):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box((0.05, 0.05, 0.05)).export(path)
+from tests.helpers.shapes import save_box
 
 
 def names(folder):
@@ -49,7 +42,3 @@ def test_a_name_that_says_nothing_takes_the_folders(tmp_path, path):
 )
 def test_other_scripts_and_accents_become_latin_letters(text, name):
     assert plain_name(text) == name
-
-
-def test_long_names_fit_a_folder():
-    assert re.fullmatch("[a-z0-9_-]{1,200}", plain_name("杯" * 80))

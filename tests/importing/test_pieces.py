@@ -1,23 +1,16 @@
 """What belongs together: a model, what it names, and the pieces that lie beside it, are one object."""
 
-import struct
 from pathlib import Path
 
-import numpy as np
 import pytest
-import trimesh
 
-from cluttergen_jax.importing.readers import find_sources, read_shape, survey
+from cluttergen_jax.importing.readers import find_sources, survey
 from cluttergen_jax.importing.readers.pieces import whole_of
+from tests.helpers.shapes import save_box
 
 CASES = Path(__file__).parents[1] / "cases" / "import" / "13_pieces_beside_model"
 MJCF = """<mujoco><asset><mesh name="m" file="{}"/></asset>
 <worldbody><body><geom type="mesh" mesh="m" mass="0.3"/></body></worldbody></mujoco>"""
-
-
-def save_box(path, side=0.05):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box((side, side, side)).export(path)
 
 
 def save(folder, *files, model="", mesh="a.obj"):
@@ -70,41 +63,3 @@ def test_every_spelling_of_a_piece_is_known(tail, tmp_path):
     assert whole_of(f"blue_mug{tail}") == "blue_mug"
     save(tmp_path, "blue_mug.obj", f"blue_mug{tail}.stl", "bowl.obj")
     assert names(tmp_path) == ["blue_mug", "bowl"]
-
-
-def test_a_folder_called_after_its_model_holds_its_pieces(tmp_path):
-    save(tmp_path / "rack", "boards.obj", "rack_stand.obj", "rack_3.obj", model="rack.xml", mesh="boards.obj")
-    (tmp_path / "rack" / "rack_boards.xml").write_text(MJCF.format("rack_stand.obj"))
-    save(tmp_path / "pot", "visual.obj", "lid.obj", model="model.xml", mesh="visual.obj")
-    (tmp_path / "pot" / "model_orig.xml").write_text(MJCF.format("visual.obj"))
-    assert names(tmp_path) == ["pot", "rack"]
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        MJCF.format("a.obj").replace("</body>", ""),
-        MJCF.format("a.obj")[:60],
-        "<<<" + MJCF.format("a.obj"),
-        MJCF.format("a.obj").replace("</asset>", '<texture name="t" file="gone.png"/></asset>'),
-        f"<mujocoinclude>{MJCF.format('a.obj')}</mujocoinclude>",
-        '<robot><link name="l"><visual><geometry><mesh filename="a.obj"/></geometry></visual></link>',
-    ],
-)
-def test_a_model_that_cannot_be_read_still_owns_what_it_names(tmp_path, text):
-    save(tmp_path, "a.obj", "b.obj")
-    (tmp_path / ("c.urdf" if "<robot" in text else "c.xml")).write_text(text)
-    assert "a" not in names(tmp_path)
-    assert "b" in names(tmp_path)
-
-
-def test_a_mesh_in_mujocos_own_format_is_read(tmp_path):
-    box = trimesh.creation.box((0.04, 0.06, 0.08))
-    head = struct.pack("4i", len(box.vertices), 0, 0, len(box.faces))
-    data = box.vertices.astype("f4").tobytes() + box.faces.astype("i4").tobytes()
-    (tmp_path / "box.msh").write_bytes(head + data)
-    (tmp_path / "loose.msh").write_bytes(b"")
-    (tmp_path / "carton.xml").write_text(MJCF.format("box.msh"))
-    (source,) = find_sources(tmp_path)
-    (piece,) = read_shape(source).pieces
-    np.testing.assert_allclose(np.ptp(piece.mesh.vertices, axis=0), [0.04, 0.06, 0.08], atol=1e-6)

@@ -10,7 +10,6 @@ import trimesh
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh
 from cluttergen_jax.assets.mesh_repair.folds import num_folds, without_folds
 from cluttergen_jax.importing.readers import read_source
-from cluttergen_jax.importing.readers.polygons import cut_obj
 
 CASES = Path(__file__).parents[1] / "cases" / "import" / "01_ngon_concave"
 HEIGHT = 0.03
@@ -114,27 +113,6 @@ def test_every_format_covers_an_outline_once(name, seed, tmp_path):
         assert mesh.volume == pytest.approx(inside * HEIGHT, rel=1e-4)
         assert area(mesh) == pytest.approx(2 * inside + around * HEIGHT, rel=1e-4)
         assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
-
-
-def test_corners_keep_their_texture_coordinates(tmp_path):
-    points, _ = outline(1)
-    cut, _ = cut_obj(as_obj(*prism(points, 2)))
-    (tmp_path / "cut.obj").write_bytes(cut)
-    mesh = trimesh.load(tmp_path / "cut.obj", process=False)
-    np.testing.assert_allclose(mesh.visual.uv, mesh.vertices[:, :2])
-
-
-@pytest.mark.parametrize("is_quad", [False, True])
-def test_corners_that_count_back_do_so_from_their_own_line(is_quad, tmp_path):
-    vertices, polygons = prism(np.array([[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]), 0)
-    lines = []
-    for polygon in polygons:
-        for part in [polygon] if is_quad else [polygon[:3], [*polygon[2:], polygon[0]]]:
-            lines += ["v {} {} {}".format(*vertices[i]) for i in part] + ["vt 0 0"]
-            lines += ["f " + " ".join(f"{i}/-1" for i in range(-len(part), 0))]
-    (tmp_path / "box.obj").write_text("\n".join(lines))
-    (shape,) = read_source(tmp_path / "box.obj")
-    assert clean_mesh(shape.pieces[0].mesh).volume == pytest.approx(0.1 * 0.1 * HEIGHT)
 
 
 def fanned(points, start):

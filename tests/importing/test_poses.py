@@ -8,8 +8,6 @@ import cluttergen_jax
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.importing.readers import ReadOptions
-from cluttergen_jax.importing.readers.read import read_source
 
 
 @pytest.fixture
@@ -45,10 +43,3 @@ def test_what_lies_in_its_file_stands_in_the_pool_and_can_be_laid_down_again(lyi
     assert cluttergen_jax.pool_poses("mine", "carton")[0].height == pytest.approx(0.07, abs=1e-4)
     with pytest.raises(PoolError, match="0 to"):
         cluttergen_jax.set_pose("mine", "carton", 99)
-
-
-@pytest.mark.parametrize("options", [{"up": "file"}, {"up": "z"}, {"front": "y"}])
-def test_who_says_how_it_stands_is_believed(lying, options):
-    (shape,) = read_source(lying, ReadOptions(**options))
-    assert not shape.is_pose_free
-    assert read_source(lying)[0].is_pose_free

@@ -9,7 +9,7 @@ import trimesh
 
 from cluttergen_jax.assets.mesh import clean_mesh, join_meshes
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape, read_source
+from cluttergen_jax.importing.readers import read_source
 
 SIZE = np.array([0.06, 0.04, 0.11])
 
@@ -40,12 +40,10 @@ def test_every_mesh_format_gives_the_same_box(tmp_path, suffix):
     assert (shape.name, shape.label) == ("crate", "crate")
 
 
-def test_a_mug_of_thirty_metres_is_refused_with_the_likely_cause(tmp_path):
-    path = save_box(tmp_path / "mug.stl", size=(30, 20, 25))
-    with pytest.raises(AssetError, match=r"30 m across.*scale=0\.001.*millimetres"):
-        read_source(path)
-    with pytest.raises(AssetError, match="applied twice"):
-        read_source(path, ReadOptions(scale=1e-5))
+@pytest.mark.parametrize("suffix", ["ply", "glb"])
+def test_colours_are_read(tmp_path, suffix):
+    (shape,) = read_source(save_box(tmp_path / f"crate.{suffix}"))
+    np.testing.assert_allclose(shape.pieces[0].rgba[:3], np.array([200, 40, 40]) / 255, atol=0.02)
 
 
 URDF = """<robot name="r">
@@ -86,78 +84,6 @@ def test_urdf_links_origins_scales_and_joints(tmp_path):
     np.testing.assert_allclose(rod.mean(0), [0.1 + slid[0], slid[1], 0.1], atol=1e-4)
     assert shape.pieces[0].rgba == (0.8, 0.1, 0.1, 1.0)
     assert len(shape.parts) == 1
-
-
-def test_a_missing_mesh_is_named_and_the_rest_can_go_on(tmp_path):
-    make_urdf(tmp_path / "good")
-    make_urdf(tmp_path / "bad", mesh="textured_objs/new-1.obj")
-    sources = find_sources(tmp_path)
-    assert [source.name for source in sources] == ["bad", "good"]
-    with pytest.raises(AssetError, match=r"new-1\.obj"):
-        read_shape(sources[0])
-    assert read_shape(sources[1]).name == "good"
-
-
-def test_a_tree_holds_objects_not_files(tmp_path):
-    make_urdf(tmp_path / "lamp" / "0")
-    make_urdf(tmp_path / "lamp" / "1")
-    save_box(tmp_path / "cups" / "big cup.obj")
-    save_box(tmp_path / "cups" / "big cup.stl")
-    save_box(tmp_path / "cups" / "small.stl")
-    save_box(tmp_path / "025_mug" / "google_16k" / "textured.obj")
-    save_box(tmp_path / "025_mug" / "google_16k" / "nontextured.ply")
-    names = {source.name: source.label for source in find_sources(tmp_path)}
-    assert names == {
-        "025_mug": "mug",
-        "big_cup": "big cup",
-        "small": "small",
-        "lamp": "lamp",
-        "lamp-2": "lamp",
-    }
-
-
-MJCF = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
-  <body name="cup" pos="0 0 0.5"><freejoint/>
-    <geom type="box" size=".03 .02 .05" rgba="0 1 0 1" contype="0" conaffinity="0" mass="0"/>
-    <geom type="cylinder" size=".02 .03" mass="0.3"/><geom type="sphere" size=".01" pos="0 0 .03" mass="0.1"/>
-  </body>
-  {more}
-</worldbody></mujoco>"""
-
-
-def test_mjcf_geoms_are_convex_parts(tmp_path):
-    path = tmp_path / "things.xml"
-    path.write_text(MJCF.format(more=""))
-    (shape,) = read_source(path)
-    assert len(shape.pieces) == 1
-    assert shape.pieces[0].rgba == (0.0, 1.0, 0.0, 1.0)
-    assert len(shape.parts) == 2
-    assert shape.stated.body.mass == pytest.approx(0.4)
-    path.write_text(MJCF.format(more='<body><geom type="capsule" size=".01 .02"/></body>'))
-    names = [shape.name for shape in read_source(path)]
-    assert names == ["cup", "things-1"]
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        (
-            "a.xml",
-            "<mujoco><worldbody><body><geom type='mesh' mesh='m'/></body></worldbody></mujoco>",
-            "MJCF",
-        ),
-        ("a.urdf", "<robot", "URDF"),
-        ("a.urdf", "<robot><link name='x'/></robot>", "neither"),
-        ("a.obj", "v 0 0 0\n", "no triangles|cannot be read"),
-        ("a.glb", "not a mesh", "cannot be read"),
-    ],
-)
-def test_broken_files_are_named(tmp_path, name, text, message):
-    path = tmp_path / name
-    path.write_text(text)
-    with pytest.raises(AssetError, match=message) as error:
-        read_source(path)
-    assert name in str(error.value)
 
 
 def exported(suffix, **options):

@@ -5,10 +5,9 @@ import pytest
 import trimesh
 from PIL import Image
 
-from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import read_shape, read_source, survey
+from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.materials import GREY
 
 BOX = "<geometry><box><size>0.1 0.06 0.04</size></box></geometry>"
@@ -57,17 +56,6 @@ def read(folder, text, **options):
 
 def bounds(pieces):
     return join_meshes([piece.mesh for piece in pieces]).bounds
-
-
-def test_a_folder_of_gazebo_is_one_object_called_by_its_folder_and_told_by_its_config(tmp_path):
-    folder = write(tmp_path / "models" / "cup", model(link(visual(mesh()))))
-    trimesh.creation.box((1, 1, 1)).export(folder / "meshes" / "unused.stl")
-    save_image(folder / "materials" / "textures" / "a.png", "red")
-    found = survey(tmp_path / "models")
-    (source,) = found.sources
-    assert (source.name, source.label, source.kind) == ("cup", "Café Cup", "sdf")
-    assert not found.skipped
-    np.testing.assert_allclose(bounds(read_shape(source).pieces)[1], [0.01, 0.02, 0.03])
 
 
 def test_poses_frames_and_nested_models_put_links_where_they_belong(tmp_path):
@@ -129,22 +117,6 @@ def test_wrong_forms_name_file_and_element(tmp_path, form):
     assert WRONG[form] in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("inside", "told"),
-    [
-        (link(visual(), more="<pose>0 0 0</pose>"), "<link><pose>0 0 0</pose>.*6 numbers"),
-        (link(visual(), more='<pose relative_to="b">0 0 0 0 0 0</pose>'), "'b' is named and nowhere defined"),
-        (link(visual(), more='<pose relative_to="a">0 0 0 0 0 0</pose>'), "'a' hangs on itself"),
-        ("<include><uri>model://saucer</uri></include>", "includes 'model://saucer'.*gz sdf -p"),
-        (link(""), "neither visual nor collision"),
-        (link("<collision name='c'><geometry><plane/></geometry></collision>"), "neither visual nor"),
-    ],
-)
-def test_models_that_cannot_be_read_say_why(tmp_path, inside, told):
-    with pytest.raises(AssetError, match=rf"(?s)model\.sdf.*{told}"):
-        read(tmp_path, model(inside))
-
-
 SCRIPT = """// material Cup/Paint {
 material Cup/Base
 {
@@ -198,36 +170,3 @@ def test_materials_give_colours_and_images(tmp_path):
         shape = read(tmp_path, model(link(visual(BOX + look))))
         assert shape.pieces[0].rgba == pytest.approx(rgba), look
     assert "material 'Cup/Glaze' is named and nowhere defined" in shape.notes
-
-
-def inertial(mass, pose="", density=""):
-    moments = "<ixx>1e-4</ixx><iyy>2e-4</iyy><izz>2.5e-4</izz>"
-    mass = f"<mass>{mass}</mass><inertia>{moments}</inertia>" if mass else ""
-    return f"<inertial>{pose}{mass}{density}</inertial>"
-
-
-def test_masses_are_those_of_the_links_at_their_poses(tmp_path):
-    pose = "<pose>0 0 0.01 0 0 0</pose>"
-    shape = read(tmp_path, model(link(visual(), more="<pose>1 0 0 0 0 0</pose>" + inertial(0.2, pose))))
-    body = shape.stated.body
-    assert body.mass == 0.2
-    np.testing.assert_allclose(body.center, [1, 0, 0.01], atol=1e-12)
-    np.testing.assert_allclose(np.diag(body.inertia), [1e-4, 2e-4, 2.5e-4])
-    assert make_object(shape, BodyConfig(tier="light")).mass == 0.2
-    heavy = read(tmp_path, model(link(visual(), more=inertial("", density="<density>2700</density>"))))
-    assert (heavy.stated, heavy.density) == (None, 2700)
-
-
-def test_the_models_of_a_world_are_objects_of_their_own(tmp_path):
-    world = model(link(visual()), "mug") + model(link(visual(mesh("../cup/meshes/cup.obj"))), "jug")
-    write(tmp_path / "cup", f"<world>{world}<include><uri>model://sun</uri></include></world>", config="")
-    (tmp_path / "all.sdf").write_text("<sdf><world><include><uri>model://cup</uri></include></world></sdf>")
-    (tmp_path / "molecule.sdf").write_text("  benzene\n 6 6 0\n$$$$\n")
-    found = survey(tmp_path)
-    assert [each.name for each in found.sources] == ["mug", "jug"]
-    np.testing.assert_allclose(
-        np.ptp(bounds(read_shape(found.sources[1]).pieces), axis=0), [0.02, 0.04, 0.06]
-    )
-    reasons = {each.name.rpartition("/")[2]: each.reason for each in found.skipped}
-    assert "has none of its own" in reasons["all.sdf"]
-    assert reasons["molecule.sdf"] == "not well-formed XML"

@@ -8,18 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.planning import plan_all
-from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
+from cluttergen_jax.importing.readers import ReadOptions, read_shape
 from cluttergen_jax.importing.sets import layouts
+from tests.helpers.shapes import save_box
 
 BODY = '<body name="{}"><geom type="box" size=".02 .02 .02"/></body>'
 MODELS = ["bottle", "bread", "can", "cereal", "lemon", "milk", "plate-with-hole", "round-nut", "square-nut"]
-
-
-def save_box(path):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box((0.05, 0.05, 0.05)).export(path)
 
 
 def save_model(path, *bodies):
@@ -54,18 +49,6 @@ def test_robosuite_has_nine_models(tmp_path, objects, given):
     told = {Path(each.name).name: each.reason for each in plan.left_out}
     assert "furniture" in told["door.xml"]
     assert "set=none" in told["door_lock.xml"]
-
-
-def test_what_the_user_says_goes_before_the_set(tmp_path):
-    robosuite(tmp_path)
-    settings = tmp_path / "s.toml"
-    settings.write_text('["can.xml"]\nup = "y"\nlicence = "mine"\nlabel = "a can"\n')
-    plan = plan_all([tmp_path], ReadOptions(licence="ours", scale=2.0), settings)
-    by_name = {each.source.name: each for each in plan.objects}
-    assert (by_name["can"].up.axis, by_name["can"].options.licence, by_name["can"].source.label) == (
-        *("y", "mine", "a can"),
-    )
-    assert (by_name["milk"].options.licence, by_name["milk"].options.scale) == ("ours", 2.0)
 
 
 def test_labels_and_licences_stand_in_files_beside_objects(tmp_path):
@@ -152,32 +135,3 @@ def test_collision_shapes_beside_a_mesh_are_kept_as_its_parts(tmp_path):
     )
     assert "its collision parts are those of mug_coacd.stl" in shape.notes
     assert kept(tmp_path, "mug").parts is None
-
-
-@pytest.mark.parametrize(
-    ("mesh", "files"),
-    [
-        ("pot/textured.obj", ["pot/collision.obj"]),
-        ("pot.obj", ["pot_collision.obj", "pot_hull.obj"]),
-        ("pot.obj", ["collision/pot_0.obj", "collision/pot_1.obj", "collision/pan_0.obj"]),
-        ("visual/pot.obj", ["collision/pot_0.obj", "collision/pot_1.obj"]),
-        ("pot.obj", ["pot_convex_0.stl", "pot_convex_1.stl", "pot_hull.stl"]),
-    ],
-)
-def test_numbered_parts_are_found_together(tmp_path, mesh, files):
-    for file in (mesh, *files):
-        save_box(tmp_path / file)
-    (source,) = (each for each in find_sources(tmp_path) if each.name == "pot")
-    (planned,) = plan_all([source.path], ReadOptions(collision="keep")).objects
-    own = [tmp_path / file for file in files if "pan" not in file and "hull" not in file]
-    assert list(planned.source.parts) == own
-
-
-def test_shapes_that_are_not_convex_are_not_kept(tmp_path):
-    save_box(tmp_path / "mug.obj")
-    trimesh.creation.torus(0.03, 0.005).export(tmp_path / "mug_col.obj")
-    shape = kept(tmp_path, "mug", collision="keep")
-    assert shape.parts is None
-    assert any("were not kept: they are not convex" in note for note in shape.notes)
-    with pytest.raises(ConfigError, match="collision"):
-        ReadOptions(collision="all")

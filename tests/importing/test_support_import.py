@@ -74,25 +74,6 @@ def test_rims_and_risers_become_obstacles():
         assert max(b.center[2] + b.half_extents[2] for b in found.boxes) == pytest.approx(highest, abs=1e-6)
 
 
-def test_a_rim_of_bare_sheet_is_seen():
-    half = np.array([0.3037, 0.2171])
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
-    vertices = np.concatenate([np.column_stack([corners, np.full(4, z)]) for z in (0.5, 0.54)])
-    walls = [[k, (k + 1) % 4, 4 + (k + 1) % 4] for k in range(4)] + [
-        [k, 4 + (k + 1) % 4, 4 + k] for k in range(4)
-    ]
-    mesh = Mesh(np.append(vertices, [[0, 0, 0]], 0), [[0, 1, 2], [0, 2, 3], *walls, [0, 1, 8]])
-    found = support_from_mesh(Shape("tin", "tin", (Piece(mesh),), SOURCE))
-    assert found.top == pytest.approx(0.5)
-    np.testing.assert_allclose(found.region.half_extents, half, atol=1e-9)
-    rims = [box for box in found.boxes if box.center[2] > 0.5]
-    assert {round(b.center[2] + b.half_extents[2], 6) for b in rims} == {0.54}
-    for side in (corners[1] + corners[2], corners[2] + corners[3]):
-        for sign in (-1, 1):
-            middle = Polygon(sign * side / 2 * 1.001 + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 1e-4)
-            assert any(polygon(b.center, b.half_extents, b.yaw).intersects(middle) for b in rims)
-
-
 def test_what_has_no_level_top_is_refused():
     ball = trimesh.creation.icosphere(3, 0.3)
     with pytest.raises(AssetError, match="level area"):

@@ -4,22 +4,17 @@ import os
 
 import numpy as np
 import pytest
-import trimesh
 
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.readers import find_sources, read_shape, read_source, survey
 from cluttergen_jax.importing.run import ObjectConfig
+from tests.helpers.shapes import save_box
 
 URDF = """<robot name="r"><link name="a"><visual><geometry><mesh filename="{}"/></geometry></visual></link>
 </robot>"""
 TOY = """<mujoco><compiler meshdir="parts"/><asset><mesh name="m" file="wheel.stl"/></asset>
 <worldbody><body name="toy"><freejoint/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
-
-
-def save_box(path, side=0.05):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box((side, side, side)).export(path)
 
 
 def names(folder):
@@ -52,21 +47,6 @@ def mixed(tmp_path):
     return folder
 
 
-def test_published_folders_stay_one_object_each(tmp_path):
-    for name in ("mug", "bowl"):
-        folder = tmp_path / name / "0"
-        save_box(folder / "textured.obj")
-        save_box(folder / "collision.obj")
-        save_box(folder / "textured_objs" / "new-1.obj")
-        save_box(folder / "textured_objs" / "original-7.obj")
-        (folder / "mobility.urdf").write_text(URDF.format("textured_objs/new-1.obj"))
-        (folder / "label.json").write_text("{}")
-    assert names(tmp_path) == ["bowl", "mug"]
-    told = skipped(tmp_path / "mug")
-    assert set(told) == {"0/textured.obj", "0/collision.obj", "0/textured_objs/original-7.obj"}
-    assert all("a piece of mobility.urdf" in reason for reason in told.values())
-
-
 def test_included_files_are_part_of_what_includes_them(tmp_path):
     folder = tmp_path / "kitchen"
     (folder / "bodies").mkdir(parents=True)
@@ -95,11 +75,6 @@ def test_bodies_that_mujoco_makes_are_objects_too(tmp_path):
     sizes = [np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).bounds, axis=0) for shape in shapes]
     np.testing.assert_allclose(sizes[2], [0.1, 0.06, 0.06], atol=1e-6)
     np.testing.assert_allclose(sizes[3], 0.04, atol=1e-3)
-
-
-def test_a_file_that_includes_itself_ends(tmp_path):
-    (tmp_path / "a.xml").write_text('<mujoco><include file="a.xml"/><worldbody><body/></worldbody></mujoco>')
-    assert names(tmp_path) == ["a"]
 
 
 def test_an_object_depends_on_its_own_files_alone(mixed):

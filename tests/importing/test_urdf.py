@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-import trimesh
 
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers import find_sources, read_source
+from cluttergen_jax.importing.readers import read_source
+from tests.helpers.cases import CASES
 
 BOX = '<box size=".1 .06 .04"/>'
 
@@ -21,12 +21,6 @@ def link(name="a", form=BOX, inside="", more=""):
     return f'<link name="{name}"><visual><geometry>{form}</geometry>{inside}</visual>{more}</link>'
 
 
-def save_box(path, size=(0.1, 0.06, 0.04)):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.creation.box(size).export(path)
-    return path
-
-
 def read(path):
     (shape,) = read_source(path)
     return shape
@@ -34,6 +28,15 @@ def read(path):
 
 def size_of(shape):
     return np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).bounds, axis=0)
+
+
+def test_one_number_scales_all_three_axes():
+    shape = read(CASES / "06_urdf_scalar_scale")
+    np.testing.assert_allclose(size_of(shape), [0.1, 0.06, 0.04], atol=1e-6)
+
+
+def test_a_colour_without_alpha_is_opaque():
+    assert read(CASES / "07_urdf_rgba3").pieces[0].rgba == (0.8, 0.1, 0.1, 1.0)
 
 
 CLEAR = '<material name="clear"><color rgba="1 0 0 0"/></material>'
@@ -49,37 +52,19 @@ def test_what_is_clear_is_left_out_and_drawn_where_nothing_else_is_seen(tmp_path
     assert "left out, as their alpha is 0: 1 of 2 surfaces" in shape.notes
 
 
-def test_the_materials_of_the_model_go_before_those_of_links(tmp_path):
-    red, blue = (f'<material name="m"><color rgba="{rgba}"/></material>' for rgba in ("1 0 0 1", "0 0 1 1"))
+def test_a_material_of_one_link_holds_in_another():
+    shape = read(CASES / "11_urdf_material_reuse")
+    assert [piece.rgba for piece in shape.pieces] == [(0.8, 0.0, 0.0, 1.0)] * 2
+
+
+def test_a_density_in_the_file_is_taken(tmp_path):
+    assert read(CASES / "21_urdf_density").density == 2700
+    two = [
+        link(name, more=f'<inertial><density value="{n}"/></inertial>') for name, n in (("a", 1), ("b", 2))
+    ]
     joint = '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
-    body = link("a", inside=blue) + link("b", inside='<material name="m"/>') + red + joint
-    assert [piece.rgba[0] for piece in read(write(tmp_path, body)).pieces] == [0, 1]
-    shape = read(write(tmp_path, link(inside='<material name="lost"/>')))
-    assert "material 'lost' is named and nowhere defined" in shape.notes
-
-
-WRONG = {
-    '<mesh filename="box.stl" scale="1 2"/>': '<mesh scale="1 2">',
-    '<mesh filename="box.stl" scale="1 0 1"/>': '<mesh scale="1 0 1">',
-    '<box size="0.1"/>': '<box size="0.1">',
-    '<box size="0.1 0.2 -1"/>': '<box size="0.1 0.2 -1">',
-    "<box/>": "<box> without the attribute 'size'",
-    '<sphere radius="1 2"/>': '<sphere radius="1 2">',
-    '<cylinder radius="0.1"/>': "<cylinder> without the attribute 'length'",
-    '<cylinder radius="" length="1"/>': '<cylinder radius="">',
-    '<capsule radius="0.1" length="wide"/>': '<capsule length="wide">',
-}
-
-
-@pytest.mark.parametrize("form", WRONG)
-def test_wrong_numbers_of_a_form_name_file_element_and_attribute(tmp_path, form):
-    save_box(tmp_path / "box.stl")
-    with pytest.raises(AssetError) as error:
-        read(write(tmp_path, link(form=form)))
-    assert f"thing.urdf: a {WRONG[form]}" in str(error.value) or f"thing.urdf: {WRONG[form]}" in str(
-        error.value
-    )
-    assert "Allowed" in str(error.value)
+    with pytest.raises(AssetError, match=r"densities \[1\.0, 2\.0\]"):
+        read(write(tmp_path, "".join(two) + joint))
 
 
 @pytest.mark.parametrize(
@@ -123,46 +108,3 @@ def test_a_joint_that_mimics_another_follows_it(tmp_path):
     shape = read(write(tmp_path, fingers('<mimic joint="f1" multiplier="-2" offset="0.01"/>')))
     assert heights(shape) == [0.02, -0.03]
     assert "'f2' (prismatic) at -0.03 m" in shape.notes[0]
-
-
-@pytest.mark.parametrize(("second", "told"), [("f3", '<mimic joint="f3">'), ("f2", "'f2' mimics itself")])
-def test_a_joint_that_cannot_be_followed_is_told(tmp_path, second, told):
-    with pytest.raises(AssetError) as error:
-        read(write(tmp_path, fingers(f'<mimic joint="{second}"/>')))
-    assert told in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("said", "place"),
-    [
-        (r"meshes\cup.stl", "meshes/cup.stl"),
-        (r"C:\Users\bob\cup\meshes\cup.stl", "meshes/cup.stl"),
-        ("file:///D:/models/cup/meshes/cup.stl", "meshes/cup.stl"),
-        ("/home/bob/cup/visual/cup.stl", "visual/cup.stl"),
-        (r"\\server\share\cup.stl", "cup.stl"),
-        ("package://cups/meshes/the%20cup.stl", "meshes/the cup.stl"),
-        ("../elsewhere/cup.stl", "meshes/cup.stl"),
-    ],
-)
-def test_meshes_are_found_that_are_named_as_on_another_machine(tmp_path, said, place):
-    save_box(tmp_path / "cup" / place)
-    path = write(tmp_path / "cup", link(form=f'<mesh filename="{said}"/>'))
-    np.testing.assert_allclose(size_of(read(path)), [0.1, 0.06, 0.04], atol=1e-6)
-    # The file belongs to the model: it is no object of its own.
-    assert [source.kind for source in find_sources(tmp_path)] == ["urdf"]
-
-
-@pytest.mark.parametrize(
-    "body",
-    [
-        '<xacro:macro name="m"/>' + link(),
-        link(form='<box size="${width} 1 1"/>'),
-        link(form='<mesh filename="$(find cups)/meshes/cup.stl"/>'),
-    ],
-)
-@pytest.mark.parametrize("space", ["", ' xmlns:xacro="http://www.ros.org/wiki/xacro"'])
-def test_an_unprocessed_xacro_is_named_as_one(tmp_path, body, space):
-    path = write(tmp_path, body, "cup.urdf")
-    path.write_text(path.read_text().replace("<robot", f"<robot{space}"))
-    with pytest.raises(AssetError, match=r"cup\.urdf is an unprocessed xacro.*Try: xacro cup\.urdf > "):
-        read(path)

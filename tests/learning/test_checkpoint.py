@@ -1,6 +1,5 @@
 """Stored weights: every array of the network is there, finite, of its shape and type, or its name is told."""
 
-import json
 import zipfile
 
 import jax
@@ -9,7 +8,6 @@ import pytest
 
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
-from tests.helpers.records import unsigned
 
 KERNEL, BIAS = "params/actor/kernel", "params/actor/bias"
 LIKE = {
@@ -39,27 +37,6 @@ def test_sound_weights_are_read_and_the_critic_is_left(folder):
     np.testing.assert_array_equal(params["actor"]["kernel"], np.full((4, 3), 0.5))
     np.testing.assert_array_equal(params["critic"]["kernel"], LIKE["params"]["critic"]["kernel"])
     assert params["actor"]["bias"].dtype == np.float32
-
-
-def test_equal_arrays_are_stored_once(tmp_path):
-    half = np.random.default_rng(0).normal(size=(64, 64)).astype(np.float16).astype(np.float32)
-    params = {"one": {"kernel": half}, "two": {"kernel": half.copy()}, "three": {"kernel": -half}}
-    save_policy(tmp_path, params, {})
-    with zipfile.ZipFile(tmp_path / "weights.npz") as archive:
-        sizes = {each.filename: each.file_size for each in archive.infolist()}
-    assert sizes["two/kernel.npy"] < 500 < half.size < sizes["one/kernel.npy"]
-    jax.tree.map(
-        np.testing.assert_array_equal, read_policy(tmp_path, jax.tree.map(np.zeros_like, params)), params
-    )
-
-
-def test_weights_of_earlier_versions_are_read(folder):
-    change(folder, **{KERNEL: np.full((4, 3), 0.25, np.float16)})
-    with pytest.raises(PoolError, match="not the weights that record"):
-        read_policy(folder, LIKE)
-    record = folder / "record.json"
-    record.write_text(json.dumps(unsigned(json.loads(record.read_text()))))
-    assert (read_policy(folder, LIKE)["params"]["actor"]["kernel"] == 0.25).all()
 
 
 @pytest.mark.parametrize(

@@ -17,11 +17,9 @@ from cluttergen_jax.learning.networks.cloud_encoder import (
     CloudNet,
     ball_query,
     encode_scenes,
-    farthest_points,
     init_encoder,
 )
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
-from cluttergen_jax.placement.clouds import CloudLayout, scene_cloud
 from cluttergen_jax.placement.env import PlacementEnv
 from tests.helpers.problems import made_up_rules
 from tests.helpers.runs import compiled_once
@@ -29,7 +27,6 @@ from tests.helpers.runs import compiled_once
 __all__ = ["compiled_once"]
 
 KINDS = ("pointnet", "pointnet2")
-ENCODERS = {"set": "PointNet_0", "pointnet": "encoder", "pointnet2": "encoder"}
 SMALL = NetworkConfig(
     scene_encoder="pointnet2",
     object_points=16,
@@ -87,18 +84,6 @@ def net(request):
     return jax.jit(lambda cloud, mask, index: module.apply(weights, cloud, mask, index))
 
 
-def test_farthest_points_are_those_of_numpy():
-    cloud, number = points(60), 25
-    mask = np.random.default_rng(1).uniform(size=60) < 0.6
-    for counts in (np.ones(60, bool), mask):
-        among = np.flatnonzero(counts)
-        expected = among[farthest_first(np.float64(cloud[among]))][:number]
-        dirty = np.where(counts[:, None], cloud, 7.0)
-        index, is_chosen = jax.jit(farthest_points, static_argnums=2)(dirty, counts, number)
-        np.testing.assert_array_equal(index, expected)
-        assert bool(is_chosen.all())
-
-
 @pytest.mark.parametrize("at_once", [1 << 20, 150])
 def test_ball_query_finds_what_a_tree_finds(monkeypatch, at_once):
     monkeypatch.setattr(cloud_encoder, "_SEARCHED_AT_ONCE", at_once)
@@ -131,31 +116,6 @@ def test_order_of_points_does_not_matter(net):
     np.testing.assert_allclose(
         net(cloud[order], mask[order], moved), net(cloud, mask, jnp.arange(12)), atol=1e-5
     )
-
-
-@pytest.mark.parametrize(("number", "objects", "size"), [(20480, 10, 1024), (2048, 10, 1024), (64, 40, 8)])
-def test_layout_shares_points_equally(number, objects, size):
-    layout = CloudLayout.of(number, objects, size)
-    assert layout.num_ground + objects * layout.share == number
-    assert layout.share <= size
-    for wanted in (number // 2, 41, 1):
-        index = layout.prefixes(wanted)
-        assert len(index) <= wanted
-        assert len(set(index.tolist())) == len(index)
-        owner = np.where(index < layout.num_ground, -1, (index - layout.num_ground) // layout.share)
-        counts = np.bincount(owner[owner >= 0], minlength=objects)
-        assert (counts == min(wanted // (objects + 1), layout.share)).all()
-        # The points of each owner are its first ones.
-        offset = np.where(owner < 0, index, (index - layout.num_ground) % layout.share)
-        assert all(sorted(offset[owner == k]) == list(range((owner == k).sum())) for k in range(-1, objects))
-
-
-def test_scene_of_unmoved_objects_is_their_clouds():
-    clouds, _ = world()
-    still = jnp.tile(jnp.array([0.0, 0, 0, 1, 0, 0, 0]), (NUM_OBJECTS, 1))
-    cloud, mask = scene_cloud(clouds, still, jnp.ones(NUM_OBJECTS, bool), jnp.ones(2), 100, NUM_OBJECTS)
-    assert bool(mask.all())
-    np.testing.assert_allclose(cloud[20:], clouds[:, :20].reshape(-1, 3), atol=1e-7)
 
 
 def test_scene_features_see_poses_of_placed_objects_only(encoder):
@@ -205,30 +165,6 @@ def test_frozen_weights_keep_their_bits_through_an_update():
     same = jax.tree.map(lambda a, b: bool((a == b).all()), start.params["params"], after.params["params"])
     assert all(jax.tree.leaves(same.pop("encoder")))
     assert not any(jax.tree.leaves(same))
-
-
-@pytest.mark.parametrize(("kind", "is_frozen"), [("set", True), ("pointnet", True), ("pointnet", False)])
-@pytest.mark.slow
-def test_frozen_encoders_get_no_gradient_and_keep_their_features(kind, is_frozen):
-    config = dataclasses.replace(
-        SMALL, scene_encoder=kind, history_width=0, encoder_frozen=is_frozen, token_width=8
-    )
-    agent = Agent(config, *world(), NUM_OBJECTS)
-    seen = scenes(3) | {"focus": jnp.array([0, 2, 1])}
-    params = agent.init(jax.random.key(0), jax.tree.map(lambda leaf: leaf[0], seen))
-
-    @jax.jit
-    def values(params):
-        kept = agent.encode(params)(seen)
-        assert ("encoded" in kept) == (is_frozen and config.reads_clouds)
-        slope = jax.grad(lambda params: jnp.sum(agent.apply(params, kept)[1]))(params)
-        return agent.apply(params, seen)[1], agent.apply(params, kept)[1], slope["params"]
-
-    whole, kept, slope = values(params)
-    np.testing.assert_allclose(whole, kept, rtol=1e-5)
-    moves = [bool(jnp.any(leaf != 0)) for leaf in jax.tree.leaves(slope[ENCODERS[kind]])]
-    assert not any(moves) if is_frozen else sum(moves) > len(moves) / 2
-    assert bool(jnp.any(slope["critic"]["Dense_0"]["kernel"] != 0))
 
 
 @pytest.mark.parametrize("kind", ["set", *KINDS])

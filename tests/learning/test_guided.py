@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax import train
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.methods import proposer_of
 from cluttergen_jax.learning.networks.stability import (
@@ -81,14 +80,6 @@ def test_a_fit_learns_what_can_be_learned_and_equal_seeds_fit_alike():
     assert stands.precision > 0.9
     again, _ = fit(SMALL, FitConfig(num_epochs=12), examples, seed=0)
     jax.tree.map(np.testing.assert_array_equal, params, again)
-
-
-def test_what_nobody_looked_at_teaches_nothing_of_robustness():
-    examples = made_up(2000)
-    unknown = examples.replace(knows_robust=np.zeros(2000, bool))
-    one, _ = fit(SMALL, FitConfig(num_epochs=2), unknown, seed=0)
-    other, _ = fit(SMALL, FitConfig(num_epochs=2), unknown.replace(is_robust=~examples.is_robust), seed=0)
-    jax.tree.map(np.testing.assert_array_equal, one, other)
 
 
 def test_calibration_counts_what_stood(tmp_path):
@@ -165,22 +156,6 @@ def test_a_stored_network_places_as_before(rules, tmp_path):
     poses = [jax.jit(each)(jax.random.key(2), episode) for each in (propose, stored)]
     np.testing.assert_array_equal(*poses)
     assert not stored.is_robust
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"pool": "kitchen"}, "pool = 'kitchen'"),
-        ({"num_objects": 20}, "num_objects = 20"),
-        ({"preset": "gpu"}, "preset = 'gpu'"),
-        ({"num_attempts": 7}, "1920 to"),
-        ({"seed": -1}, "seed = -1"),
-    ],
-)
-def test_arguments_that_mean_nothing_here_are_refused(given, words, tmp_path):
-    with pytest.raises(ConfigError, match=words):
-        train(variant="guided", out=tmp_path / "run", **given)
-    assert not (tmp_path / "run").exists()
 
 
 TINY = guided.GuidedConfig(

@@ -10,7 +10,6 @@ import pytest
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.placement.env import PlacementEnv
-from cluttergen_jax.placement.observation import height_grid
 from tests.helpers.problems import made_up_rules
 
 CONFIG = NetworkConfig(head="mixture", num_cells=6, num_turns=4, width=16, num_layers=2, object_points=8)
@@ -23,32 +22,6 @@ def made_up(config=CONFIG):
     env = PlacementEnv(rules, agent.observation)
     observation = jax.jit(env.reset)(jax.random.key(0)).obs
     return rules, agent, jax.jit(agent.init)(jax.random.key(1), observation), observation
-
-
-def test_height_grid_sees_what_stands_where():
-    cloud = jnp.zeros((2, 4, 3)).at[0, :, 2].set(jnp.array([0.1, -0.1, 0.05, 0.0]))
-    poses = jnp.tile(jnp.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), (2, 1))
-    poses = poses.at[0, :3].set(jnp.array([0.25, -0.15, 0.1])).at[1, :3].set(jnp.array([-0.25, 0.15, 0.3]))
-    heights = height_grid(cloud, poses, jnp.array([True, False]), jnp.array([0.3, 0.2]), 6)
-    expected = np.zeros((6, 6))
-    expected[5, 0] = 0.2
-    np.testing.assert_allclose(heights, expected, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_draws_lie_about_rest_on_what_is_below():
-    rules, agent, params, observation = made_up()
-    # A wall 3 cm high stands under the half of the region with x > 0.
-    observation["heights"] = jnp.zeros((6, 6)).at[3:].set(0.03)
-    observation["region"] = observation["region"].at[2].set(0.2)
-    batch = jax.tree.map(lambda leaf: leaf[None], observation)
-    dist = jax.jit(agent.apply)(params, batch)[0]
-    draws = jax.jit(jax.vmap(dist.sample))(jax.random.split(jax.random.key(2), 2000))[:, 0]
-    half = float(rules.geometry.half_extents[observation["focus"], 2])
-    above = np.asarray(draws[:, 2]) * 0.2 - half - np.where(np.asarray(draws[:, 0]) > 0.5, 0.03, 0.0)
-    assert above.min() >= -0.0011
-    assert above.max() <= 0.0091
-    assert abs(np.median(above) - 0.002) < 0.001
 
 
 @pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, turn_symmetry=1, undersides=True)])

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
@@ -60,13 +60,3 @@ def test_a_policy_acts_with_fewer_attempts_than_it_was_trained_with(rules, store
 def test_a_policy_refuses_more_attempts(rules, stored):
     with pytest.raises(ConfigError, match="max_attempts = 7"):
         load_policy(read_checkpoint(stored), with_attempts(rules, 7))
-
-
-@pytest.mark.parametrize(
-    ("record", "says"),
-    [({"kind": "ranking"}, "kind 'ranking'"), ({"network": {"cost_scale": 0.005}}, "what network it holds")],
-)
-def test_a_network_of_another_kind_is_refused(rules, record, says, tmp_path):
-    save_policy(tmp_path, {}, {"network": {}, "placement": PLACEMENT} | record)
-    with pytest.raises(PoolError, match=says):
-        load_policy(read_checkpoint(tmp_path), rules)

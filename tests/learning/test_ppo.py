@@ -46,6 +46,14 @@ def test_beta_bandit_finds_both_optima(bandit):
 
 
 @pytest.mark.slow
+def test_entropy_bonus_keeps_the_policy_wide(bandit):
+    wide = train(learner(Bandit(), entropy_cost=0.3), 60)
+    seen = jnp.array([[0.0, 1.0]])
+    entropies = [float(Tiny().apply(s.params, seen)[0].entropy()[0]) for s in (bandit, wide)]
+    assert entropies[0] < entropies[1]
+
+
+@pytest.mark.slow
 def test_minibatches_of_one_size_leave_a_smaller_last_one():
     asked = {"num_envs": 8, "num_steps": 4, "num_epochs": 2, "num_attempts": 64}
     config = PPOConfig(**asked, minibatch_size=10)
@@ -58,6 +66,18 @@ def test_minibatches_of_one_size_leave_a_smaller_last_one():
     counts = [int(leaf) for leaf in jax.tree.leaves(state.optimizer) if leaf.dtype == jnp.int32]
     assert set(counts) == {8}
     assert np.isfinite(figures["loss"])
+
+
+@pytest.mark.slow
+def test_scaled_rewards_teach_the_same_actions_and_scaled_values():
+    scaled = train(learner(Constant(), reward_scale=0.1), 40)
+    assert value(scaled, [0.0, 0.0]) == pytest.approx(0.1, abs=0.03)
+
+
+@pytest.mark.slow
+def test_clipped_values_move_less():
+    free, clipped = (train(learner(Constant(), value_clip=each), 2) for each in (0.0, 0.001))
+    assert abs(value(clipped, [0.0, 0.0])) < abs(value(free, [0.0, 0.0]))
 
 
 def test_advantages_by_hand():

@@ -8,9 +8,8 @@ import pytest
 from cluttergen_jax.learning.networks.cloud_encoder import CloudEncoder, init_encoder
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.training import pretrain
 from cluttergen_jax.learning.training.presets import choose_encoder, fit_to_weights
-from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining, make_clouds, shape_cloud
+from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining
 from cluttergen_jax.learning.training.run import Run, RunConfig, with_encoder
 from tests.helpers.problems import made_up_rules
 from tests.helpers.runs import PPO, compiled_once, recipe
@@ -40,24 +39,6 @@ def trained(tmp_path_factory):
     return folder, run.run(), run._start()
 
 
-def test_shapes_repeat_and_vary():
-    first = shape_cloud("mug", 3, 400)
-    np.testing.assert_array_equal(first, shape_cloud("mug", 3, 400))
-    assert first.shape == (400, 3)
-    assert np.abs(first - shape_cloud("mug", 4, 400)).max() > 1e-3
-    # Its points lie around the origin, within a mug's size.
-    assert np.abs(first.max(0) + first.min(0)).max() < 0.02
-    assert np.abs(first).max() < 0.12
-
-
-def test_what_is_learned_from_is_not_tested_with():
-    learned, held_out = (pretrain._seeds(CONFIG, each) for each in (False, True))
-    assert not set(learned) & set(held_out)
-    clouds = [make_clouds(("mug", "fork"), seeds, 32, "") for seeds in (learned, held_out)]
-    assert [each.label.tolist() for each in clouds] == [[0] * 4 + [1] * 4] * 2
-    assert not any(np.array_equal(a, b) for a in clouds[0].cloud for b in clouds[1].cloud)
-
-
 @pytest.mark.slow
 def test_unseen_shapes_are_recognised(trained):
     folder, accuracy, _ = trained
@@ -65,32 +46,6 @@ def test_unseen_shapes_are_recognised(trained):
     assert accuracy >= 0.8
     record = read_record(folder)
     assert (record["encoder"], record["features"], record["held_out_accuracy"]) == ("pointnet", 24, accuracy)
-
-
-@pytest.mark.slow
-def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path, monkeypatch):
-    batch, asked = Pretraining._batch, []
-
-    def stop_at_third(self, number):
-        asked.append(number)
-        if number == 3:
-            signal_self()
-        return batch(self, number)
-
-    def signal_self():
-        import signal
-
-        signal.raise_signal(signal.SIGINT)
-
-    monkeypatch.setattr(Pretraining, "_batch", stop_at_third)
-    with pytest.raises(KeyboardInterrupt):
-        Pretraining(CONFIG, tmp_path).run()
-    assert read_record(tmp_path)["steps"] == 4
-    assert read_record(tmp_path)["held_out_accuracy"] is None
-    monkeypatch.setattr(Pretraining, "_batch", batch)
-    again = Pretraining(CONFIG, tmp_path)
-    assert again.run() == trained[1]
-    assert same(again._start().params, trained[2].params)
 
 
 def test_weights_end_up_in_both_networks(trained):

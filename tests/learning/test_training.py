@@ -5,14 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.learning.agents import Agent
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from tests.helpers.problems import made_up_rules
-from tests.helpers.runs import SMALL, Stopping, compiled_once, make_run, weights
+from tests.helpers.runs import Stopping, compiled_once, make_run, weights
 
 __all__ = ["compiled_once"]
 
@@ -64,27 +63,3 @@ def test_policy_reads_back_and_acts(trained):
     seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
     whole, _ = policy.agent.apply(state.params, seen)
     np.testing.assert_allclose(action, whole.mean()[0], atol=0.01)
-
-
-@pytest.mark.slow
-def test_renumbering_the_objects_leaves_actions_unchanged():
-    rules = made_up_rules(history_stride=12)
-    cloud = jax.random.normal(jax.random.key(5), (6, 8, 3)) * 0.03
-    half = jnp.abs(jax.random.normal(jax.random.key(6), (6, 3))) * 0.05
-    episode = rules.begin(jax.random.key(0))
-    for _ in range(2):
-        episode, _ = rules.attempt(episode, jnp.array([0.9, 0.4, 0.5, 0.1]))
-    seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
-    agent = Agent(SMALL, cloud, half, 4)
-    params = agent.init(jax.random.key(1), jax.tree.map(lambda leaf: leaf[0], seen))
-    order = jnp.array([3, 0, 5, 1, 4, 2])
-    new_number = jnp.argsort(order)
-    renumbered = seen | {
-        "focus": new_number[seen["focus"]],
-        "is_placed": seen["is_placed"][:, order],
-        "T_region_object": seen["T_region_object"][:, order],
-    }
-    one = agent.apply(params, seen)
-    two = Agent(SMALL, cloud[order], half[order], 4).apply(params, renumbered)
-    np.testing.assert_allclose(one[0].mean(), two[0].mean(), atol=1e-5)
-    np.testing.assert_allclose(one[1], two[1], atol=1e-5)

@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.training.distributed import join
 from cluttergen_jax.learning.training.metrics_log import read_rows
 
 ROOT = Path(__file__).parents[2]
@@ -82,11 +80,3 @@ def test_two_processes_train_like_one_and_stop_and_go_on_together(tmp_path):
     assert [row["update"] for row in rows] == [0, 1, 2, 3]
     for row, other in zip(rows, rows_alone, strict=True):
         np.testing.assert_allclose(row["reward"], other["reward"], atol=1e-3)
-
-
-@pytest.mark.parametrize(
-    "given", [("127.0.0.1:1", None, 0), (None, 2, 0), ("127.0.0.1:1", 2, 2), ("127.0.0.1:1", 2, -1)]
-)
-def test_half_a_set_of_processes_is_refused(given):
-    with pytest.raises(ConfigError, match="process_id"):
-        join(*given)

@@ -5,49 +5,13 @@ import signal
 import sys
 import types
 
-import jax
-import jax.numpy as jnp
-import numpy as np
 import pytest
 
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.metrics_log import MetricsLog, WandbLog, read_rows
-from cluttergen_jax.learning.training.run import check_memory, free_bytes
-from tests.helpers.runs import PPO, compiled_once, make_run
+from tests.helpers.runs import compiled_once
 
 __all__ = ["compiled_once"]
-
-
-def compiled():
-    """A program with a square matrix of 4 MB as argument, another as result, and some in between."""
-
-    def function(x):
-        return jax.lax.scan(lambda carry, _: (jnp.tanh(carry @ x), carry), x, length=4)[1].sum() + x
-
-    return jax.jit(function).lower(jax.ShapeDtypeStruct((1000, 1000), jnp.float32)).compile()
-
-
-def test_memory_is_what_the_compiled_program_reports():
-    program = compiled()
-    sizes = program.memory_analysis()
-    needed = 8_000_000 + sizes.temp_size_in_bytes
-    assert sizes.temp_size_in_bytes > 4_000_000
-    assert "state 4.0 MB before and 4.0 MB after" in check_memory(program)
-    check_memory(program, needed)
-    with pytest.raises(ConfigError, match=r"`num_envs`.*`memory_limit`"):
-        check_memory(program, needed - 1)
-    assert free_bytes() > 10_000_000
-
-
-@pytest.mark.slow
-def test_run_refuses_before_its_first_update(tmp_path):
-    run = make_run(tmp_path / "run", memory_limit=1000)
-    with pytest.raises(ConfigError, match="a run that needs"):
-        run.train()
-    assert not (tmp_path / "run" / "last").exists()
-    assert not (tmp_path / "run" / "progress.csv").exists()
 
 
 def test_a_log_is_continued_and_a_torn_row_is_left_out(tmp_path):
@@ -113,30 +77,3 @@ def evaluations():
         return {"success": success, **interval, "episodes": 256, "action": "sampled"}
 
     return evaluate, given
-
-
-@pytest.mark.slow
-def test_evaluations_stand_beside_trainings_own_check(tmp_path):
-    evaluate, given = evaluations()
-    said = []
-    folder = tmp_path / "run"
-    run = make_run(folder, evaluate=evaluate, eval_every=PPO.batch_size)
-    run.train(show=said.append)
-    assert len(given) == 4
-    rows = read_rows(folder / "evaluations.csv")
-    assert [row["attempts"] for row in rows] == [16, 32, 48, 64]
-    np.testing.assert_allclose([row["success"] for row in rows], [0.1, 0.2, 0.3, 0.4])
-    record = read_record(folder / "policy")["evaluation"]
-    assert record["success"] == pytest.approx(0.4)
-    assert record["action"] == "sampled"
-    assert record["training_success"] == np.mean(
-        [row["success"] for row in read_rows(folder / "progress.csv")[-2:]]
-    )
-    spoken = [line for line in said if line.startswith("evaluation")]
-    assert len(spoken) == 4
-    own = f"training's check {record['training_success']:.3f}"
-    assert f"{own}, whole last check 0.400 [0.350, 0.450] (256 episodes" in spoken[-1]
-    assert said[1].startswith("memory")
-    # What is done is not done again.
-    make_run(folder, evaluate=evaluate).train(show=said.append)
-    assert len(given) == 4

@@ -1,27 +1,18 @@
 """Training worlds: settings within their ranges, and worlds of one setting that share what is compiled."""
 
-from collections import Counter
-from dataclasses import replace
-
 import jax
 import numpy as np
 import pytest
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.training.worlds import (
-    FILL,
-    FURNITURE,
     TrainingSetting,
     WorldMaker,
-    draw_settings,
-    mean_footprint,
-    object_sets,
     pad_geometry,
 )
 from cluttergen_jax.placement.baselines import LowestFit
-from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import ProblemConfig, compose, geometry_of
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
@@ -89,41 +80,3 @@ def test_padding_adds_nothing_that_was_not_there(maker):
     assert points(longer) == points(plain)
     with pytest.raises(ValueError, match="2 runs of surface too many"):
         pad_geometry(plain, plain.is_column.shape[1], len(plain.surface) - 2)
-
-
-def test_settings_keep_to_their_ranges_and_cover_the_fills():
-    footprint = mean_footprint(find_pool("all").objects)
-    number = 12
-    for seed in range(20):
-        settings = draw_settings(np.random.default_rng(seed), number, footprint)
-        assert len(settings) == number
-        for each in settings:
-            x, y = find_support(each.support).region.half_extents
-            assert 4 <= each.num_objects <= MAX_SLOTS
-            assert each.fill == pytest.approx(each.num_objects * footprint / (4 * x * y))
-            if each.support not in FURNITURE:
-                assert 0.245 <= 2 * min(x, y) <= 2 * max(x, y) <= 0.805
-        assert sum(each.support in FURNITURE for each in settings) == len(FURNITURE)
-        # One in each step of fill, but for the rounding of the number of objects.
-        steps = FILL[0] + (FILL[1] - FILL[0]) * (np.arange(number) + 0.5) / number
-        fills = np.sort([each.fill for each in settings])
-        assert np.abs(fills - steps).max() < 0.5 * (FILL[1] - FILL[0]) / number + 0.5 * footprint / 0.0625
-    assert draw_settings(np.random.default_rng(1), 8, footprint) == draw_settings(
-        np.random.default_rng(1), 8, footprint
-    )
-    with pytest.raises(ConfigError, match="4 to 40 objects"):
-        draw_settings(np.random.default_rng(0), 2, 10 * footprint)
-
-
-def test_sets_hold_different_objects_of_all_families():
-    objects = find_pool("all").objects
-    twice = [*objects, *(replace(asset, name=f"{asset.name}-2") for asset in objects)]
-    for drawn in object_sets(twice, 3, np.random.default_rng(0), size=70):
-        assert len(set(drawn)) == 70
-        number = Counter(asset.provenance.source for asset in drawn)
-        assert len(number) == len(objects)
-        assert set(number.values()) == {1, 2}
-    first, second = object_sets(twice, 2, np.random.default_rng(0))
-    assert set(first) != set(second)
-    with pytest.raises(ConfigError, match="sets of 101 of 100 objects"):
-        object_sets(twice, 1, np.random.default_rng(0), size=101)

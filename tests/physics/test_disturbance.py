@@ -3,18 +3,13 @@
 import dataclasses
 import math
 
-import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.physics.native import NativePhysics
-from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.problem import ProblemConfig, compose
-from cluttergen_jax.placement.scenes import scene_of
 from cluttergen_jax.types import Verdict
-from tests.helpers.worlds import TOP, box, layout_of, scene, trio
+from tests.helpers.worlds import TOP, box, layout_of, scene
 
 EDGE = 0.3
 ROBUST = StabilityConfig(robust_tilt=math.radians(4))
@@ -39,11 +34,6 @@ def over_the_edge(layout, index, margin, turn=0.0):
     return scene(layout, {index: (*at, TOP + HEIGHT[index])})
 
 
-def on_another(layout, margin):
-    """A cube on a cube, its centre of mass so many metres inside the lower one's edge."""
-    return scene(layout, {LOWER: (0, 0, TOP + 0.03), CUBE: (0.03 - margin, 0, TOP + 0.09)})
-
-
 def settle(engine, focus, *scenes):
     poses, is_placed = (np.stack(arrays) for arrays in zip(*scenes, strict=True))
     return engine.settle_batch(poses, is_placed, np.full(len(poses), focus), np.ones(len(poses), bool))
@@ -64,17 +54,6 @@ def test_what_would_tip_by_hand_arithmetic_is_fragile(layout, engines):
     assert settle(robust, TALL, opposite).verdict.tolist() == [Verdict.FRAGILE]
 
 
-def test_what_lies_on_another_wakes_it_and_is_judged_with_it(layout, engines):
-    plain, robust = engines
-    scenes = [on_another(layout, margin) for margin in (0.001, 0.01, 0.03)]
-    assert (settle(plain, CUBE, *scenes).verdict == Verdict.STABLE).all()
-    assert settle(robust, CUBE, *scenes).verdict.tolist() == [
-        Verdict.FRAGILE,
-        Verdict.STABLE,
-        Verdict.STABLE,
-    ]
-
-
 def test_only_the_verdict_tells_and_the_next_attempt_feels_nothing_of_it(layout, engines):
     plain, robust = engines
     scenes = [over_the_edge(layout, TALL, 0.002), over_the_edge(layout, TALL, 0.1)]
@@ -93,34 +72,3 @@ def test_only_the_verdict_tells_and_the_next_attempt_feels_nothing_of_it(layout,
                     getattr(before, field.name), getattr(after, field.name), err_msg=field.name
                 )
     assert not before.check_steps.any()
-
-
-def play(stability, num_scenes=16):
-    """Scenes of the trio by random attempts, each in a slot's five attempts; equal keys."""
-    config = ProblemConfig(placement=PlacementConfig(num_objects=3), stability=stability)
-    rules = compose(trio(), cuboid_table(), config).rules
-
-    def step(episode, key):
-        action = jax.random.uniform(key, (4,)).at[2].multiply(0.7)
-        return rules.attempt(episode, action)[0], None
-
-    def one(key):
-        begun = rules.begin(jax.random.fold_in(key, 1))
-        return scene_of(jax.lax.scan(step, begun, jax.random.split(key, 15))[0])
-
-    return jax.device_get(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), num_scenes)))
-
-
-@pytest.mark.slow
-def test_scenes_are_the_same_but_for_what_is_fragile_and_its_steps_count():
-    # A tilt by 8 degrees, which some of what lies on another does not stand.
-    free, asked = play(StabilityConfig()), play(StabilityConfig(robust_tilt=math.radians(8)))
-    assert free.counts.verdicts.shape[1] == int(Verdict.NON_FINITE) + 1
-    fragile = asked.counts.verdicts[:, Verdict.FRAGILE]
-    is_same = fragile == 0
-    assert is_same.sum() > 0
-    np.testing.assert_array_equal(free.poses[is_same], asked.poses[is_same])
-    num_stable = asked.counts.verdicts[:, Verdict.STABLE]
-    more = (asked.counts.simulated_steps - free.counts.simulated_steps)[is_same]
-    np.testing.assert_array_equal(more, num_stable[is_same] * StabilityConfig().robust_steps)
-    np.testing.assert_array_equal(free.counts.steps[is_same], asked.counts.steps[is_same])

@@ -14,10 +14,8 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.robustness import TiltConfig, tilt
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.physics.mjx_contacts import support_margins
-from cluttergen_jax.placement.config import PlacementConfig, placement_record
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
@@ -116,17 +114,6 @@ def test_a_narrow_object_is_asked_for_a_third_of_its_own():
         geometry = rules.geometry.replace(own_margin=jnp.full(6, own))
         narrow = dataclasses.replace(rules, geometry=geometry)
         assert int(narrow.attempt(narrow.begin(jax.random.key(0)), GOOD)[0].verdict) == verdict
-
-
-def test_without_a_margin_nothing_is_unsupported_and_states_are_as_they_were():
-    after = attempt({0: -1.0})
-    assert int(after.verdict) == Verdict.STABLE
-    assert after.counts.verdicts.shape == (int(Verdict.NON_FINITE) + 1,)
-    assert "min_margin" not in placement_record(PlacementConfig())
-    assert placement_record(PlacementConfig(min_margin=0.002))["min_margin"] == 0.002
-    # A result that an earlier version kept is found again.
-    assert key_of(Trial(method="drop"), {"pool": "p"}) == "38c4d1a8ceb82b164ff9"
-    assert key_of(Trial(method="drop", min_margin=0.003), {"pool": "p"}) != "38c4d1a8ceb82b164ff9"
 
 
 @pytest.fixture(scope="module")

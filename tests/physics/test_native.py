@@ -330,16 +330,6 @@ def test_a_full_arena_is_overflow_of_that_scene_alone(ten, memory):
         assert verdicts(again) == [Verdict.STABLE] * 3
 
 
-def test_a_quaternion_of_any_length_is_a_direction_but_zero_is_none(layout, engine):
-    good = scene(layout, {0: (0, 0, TOP + 0.051)})
-    long, none = (good[0].copy(), good[1]), (good[0].copy(), good[1])
-    long[0][0, 3:] *= 7
-    none[0][0, 3:] = 0
-    report = settle(engine, good, long, none)
-    assert verdicts(report) == [Verdict.STABLE, Verdict.STABLE, Verdict.NON_FINITE]
-    np.testing.assert_array_equal(report.poses[0, 0], report.poses[1, 0])
-
-
 def test_calls_from_many_threads_are_each_right(layout, engine):
     scenes, focus = random_scenes(layout, 40, seed=5)
     expected = settle(engine, *scenes, focus=np.array(focus))

@@ -14,16 +14,12 @@ from shapely import MultiPoint, unary_union
 from shapely.geometry import Polygon
 from shapely.geometry import box as rectangle
 
-from cluttergen_jax.assets.shape import Provenance
-from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
-from cluttergen_jax.placement.baselines import BASELINES, make_proposer
+from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
-from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose, make_problem
-from cluttergen_jax.placement.region import KeepOut, pose_of_action
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, make_problem
+from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.placement.rollout import BlockSampler
-from cluttergen_jax.types import Array
-from tests.helpers.worlds import trio
 
 TOP = 0.7
 CLEARANCE = 0.001
@@ -124,17 +120,6 @@ def overlap(problem: Problem, proposal: Proposal) -> float:
     return sum(mine.intersection(footprint(problem, k, proposal.poses[k])).area for k in others)
 
 
-@pytest.mark.parametrize("method", BASELINES)
-def test_on_an_empty_table_an_object_is_let_go_just_above_its_own_height(method: str) -> None:
-    problem, poses, focus = positions(cuboid_table(), method)
-    half = problem.rules.geometry.half_extents[focus]
-    np.testing.assert_allclose(poses[:, 2] - TOP, half[:, 2] + CLEARANCE, atol=2e-6)
-    assert np.all(np.abs(poses[:, :2]) <= [0.3 + 1e-6, 0.35 + 1e-6])
-    # Neither the place nor the turn follows from the order of the objects.
-    assert np.unique(np.round(poses, 4), axis=0).shape[0] == len(poses)
-    assert np.ptp(poses[focus == focus[0], :2], axis=0).min() > 0.1
-
-
 @pytest.mark.slow
 def test_the_map_covers_what_rays_hit_and_little_else(crowded: tuple[Problem, list[Proposal]]) -> None:
     problem, proposals = crowded
@@ -212,47 +197,3 @@ def touches(problem: Problem, proposal: Proposal, fall: float) -> bool:
         proposal.focus in owner[contact.geom] and contact.dist < 0
         for contact in (data.contact[i] for i in range(data.ncon))
     )
-
-
-def table_with(holes: list[tuple[float, float]], riser: float = 0.0) -> SupportAsset:
-    """0.4 m square, made of planks along y with gaps in x, and at x < -0.05 a board `riser` metres higher."""
-    edges = np.array([-0.2, *np.ravel(holes), 0.2]).reshape(-1, 2)
-    boxes = [Box(((low + high) / 2, 0.0, TOP - 0.01), ((high - low) / 2, 0.2, 0.01)) for low, high in edges]
-    if riser:
-        boxes.append(Box((-0.125, 0.0, TOP + riser / 2), (0.075, 0.2, riser / 2)))
-    region = Rectangle((0.0, 0.0), (0.2, 0.2))
-    return SupportAsset("planks", "planks", tuple(boxes), TOP, region, Provenance("tests", "Apache-2.0"))
-
-
-def positions(
-    support: SupportAsset, method: str, keep_out: KeepOut | None = None
-) -> tuple[Problem, np.ndarray, np.ndarray]:
-    """48 proposals for one of the trio on an empty support: f32[48, 7] and the current object, i32[48]."""
-    problem = compose(trio(), support, ProblemConfig(placement=PlacementConfig(num_objects=3)))
-    rules, propose = problem.rules, make_proposer(method, problem.rules)
-
-    @jax.jit
-    @jax.vmap
-    def one(key: Array) -> tuple[Array, Array, Array]:
-        episode = rules.begin(key, keep_out=keep_out)
-        action = propose(episode.key, episode)
-        pose = pose_of_action(action, episode.region, rules.height_range(episode))
-        return action, pose, rules.focus(episode)
-
-    keys = jax.random.split(jax.random.key(3), 48)
-    actions, poses, focus = jax.tree.map(np.asarray, one(keys))
-    assert np.all((actions >= 0) & (actions <= 1))
-    np.testing.assert_array_equal(one(keys)[0], actions)
-    return problem, poses, focus
-
-
-@pytest.mark.parametrize(("method", "most_over_gap"), [("clear", 0.05), ("drop", 0.5)])
-def test_the_bare_top_is_found_between_gaps_and_a_riser(method: str, most_over_gap: float) -> None:
-    """A wide gap is avoided (what hangs over it is carried), a narrow one is not, a step is not climbed."""
-    problem, poses, focus = positions(table_with([(-0.05, 0.05), (0.12, 0.13)], riser=0.06), method)
-    half = np.array([asset.half_extents[2] for asset in problem.world.objects])
-    np.testing.assert_allclose(poses[:, 2], TOP + half[focus] + CLEARANCE, atol=2e-6)
-    shadows = [footprint(problem, k, pose) for k, pose in zip(focus, poses, strict=True)]
-    gap, narrow = rectangle(-0.2, -0.2, 0.05, 0.2), rectangle(0.12, -0.2, 0.13, 0.2)
-    assert max(shadow.intersection(gap).area / shadow.area for shadow in shadows) < most_over_gap
-    assert any(shadow.intersects(narrow) for shadow in shadows)

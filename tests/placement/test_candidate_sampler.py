@@ -7,13 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.placement.baselines import LowestFit, Spread, make_proposer
+from cluttergen_jax.placement.baselines import LowestFit, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
-from cluttergen_jax.placement.rollout import BlockSampler
-from cluttergen_jax.placement.rollout.run import Rollout
 from cluttergen_jax.placement.search.candidate_sampler import CandidateConfig, CandidateSampler
-from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.types import Verdict
 
 BOX = "calculator"
@@ -31,13 +28,6 @@ class ByNumber(CandidateSampler, eq=False):
     def trust(self, episode, candidates):
         number = jnp.arange(len(candidates.is_allowed))
         return jnp.where(number % 2 == 0, 0.95, 0.5 / number.clip(1))
-
-
-class Nobody(CandidateSampler, eq=False):
-    """Trusts no candidate enough; the fifth the most."""
-
-    def trust(self, episode, candidates):
-        return jnp.where(jnp.arange(len(candidates.is_allowed)) == 5, 0.4, 0.1)
 
 
 def chosen_numbers(kind, attempt=0, number=200):
@@ -60,10 +50,6 @@ def test_only_the_trusted_are_drawn_and_all_of_them_alike():
     assert np.all(np.abs(counts[::2] - 200) < 5 * np.sqrt(1000 * 0.2 * 0.8))
 
 
-def test_where_nobody_is_trusted_the_most_trusted_is_taken():
-    assert set(chosen_numbers(Nobody)) == {5}
-
-
 @pytest.mark.slow
 def test_the_threshold_falls_with_failures_and_then_stays():
     class Half(ByNumber, eq=False):
@@ -75,18 +61,6 @@ def test_the_threshold_falls_with_failures_and_then_stays():
     assert second == {0}
     assert len(third) == 10
     assert len(tenth) == 10
-
-
-@pytest.mark.slow
-def test_the_candidates_are_uniform_ones_finalists_and_ones_above_objects():
-    rules = rules_of()
-    episode, _ = placed_first(rules)
-    placer = Spread(LowestFit(rules), CandidateConfig(num_uniform=30, num_finalists=4, num_above=64))
-    candidates = jax.jit(placer.candidates)(jax.random.key(0), episode)
-    assert candidates.found.candidates.xy.shape == (98, 2)
-    # Those above an object meet it far more often than those drawn over the whole table.
-    is_on = np.asarray(candidates.supporters.is_on)
-    assert is_on[34:].mean() > 0.4 > is_on[:30].mean()
 
 
 def placed_first(rules):
@@ -101,26 +75,6 @@ def placed_first(rules):
     raise AssertionError("the first object never stood")
 
 
-@pytest.mark.slow
-def test_bearers_are_known_by_name_level_margin_and_offset():
-    rules = rules_of()
-    episode, pose = placed_first(rules)
-    T = episode.region.T_world_region
-    above = T.inverse().apply(jnp.asarray(pose[:3]))[:2]
-    far = jnp.where(above > 0, -1.0, 1.0) * episode.region.half_extents * 0.6
-    placer = Spread(LowestFit(rules))
-    looked = jax.jit(placer.look)(episode, Candidates(jnp.stack([above, far]), jnp.zeros(2)))
-    on, off = (jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), looked.supporters) for i in (0, 1))
-    assert bool(on.is_on)
-    assert on.level == 1
-    assert on.margin == pytest.approx(float(episode.support_graph.margin[0]), abs=1e-6)
-    # Its centre of mass is over that of what would bear it, or nearly so: well within the support.
-    assert on.offset < 0
-    assert not off.is_on
-    assert off.level == 0
-    assert off.margin == pytest.approx(0.1)
-
-
 def test_a_map_with_owners_is_the_map_to_a_micrometre():
     rules = rules_of()
     episode, _ = placed_first(rules)
@@ -132,20 +86,3 @@ def test_a_map_with_owners_is_the_map_to_a_micrometre():
     assert is_object.any()
     assert set(np.unique(owned.owner)) == {0, rules.geometry.num_objects}
     assert np.asarray(owned.height)[is_object].min() > 0.003
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["spread"])
-def test_scenes_stand_and_are_spread(method):
-    rules = rules_of("dining", ("mug", "bowl", "soup_can", "cereal_box"))
-    sampler = BlockSampler(rules, make_proposer(method, rules))
-    scenes = Rollout().run_all(sampler, jax.random.key(0), 16, 16)
-    assert scenes.is_success.mean() >= 0.9
-    standing = jax.vmap(rules.physics.stand)(
-        jnp.asarray(scenes.poses)[np.arange(16)[:, None], np.argsort(scenes.object_index, axis=1)],
-        jnp.asarray(scenes.is_placed),
-        jnp.asarray(scenes.is_success),
-    )
-    assert np.all(np.asarray(standing.verdict)[scenes.is_success] == Verdict.STABLE)
-    # Uniform draws use the whole table, not one corner of it.
-    assert np.ptp(scenes.poses[scenes.is_success][..., 0]) > 0.2

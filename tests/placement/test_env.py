@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from brax.envs.wrappers.training import wrap
 
 from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.clouds import scene_cloud
@@ -52,78 +51,6 @@ def test_an_action_that_is_no_number_is_a_failed_attempt():
         np.testing.assert_array_equal(episode.attempt, number)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((state.obs, state.reward)))
     assert not episode.is_placed.any()
-
-
-@pytest.mark.slow
-def test_regions_change_with_every_episode_and_orders_do_not():
-    plain, changing = (PlacementEnv(trio_problem(change=name).rules) for name in ("none", "all"))
-    keys = jax.random.split(jax.random.key(0), 64)
-    usual, changed = (jax.jit(jax.vmap(env.reset))(keys).pipeline_state.episode for env in (plain, changing))
-    np.testing.assert_array_equal(usual.object_index, changed.object_index)
-    half = np.asarray(changed.region.half_extents)
-    assert len(np.unique(half, axis=0)) == 64
-    assert (half <= np.asarray(changing.rules.region.half_extents) + 1e-6).all()
-    # The table's own region bounds what is drawn, and what may be drawn is what the world is made for.
-    assert half.max() > 0.3
-    assert np.ptp(np.asarray(usual.region.half_extents), axis=0).max() == 0
-    # A region that is asked for is the one that is taken.
-    asked = changing.rules.begin(keys[0], region=plain.rules.region)
-    np.testing.assert_array_equal(asked.region.half_extents, plain.rules.region.half_extents)
-
-
-def test_an_episode_without_auto_reset_stays_over():
-    envs = [PlacementEnv(made_up_rules(max_attempts=1), auto_reset=each) for each in (False, True)]
-    reset, (plain, resetting) = jax.jit(envs[0].reset), (jax.jit(env.step) for env in envs)
-    state = other = reset(jax.random.key(0))
-    for action in (GOOD, GOOD, BAD):
-        state, other = plain(state, action), resetting(other, action)
-        np.testing.assert_array_equal(state.done, other.done)
-        np.testing.assert_array_equal(state.reward, other.reward)
-    # The same episode, but for what comes after it; and beginning again with its key is what the other did.
-    jax.tree.map(np.testing.assert_array_equal, state.metrics, other.metrics)
-    assert int(state.pipeline_state.episode.slot) == 2
-    begun = reset(state.pipeline_state.key).pipeline_state.episode
-    np.testing.assert_array_equal(begun.object_index, other.pipeline_state.episode.object_index)
-    for action in (GOOD, BAD):
-        state = plain(state, action)
-        assert (float(state.done), float(state.reward)) == (1, 0)
-    assert int(state.metrics["num_finished"]) == 1
-
-
-@pytest.mark.parametrize("auto_reset", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_brax_wrappers_scan_over_it(auto_reset):
-    env = wrap(PlacementEnv(made_up_rules(max_attempts=2), auto_reset=auto_reset), episode_length=3)
-    first = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 2))
-
-    def step(state, action):
-        after = env.step(state, jnp.stack([GOOD, action]))
-        seen = (after.done, after.info["steps"], after.info["truncation"], after.obs["focus"])
-        return after, seen
-
-    _, (done, steps, truncation, focus) = jax.lax.scan(step, first, jnp.stack([BAD, BAD, GOOD, GOOD]))
-    # The first scene is cut short at its third attempt; the second one's object has two. Then all is anew.
-    np.testing.assert_array_equal(done, [[0, 0], [0, 1], [1, 0], [0, 0]])
-    np.testing.assert_array_equal(steps, [[1, 1], [2, 2], [3, 1], [1, 2]])
-    np.testing.assert_array_equal(truncation, [[0, 0], [0, 0], [1, 0], [0, 0]])
-    np.testing.assert_array_equal([focus[2, 0], focus[1, 1]], first.obs["focus"])
-
-
-def test_observation_shapes_are_as_promised():
-    env = PlacementEnv(made_up_rules(), ObservationConfig(num_scene_points=64, num_object_points=8))
-    state = env.reset(jax.random.key(0))
-    shapes = jax.tree.map(lambda leaf: leaf.shape, state.obs)
-    assert shapes == env.observation_size
-    assert shapes["scene_cloud"] == (64, 3)
-    assert env.action_size == 4
-
-
-def test_history_is_seen_in_the_regions_frame():
-    env = PlacementEnv(made_up_rules())
-    state = jax.jit(env.step)(env.reset(jax.random.key(0)), BAD)
-    history = state.obs["history"]
-    np.testing.assert_allclose(history["trajectory"][0, 0, :2], [0.1 * 0.6 - 0.3, 0.0], atol=1e-6)
-    assert not np.any(np.asarray(history["trajectory"])[1:])
-    np.testing.assert_array_equal(history["is_tried"], [True, False, False, False, False])
 
 
 def test_scene_cloud_follows_the_poses():

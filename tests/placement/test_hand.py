@@ -3,30 +3,18 @@
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.placement.hand import HandError, HandScene
-from cluttergen_jax.placement.hand.scene import ActiveClock
+from cluttergen_jax.placement.hand import HandScene
 from cluttergen_jax.placement.problem import Setup
-from cluttergen_jax.placement.region import action_of_pose, no_keep_out
+from cluttergen_jax.placement.region import no_keep_out
 from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.types import Verdict
 from tests.helpers.problems import trio_problem
-from tests.helpers.worlds import TOP
 
 BOX, PRISM, TALL = 0, 1, 2
 HALF_HEIGHT = (0.05, 0.03, 0.1)
-
-
-class Hours:
-    """A clock that goes on when it is told to."""
-
-    now = 0.0
-
-    def __call__(self):
-        return self.now
 
 
 def setup_of(**placement):
@@ -51,66 +39,6 @@ def place(scene, which, x, y, yaw=0.0):
     scene.hold(x, y, yaw)
     scene.lower()
     return scene.drop()
-
-
-def test_the_clock_stands_still_a_minute_after_the_latest_input():
-    hours = Hours()
-    clock = ActiveClock(hours)
-    hours.now = 500.0
-    assert clock.seconds == 0
-    clock.touch()
-    for now, seconds in ((510.0, 10), (560.0, 60), (9000.0, 60)):
-        hours.now = now
-        assert clock.seconds == seconds
-    clock.touch()
-    hours.now = 9030.0
-    clock.touch()
-    hours.now = 9050.0
-    assert clock.seconds == 60 + 30 + 20
-    clock.stop()
-    hours.now = 9060.0
-    assert clock.seconds == 110
-
-
-def test_what_a_person_does_counts_and_pauses_do_not(setup):
-    hours = Hours()
-    scene = begun(setup, now=hours)
-    hours.now += 20.0
-    assert scene.clock.seconds == 0
-    scene.touch()
-    hours.now += 20.0
-    scene.hold(0.1, 0.0, 0.0)
-    hours.now += 1000.0
-    scene.lower()
-    hours.now += 5.0
-    assert scene.clock.seconds == 20 + 60 + 5
-    scene.close()
-    hours.now += 30.0
-    assert scene.clock.seconds == 85
-
-
-def test_an_attempt_by_hand_is_an_attempt_by_the_rules(setup):
-    """The rules' own `attempt`, from an episode of the same key, is the oracle."""
-    rules = setup.problem.rules
-    scene, episode = begun(setup, key=3), rules.begin(jax.random.key(3))
-    attempt = jax.jit(rules.attempt)
-    for x, y in ((-0.1, 0.05), (-0.08, 0.06), (0.15, -0.2), (0.0, 0.1), (0.2, 0.2)):
-        if not scene.left:
-            break
-        scene.hold(x, y, 0.4)
-        scene.lower()
-        held = scene.held
-        action = action_of_pose(
-            jnp.array([held.x, held.y, held.z]), held.yaw, episode.region, rules.height_range(episode)
-        )
-        episode, transition = attempt(episode, action)
-        told = scene.drop()
-        assert told.attempt.verdict == int(transition.verdict)
-        assert told.attempt.object_index == int(transition.object_index)
-        np.testing.assert_allclose(scene.poses, episode.poses, atol=1e-6)
-        np.testing.assert_array_equal(scene.is_placed, episode.is_placed)
-    assert scene.num_attempts == int(episode.counts.attempts.sum())
-    assert not scene.left
 
 
 def test_whatever_a_person_does_the_books_are_right(setup):
@@ -160,60 +88,6 @@ def test_whatever_a_person_does_the_books_are_right(setup):
     assert (counts.rest_steps > 0).tolist() == result.is_placed.tolist()
     assert len(set(verdicts)) > 2
     assert len(verdicts) > 25
-
-
-def test_lowering_touches_what_is_there(setup):
-    scene = begun(setup, PRISM)
-    bare = scene.lower()
-    assert bare.is_on_top
-    assert scene.held.z == pytest.approx(HALF_HEIGHT[PRISM] + 0.001, abs=1e-4)
-    scene.drop()
-    scene.choose(BOX)
-    onto = scene.lower()
-    assert onto.lift == pytest.approx(2 * HALF_HEIGHT[PRISM], abs=1e-3)
-    assert scene.held.z == pytest.approx(2 * HALF_HEIGHT[PRISM] + HALF_HEIGHT[BOX] + 0.001, abs=1e-3)
-    # Moved again it is held high, so that it is not dragged through others.
-    scene.hold(0.1, 0.1, 0.0)
-    assert not scene.held.is_lowered
-    assert scene.held.z > 2 * HALF_HEIGHT[PRISM] + HALF_HEIGHT[BOX]
-
-
-def test_what_is_held_stays_within_the_region(setup):
-    region = replace(setup.problem.region, center=(0.05, -0.02), half_extents=(0.2, 0.1), yaw=0.6)
-    turned = Setup(replace(setup.problem, region=region), setup.keep_out, setup.start)
-    scene = begun(turned)
-    scene.hold(0.7, -0.4, 4.0)
-    held = scene.held
-    assert (held.x, held.y) == (0.2, -0.1)
-    pose = scene.held_pose
-    local = np.array([[np.cos(0.6), np.sin(0.6)], [-np.sin(0.6), np.cos(0.6)]]) @ (pose[:2] - region.center)
-    np.testing.assert_allclose(local, (0.2, -0.1), atol=1e-6)
-    assert pose[2] == pytest.approx(TOP + held.z)
-    # The handle of the page gives the pose back.
-    scene.hold(0.0, 0.0, 0.0)
-    scene.hold_at(pose[:3], pose[3:])
-    assert (scene.held.x, scene.held.y) == pytest.approx((0.2, -0.1))
-    assert np.cos(scene.held.yaw - 4.0) == pytest.approx(1.0)
-
-
-def test_what_cannot_be_done_is_said(setup):
-    scene = begun(setup)
-    with pytest.raises(HandError, match="nothing was placed"):
-        scene.undo()
-    with pytest.raises(HandError, match="3 of 3 objects are not placed yet"):
-        scene.check()
-    for which, x in ((BOX, -0.15), (PRISM, 0.0), (TALL, 0.15)):
-        assert place(scene, which, x, 0.0).attempt.is_stable
-    for act in (scene.lower, scene.drop, scene.skip):
-        with pytest.raises(HandError, match="every object is placed"):
-            act()
-    with pytest.raises(HandError, match="box is not among the objects left"):
-        scene.choose(BOX)
-    scene.close()
-    for act in (scene.undo, scene.check, scene.drop):
-        with pytest.raises(HandError, match="kept already"):
-            act()
-    assert not scene.can_undo
 
 
 def test_a_neighbour_that_is_pushed_is_named_and_put_back(setup):

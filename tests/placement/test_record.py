@@ -1,13 +1,10 @@
 """Recordings: the same scene as the sampler makes, and every attempt as the rules counted it."""
 
-import dataclasses
-
 import jax
 import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, compose
@@ -54,37 +51,6 @@ def test_recordings_end_as_the_sampler_does(scenes, recordings):
         assert recording.is_success == scenes.is_success[place]
         assert recording.verdict == Verdict(int(scenes.verdict[place])).label
         assert recording.drift == scenes.drift[place]
-
-
-class Counted(SwappablePhysics):
-    """Counts the attempts that an engine settles."""
-
-    def __init__(self, engine):
-        super().__init__(engine.layout.num_objects, engine.config)
-        self.engine, self.number = engine, 0
-
-    def settle_batch(self, poses, is_placed, focus, is_active):
-        self.number += int(is_active.sum())
-        return super().settle_batch(poses, is_placed, focus, is_active)
-
-
-def test_nothing_is_settled_twice(problem, sampler):
-    physics = Counted(problem.rules.physics)
-    sampler = dataclasses.replace(sampler, rules=dataclasses.replace(problem.rules, physics=physics))
-    recording = Recorder(sampler, problem.world, WIDTH).record(7, 2)
-    assert physics.number == len(recording.attempts)
-
-
-def test_attempts_are_those_that_the_rules_counted(scenes, recordings):
-    for place, recording in enumerate(recordings):
-        counts = jax.tree.map(lambda leaf, place=place: leaf[place], scenes.counts)
-        verdicts = np.bincount([each.verdict for each in recording.attempts], minlength=len(counts.verdicts))
-        np.testing.assert_array_equal(verdicts, counts.verdicts)
-        for slot, index in enumerate(scenes.object_index[place]):
-            mine = recording.attempts_at(int(index))
-            assert [each.ordinal for each in mine] == list(range(1, len(mine) + 1))
-            assert len(mine) == counts.attempts[slot]
-            assert sum(each.num_steps for each in mine) == counts.steps[slot]
 
 
 def test_attempts_begin_where_proposed_and_hang_together(problem, recordings):

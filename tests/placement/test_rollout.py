@@ -1,7 +1,6 @@
 """Rollouts: what is compiled for one world serves all of its sizes."""
 
 import dataclasses
-import itertools
 
 import jax
 import jax.monitoring
@@ -79,19 +78,6 @@ def test_a_world_of_equal_sizes_compiles_nothing(method, compiled):
     np.testing.assert_allclose(alone.poses, theirs.poses, atol=1e-4)
 
 
-def test_steps_show_what_was_asked_for():
-    sampler, key = sampler_of("random", 1.0), jax.random.key(1)
-    steps = []
-    rollout = Rollout(lambda before, after, transition: (before.slot, after.slot, transition.reward))
-    is_wanted = ALL & (PLACE != 2)
-    scenes = rollout.run(sampler, key, PLACE, is_wanted, lambda number, seen: steps.append((number, seen)))
-    assert sum(number for number, _ in steps) == 7
-    np.testing.assert_allclose(sum(seen[2] for _, seen in steps), scenes.counts.reward, rtol=1e-6)
-    assert not scenes.counts.attempts[2].any()
-    for (_, (_, after, _)), (_, (before, _, _)) in itertools.pairwise(steps):
-        np.testing.assert_array_equal(after, before)
-
-
 @pytest.mark.parametrize("method", ["random", pytest.param("policy", marks=pytest.mark.slow)])
 def test_scenes_that_take_the_places_of_others_are_those_of_blocks(method):
     sampler, key = sampler_of(method, 1.0), jax.random.key(5)
@@ -110,16 +96,6 @@ def test_scenes_that_take_the_places_of_others_are_those_of_blocks(method):
         for indices, _, (is_made, paid) in logged:
             np.add.at(reward, indices[is_made], paid[is_made])
         np.testing.assert_allclose(reward, theirs.counts.reward[:num_scenes], rtol=1e-6)
-
-
-def test_few_wait_for_the_slowest():
-    sampler, key = sampler_of("random", 1.0), jax.random.key(5)
-    rollout, in_blocks, refilled = Rollout(), [], []
-    for first in range(0, 64, 8):
-        rollout.run(sampler, key, first + PLACE, ALL, lambda number, _: in_blocks.append(number))
-    rollout.run_all(sampler, key, 64, 8, lambda indices, number, _: refilled.append(number))
-    assert sum(refilled) == sum(in_blocks) == 64
-    assert len(refilled) < 0.8 * len(in_blocks)
 
 
 @pytest.mark.slow

@@ -5,8 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import KeepOut, make_region, pose_of_action
 from cluttergen_jax.placement.scenes import scene_of
 from cluttergen_jax.placement.types import Start
@@ -167,18 +165,3 @@ def test_looser_count_puts_neighbours_back():
         episodes, _ = run(rules, [GOOD, GOOD])
         first = int(rules.focus(episodes[0]))
         assert bool(jnp.any(episodes[1].poses[first] != episodes[2].poses[first])) is moves
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"num_objects": 0},
-        {"num_objects": 41},
-        {"max_attempts": 0},
-        {"containment": "edge"},
-        {"reward": "none"},
-    ],
-)
-def test_config_refuses(wrong):
-    with pytest.raises(ConfigError, match="Allowed"):
-        PlacementConfig(**wrong)

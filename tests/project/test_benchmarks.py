@@ -1,56 +1,21 @@
 """The benchmarks run at their smallest, and the README's sections are replaced as they should be."""
 
-import json
-
-import numpy as np
 import pytest
 
 from benchmarks import (
-    ablation,
-    bullet,
     contact,
     engines,
     gpu,
     last_check,
-    other_mujoco,
 )
 from benchmarks.bodies import box
-from benchmarks.recorded import small_attempts
-from benchmarks.rows import Rows
 from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.learning.training.train import recipe_of
-from cluttergen_jax.physics.native import NativePhysics
-from cluttergen_jax.types import Verdict
 
 
 @pytest.fixture
 def pool(tmp_path):
     objects = (box("brick", (0.03, 0.04, 0.05), 0.2), box("slab", (0.05, 0.05, 0.01), 0.3))
     return str(write_pool(tmp_path / "blocks", Pool("blocks", objects)))
-
-
-def test_pybullet_judges_like_native():
-    pytest.importorskip("pybullet", reason="needs the extra peers")
-    config = StabilityConfig()
-    world, attempts = small_attempts(config, ContactConfig(), 4)
-    poses = attempts.poses.copy()
-    poses[3, 2, :2] = (0.4, 0.0)
-    everyone = np.ones(4, bool)
-    native = NativePhysics(world.layout, config).settle_batch(
-        poses, attempts.is_placed, attempts.focus, everyone
-    )
-    for tuned in (True, False):
-        peer = bullet.BulletPhysics(world, config, ContactConfig(), tuned=tuned)
-        result = peer.settle_batch(poses, attempts.is_placed, attempts.focus, everyone)
-        assert (result.verdict[:3] == Verdict.STABLE).all()
-        assert (result.verdict == Verdict.STABLE).tolist() == (native.verdict == Verdict.STABLE).tolist()
-        # Bullet keeps hulls a millimetre apart on either side.
-        np.testing.assert_allclose(result.poses[:3], native.poses[:3], atol=4e-3)
-        standing = peer.stand_batch(result.poses[:3], attempts.is_placed[:3], everyone[:3])
-        assert (standing.verdict == Verdict.STABLE).all()
-        peer.close()
 
 
 @pytest.mark.slow
@@ -79,106 +44,6 @@ def test_engines_run(pool):
     assert contenders["native, 1 thread"].success == 1.0
     assert all(each.turns[0].attempts > 0 for each in contenders.values())
     assert "| native, 1 thread |" in engines.body_of(contenders, [], args)
-
-
-@pytest.mark.parametrize("is_libccd", [False, True])
-@pytest.mark.parametrize(("turn", "expected"), [("1 0 0 0", True), ("0.95 0.31 0 0", False)])
-def test_a_saved_scene_stands_or_falls_in_any_mujoco(turn, expected, is_libccd, tmp_path):
-    (tmp_path / "scene.xml").write_text(f"""<mujoco><worldbody><geom type="plane" size="1 1 1"/>
-      <body name="box" pos="0 0 0.05" quat="{turn}">
-      <freejoint/><geom type="box" size="0.02 0.02 0.05"/></body>
-      </worldbody><keyframe><key name="scene" qpos="0 0 0.05 {turn}"/></keyframe></mujoco>""")
-    assert other_mujoco.stands(tmp_path / "scene.xml", is_libccd) is expected
-
-
-def test_rows_are_made_once_and_what_failed_or_goes_on_is_made_again(tmp_path):
-    made, said = [], []
-
-    def case(name, row=None, error=None):
-        def make():
-            made.append(name)
-            if error is not None:
-                raise error
-            return {"value": 1.5} if row is None else row
-
-        return name, make
-
-    def cases():
-        return iter(
-            [
-                case("whole"),
-                case("longer", row={"goes_on": True}),
-                case("poor", error=ConfigError("no", "yes")),
-            ]
-        )
-
-    for _ in range(2):
-        Rows(tmp_path / "rows.json", say=said.append).make("part", cases())
-    assert made == ["whole", "longer", "poor", "longer"]
-    assert "part: whole: kept" in said
-    rows = Rows(tmp_path / "rows.json", retries=True, say=said.append)
-    assert set(rows.of("part")) == {"whole", "longer"}
-    rows.make("part", cases())
-    assert made[4:] == ["longer", "poor"]
-
-
-def left_by(out, row, **known):
-    """What a run of the row leaves: `known` of its policy."""
-    recipe = recipe_of(*ablation.settings_of(row, out, "dining", 1000, 0, None))
-    for name, record in (("last", {"num_updates": 3}), ("policy", known)):
-        (out / row.name / name).mkdir(parents=True, exist_ok=True)
-        text = json.dumps({"format": 1, **recipe, **record})
-        (out / row.name / name / "record.json").write_text(text)
-    lines = "update,attempts,attempts_per_second,success,entropy\n0,100,50.0,1.0,2.0\n"
-    (out / row.name / "progress.csv").write_text(lines)
-
-
-EVALUATION = {"success": 0.5, "low95": 0.4, "high95": 0.6}
-
-
-def test_a_row_is_trained_until_it_has_been_evaluated(tmp_path, monkeypatch):
-    trainings = []
-
-    def run_training(config, settings, interrupt):
-        trainings.append(config.folder.name)
-
-    monkeypatch.setattr(ablation, "run_training", run_training)
-    stopped, whole = ablation.Row("stopped", "Stopped"), ablation.Row("whole", "Whole", variant="beta")
-    left_by(tmp_path, stopped)
-    left_by(tmp_path, whole, evaluation=EVALUATION)
-    for row in (stopped, whole, ablation.Row("new", "New")):
-        ablation.train(row, tmp_path, "dining", 1000, 0, None)
-    assert trainings == ["stopped", "new"]
-    assert ablation.cells(whole, tmp_path)[-2] == "0.500 [0.400, 0.600]"
-    for other in ({"num_attempts": 2000}, {"seed": 1}, {"pool": "study"}):
-        asked = {"pool": "dining", "num_attempts": 1000, "seed": 0} | other
-        with pytest.raises(ConfigError, match="whole holds a run with another"):
-            ablation.train(whole, tmp_path, encoder=None, **asked)
-
-
-def test_gpu_is_measured_in_miniature_and_written(tmp_path, capsys):
-    args = gpu.Gpu(parts=("doctor",), out=tmp_path / "out", small=True)
-    readme = tmp_path / "README.md"
-    for _ in range(2):
-        gpu.main(args, readme)
-    said = capsys.readouterr().out
-    assert said.count("doctor: machine: kept") == 1
-    assert not readme.exists()
-    # A miniature's rows are not taken for those of full size.
-    assert not (args.out / "rows.json").exists()
-    rows = Rows(args.folder / "rows.json")
-    rows.parts["steps"] = {
-        "warp, 2": {"lanes": 2, "steps/s awake": 12345.6},
-        "warp, 4": {"failed": "no room"},
-    }
-    text = gpu.body_of(rows)
-    assert "| warp, 2 |" in text
-    assert "12,346" in text
-    assert "- steps: warp, 4: no room" in text
-    assert rows.of("doctor")["machine"]["machine"] in text
-    assert "miniature" in text
-    gpu.main(gpu.Gpu(out=args.out, small=True, write=True), readme)
-    assert "miniature" in readme.read_text()
 
 
 @pytest.mark.slow

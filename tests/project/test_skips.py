@@ -4,6 +4,8 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
+
 from tests.conftest import is_allowed
 
 ROOT = Path(__file__).parents[2]
@@ -32,3 +34,10 @@ def test_what_is_not_installed_by_make_test_may_be_missing_and_the_rest_may_not(
     installed = {*install[1].split(","), "gpu"}
     for reason in reasons():
         assert is_allowed(reason) == (reason.split()[-1] not in installed), reason
+
+
+@pytest.mark.parametrize(
+    "reason", ["could not import 'jax': No module named 'jax'", "", "flaky", "not needs the extra peers"]
+)
+def test_other_reasons_are_none(reason):
+    assert not is_allowed(reason)

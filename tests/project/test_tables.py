@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from cluttergen_jax.evaluation.cells import Column, asked, table_of
 from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
 
@@ -35,13 +34,3 @@ def test_what_is_written_reads_back():
         "- a note",
     ]
     assert r"50 \% & - \\" in table.latex()
-
-
-def test_a_missing_row_keeps_what_it_asked_and_a_note_says_why():
-    columns = (*asked("pool", num_objects="objects"), Column("a", str), Column("b", str))
-    made = {"trial": {"pool": "dining", "num_objects": 3}}
-    lacking = made | {"missing": "no policy", "hint": "train"}
-    table = table_of("t", columns, [lacking, lacking, made | {"missing": "2 scenes"}], ["a note"])
-    assert table.columns == ("pool", "objects", "a", "b")
-    assert table.rows == (("dining", "3", "-", "-"),) * 3
-    assert table.notes == ("a note", "no policy; try: train", "dining: 2 scenes")

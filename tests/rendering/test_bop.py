@@ -11,7 +11,6 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.bop import SPLIT, BopDataset, add_models, model_ply
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera, free
@@ -214,24 +213,3 @@ def test_models_are_in_millimetres_with_normals_and_colours():
     np.testing.assert_allclose(np.linalg.norm(model.vertex_normals, axis=1), 1.0, atol=1e-4)
     colours = {tuple(row[:3]) for row in model.visual.vertex_colors}
     assert {tuple(np.round(255 * np.array(piece.rgba[:3])).astype(int)) for piece in mug.pieces} == colours
-
-
-@needs_gl
-def test_a_second_scene_keeps_the_models_numbers(dataset, scene, tmp_path):
-    objects, poses = scene
-    dining = find_pool("dining")
-    camera = free(TABLE, np.random.default_rng(0), *SIZE)
-    both = BopDataset(tmp_path)
-    both.add(0, objects[1:2], poses[1:2], TABLE, [camera], PICTURE)
-    both.add(1, [dining["bowl"], *objects[:2]], poses[[0, 0, 1]], TABLE, [camera], PICTURE)
-    info = load(tmp_path / "models" / "models_info.json")
-    assert [info[key]["name"] for key in sorted(info)] == ["mug", "bowl", "dinner_plate"]
-    gt = load(tmp_path / SPLIT / "000001" / "scene_gt.json")[0]
-    assert [each["obj_id"] for each in gt] == [2, 3, 1]
-    vertices = 1000 * np.concatenate([piece.mesh.vertices for piece in objects[1].pieces])
-    farthest = max(np.linalg.norm(vertices - vertex, axis=1).max() for vertex in vertices)
-    assert info[1]["diameter"] == pytest.approx(farthest, rel=1e-6)
-    impostor = type(objects[1])(**{**vars(dining["bowl"]), "name": "mug"})
-    with pytest.raises(ConfigError, match="another model of the name 'mug'"):
-        both.add(2, [impostor], poses[:1], TABLE, [camera], PICTURE)
-    assert not (tmp_path / SPLIT / "000002").exists()

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 
-import numpy as np
 import pyarrow as pa
 import pytest
 
@@ -124,13 +123,6 @@ def test_what_contradicts_a_split_is_refused_before_any_work(first, tmp_path):
         assert tree(tmp_path) == before
 
 
-@pytest.mark.parametrize("split", ["models", "", "../train", "trainer", "train_", "val/x", "Test"])
-def test_names_of_no_split_are_refused(first, tmp_path, split):
-    with pytest.raises(ConfigError, match="train, val or test"):
-        added(first, tmp_path, split=split)
-    assert not list(tmp_path.iterdir())
-
-
 def test_scenes_of_unknown_origin_are_not_mixed_with_others(first, tmp_path):
     added(first, tmp_path, "1")
     origin = tmp_path / "bop" / "train_synt" / "000001" / "origin.json"
@@ -141,15 +133,3 @@ def test_scenes_of_unknown_origin_are_not_mixed_with_others(first, tmp_path):
     origin.unlink()
     with pytest.raises(ConfigError, match="another `split`"):
         added(first, tmp_path)
-
-
-def test_depth_labels_and_points_need_no_opengl(first, tmp_path):
-    asked = {"depth": True, "segmentation": True, "points": True, "picture": False}
-    report = render(first, tmp_path, scenes="1", size="64x48", samples=1, **asked)
-    endings = ("-depth.png", "-segmentation.png", "-camera.json", "-sensors.npz", "-points.ply")
-    assert [each.name for each in report.paths] == [f"000001{ending}" for ending in endings]
-    assert any("no colours were drawn" in note for note in report.notes)
-    with np.load(tmp_path / "000001-sensors.npz") as arrays:
-        assert "rgb" not in arrays
-        assert set(np.unique(arrays["segmentation"])) >= {1, 2, 3, 4}
-        assert np.isfinite(arrays["depth"]).mean() > 0.5

@@ -2,14 +2,12 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.region import make_region, pose_of_action
-from cluttergen_jax.rendering.density import density_figure, density_of, heat_points
+from cluttergen_jax.rendering.density import density_figure
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
@@ -27,27 +25,6 @@ def proposed(x, y):
     """`cubes`, everything proposed near one place of a turned region."""
     attempts = tuple(replace(each, proposals=proposals(x, y)) for each in cubes().attempts)
     return replace(cubes(), attempts=attempts, region=Rectangle((0.02, 0.0), (0.12, 0.08), 0.3))
-
-
-def test_density_peaks_where_proposals_lie():
-    density = density_of(proposals(0.75, 0.25), 20)
-    assert density.shape == (20, 20)
-    assert density.max() == 1
-    # Axis 0 is x.
-    assert density[15, 5] > 0.8
-    assert density[5, 15] == pytest.approx(0, abs=1e-6)
-    with pytest.raises(ConfigError, match="num_proposals"):
-        density_of(np.zeros((0, 4)))
-
-
-def test_points_lie_where_poses_are_proposed():
-    recording = proposed(0.9, 0.1)
-    points, colours, _ = heat_points(recording, recording.attempts[0])
-    densest = points[colours.astype(int).sum(-1).argmin()]
-    asked = recording.region
-    numbers = map(jnp.asarray, (asked.center, asked.half_extents, asked.yaw, recording.support.top))
-    pose = pose_of_action(jnp.array([0.9, 0.1, 0.0, 0.0]), make_region(*numbers), jnp.float32(0.1))
-    np.testing.assert_allclose(densest, pose[:3], atol=0.012)
 
 
 @needs_gl

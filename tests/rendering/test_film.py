@@ -1,56 +1,22 @@
 """Films, figures and overlays: what is shown when, and that files hold what was put in."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from PIL import Image
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.rendering import video
-from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN as GREEN_RING
-from cluttergen_jax.rendering.figure import closed_loop_figure, closed_loop_slot
-from cluttergen_jax.rendering.film import replay, replay_frames, turntable
-from cluttergen_jax.rendering.overlay import Ring, with_caption, with_rings
-from cluttergen_jax.rendering.renderer import Trail
+from cluttergen_jax.rendering.figure import closed_loop_figure
+from cluttergen_jax.rendering.film import replay_frames
 from cluttergen_jax.rendering.scene_renderer import (
     RED,
     PictureConfig,
-    RenderStyle,
-    scene_renderer,
 )
 from cluttergen_jax.rendering.video import save_film
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
-
-SMALL = PictureConfig(width=160, height=120, samples=2)
-
-
-def is_reddish(image):
-    image = image.astype(int)
-    return (
-        (image[..., 0] > 1.8 * image[..., 1]) & (image[..., 0] > 1.8 * image[..., 2]) & (image[..., 0] > 90)
-    )
-
-
-def is_greenish(image):
-    image = image.astype(int)
-    return (
-        (image[..., 1] > 1.6 * image[..., 0]) & (image[..., 1] > 1.6 * image[..., 2]) & (image[..., 1] > 60)
-    )
-
-
-@pytest.mark.parametrize(("fps", "seconds"), [(20, 12), (10, 4), (25, 2), (12.5, 60)])
-def test_replay_keeps_its_time(fps, seconds):
-    config = FilmConfig(fps=fps, seconds=seconds)
-    frames = replay_frames(cubes(), config)
-    assert len(frames) <= fps * seconds + 1
-    natural = 2 * (0.3 + 4 * 24 / 240 + 0.15) + 2 * (0.3 + 4 * 60 / 240 + 0.65)
-    hold = min(1.5, 0.2 * seconds)
-    expected = min(natural + hold, seconds) * fps
-    assert len(frames) == pytest.approx(expected, abs=2)
 
 
 def test_replay_shows_the_trajectory_and_only_what_stood():
@@ -78,39 +44,6 @@ def test_replay_shows_the_trajectory_and_only_what_stood():
     assert any("fell below" in f.caption for f in frames)
 
 
-def test_replay_without_attempts_and_bad_paces_are_refused():
-    with pytest.raises(ConfigError, match="not known"):
-        replay_frames(replace(cubes(), attempts=()))
-    with pytest.raises(ConfigError, match="fps"):
-        FilmConfig(fps=0)
-    with pytest.raises(ConfigError, match="frames"):
-        FilmConfig(fps=50, seconds=1000)
-
-
-def test_rings_and_captions_are_drawn_where_they_belong():
-    blank = np.full((120, 160, 3), 255, np.uint8)
-    image = with_rings(blank, [Ring((80, 60), (40, 30), RED, "2")])
-    assert is_reddish(image)[58:63, 38:43].any()
-    assert not is_reddish(image)[40:80, 60:100].any()
-    assert is_reddish(image).any(axis=1).nonzero()[0].min() >= 20
-    grey = np.full((120, 160, 3), 60, np.uint8)
-    titled = with_caption(grey, "words", RED)
-    assert (titled[:80] == 60).all()
-    assert is_reddish(titled)[90:].any()
-    np.testing.assert_array_equal(with_caption(grey, ""), grey)
-
-
-def test_closed_loop_takes_the_object_that_failed_and_stood():
-    recording = cubes()
-    assert closed_loop_slot(recording) == 1
-    with pytest.raises(ConfigError, match="no object failed 3 times"):
-        closed_loop_slot(recording, min_failures=3)
-    with pytest.raises(ConfigError, match="no object"):
-        closed_loop_slot(
-            replace(recording, attempts=recording.attempts[:3], is_placed=np.array([True, False]))
-        )
-
-
 @needs_gl
 def test_closed_loop_figure_rings_failures_red_and_the_end_green():
     image = closed_loop_figure(cubes(), picture=PictureConfig(width=320, height=240, samples=4))
@@ -119,56 +52,6 @@ def test_closed_loop_figure_rings_failures_red_and_the_end_green():
     assert (np.abs(image.astype(int) - green).max(-1) < 12).sum() > 20
     red = np.round(255 * np.array(RED)).astype(int)
     assert (np.abs(image.astype(int) - red).max(-1) < 12).sum() > 60
-
-
-@needs_gl
-def test_looks_fade_tint_and_hide():
-    recording = cubes()
-    points = close_points(recording.objects, recording.poses, recording.support)
-    red, green = (RenderStyle(pose) for pose in recording.poses)
-    with scene_renderer(recording.objects, recording.support, points, replace(SMALL, samples=8)) as renderer:
-        whole = renderer.picture([red, green])
-        hidden = renderer.picture([None, green])
-        half = renderer.picture([replace(red, alpha=0.5), green])
-        tinted = renderer.picture([red, replace(green, strength=0.9)])
-        trail = renderer.picture(
-            [red, green], [Trail(np.array([[-0.1, -0.1, 0.6], [0.1, -0.1, 0.6]]), (0, 0, 1))]
-        )
-        again = renderer.picture([red, green])
-        pixel = renderer.camera.project(recording.poses[0, :3])[0].astype(int)
-        with pytest.raises(ConfigError, match="styles"):
-            renderer.picture([red])
-    np.testing.assert_array_equal(whole, again)
-    at = (pixel[1], pixel[0])
-    assert is_reddish(whole)[at]
-    assert not is_reddish(hidden).any()
-    expected = (whole[at].astype(int) + hidden[at]) / 2
-    np.testing.assert_allclose(half[at], expected, atol=12)
-    assert is_greenish(whole).any()
-    assert not is_greenish(tinted).any()
-    assert (trail[..., 2].astype(int) - trail[..., 0] > 60).sum() > 10
-
-
-@needs_gl
-def test_turntable_turns_the_scene_under_the_same_light():
-    recording = replace(cubes(), objects=cubes().objects[:1] * 2, poses=cubes().poses)
-    images = list(turntable(recording, FilmConfig(fps=2, seconds=2), SMALL))
-    assert len(images) == 4
-    assert all(image.shape == (120, 160, 3) for image in images)
-    # Half a turn later the left of the two cubes is on the right.
-    assert np.abs(images[0].astype(int) - images[2]).max() > 60
-    means = [image.mean() for image in images]
-    assert max(means) - min(means) < 12
-
-
-@needs_gl
-def test_replay_draws_failures_red():
-    images = list(replay(cubes(), FilmConfig(fps=4, seconds=6, captions=False), SMALL))
-    counts = [is_greenish(image).sum() for image in images]
-    # Green is not there, then tinted, then stands.
-    assert counts[0] == 0
-    assert counts[-1] > 20
-    assert max(is_reddish(image).sum() for image in images) > 1.2 * is_reddish(images[-1]).sum()
 
 
 def moving_square(count=6, size=(48, 64)):

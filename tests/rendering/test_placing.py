@@ -106,18 +106,6 @@ def test_only_what_can_be_done_is_offered(panel):
     assert panel.handle.visible
 
 
-def test_the_handle_moves_within_the_plane_alone(panel):
-    assert panel.handle.active_axes == (True, True, False)
-    hold(panel, 0.12)
-    assert panel.handle.position[0] == pytest.approx(0.12)
-    # Dragged off the region it comes back to its side.
-    hold(panel, 3.0)
-    assert panel.handle.position[0] == pytest.approx(panel.scenes.region.half_extents[0])
-    height = float(panel.handle.position[2])
-    assert "touches the bare top" in press(panel, panel.lower)
-    assert panel.handle.position[2] < height
-
-
 def test_a_failure_is_told_drawn_and_cleared_away(panel):
     stood = panel.scene.poses.copy()
     hold(panel, -0.1)
@@ -133,47 +121,3 @@ def test_a_failure_is_told_drawn_and_cleared_away(panel):
     assert panel._failed is None
     assert panel.scene.names[panel.scene.current] == panel._object.value != name
     assert panel._object.options == tuple(panel.scene.names[index] for index in panel.scene.left)
-
-
-def test_what_goes_wrong_is_said_and_nothing_is_lost(panel):
-    for x in (0.1, 0.2):
-        hold(panel, x)
-        press(panel, panel.drop)
-    panel.scenes.is_full = True
-    assert "the disk is full. Try: another disk." in press(panel, panel.save)
-    assert not panel.scene.is_closed
-    panel.scenes.is_full = False
-    press(panel, panel.save)
-    assert [bool(scene.is_success) for scene in panel.scenes.kept] == [True]
-
-
-def test_a_scene_is_given_up_only_when_that_is_confirmed(panel):
-    assert "nothing was tried" in press(panel, panel.new)
-    hold(panel, 0.1)
-    press(panel, panel.drop)
-    press(panel, panel.new)
-    assert (panel.scene.number, panel.scenes.kept) == (0, [])
-    assert panel.scene.clock.seconds > 0
-    given_up = panel.scene
-    assert "scene 0 was kept as one that failed" in press(panel, lambda: panel.give_up(given_up))
-    assert panel.scene.number == 1
-    # Asked twice, it is given up once, and the next scene goes on.
-    press(panel, lambda: panel.give_up(given_up))
-    assert (panel.scene.number, len(panel.scenes.kept)) == (1, 1)
-    (kept,) = panel.scenes.kept
-    assert (bool(kept.is_success), kept.is_placed.tolist()) == (False, [True, False])
-    # What stands is no failure, whatever it is called.
-    for x in (0.1, 0.2):
-        hold(panel, x)
-        press(panel, panel.drop)
-    assert "scene 1 stands, and was saved" in press(panel, lambda: panel.give_up(panel.scene))
-
-
-def test_undo_brings_the_object_back_into_the_hand(panel):
-    hold(panel, 0.1)
-    name = panel._object.value
-    press(panel, panel.drop)
-    assert press(panel, panel.undo) == f"{name} was taken back"
-    assert (panel._object.value, panel.scene.num_placed) == (name, 0)
-    assert panel.handle.position[0] == pytest.approx(0.1)
-    assert "1 attempt," in panel._status.content

@@ -4,18 +4,15 @@ import os
 import subprocess
 import sys
 
-import mujoco
 import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.assets import render_scene, scene_spec
+from cluttergen_jax.rendering.assets import object_sheet, render_scene, scene_spec
 from cluttergen_jax.rendering.camera import axes, fit_eye
 from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.gl import RendererError, check_importable
-from cluttergen_jax.rendering.lighting import add_lighting
 from cluttergen_jax.rendering.picture import render_model
 from tests.helpers.drawing import GREEN, RED, needs_gl
 
@@ -34,18 +31,6 @@ def test_nonsense_backend_is_named_and_choices_given():
     assert "nonsense" in message
     assert "glfw" in message
     assert "Try:" in message
-
-
-def test_settings_with_which_mujoco_cannot_be_imported_end_in_a_sentence(monkeypatch):
-    # This is what PyOpenGL raises where libOSMesa is missing.
-    def missing(name):
-        raise AttributeError("'NoneType' object has no attribute 'glGetError'")
-
-    monkeypatch.setenv("MUJOCO_GL", "osmesa")
-    monkeypatch.setattr("cluttergen_jax.rendering.gl.importlib.import_module", missing)
-    with pytest.raises(RendererError, match=r"MUJOCO_GL=osmesa: its library is not installed.*unsetting"):
-        check_importable()
-    assert main(["list"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -122,35 +107,11 @@ def test_hulls_replace_surfaces_and_show_selects_bodies():
         render_model(model, qpos, show=["blue"], samples=1)
 
 
-def test_lighting_changes_no_physics():
-    def spec_of():
-        spec = mujoco.MjSpec()
-        body = spec.worldbody.add_body(pos=(0, 0, 1))
-        body.add_freejoint()
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 0.1, 0.1))
-        return spec
-
-    plain, lit = spec_of().compile(), add_lighting(spec_of()).compile()
-    fallen = []
-    for model in (plain, lit):
-        data = mujoco.MjData(model)
-        mujoco.mj_step(model, data, 300)
-        assert data.ncon == 0
-        fallen.append(data.qpos.copy())
-    np.testing.assert_array_equal(*fallen)
-
-
 @needs_gl
-def test_close_view_shows_the_objects_larger_and_whole():
-    poses = np.array([[0, 0, 0.75, 1, 0, 0, 0]])
-    table = cuboid_table(0.3, 0.3, 0.7)
-    counts, is_whole = [], []
-    for close in (False, True):
-        image = render_scene([RED], poses, table, close=close, samples=2, width=320, height=240).astype(int)
-        is_red = (image[..., 0] > 2.5 * image[..., 1]) & (image[..., 0] > 60)
-        counts.append(is_red.sum())
-        is_whole.append(
-            not (is_red[0].any() or is_red[-1].any() or is_red[:, 0].any() or is_red[:, -1].any())
-        )
-    assert counts[1] > 1.5 * counts[0] > 0
-    assert all(is_whole)
+def test_object_sheet_draws_surface_and_parts():
+    sheet = object_sheet([RED, GREEN, RED], columns=2, samples=2)
+    assert sheet.shape == (2 * (240 + 8 + 24) + 8, 2 * (480 + 8) + 8, 3)
+    left, right = sheet[8:248, 8:188].astype(int), sheet[8:248, 308:488].astype(int)
+    assert not np.array_equal(right, np.broadcast_to(right[0, 0], right.shape))
+    assert ((left[..., 0] > 3 * left[..., 1]) & (left[..., 0] > 100)).any()
+    assert not ((right[..., 0] > 3 * right[..., 1]) & (right[..., 0] > 100)).any()

@@ -1,99 +1,15 @@
 """Depth, segmentation and clouds against geometry: what is measured lies on the surfaces that were drawn."""
 
-import io
-import json
-
 import numpy as np
 import pytest
-import trimesh
-from PIL import Image
 
-from cluttergen_jax.assets.cloud import scene_points
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.rendering.assets import close_points, scene_spec
-from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
-from cluttergen_jax.rendering.sensors import (
-    camera_json,
-    depth_png,
-    npz_of,
-    palette,
-    segmentation_png,
-    sense,
-)
 from cluttergen_jax.sensing.camera import Camera, free, overhead, side
-from cluttergen_jax.sensing.rays import FIRST_OBJECT, FLOOR, SUPPORT, RaySensor
+from cluttergen_jax.sensing.rays import FLOOR, SUPPORT, RaySensor
 from tests.helpers.drawing import needs_gl
-from tests.helpers.recordings import cubes
-
-
-@pytest.fixture(scope="module")
-def sensed():
-    recording = cubes()
-    view = CameraView(azimuth=70, elevation=-50)
-    picture = PictureConfig(width=200, height=150, samples=1, view=view)
-    return sense(recording.objects, recording.names, recording.poses, recording.support, picture)
-
-
-def back_projected(depth, K, T_world_camera):
-    """f64[H, W, 3]: where each pixel's middle meets a surface, world frame."""
-    height, width = depth.shape
-    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(K).T
-    seen = rays * np.where(np.isfinite(depth), depth, 0)[..., None]
-    return seen @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
-
-
-@needs_gl
-def test_pixels_lie_on_the_surfaces_that_their_labels_name(sensed):
-    recording = cubes()
-    points = back_projected(sensed.depth, sensed.camera.K, sensed.camera.T_world_camera)
-    for index, half in ((0, 0.05), (1, 0.04)):
-        mine = points[sensed.segmentation == FIRST_OBJECT + index] - recording.poses[index, :3]
-        assert len(mine) > 300
-        # On a cube's surface the largest coordinate is the half side.
-        np.testing.assert_allclose(np.abs(mine).max(-1), half, atol=0.0006)
-    floor = points[(sensed.segmentation == FLOOR) & np.isfinite(sensed.depth)]
-    assert len(floor) > 300
-    np.testing.assert_allclose(floor[:, 2], 0.0, atol=0.002)
-    table = points[sensed.segmentation == SUPPORT]
-    on_top = np.abs(table[:, 2] - 0.4) < 0.001
-    on_side = (np.abs(np.abs(table[:, 0]) - 0.16) < 0.001) | (np.abs(np.abs(table[:, 1]) - 0.12) < 0.001)
-    assert (on_top | on_side).all()
-    assert on_top.sum() > 300
-
-
-@needs_gl
-def test_files_hold_what_was_measured(sensed):
-    depth = np.asarray(Image.open(io.BytesIO(depth_png(sensed.depth))))
-    assert depth.dtype == np.uint16
-    is_seen = np.isfinite(sensed.depth) & (sensed.depth < 65)
-    np.testing.assert_allclose(depth[is_seen] / 1000, sensed.depth[is_seen], atol=0.00051)
-    assert (depth[~is_seen] == 0).all()
-    image = Image.open(io.BytesIO(segmentation_png(sensed.segmentation)))
-    np.testing.assert_array_equal(np.asarray(image), sensed.segmentation)
-    np.testing.assert_array_equal(np.asarray(image.convert("RGB")), palette()[sensed.segmentation])
-    with np.load(io.BytesIO(npz_of(sensed)), allow_pickle=False) as stored:
-        assert stored["names"].tolist() == ["red", "green"]
-        for name in ("rgb", "depth", "segmentation", "poses"):
-            np.testing.assert_array_equal(stored[name], getattr(sensed, name))
-        np.testing.assert_array_equal(stored["intrinsics"], sensed.camera.K)
-        np.testing.assert_array_equal(stored["T_world_camera"], sensed.camera.T_world_camera)
-
-
-@needs_gl
-def test_the_pngs_and_the_camera_beside_them_are_enough(sensed):
-    record = json.loads(camera_json(sensed))
-    depth = np.asarray(Image.open(io.BytesIO(depth_png(sensed.depth)))) * record["depth_scale"]
-    labels = np.asarray(Image.open(io.BytesIO(segmentation_png(sensed.segmentation))))
-    assert labels.shape == (record["height"], record["width"])
-    points = back_projected(depth, np.array(record["K"]), np.array(record["T_world_camera"]))
-    assert [each["name"] for each in record["objects"]] == ["red", "green"]
-    for each, half in zip(record["objects"], (0.05, 0.04), strict=True):
-        mine = points[labels == each["label"]] - each["pose"][:3]
-        np.testing.assert_allclose(np.abs(mine).max(-1), half, atol=0.0015)
 
 
 @needs_gl
@@ -138,20 +54,3 @@ def test_rays_and_opengl_see_the_same(name):
     np.testing.assert_allclose(drawn.depth[is_smooth], cast.depth[is_smooth], atol=0.001)
     # Nor is the one a fraction of a pixel beside the other.
     assert (drawn.label != cast.label).mean() < 0.003
-
-
-def test_cloud_points_lie_on_objects_and_table():
-    mug, plate = find_pool("dining")["mug"], find_pool("dining")["dinner_plate"]
-    turned = np.array([0.1, -0.2, 0.8, np.cos(0.4), 0, 0, np.sin(0.4)])
-    poses = np.stack([turned, [-0.1, 0.1, 0.71, 1, 0, 0, 0]])
-    cloud = scene_points([mug, plate], poses, cuboid_table())
-    counts = np.bincount(cloud.labels)
-    assert counts[2:].tolist() == [1024, 1024]
-    assert counts[1] == pytest.approx(0.6 * 0.7 * 4000, rel=0.1)
-    table = cloud.points[cloud.labels == 1]
-    np.testing.assert_allclose(table[:, 2], 0.7, atol=1e-6)
-    np.testing.assert_allclose(np.abs(table).max(0)[:2], [0.3, 0.35], atol=1e-6)
-    spun = trimesh.transformations.quaternion_matrix(turned[3:])
-    expected = mug.cloud @ spun[:3, :3].T + turned[:3]
-    np.testing.assert_allclose(cloud.points[cloud.labels == 2], expected, atol=1e-6)
-    np.testing.assert_allclose(transform_points(turned, mug.cloud), expected, atol=1e-9)

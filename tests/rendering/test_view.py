@@ -1,21 +1,15 @@
 """Where scenes to look at come from, what is said of them, and how the viewer refuses what cannot be."""
 
 import shutil
-import socket
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
 from cluttergen_jax.api.render import render
-from cluttergen_jax.api.text import parse_size
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import AssetError, BankError, ConfigError
-from cluttergen_jax.generation.sources import BankSource, LiveConfig, LiveSource, open_source
-from cluttergen_jax.generation.sources.rendering import chosen_numbers
-from cluttergen_jax.generation.sources.viewing import native_model
-from cluttergen_jax.rendering.viewer.viewer import free_port
+from cluttergen_jax.generation.sources import BankSource, open_source
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from tests.helpers.drawing import needs_gl
 
@@ -48,16 +42,6 @@ def test_attempts_are_made_again_and_end_in_the_stored_scene(source):
             np.testing.assert_array_equal(ends[name], pose)
         assert stored.region == source.still(0).region
         assert recording.region.half_extents == pytest.approx((0.1, 0.12))
-
-
-def test_proposals_are_drawn_beside_the_attempt_and_change_nothing(source):
-    plain, drawn = source.replay(0), source.replay(0, 16)
-    assert all(attempt.proposals is None for attempt in plain.attempts)
-    for one, other in zip(plain.attempts, drawn.attempts, strict=True):
-        np.testing.assert_array_equal(one.trajectory, other.trajectory)
-        assert other.proposals.shape == (16, 4)
-        assert ((other.proposals >= 0) & (other.proposals <= 1)).all()
-        assert len(np.unique(other.proposals, axis=0)) == 16
 
 
 def test_a_scene_that_ends_elsewhere_is_not_passed_off(bank, source, monkeypatch):
@@ -97,28 +81,6 @@ def test_scene_file_is_read_as_the_bank_has_it(bank, source, tmp_path):
         open_source(str(elsewhere))
 
 
-def test_live_source_makes_the_scene_of_a_seed():
-    live = LiveSource(LiveConfig(pool="dining", method="random", num_objects=1))
-    assert live.methods[0] == "random"
-    assert live.numbers[0] == 0
-    recording = live.still(3)
-    assert len(recording.attempts) >= 1
-    np.testing.assert_array_equal(recording.poses, live.sample("random", 3).poses)
-
-
-def test_scenes_to_draw(source):
-    assert chosen_numbers(source, 2, None, 1) == [2]
-    assert chosen_numbers(source, None, None, 1) == [source.successes[0]]
-    assert chosen_numbers(source, None, None, 12) == list(source.successes)
-    assert chosen_numbers(source, None, [0, 2, 3], 1) == [0, 2, 3]
-    assert chosen_numbers(source, None, "all", 1) == [0, 1, 2, 3]
-    with pytest.raises(ConfigError, match="single scene"):
-        chosen_numbers(source, 2, [1], 1)
-    assert parse_size("320x200") == (320, 200)
-    with pytest.raises(ConfigError, match="pixels"):
-        parse_size("320")
-
-
 @needs_gl
 def test_render_writes_what_is_asked_for(bank, source, tmp_path):
     number = int(source.successes[0])
@@ -148,38 +110,3 @@ def test_render_writes_what_is_asked_for(bank, source, tmp_path):
     assert main(["render", str(other), "--sheet", *quick]) == 0
     sheets = {each.name for each in tmp_path.glob("*sheet.png")}
     assert sheets == {f"{bank.name}-sheet.png", "other-bank-sheet.png"}
-
-
-def test_a_figure_that_cannot_be_made_costs_nothing_else(bank, source, tmp_path, capsys):
-    asked = ["--scenes", "all", "--figure", "--points", "--no-picture"]
-    assert main(["render", str(bank), *asked, "--out", str(tmp_path)]) == 1
-    assert {each.name for each in tmp_path.iterdir()} == {f"{k:06d}-points.ply" for k in source.numbers}
-    said = capsys.readouterr().err
-    assert "4 could not be made" in said
-    for number in source.numbers:
-        assert f"{number:06d}-figure.png: {source.name}, scene {number}: no object failed 2 times" in said
-    assert said.count("Try: another scene") == 1
-
-
-def test_port_in_use_is_refused_and_zero_takes_a_free_one():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        with pytest.raises(ConfigError, match=f"{port} cannot be listened on"):
-            free_port("127.0.0.1", port)
-        assert main(["view", "--host", "127.0.0.1", "--port", str(port), "--no-browser"]) == 2
-    assert free_port("127.0.0.1", 0) > 0
-    with pytest.raises(ConfigError, match="65535"):
-        free_port("127.0.0.1", 70000)
-
-
-def test_native_model_begins_at_the_scene_and_stands(source):
-    recording = source.still(int(source.successes[0]))
-    model, qpos = native_model(recording)
-    np.testing.assert_allclose(qpos.reshape(-1, 7), recording.poses, atol=1e-6)
-    np.testing.assert_allclose(model.qpos0, qpos, atol=1e-6)
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_step(model, data, 240)
-    assert np.abs(data.qpos.reshape(-1, 7)[:, :3] - recording.poses[:, :3]).max() < 0.005

@@ -2,7 +2,6 @@
 
 import http.client
 import socket
-import threading
 
 import pytest
 
@@ -13,9 +12,8 @@ from websockets import Headers
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.rendering.viewer import guard as guarding
-from cluttergen_jax.rendering.viewer.guard import Guard, GuardedServer
+from cluttergen_jax.rendering.viewer.guard import Guard
 from cluttergen_jax.rendering.viewer.viewer import announce, open_server
 
 
@@ -153,13 +151,3 @@ def test_other_machines_are_let_in_on_request_alone_and_with_the_token():
         assert get(server, "/", Host=f"{name}:{port}")[0] == 403
     finally:
         server.stop()
-
-
-def test_a_server_that_does_not_ask_the_guard_is_not_left_running(monkeypatch):
-    monkeypatch.setattr(Guard, "before", lambda self, answer: answer)
-    before = set(threading.enumerate())
-    serve = guarding.sockets.serve
-    with pytest.raises(ClutterGenError, match="cannot be kept from answering strangers"):
-        GuardedServer("127.0.0.1", 0, "test")
-    assert not [each for each in set(threading.enumerate()) - before if each.is_alive()]
-    assert guarding.sockets.serve is serve

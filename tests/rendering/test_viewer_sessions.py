@@ -4,12 +4,9 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
-from types import SimpleNamespace
 
 import pytest
 
-from cluttergen_jax.rendering.viewer.session import Session
 from cluttergen_jax.rendering.viewer.viewer import Viewer, open_server
 from tests.helpers.recordings import cubes
 
@@ -109,40 +106,3 @@ def test_two_browsers_look_at_different_scenes_and_leave_alone(viewer):
         with pytest.raises(KeyError):
             viewer.sessions[other.client.client_id]
     until(lambda: not viewer.sessions)
-
-
-def test_the_page_says_that_it_compiles_and_then_shows_the_scene(viewer):
-    viewer.source.go.clear()
-    # As of a source whose numbers are seeds: looking through all of them would take minutes.
-    viewer.source.numbers = range(2**31 - 1)
-    with browser(viewer) as one, browser(viewer) as other:
-        for session in (one, other):
-            assert said(session) == "scene 0: compiling, which takes about a minute ..."
-            assert session.recording is None
-        viewer.source.go.set()
-        for session in (one, other):
-            until(lambda own=session: "**scene 0** stands" in said(own))
-            # Now that there is something to see, the camera looks at it.
-            assert session.client.camera.look_at[2] > 0.4
-
-
-def test_stop_stops_at_the_attempt_that_is_shown():
-    shown, recording = [], SimpleNamespace(attempts=range(5))
-
-    def at(number, share):
-        shown.append(number)
-        if number == 2:
-            session.play()
-
-    session = SimpleNamespace(
-        _playing=threading.Event(),
-        _play=SimpleNamespace(label="Play"),
-        _slider=SimpleNamespace(value=0),
-        _redraw=lambda: None,
-        nodes=SimpleNamespace(at=at),
-        recording=recording,
-    )
-    session.play = partial(Session.play, session)
-    session.play()
-    assert max(shown) == session._slider.value == 2
-    assert session._play.label == "Play"

@@ -8,19 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene.bank import read_bank, verify
 from cluttergen_jax.scene.bank.verify import verify_scene
-from tests.helpers import banks
-from tests.helpers.worlds import trio
-
-
-@pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
 
 
 @pytest.fixture(scope="module")
@@ -51,24 +43,6 @@ def test_interrupted_bank_is_continued_to_the_same_bits(bank, pool, tmp_path):
     (path / "scenes-000000.parquet").unlink()
     assert generate(pool, path, "-n", "260", "--max-files", "0") == 0
     assert read_bank(path).table.equals(read_bank(bank).table)
-
-
-def test_another_seed_makes_other_scenes_but_not_in_the_same_bank(bank, pool, tmp_path, capsys):
-    assert generate(pool, bank, "-n", "3", "--seed", "1") == 2
-    assert "seed" in capsys.readouterr().err
-    assert generate(pool, tmp_path / "other", "-n", "3", "--seed", "1", "--max-files", "0") == 0
-    one, two = read_bank(bank).table["poses"][0], read_bank(tmp_path / "other").table["poses"][0]
-    assert one != two
-
-
-def test_what_is_overwritten_by_the_same_bank_is_continued(tmp_path):
-    path = tmp_path / "bank"
-    with banks.writer(path, 3) as writer:
-        writer.write_block(0, banks.rows(0, 3))
-    with banks.writer(path, 300, overwrite=True) as writer:
-        assert writer.has_block(0, 3)
-    with banks.writer(path, 300, {"seed": 5}, overwrite=True) as writer:
-        assert not writer.has_block(0, 3)
 
 
 def test_files_hold_the_poses_twice_and_stand(bank):

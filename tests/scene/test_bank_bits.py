@@ -1,7 +1,5 @@
 """A bank of one recipe has scenes of one kind: what else decides their last bits stands in its record."""
 
-import json
-
 import pytest
 
 from cluttergen_jax.errors import BankError
@@ -39,10 +37,3 @@ def test_a_mixture_is_one_by_leave(tmp_path):
     for bits in (HERE, THERE):
         banks.writer(path, 900, bits=bits).close()
     assert read_bank(path).record["bits"] == [HERE, THERE]
-
-
-def test_old_banks_are_continued_as_before(tmp_path):
-    path = begun(tmp_path / "bank", None)
-    assert "bits" not in json.loads((path / INDEX).read_text())
-    banks.writer(path, 600, bits=HERE).close()
-    assert "bits" not in read_bank(path).record

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from pathlib import Path
 
 import pytest
 
@@ -40,14 +39,6 @@ def rougher(text):
 
 def verify(path):
     return main(["verify", str(path), "--seconds", "0.1"])
-
-
-def test_every_file_of_a_sound_bank_has_a_digest(whole, capsys):
-    assert changes_of(read_bank(whole)) == []
-    named = {Path(name) for name in read_bank(whole).files}
-    assert named == set(all_bytes(whole)) - {Path("bank.json"), Path(".lock")}
-    assert verify(whole) == 0
-    assert "2 of 2 scenes stand" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -103,17 +94,6 @@ def test_a_bank_older_than_digests_opens_and_gets_them(bank, whole, capsys):
     assert all_bytes(bank) == all_bytes(whole)
 
 
-def test_a_bank_without_digests_of_its_rows_is_verified_with_a_note(bank, capsys):
-    record = read_bank(bank).record
-    record["files"].pop(ROWS)
-    (bank / "bank.json").write_bytes(index_bytes(record))
-    assert verify(bank) == 0
-    assert "has no digests of its rows" in capsys.readouterr().out
-    with pytest.raises(BankError, match="no digests of the bank's rows"):
-        check_whole(read_bank(bank))
-    check_whole(read_bank(bank), allow_unchecked=True)
-
-
 def moved(rows):
     rows[0]["poses"][0][0] += 0.001
     return rows
@@ -140,19 +120,6 @@ def test_rows_that_were_changed_are_named_do_not_count_and_are_mended(bank, whol
     assert all_bytes(bank) == all_bytes(whole)
 
 
-@pytest.mark.parametrize("change", [moved, renamed])
-def test_files_that_do_not_have_what_their_rows_have_are_named(bank, capsys, change):
-    """Though every file has its digest: whoever made them made them so."""
-    table = StoredBlocks.of(bank).read(0)
-    with banks.writer(bank, 3) as writer:
-        writer.write_block(0, table.from_pylist(change(table.to_pylist()), schema=table.schema))
-    assert verify(bank) == 1
-    assert f"  {SCENE}: not the scene of its row\n" in (out := capsys.readouterr().out)
-    assert "1 of 2 scenes stand" in out
-    with pytest.raises(BankError, match="not the scene of its row"):
-        check_whole(read_bank(bank))
-
-
 @pytest.mark.parametrize(
     "name", ["../outside.txt", "/etc/hostname", "scenes/../../outside.txt", "assets/link"]
 )
@@ -166,10 +133,3 @@ def test_a_list_that_leads_out_of_the_bank_is_refused(bank, name, capsys):
         changes_of(read_bank(bank))
     assert verify(bank) == 2
     assert "error: " in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("files", [None, [], {"a": 1}])
-def test_a_list_that_is_none_is_damage(bank, files):
-    (bank / "bank.json").write_bytes(index_bytes(read_bank(bank).record | {"files": files}))
-    with pytest.raises(BankError, match="digests of files"):
-        read_bank(bank)

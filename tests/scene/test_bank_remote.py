@@ -4,16 +4,13 @@ import os
 import shutil
 import socket
 import subprocess
-import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pyarrow.fs as pafs
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
@@ -23,7 +20,6 @@ from cluttergen_jax.scene.bank.remote import (
     publish_all,
 )
 from tests.helpers import banks
-from tests.helpers.worlds import trio
 
 fsspec = pytest.importorskip("fsspec", reason="needs the extra remote")
 NUM_BLOCKS = 5
@@ -96,13 +92,6 @@ def test_a_bank_goes_on_where_it_stopped_even_without_its_mirror(url, home, tmp_
     assert contents(url) == whole
 
 
-def test_a_bank_grows_there(url, tmp_path):
-    write(url, num_blocks=3)
-    write(url)
-    write(tmp_path / "bank")
-    assert contents(url) == files(tmp_path / "bank")
-
-
 def test_a_mirror_follows_what_was_made_anew_there(url, home):
     write(url)
     name = next(name for name in contents(url) if name.endswith("object.json"))
@@ -113,36 +102,12 @@ def test_a_mirror_follows_what_was_made_anew_there(url, home):
     assert kept.read_bytes() == before == remote.open(name).read()
 
 
-def test_many_read_a_bank_at_once_that_nobody_has_read_before(home, tmp_path):
-    # Files that are open twice in fsspec's memory share their place.
-    url = f"file://{tmp_path / 'there'}"
-    write(url)
-    for _ in range(5):
-        shutil.rmtree(home)
-        together = threading.Barrier(8)
-
-        def read(_, together=together):
-            together.wait()
-            return read_bank(fetch_mirror(url)).num_scenes
-
-        with ThreadPoolExecutor(8) as readers:
-            assert set(readers.map(read, range(8))) == {NUM_BLOCKS * BLOCK_SIZE}
-        assert not list(home.rglob(".*.partial"))
-
-
 @pytest.mark.parametrize(
     "place", ["nowhere://bucket/bank", "file:///no such place/bank", "memory://empty/bank"]
 )
 def test_what_cannot_be_opened_is_explained(place):
     with pytest.raises(BankError, match=r"no such|not a bank|does not answer"):
         read_bank(place)
-
-
-def test_what_works_on_files_asks_for_a_folder(url):
-    write(url)
-    for work in (cg.certify, lambda bank: cg.push_bank(bank, "me/bank", hub="/")):
-        with pytest.raises(BankError, match=r"not on this machine|is a URL.*the plain path /"):
-            work(url)
 
 
 @pytest.fixture
@@ -173,29 +138,3 @@ def bucket(tmp_path, monkeypatch):
     yield "s3://tests/bank?" + place
     server.terminate()
     server.wait()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_a_bank_is_made_and_used_on_a_real_s3_server(bucket, tmp_path, home):
-    pool = str(write_pool(tmp_path / "trio", Pool("trio", tuple(trio()))))
-    options = {"pool": pool, "num_scenes": 300, "method": "random", "num_objects": 2, "max_files": 3}
-    here = cg.generate(tmp_path / "bank", **options, render=False)
-    there = cg.generate(bucket, **options, render=False)
-    assert f"stored     {bucket}" in str(there)
-    # The card names the folder, which both call alike.
-    assert contents(bucket) == files(tmp_path / "bank")
-    shutil.rmtree(home)
-    # Everything is there already: nothing is made again.
-    again = cg.generate(bucket, **options, render=False)
-    assert "speed" not in str(again)
-    assert again.table.equals(here.table)
-    shutil.rmtree(home)
-    assert cg.verify(bucket).is_sound
-    np.testing.assert_array_equal(cg.load_bank(bucket).qpos, cg.load_bank(tmp_path / "bank").qpos)
-    shutil.rmtree(home)
-    write(bucket.replace("/bank?", "/shards?"))
-    write(tmp_path / "shards")
-    assert contents(bucket.replace("/bank?", "/shards?")) == files(tmp_path / "shards")
-    assert sum(map(len, cg.stream_bank(bucket.replace("/bank?", "/shards?"), 100))) == NUM_BLOCKS * 192
-    assert fetch_mirror(bucket).name == "bank"

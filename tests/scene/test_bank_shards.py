@@ -13,13 +13,11 @@ from cluttergen_jax.scene.bank import blocks as module
 from cluttergen_jax.scene.bank import index as module_index
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import recover_record
-from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, with_record, write_shard
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, shard_path, write_shard
 from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import check_whole
 from cluttergen_jax.scene.bank.index import BankIndex
-from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.stats import stats_of
-from cluttergen_jax.scene.bank.table import SCHEMA
 from tests.helpers import banks
 
 NUM_BLOCKS, IN_A_SHARD = 8, 3
@@ -122,40 +120,6 @@ def test_a_damaged_row_group_is_named_and_mended_alone(sharded, tmp_path):
     assert files(path) == files(sharded)
 
 
-def test_a_block_that_was_written_again_wins_over_its_shard(tmp_path):
-    write(tmp_path)
-    with banks.writer(tmp_path, NUM_BLOCKS * BLOCK_SIZE, shard_blocks=IN_A_SHARD) as writer:
-        changed = banks.rows(4).to_pylist()
-        changed[0]["drift"] = 0.5
-        writer.write_block(4, type(banks.rows(4)).from_pylist(changed, schema=banks.rows(4).schema))
-    assert block_path(tmp_path, 4).exists()
-    assert read_bank(tmp_path).table["drift"].to_numpy()[4 * BLOCK_SIZE] == 0.5
-    write(tmp_path)
-    assert not block_path(tmp_path, 4).exists()
-    assert read_bank(tmp_path).table["drift"].to_numpy()[4 * BLOCK_SIZE] == 0.5
-
-
-def test_what_is_measured_block_by_block_joins_the_shards(tmp_path):
-    """As `certify` writes it, also where it is interrupted."""
-    write(tmp_path)
-    names = sorted(each.name for each in tmp_path.glob("*.parquet"))
-    for block in range(NUM_BLOCKS):
-        index, rows = BankIndex.of(read_bank(tmp_path)), StoredBlocks.of(tmp_path).read(block)
-        shake = pa.array(np.full(rows.num_rows, block, np.float32))
-        index.write_block(block, rows.set_column(rows.schema.names.index("shake"), "shake", shake))
-        assert changes_of(read_bank(tmp_path)) == []
-        if block in (0, 4, NUM_BLOCKS - 1):
-            index.merge_shards()
-            assert sorted(each.name for each in tmp_path.glob("*.parquet")) == names
-            assert changes_of(read_bank(tmp_path)) == []
-    measured = np.repeat(np.arange(NUM_BLOCKS), BLOCK_SIZE)
-    assert np.array_equal(read_bank(tmp_path).table["shake"], measured)
-    # A bank that is certified is continued as any other.
-    write(tmp_path)
-    assert np.array_equal(read_bank(tmp_path).table["shake"], measured)
-    assert sorted(each.name for each in tmp_path.glob("*.parquet")) == names
-
-
 def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_looks_changed(tmp_path):
     write(tmp_path)
     index, rows = BankIndex.of(read_bank(tmp_path)), StoredBlocks.of(tmp_path).read(7)
@@ -171,17 +135,3 @@ def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_loo
     write(tmp_path)
     assert changes_of(read_bank(tmp_path)) == []
     assert read_bank(tmp_path).table["shake"].null_count == (NUM_BLOCKS - 1) * BLOCK_SIZE
-
-
-def test_files_of_an_older_version_get_the_columns_that_they_lack(tmp_path, sharded):
-    write(tmp_path)
-    record = {k: v for k, v in read_bank(tmp_path).record.items() if k not in ("num_scenes", "files")}
-    for block, num_columns in ((6, len(SCHEMA)), (7, len(SCHEMA) - 2)):
-        rows = StoredBlocks.of(tmp_path).read(block).select(SCHEMA.names[:num_columns])
-        pq.write_table(with_record(rows, record), block_path(tmp_path, block))
-    shard_path(tmp_path, range(6, 8)).unlink()
-    older = {name: value for name, value in read_bank(tmp_path).record.items() if name != "files"}
-    (tmp_path / "bank.json").write_bytes(index_bytes(older))
-    write(tmp_path)
-    assert len({pq.read_schema(file) for file in tmp_path.glob("*.parquet")}) == 1
-    assert files(tmp_path) == files(sharded)

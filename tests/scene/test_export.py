@@ -10,17 +10,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.api.text import parse_numbers
-from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shading import linear
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import rotate
-from cluttergen_jax.scene.bank.reference import parse_reference
 from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.export import FORMATS, export_scenes
-from cluttergen_jax.scene.export.frames import euler_of, principal_of
 from tests.helpers.exports import CLOSE, assert_same_pose, dining_scene, exporter, matrix, spread
 from tests.helpers.worlds import trio
 
@@ -100,18 +94,6 @@ def test_pybullet_reads_masses_and_poses_and_the_scene_stands(folder_of, scene):
             assert np.linalg.norm(np.array(position) - pose[:3]) < 0.003, name
     finally:
         pybullet.disconnect(client)
-
-
-def test_urdf_inertia_is_the_assets_own(folder_of, scene):
-    for name, asset in scene.assets.items():
-        path = folder_of("urdf") / "assets" / "objects" / name / f"{name}.urdf"
-        inertial = ET.parse(path).find("link/inertial")
-        roll, pitch, yaw = map(float, inertial.find("origin").get("rpy").split())
-        turn = trimesh.transformations.euler_matrix(roll, pitch, yaw, "sxyz")[:3, :3]
-        moments = np.diag([float(inertial.find("inertia").get(key)) for key in ("ixx", "iyy", "izz")])
-        np.testing.assert_allclose(turn @ moments @ turn.T, asset.inertia, atol=1e-8, rtol=1e-5)
-        for mesh in ET.parse(path).iter("mesh"):
-            assert (path.parent / mesh.get("filename")).is_file()
 
 
 def test_sdf_is_well_formed_and_complete(folder_of, scene):
@@ -202,15 +184,6 @@ def test_adapters_carry_poses_and_files(folder_of, scene, format):
             assert row[7:] == [0.0] * 6
 
 
-def test_scenes_that_do_not_go_together_are_refused_and_leave_nothing(tmp_path):
-    one = spread(trio(), cuboid_table())
-    with pytest.raises(ConfigError, match="supports"):
-        export_scenes([one, spread(trio(), cuboid_table(0.5, 0.5))], tmp_path / "out", "mjcf")
-    with pytest.raises(ConfigError, match="no scenes"):
-        export_scenes([], tmp_path / "out", "mjcf")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_existing_folders_are_left_alone(tmp_path):
     scene = spread(trio(), cuboid_table())
     out = tmp_path / "out"
@@ -226,38 +199,3 @@ def test_existing_folders_are_left_alone(tmp_path):
     export_scenes([scene], tmp_path / "new", "sdf", overwrite=True)
     assert (tmp_path / "new" / "scenes" / "000000.sdf").is_file()
     assert not (tmp_path / "new" / "scenes" / "000000.xml").exists()
-
-
-def test_numbers_and_sources_are_parsed(tmp_path, capsys):
-    assert parse_numbers("all") is None
-    assert parse_numbers("0,3, 7-9,3") == [0, 3, 7, 8, 9]
-    for text in ("", "a", "3-1", "-1", "1.5", "0-9999999999"):
-        with pytest.raises(ConfigError, match="numbers"):
-            parse_numbers(text)
-    bank = tmp_path / "bank"
-    (bank / "scenes").mkdir(parents=True)
-    (bank / "bank.json").write_text("{}")
-    (bank / "scenes" / "000012.xml").write_text("")
-    assert parse_reference(str(bank)) == (bank, None)
-    assert parse_reference(f"{bank}:12") == parse_reference(str(bank / "scenes" / "000012.xml")) == (bank, 12)
-    for elsewhere in (f"{bank}:", f"{bank}:-1", f"{bank}:\u00b2", ":3"):
-        assert parse_reference(elsewhere) == (Path(elsewhere), None)
-    assert parse_reference(str(bank / "bank.json")) is None
-    assert main(["export", str(bank / "bank.json"), "--out", str(tmp_path / "out")]) != 0
-    assert "no scene of a bank" in capsys.readouterr().err
-
-
-def test_principal_frames_and_angles_turn_back():
-    rng = np.random.default_rng(0)
-    for asset in find_pool("dining").objects:
-        principal = principal_of(asset)
-        turn = rotate(np, principal.turn, np.eye(3)).T
-        np.testing.assert_allclose(
-            turn @ np.diag(principal.moments) @ turn.T, asset.inertia, atol=1e-12, rtol=1e-9
-        )
-        assert np.linalg.det(turn) == pytest.approx(1)
-    for _ in range(50):
-        quaternion = rng.normal(size=4)
-        quaternion /= np.linalg.norm(quaternion)
-        turn = trimesh.transformations.euler_matrix(*euler_of(quaternion), "sxyz")[:3, :3]
-        np.testing.assert_allclose(turn, rotate(np, quaternion, np.eye(3)).T, atol=1e-12)

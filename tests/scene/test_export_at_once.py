@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from cluttergen_jax.errors import BankError
+from cluttergen_jax import kept_folder
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.exports import dining_scene
 
@@ -36,3 +37,21 @@ def test_a_second_export_is_refused_while_one_is_written(scene, tmp_path, format
     export_scenes(meanwhile(scene, refused), out, "mjcf")
     assert format_of(out) == "mjcf"
     assert [each.name for each in tmp_path.iterdir()] == ["new"]
+
+
+def test_a_lock_is_let_go_of_when_an_export_fails(scene, tmp_path):
+    def fails():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export_scenes(meanwhile(scene, fails), tmp_path / "new")
+    assert not list(tmp_path.iterdir())
+    assert format_of(export_scenes([scene], tmp_path / "new", "urdf")) == "urdf"
+
+
+def test_without_locks_the_slower_export_is_refused(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(kept_folder, "fcntl", None)
+    out = tmp_path / "new"
+    with pytest.raises(ConfigError, match="exists"):
+        export_scenes(meanwhile(scene, lambda: export_scenes([scene], out, "urdf")), out, "mjcf")
+    assert format_of(out) == "urdf"

@@ -9,11 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.gl import gl_context
+from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.scene import CAMERAS, Camera, scene_cameras
-from tests.helpers.drawing import needs_gl
 from tests.helpers.exports import exporter, spread
 
 NAMES = ("mug", "bottle", "soup_can", "bowl")
@@ -132,67 +129,3 @@ def test_glb_cameras(folder_of, scene):
             position = np.array(node["translation"])
             cameras[node["name"].split("/")[1]] = (position, turn_of(w, x, y, z), fovx, lens["yfov"])
     check(cameras, scene)
-
-
-@pytest.mark.parametrize("format", ["urdf", "maniskill", "robosuite", "libero"])
-def test_cameras_in_the_loaders_files(folder_of, scene, format):
-    folder = folder_of(format)
-    record = json.loads((folder / "scenes" / "000000.json").read_text())
-    assert record["cameras"] == json.loads((folder / "MANIFEST.json").read_text())["cameras"]
-    cameras = {}
-    for each in record["cameras"]:
-        fovy = np.radians(each["fovy"])
-        fovx = 2 * np.arctan(np.tan(fovy / 2) * each["width"] / each["height"])
-        cameras[each["name"]] = (np.array(each["position"]), turn_of(*each["quaternion_wxyz"]), fovx, fovy)
-    check(cameras, scene)
-    assert "Cameras: overhead, front, side, wrist." in (folder / "README.txt").read_text()
-
-
-def bodies_seen(model, name, width=160, height=120):
-    """[height, width] of the names of bodies that a camera of the model sees; "" for none."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    camera = mujoco.MjvCamera()
-    camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera(name).id
-    drawn, pixels = mujoco.MjvScene(model, 5000), np.zeros((height, width, 3), np.uint8)
-    with gl_context(width, height):
-        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
-        shown = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, shown, drawn)
-        for flag in (mujoco.mjtRndFlag.mjRND_SEGMENT, mujoco.mjtRndFlag.mjRND_IDCOLOR):
-            drawn.flags[flag] = 1
-        view = mujoco.MjrRect(0, 0, width, height)
-        mujoco.mjr_render(view, drawn, context)
-        mujoco.mjr_readPixels(pixels, None, view, context)
-        context.free()
-    names = {0: ""}
-    for geom in drawn.geoms[: drawn.ngeom]:
-        is_geom = geom.objtype == mujoco.mjtObj.mjOBJ_GEOM
-        names[geom.segid + 1] = model.body(model.geom_bodyid[geom.objid]).name if is_geom else ""
-    ids = pixels.astype(int) @ [1, 256, 65536]
-    return np.vectorize(lambda k: names[k])(ids)
-
-
-@needs_gl
-def test_overhead_front_and_side_see_every_object_whole(folder_of):
-    model = mujoco.MjModel.from_xml_path(str(folder_of("mjcf") / "scenes" / "000000.xml"))
-    for name in CAMERAS:
-        seen = bodies_seen(model, name)
-        assert "support" in seen, name
-        if name != "wrist":
-            assert set(NAMES) <= set(seen.ravel()), name
-            edges = {*seen[0], *seen[-1], *seen[:, 0], *seen[:, -1]}
-            assert not edges & set(NAMES), name
-
-
-def test_cameras_go_with_the_region_and_with_an_attached_scene(scene):
-    turned = cuboid_table(1.0, 0.5)
-    object.__setattr__(turned, "region", Rectangle((0.2, 0.1), (0.1, 0.15), 0.6))
-    for camera in scene_cameras(turned):
-        middle = [0.2, 0.1, turned.top]
-        fovs = np.radians([camera.fovx, camera.fovy])
-        np.testing.assert_allclose(seen_at(middle, camera.position, camera.rotation, *fovs), 0, atol=1e-9)
-    with pytest.raises(ConfigError, match="overhead, front, side, wrist"):
-        scene_cameras(turned, ("overhead", "above"))
-    assert scene.to_mjspec().compile().ncam == 0

@@ -1,15 +1,11 @@
 """`cluttergen export`, as a user would call it."""
 
-import json
-
 import mujoco
 import numpy as np
 import pytest
 
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.scene import collect
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.bank.verify import verify_scene
 from tests.helpers.exports import fourteen_scenes
 
@@ -44,31 +40,6 @@ def test_all_successful_scenes_by_default(bank, numbers, tmp_path, capsys):
     assert verify_scene(files[0]).stands
 
 
-def test_chosen_scenes_carry_where_they_come_from(bank, numbers, tmp_path):
-    good, _ = numbers
-    wanted = f"{good[2]},{good[0]}"
-    assert (
-        main(["export", str(bank), "--scenes", wanted, "--format", "glb", "--out", str(tmp_path / "out")])
-        == 0
-    )
-    record = json.loads((tmp_path / "out" / "MANIFEST.json").read_text())
-    assert [each["index"] for each in record["scenes"]] == [good[2], good[0]]
-    for each in record["scenes"]:
-        assert (each["method"], each["pool"], each["seed"]) == ("random", "trio", 5)
-        assert each["versions"]["mujoco"] == mujoco.__version__
-        assert each["verdict"] == "stable"
-        assert each["drift"] < 0.005
-
-
-def test_one_scene_by_number_or_file(bank, numbers, tmp_path):
-    good, _ = numbers
-    sources = [f"{bank}:{good[1]}", str(bank / "scenes" / f"{good[1]:06d}.xml")]
-    for place, source in enumerate(sources):
-        out = tmp_path / str(place)
-        assert main(["export", source, "--format", "urdf", "--out", str(out)]) == 0
-        assert [path.name for path in (out / "scenes").iterdir()] == [f"{good[1]:06d}.json"]
-
-
 def test_what_cannot_be_done_is_explained_and_leaves_nothing(bank, numbers, tmp_path, capsys):
     good, bad = numbers
     cases = [
@@ -84,17 +55,3 @@ def test_what_cannot_be_done_is_explained_and_leaves_nothing(bank, numbers, tmp_
         assert main(["export", *more, "--out", str(tmp_path / "out")]) == 2
         assert says in capsys.readouterr().err
         assert list(tmp_path.iterdir()) == []
-
-
-def test_a_whole_bank_is_one_model(bank, numbers):
-    good, _ = numbers
-    scenes = list(read_scenes(read_bank(bank)))
-    assert [scene.origin.index for scene in scenes] == good
-    many = collect(scenes)
-    assert many.qpos.shape == (len(good), 7 * 3)
-    data = mujoco.MjData(many.model)
-    for row in range(3):
-        many.reset(data, row)
-        start = data.qpos.reshape(-1, 7)[:, :3].copy()
-        mujoco.mj_step(many.model, data, nstep=240)
-        assert np.linalg.norm(data.qpos.reshape(-1, 7)[:, :3] - start, axis=1).max() < 5e-4

@@ -17,9 +17,6 @@ import pytest
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.cli.main import main
-from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.exports import NAMES, assert_same_pose, spread
 
@@ -78,21 +75,6 @@ def test_peers_read_poses_and_masses_and_the_scene_stands(peer, format, names, t
         assert shift < 0.002, (name, shift)
     if peer == "libero":
         check_task(scenes, report)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["drop", "clear"])
-def test_crowded_scenes_stand_in_drake_from_the_file_alone(method, tmp_path):
-    pytest.importorskip("pydrake", reason="needs the extra peers")
-    made = ["generate", "--method", method, "--num-objects", "10", "-n", "2", "--max-files", "0"]
-    assert main([*made, "--no-render", "--out", str(tmp_path / "bank")]) == 0
-    scenes = list(read_scenes(read_bank(tmp_path / "bank")))
-    for index, scene in enumerate(scenes):
-        report = read_by("drake", sys.executable, export_scenes([scene], tmp_path / str(index), "sdf"))
-        for name, pose in zip(scene.names, scene.poses, strict=True):
-            after = np.array(report["after"][name])
-            assert np.linalg.norm(after[:3] - pose[:3]) < 0.0015, name
-            assert 2 * np.arccos(min(1.0, abs(after[3:] @ pose[3:]))) < np.radians(1.5), name
 
 
 def check_task(scenes, report):

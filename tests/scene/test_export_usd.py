@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.shading import linear
 from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.exports import CLOSE, dining_scene, matrix
 
@@ -30,15 +29,6 @@ def bodies_of(stage) -> dict:
     """The rigid bodies of a stage by display name of the placed prim."""
     prims = stage.GetPrimAtPath("/World/objects").GetChildren()
     return {prim.GetDisplayName(): prim for prim in prims}
-
-
-def test_units_and_gravity_are_said(stage, scene):
-    assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
-    assert UsdPhysics.GetStageKilogramsPerUnit(stage) == 1.0
-    assert UsdGeom.GetStageUpAxis(stage) == "Z"
-    physics = UsdPhysics.Scene(stage.GetPrimAtPath("/World/physics"))
-    assert physics.GetGravityMagnitudeAttr().Get() == pytest.approx(scene.contact.gravity)
-    assert tuple(physics.GetGravityDirectionAttr().Get()) == (0, 0, -1)
 
 
 def test_poses_and_masses_come_back(stage, scene):
@@ -89,16 +79,3 @@ def test_usds_own_validators_find_nothing(stage):
     assert validators
     errors = UsdValidation.ValidationContext(validators).Validate(stage)
     assert [error.GetMessage() for error in errors] == []
-
-
-def test_colours_and_support_are_where_they_belong(stage, scene):
-    mug = bodies_of(stage)["mug"]
-    shown = [p for p in Usd.PrimRange(mug) if p.IsA(UsdGeom.Mesh) and p.GetParent().GetName() == "visuals"]
-    assert len(shown) == len(scene.objects[0].pieces)
-    material, _ = UsdShade.MaterialBindingAPI(shown[0]).ComputeBoundMaterial()
-    colour = UsdShade.Shader(material.GetPrim().GetChild("surface")).GetInput("diffuseColor").Get()
-    np.testing.assert_allclose(colour, linear(scene.objects[0].pieces[0].rgba)[:3], atol=1e-6)
-    box = UsdGeom.BBoxCache(Usd.TimeCode.Default(), ["default", "guide"])
-    bound = box.ComputeWorldBound(stage.GetPrimAtPath("/World/support")).ComputeAlignedRange()
-    assert bound.GetMin()[2] == pytest.approx(0, abs=1e-3)
-    assert bound.GetMax()[2] == pytest.approx(scene.support.top, abs=1e-3)

@@ -12,7 +12,7 @@ import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.hub import find_bank, local_paths, pulled_path
+from cluttergen_jax.scene.bank.hub import find_bank, pulled_path
 from cluttergen_jax.scene.bank.record import index_bytes
 from tests.helpers.hub_server import TOKEN, hub_server
 
@@ -108,45 +108,6 @@ def test_a_link_where_a_pull_would_work_is_not_followed(bank, tmp_path, folder):
     assert contents(precious) == {"deep/letter": b"mine"}
 
 
-def test_large_files_that_are_there_are_not_sent_again_and_a_push_is_one_commit(bank, server):
-    cg.push_bank(bank, NAME, hub=server.url)
-    (bank / "README.md").write_text("my own words")
-    (bank / "overview.png").write_bytes(b"a picture")
-    cg.push_bank(bank, NAME, hub=server.url)
-    (bank / "overview.png").unlink()
-    cg.push_bank(bank, NAME, hub=server.url)
-    assert [("overview.png" in files, len(files) > 10) for files in server.commits[NAME]] == [
-        (False, False),
-        (False, True),
-        (True, True),
-        (False, True),
-    ]
-    assert list(server.put.values()) == [1]
-    assert server.files(NAME)["README.md"] == b"my own words"
-
-
-def test_a_private_bank_needs_a_token(bank, tmp_path, server, monkeypatch):
-    cg.push_bank(bank, NAME, hub=server.url, is_private=True)
-    cg.pull_bank(NAME, tmp_path / "mine", hub=server.url)
-    monkeypatch.delenv("HF_TOKEN")
-    with pytest.raises(BankError, match="may not see it") as caught:
-        cg.pull_bank(NAME, tmp_path / "theirs", hub=server.url)
-    assert "HF_TOKEN" in str(caught.value)
-
-
-def test_who_may_not_push_is_told(bank, server, monkeypatch):
-    with pytest.raises(BankError, match="rights") as caught:
-        cg.push_bank(bank, "other/bank", hub=server.url)
-    assert "hf auth login" in str(caught.value)
-    monkeypatch.setenv("HF_TOKEN", "hf_wrong")
-    with pytest.raises(BankError, match="hf auth login"):
-        cg.push_bank(bank, NAME, hub=server.url)
-    monkeypatch.delenv("HF_TOKEN")
-    with pytest.raises(BankError, match="without a token"):
-        cg.push_bank(bank, NAME, hub=server.url)
-    assert server.commits == {}
-
-
 def test_without_a_network_it_is_said(bank, tmp_path, monkeypatch):
     pytest.importorskip("huggingface_hub", reason="needs the extra hub")
     with hub_server() as gone:
@@ -226,23 +187,6 @@ def test_what_is_pulled_is_looked_at_first(bank, tmp_path, server, harm, says):
     assert contents(tmp_path) == before
 
 
-def test_nothing_else_is_overwritten(bank, tmp_path, server, folder):
-    server.commits[NAME] = [{"thesis.tex": b"important"}]
-    with pytest.raises(BankError, match="not a bank"):
-        cg.push_bank(bank, NAME, hub=server.url)
-    assert server.commits[NAME] == [{"thesis.tex": b"important"}]
-    cg.push_bank(bank, NAME, hub=str(folder))
-    (tmp_path / "here").mkdir()
-    (tmp_path / "here" / "thesis.tex").write_text("important")
-    with pytest.raises(BankError, match="exists and is not a bank"):
-        cg.pull_bank(NAME, tmp_path / "here", hub=str(folder), overwrite=True)
-    with pytest.raises(BankError, match="`overwrite`"):
-        cg.pull_bank(NAME, bank, hub=str(folder))
-    (bank / "overview.png").write_bytes(b"old")
-    cg.pull_bank(NAME, bank, hub=str(folder), overwrite=True)
-    assert not (bank / "overview.png").exists()
-
-
 @pytest.mark.parametrize(
     "name", ["bank", "a/b/c", "../bank", "me/..", "/me/bank", "me/ba nk", "me/a..b", "", "me/-x"]
 )
@@ -251,12 +195,3 @@ def test_names_are_plain(bank, tmp_path, folder, name):
         cg.push_bank(bank, name, hub=str(folder))
     with pytest.raises(BankError, match="OWNER/NAME"):
         cg.pull_bank(name, tmp_path / "x", hub=str(folder))
-
-
-def test_paths_of_this_machine_are_told_before_they_are_shown(bank, folder, capsys):
-    record = read_bank(bank).record
-    record["recipe"] |= {"pool": "/home/me/pools/mugs", "checkpoint": None, "support": "table"}
-    (bank / "bank.json").write_bytes(index_bytes(record))
-    assert local_paths(read_bank(bank)) == ["/home/me/pools/mugs"]
-    assert main(["push", str(bank), NAME, "--hub", str(folder)]) == 0
-    assert "will show it: /home/me/pools/mugs" in capsys.readouterr().out

@@ -7,9 +7,9 @@ import pytest
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import turn_between
-from cluttergen_jax.scene import Scene, collect
+from cluttergen_jax.scene import collect
 from tests.helpers.exports import spread
-from tests.helpers.worlds import box, trio
+from tests.helpers.worlds import trio
 
 
 @pytest.fixture(scope="module")
@@ -75,30 +75,6 @@ def test_beside_a_robot_poses_names_and_options_are_what_they_were(scene):
     assert moved(model, data, attachment.bodies) < 5e-4
 
 
-def test_two_scenes_stand_elsewhere_in_one_model(scene):
-    spec = arm()
-    turn = np.array([np.cos(0.4), 0, 0, np.sin(0.4)])
-    near = scene.attach_to(spec, "near/")
-    far = scene.attach_to(spec, "far/", position=(1.0, 2.0, 0.3), quaternion=turn)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qpos[:] = far.qpos(model, near.qpos(model, np.zeros(model.nq)))
-    mujoco.mj_forward(model, data)
-    for attachment in (near, far):
-        for name, pose in zip(attachment.bodies, attachment.poses, strict=True):
-            np.testing.assert_allclose(data.body(name).xpos, pose[:3], atol=1e-12)
-
-    # What the far scene is to its table, the near one is to its own.
-    def seen(prefix, name):
-        table, body = data.body(prefix + "support"), data.body(prefix + name)
-        return table.xmat.reshape(3, 3).T @ (body.xpos - table.xpos)
-
-    for name in scene.names:
-        np.testing.assert_allclose(seen("far/", name), seen("near/", name), atol=1e-9)
-    np.testing.assert_allclose(model.key("far/scene").qpos, model.key("near/scene").qpos)
-    assert moved(model, data, far.bodies) < 5e-4
-
-
 def test_a_name_that_is_taken_and_a_bad_turn_are_refused(scene):
     spec = arm()
     scene.attach_to(spec, "clutter/")
@@ -106,20 +82,6 @@ def test_a_name_that_is_taken_and_a_bad_turn_are_refused(scene):
         scene.attach_to(spec, "clutter/")
     with pytest.raises(ConfigError, match="unit length"):
         scene.attach_to(spec, "other/", quaternion=(2, 0, 0, 0))
-
-
-@pytest.mark.parametrize(
-    ("names", "poses"),
-    [
-        (("a",), np.zeros((3, 7))),
-        (("a", "a", "b"), np.tile([0, 0, 1, 1, 0, 0, 0], (3, 1))),
-        (("a", "b", "c"), np.tile([0, 0, 1, 2, 0, 0, 0], (3, 1))),
-        (("a", "b", "c"), np.tile([0, 0, np.nan, 1, 0, 0, 0], (3, 1))),
-    ],
-)
-def test_a_scene_that_cannot_be_is_refused(names, poses):
-    with pytest.raises(ConfigError):
-        Scene(names, tuple(trio()), poses, cuboid_table())
 
 
 def test_many_scenes_are_one_model_and_stand_in_it():
@@ -148,13 +110,3 @@ def test_many_scenes_are_one_model_and_stand_in_it():
         absent = set(many.model.jnt_bodyid[~many.is_present[row]])
         bodies = many.model.geom_bodyid[data.contact.geom]
         assert not absent & set(bodies.ravel())
-
-
-def test_scenes_of_different_worlds_are_no_model():
-    with pytest.raises(ConfigError, match="no scenes"):
-        collect([])
-    one = spread(trio(), cuboid_table())
-    with pytest.raises(ConfigError, match="supports"):
-        collect([one, spread(trio(), cuboid_table(0.5, 0.5))])
-    with pytest.raises(ConfigError, match="two different objects"):
-        collect([one, spread([box("box", (0.02, 0.02, 0.02))], cuboid_table())])

@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
@@ -92,34 +91,3 @@ def test_gltf_holds_the_image(folder_of):
         assert_upright(as_piece(geometry, geometry.visual.material.baseColorTexture))
     raw = (folder_of("glb") / "scenes" / "000000.glb").read_bytes()
     assert raw.count(b"\x89PNG") == 1
-
-
-def test_pybullet_shows_the_image_upright(folder_of):
-    pybullet = pytest.importorskip("pybullet", reason="needs the extra peers")
-    client = pybullet.connect(pybullet.DIRECT)
-    pybullet.loadURDF(str(folder_of("urdf") / "assets" / "objects" / "one" / "one.urdf"))
-    view = pybullet.computeViewMatrix([0, 0, 0.3], [0, 0, 0], [0, 1, 0])
-    lens = pybullet.computeProjectionMatrixFOV(40, 1, 0.01, 2)
-    picture = pybullet.getCameraImage(200, 200, view, lens, renderer=pybullet.ER_TINY_RENDERER)[2]
-    pybullet.disconnect(client)
-    assert_colours(np.reshape(picture, (200, 200, 4)), (100, 100), 20)
-
-
-def test_usd_holds_the_image(folder_of):
-    pytest.importorskip("pxr", reason="needs the extra usd")
-    from pxr import Usd, UsdGeom, UsdShade
-
-    stage = Usd.Stage.Open(str(folder_of("usd") / "scenes" / "000000.usda"))
-    prim = stage.GetPrimAtPath("/World/objects/two/visuals/piece_00")
-    mesh = UsdGeom.Mesh(prim)
-    uv = UsdGeom.PrimvarsAPI(prim).GetPrimvar("st")
-    assert uv.GetInterpolation() == "vertex"
-    surface = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0].ComputeSurfaceSource()[0]
-    sampler = UsdShade.Shader(surface.GetInput("diffuseColor").GetConnectedSources()[0][0].source)
-    assert sampler.GetIdAttr().Get() == "UsdUVTexture"
-    reader = UsdShade.Shader(sampler.GetInput("st").GetConnectedSources()[0][0].source)
-    assert reader.GetInput("varname").Get() == "st"
-    image = Image.open(sampler.GetInput("file").Get().resolvedPath)
-    faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
-    points = Mesh(np.array(mesh.GetPointsAttr().Get()), faces)
-    assert_upright(Piece(points, (1.0, 1.0, 1.0, 1.0), np.array(uv.Get()), Texture.of(image)))

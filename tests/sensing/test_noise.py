@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import NOISE_OFF, NoiseConfig, noisy
+from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, noisy
 
 CAMERA = Camera.looking([0, 0, 1], [0, 0, 0], up=(0, 1, 0))
 FLAT = np.full((120, 160), 0.9, np.float32)
@@ -35,11 +34,30 @@ def test_axial_noise_has_the_spread_that_is_said(distance):
     assert abs(error.mean()) < 5e-5
 
 
+def test_depths_are_whole_millimetres():
+    measured, _ = drawn(FLAT + 0.0003, replace(REALSENSE, patch=0.0))
+    millimetres = measured[np.isfinite(measured)] * 1000
+    np.testing.assert_allclose(millimetres, np.round(millimetres), atol=1e-3)
+    assert len(np.unique(millimetres)) > 3
+
+
 def test_lateral_noise_mixes_what_lies_beside_a_jump_and_nothing_else():
     measured, _ = drawn(STEP, replace(NOISE_OFF, lateral=2.0))
     assert (measured[:, 78:82] != STEP[:, 78:82]).mean() > 0.05
     np.testing.assert_array_equal(measured[:, :74], STEP[:, :74])
     np.testing.assert_array_equal(measured[:, 86:], STEP[:, 86:])
+
+
+def test_what_is_in_front_bleeds_by_one_pixel():
+    measured, _ = drawn(STEP, replace(NOISE_OFF, bleeding=0.5))
+    assert (measured[:, 79] == 0.5).mean() == pytest.approx(0.5, abs=0.15)
+    np.testing.assert_array_equal(np.delete(measured, 79, 1), np.delete(STEP, 79, 1))
+
+
+def test_edges_drop_out():
+    measured, _ = drawn(STEP, replace(NOISE_OFF, edge_dropout=0.3))
+    assert np.isnan(measured[:, 79:81]).mean() == pytest.approx(0.3, abs=0.1)
+    assert np.isfinite(np.delete(measured, [79, 80], 1)).all()
 
 
 @pytest.mark.parametrize(("incidence", "share"), [(60.0, 0.0), (80.0, 0.5), (88.0, 0.9)])
@@ -53,6 +71,14 @@ def test_grazing_surfaces_drop_out(incidence, share):
     assert np.isnan(drawn(depth, config, camera=camera)[0]).mean() == pytest.approx(share, abs=0.03)
 
 
+def test_a_share_of_pictures_misses_a_patch():
+    config = replace(NOISE_OFF, patch=0.3)
+    missing = np.array([np.isnan(drawn(FLAT, config, seed)[0]).mean() for seed in range(200)])
+    assert (missing > 0).mean() == pytest.approx(0.3, abs=0.1)
+    assert missing.max() <= 0.095
+    assert missing[missing > 0].min() >= 0.005
+
+
 def test_the_stated_pose_is_off_by_as_much_as_is_said():
     config = replace(NOISE_OFF, position=0.002, orientation=0.3)
     cameras = [drawn(FLAT, config, seed)[1] for seed in range(300)]
@@ -61,19 +87,3 @@ def test_the_stated_pose_is_off_by_as_much_as_is_said():
     turn = [np.degrees(np.arccos((np.trace(c.rotation @ CAMERA.rotation.T) - 1) / 2)) for c in cameras]
     assert np.sqrt(np.mean(np.square(turn)) / 3) == pytest.approx(0.3, rel=0.1)
     np.testing.assert_array_equal(drawn(FLAT, config)[0], FLAT)
-
-
-def test_terms_draw_their_own_numbers():
-    full = drawn(FLAT, replace(NOISE_OFF, axial=0.001))[0]
-    more = drawn(FLAT, replace(NOISE_OFF, axial=0.001, patch=1.0, position=0.01))[0]
-    is_there = np.isfinite(more)
-    assert not is_there.all()
-    np.testing.assert_array_equal(more[is_there], full[is_there])
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"axial": -1.0}, {"patch": 1.5}, {"grazing": 100.0}, {"lateral": float("nan")}, {"jump": 0.0}]
-)
-def test_noise_that_cannot_be_is_refused(wrong):
-    with pytest.raises(ConfigError, match="noise"):
-        NoiseConfig(**wrong)

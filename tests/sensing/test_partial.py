@@ -9,13 +9,12 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.assets.support_map import VOID
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
 from cluttergen_jax.sensing.camera import Camera, free, overhead, side
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
-from cluttergen_jax.sensing.partial import Grid, PartialMap, _height_of_rank, levelled, merged
+from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled, merged
 from cluttergen_jax.sensing.rays import RaySensor
 from tests.helpers.worlds import box, trio
 from tests.sensing.scenes import TABLE, model_of, random_boxes, standing, true_heights
@@ -124,18 +123,6 @@ def test_two_cameras_see_what_either_sees():
     assert (both.ceiling[on_top] >= 0.16 - 1e-3).all()
 
 
-@pytest.mark.parametrize("rank", [1, 2, 3])
-def test_the_height_of_a_cell_is_that_which_so_many_points_reach(rank):
-    rng = np.random.default_rng(rank)
-    # Few heights, so that some are equal.
-    cells, z = rng.integers(0, 40, 150), rng.integers(0, 6, 150).astype(np.float32)
-    count = np.bincount(cells, minlength=50)
-    found = _height_of_rank(cells, z, count, rank)
-    for cell in range(50):
-        here = sorted(z[cells == cell], reverse=True)
-        assert found[cell] == (here[min(rank, len(here)) - 1] if here else VOID)
-
-
 def test_the_known_top_mends_the_stated_pose():
     errors = []
     for seed in range(8):
@@ -173,10 +160,3 @@ def test_the_grid_is_laid_out_as_the_true_map_is(rectangle):
     np.testing.assert_allclose(grid.corner, true.corner, atol=1e-6)
     assert ((grid.bare <= VOID) == (np.asarray(true.height) <= VOID)).mean() > 0.99
     np.testing.assert_allclose(grid.bare[grid.bare > VOID], 0.0, atol=1e-6)
-
-
-def test_bad_grids_and_images_are_refused():
-    with pytest.raises(ConfigError, match="cells of"):
-        Grid.of(TABLE, 0.1, cell=0.0)
-    with pytest.raises(ConfigError, match="the camera's"):
-        PartialMap.of(np.ones((3, 3)), overhead(TABLE), GRID)
