@@ -48,8 +48,7 @@ Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "a
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]
 EvalAction = Literal["sampled", "mean"]
-Suite = Literal["paper", "extended", "downstream", "honest"]
-"""`honest` is the former name of `extended`, understood in this release."""
+Suite = Literal["paper", "extended", "downstream"]
 Split = Literal["train", "val", "test"]
 SensedFrom = Literal["free", "overhead", "side"]
 RobotTask = Literal["lift", "place"]

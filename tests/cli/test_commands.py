@@ -19,7 +19,7 @@ from cluttergen_jax.cli.main import main, parsed
 from cluttergen_jax.config import METHODS
 from cluttergen_jax.downstream.suite import NAME as DOWNSTREAM
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
-from cluttergen_jax.evaluation.suites import FORMER_NAMES, SUITES
+from cluttergen_jax.evaluation.suites import SUITES
 from cluttergen_jax.generation import generate, make_sampler
 from cluttergen_jax.learning.training.presets import PRESETS
 from cluttergen_jax.physics.log import silent_import
@@ -95,7 +95,7 @@ def test_the_table_of_commands_says_what_their_docstrings_say():
         (config.Method, METHODS),
         (config.Preset, PRESETS),
         (config.Change, REGION_CHANGES),
-        (config.Suite, (*SUITES, DOWNSTREAM, *FORMER_NAMES)),
+        (config.Suite, (*SUITES, DOWNSTREAM)),
         (config.ExportFormat, FORMATS),
     ],
 )

@@ -18,7 +18,7 @@ from cluttergen_jax.evaluation.episodes import (
     steps_by_attempt,
     within,
 )
-from cluttergen_jax.evaluation.studies.fig1a import at_least
+from cluttergen_jax.evaluation.studies.paper_figures import at_least
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_blocks
 from tests.helpers.problems import HalfTable, made_up_rules

@@ -9,17 +9,17 @@ import pytest
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.config import TRUSTED_METHODS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation import variant_pools
+from cluttergen_jax.evaluation import resolved
 from cluttergen_jax.evaluation.report import tables_of
-from cluttergen_jax.evaluation.rivals import ranking_of, success_notes, tally
+from cluttergen_jax.evaluation.rankings import ranking_of, success_notes, tally
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
-from cluttergen_jax.evaluation.studies import density, stability, unseen
+from cluttergen_jax.evaluation.studies import density, held_out, robustness
 from cluttergen_jax.evaluation.studies.rules import margin_of, named_rows, own_rules, with_seeds
 from cluttergen_jax.evaluation.studies.study import Scale
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
-from cluttergen_jax.evaluation.trial import Trial, key_of, row_name
+from cluttergen_jax.evaluation.trial import Trial, key_of, trial_of
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.proportions import wilson
 
@@ -44,12 +44,12 @@ def runner(tmp_path_factory):
 @pytest.mark.parametrize("name", NAMES)
 def test_rows_are_called_what_they_were_asked_as(name):
     (trial,) = named_rows([SMALL], name)
-    assert row_name(dataclasses.asdict(trial)) == name
+    assert trial.row_name == name
     assert trial.min_margin == MIN_MARGIN
 
 
 def test_rows_of_older_results_are_called_by_their_methods():
-    assert row_name({"method": "policy"}) == "policy"
+    assert trial_of({"trial": {"method": "policy"}}).row_name == "policy"
     assert margin_of([{"trial": {"method": "policy"}}]) == ", no support margin asked for"
 
 
@@ -76,14 +76,14 @@ def test_tables_of_the_paper_keep_its_rules(name):
 def test_rows_of_other_tables_ask_for_one_margin(name):
     trials = STUDIES[name].trials(Scale())
     assert {trial.min_margin for trial in trials} == {MIN_MARGIN}
-    names = {row_name(dataclasses.asdict(trial)) for trial in trials}
+    names = {trial.row_name for trial in trials}
     assert set(TRUSTED_METHODS) <= names
 
 
 def test_crowds_hold_equal_rows_with_and_without_taking_away():
     trials = density.crowds(Scale())
     of_number = {
-        number: {row_name(dataclasses.asdict(t)) for t in trials if t.num_objects == number}
+        number: {t.row_name for t in trials if t.num_objects == number}
         for number in (20, 30, 40)
     }
     assert of_number[30] == of_number[40] == set(density.FULLNESS)
@@ -114,21 +114,21 @@ def test_training_seeds_are_rows_of_the_method_that_has_them():
 
 
 def test_imported_groups_are_merged_where_they_are_at_hand():
-    pools = [t.pool for t in unseen.trials(Scale(imported=(("paper_a", 10), ("paper_b", 7))))]
+    pools = [t.pool for t in held_out.trials(Scale(imported=(("paper_a", 10), ("paper_b", 7))))]
     assert list(dict.fromkeys(pools)) == ["held_out_families", "training_families", "paper_a+paper_b"]
     (last, *_) = [
-        t for t in unseen.trials(Scale(imported=(("paper_a", 10), ("paper_b", 7)))) if "+" in t.pool
+        t for t in held_out.trials(Scale(imported=(("paper_a", 10), ("paper_b", 7)))) if "+" in t.pool
     ]
     assert last.num_objects == 17
-    assert len(unseen.trials(Scale())) == 6
+    assert len(held_out.trials(Scale())) == 6
 
 
 @pytest.mark.slow
 def test_pools_of_variants_need_no_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path))
-    monkeypatch.setattr(variant_pools, "NUM_VARIANTS", 1)
-    monkeypatch.setitem(variant_pools.VARIANT_POOLS, "held_out_families", ("sticky_notes",))
-    pool = variant_pools.find_any_pool("held_out_families")
+    monkeypatch.setattr(resolved, "NUM_VARIANTS", 1)
+    monkeypatch.setitem(resolved.VARIANT_POOLS, "held_out_families", ("sticky_notes",))
+    pool = resolved.find_any_pool("held_out_families")
     assert pool.names == ("sticky_notes-5000",)
     trial = dataclasses.replace(SMALL, pool="held_out_families", num_objects=1, method="random", repeat=True)
     row = Runner(Store(None)).row(trial)
@@ -155,7 +155,7 @@ def rows_of(**successes):
     return found
 
 
-def test_rivals_are_read_from_the_rows():
+def test_rankings_are_read_from_the_rows():
     rows = rows_of(guided=80, spread=79, drop=20, drop_ruin=99)
     found = ranking_of(rows)
     assert (found.better, found.equal, found.worse) == (("drop, ruin",), ("spread",), ("drop",))
@@ -172,7 +172,7 @@ def test_rivals_are_read_from_the_rows():
     assert success_notes(rows[1:], lambda row: "two objects") == []
 
 
-def test_what_was_asked_of_the_dial_stands_beside_what_was_got():
+def test_what_was_asked_of_the_clutter_stands_beside_what_was_got():
     (planned,) = find_suite("extended", Scale(), ("dial",))
     rows = []
     for trial in planned.trials:
@@ -223,6 +223,6 @@ def test_robust_scenes_stand_beside_others(runner, tmp_path):
     rows = result["measure"]["rows"]
     assert [row["method"] for row in rows] == ["spread, random order", "spread, random order, robust"]
     assert all(0 <= row["robust"]["share"] <= 1 for row in rows)
-    assert [each["degrees"] for each in rows[0]["tilt"]] == list(stability.DEGREES)
+    assert [each["degrees"] for each in rows[0]["tilt"]] == list(robustness.DEGREES)
     (table,) = tables_of(result)
     assert len(table.rows) == 2

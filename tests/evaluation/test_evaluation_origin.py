@@ -9,8 +9,7 @@ from cluttergen_jax.evaluation.report import provenance
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
-from cluttergen_jax.evaluation.studies.findings import Findings, row_of
-from cluttergen_jax.evaluation.studies.study import Study, grid
+from cluttergen_jax.evaluation.studies.study import Findings, Study, grid, row_of
 from cluttergen_jax.evaluation.trial import Trial
 from tests.helpers.records import unsigned
 
@@ -25,7 +24,7 @@ def runner(tmp_path_factory):
 
 def test_kept_rows_keep_the_day_and_the_machine_that_made_them(runner, tmp_path):
     trials = grid(SMALL, seed=(0, 1))
-    study = Study("rows", "rows", 6, lambda scale: trials, lambda _: [])
+    study = Study("rows", "rows", 6, lambda scale: trials)
 
     def result():
         return run_study(Runner(runner.store), study, trials, tmp_path, "paper", "command", False)
@@ -51,9 +50,9 @@ def test_kept_findings_keep_them_too(runner, tmp_path, keeps_each):
     name = f"measured-{keeps_each}"
 
     def measure(runner, trials, stem):
-        return Findings([row_of(SMALL, **(runner.measured(SMALL, name, dict) if keeps_each else {}))])
+        return Findings([row_of(SMALL, runner.measure(SMALL, name, dict) if keeps_each else {})])
 
-    study = Study(name, "measured", 6, lambda scale: (SMALL,), lambda _: [], measure, keeps_each=keeps_each)
+    study = Study(name, "measured", 6, lambda scale: (SMALL,), measure=measure, keeps_each=keeps_each)
 
     def result():
         return run_study(Runner(runner.store), study, (SMALL,), tmp_path, "paper", "command", False)

@@ -16,11 +16,10 @@ from cluttergen_jax.evaluation.report import document, provenance, read_results,
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
-from cluttergen_jax.evaluation.studies import furniture, table1, table2
-from cluttergen_jax.evaluation.studies.findings import Findings, each_standing, row_of
-from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
-from cluttergen_jax.evaluation.studies.survival import SURVIVAL
-from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES, SUITES, find_suite
+from cluttergen_jax.evaluation.studies import table1, tables
+from cluttergen_jax.evaluation.studies.robustness import SURVIVAL
+from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, each_success, grid, row_of
+from cluttergen_jax.evaluation.suites import STUDIES, SUITES, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -63,10 +62,10 @@ def test_suites_ask_what_the_paper_asked():
     twins = {table1.TWINS.get(t.method, t.method) for t in studies["table1"]}
     assert twins == set(table1.PAPER)
     assert {t.trials for t in studies["table1"]} == {1000}
-    assert {t.change for t in studies["table2"]} == set(table2.PAPER)
+    assert {t.change for t in studies["table2"]} == set(tables.PAPER_BY_CHANGE)
     assert {t.trials for t in studies["table2"]} == {500}
-    assert len(studies["furniture"]) == 50 * (1 + len(furniture.ROWS))
-    assert set(furniture.SUPPORTS) <= set(list_supports())
+    assert len(studies["furniture"]) == 50 * (1 + len(tables.ROWS))
+    assert set(tables.SUPPORTS) <= set(list_supports())
     assert len([t for t in studies["table1"] if t.method == "policy"]) == 15
 
 
@@ -75,11 +74,6 @@ def test_unknown_suites_and_studies_are_named():
         find_suite("everything", Scale())
     with pytest.raises(ConfigError, match="table1"):
         find_suite("paper", Scale(), ("table9",))
-
-
-@pytest.mark.parametrize(("former", "name"), FORMER_NAMES.items())
-def test_former_names_of_suites_are_understood(former, name):
-    assert find_suite(former, Scale()) == find_suite(name, Scale())
 
 
 def test_methods_choose_rows_and_leave_out_studies_without_any():
@@ -192,9 +186,9 @@ def test_tables_hold_every_row_and_say_quick(name, number, cells):
     result = json.loads(json.dumps(result_of(study, rows)))
     for table in tables_of(result):
         assert "quick: 6 trials" in table.title
-        if name == "furniture" and table.columns[1] in furniture.ROWS:
+        if name == "furniture" and table.columns[1] in tables.ROWS:
             # A column for each of them, of the two scenes of one pool and of all ten tables' pools.
-            assert table.columns[1:] == furniture.ROWS
+            assert table.columns[1:] == tables.ROWS
             assert all(set(row[1:]) == {STRICT} for row in table.rows[:-1])
             continue
         assert sum(set(cells) <= set(row) for row in table.rows) == number
@@ -212,7 +206,7 @@ def test_the_papers_figures_stand_beside_ours():
     (table,) = tables_of(result_of(study, rows))
     column = table.columns.index("paper: success")
     shown = {row[2]: row[column] for row in table.rows if row[1] == "beta_free"}
-    assert shown == {change: f"{value:.3f}" for change, value in table2.PAPER.items()}
+    assert shown == {change: f"{value:.3f}" for change, value in tables.PAPER_BY_CHANGE.items()}
 
 
 def test_tables_of_the_authors_sizes_stand_beside_ours():
@@ -299,13 +293,13 @@ def counted(asked, keeps_each):
 
     def measure(runner, trials, stem):
         rows = []
-        for trial, scenes in each_standing(runner, trials, rows):
+        for trial, scenes in each_success(runner, trials, rows):
             find = lambda trial=trial, scenes=scenes: count(trial, scenes)  # noqa: E731
-            rows.append(row_of(trial, **(runner.measured(trial, "count", find) if keeps_each else find())))
+            rows.append(row_of(trial, runner.measure(trial, "count", find) if keeps_each else find()))
         return Findings(rows)
 
     trials = grid(SMALL, seed=(0, 1))
-    return Study("count", "counted", 6, lambda scale: trials, lambda _: [], measure, keeps_each=keeps_each)
+    return Study("count", "counted", 6, lambda scale: trials, measure=measure, keeps_each=keeps_each)
 
 
 @pytest.mark.slow

@@ -79,10 +79,6 @@ def test_extended_tables_are_covered_with_one_seed():
     assert {(args.pool, args.num_objects) for args in commands} == {("dining", 10)}
 
 
-def test_the_former_name_of_a_suite_is_understood():
-    assert plan("honest") == plan("extended")
-
-
 def test_pools_seeds_and_patterns_select():
     assert {run.pool for run in plan("paper", pools=("office",))} == {"office"}
     assert {run.seed for run in plan("paper", seeds=(7,))} == {7}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from cluttergen_jax.evaluation.cells import Column, asked, table_of
+from cluttergen_jax.evaluation.cells import Column, request_columns, table_of
 from cluttergen_jax.proportions import spread_of, wilson
 from cluttergen_jax.tables import Table, aligned_table, markdown_table
 
@@ -58,7 +58,7 @@ def test_cells_may_be_anything_with_a_text():
 
 
 def test_a_missing_row_keeps_what_it_asked_and_a_note_says_why():
-    columns = (*asked("pool", num_objects="objects"), Column("a", str), Column("b", str))
+    columns = (*request_columns("pool", num_objects="objects"), Column("a", str), Column("b", str))
     made = {"trial": {"pool": "dining", "num_objects": 3}}
     lacking = made | {"missing": "no policy", "hint": "train"}
     table = table_of("t", columns, [lacking, lacking, made | {"missing": "2 scenes"}], ["a note"])

@@ -96,5 +96,4 @@ def _extended(seed: int, pools: Sequence[str]) -> list[PlannedRun]:
     return [PlannedRun(pool, variant, seed) for pool in ladder for variant in TABLE_VARIANTS]
 
 
-RUN_SUITES = {"paper": _paper, "extended": _extended, "honest": _extended}
-"""`honest` is the former name of `extended`."""
+RUN_SUITES = {"paper": _paper, "extended": _extended}

@@ -1,4 +1,4 @@
-"""The dial: how many objects should rest on others, how many do, and what that costs."""
+"""Clutter targets: how many objects should rest on others, how many do, and what that costs."""
 
 from __future__ import annotations
 
@@ -10,24 +10,22 @@ import numpy as np
 from cluttergen_jax.evaluation.cells import (
     EFFORT,
     EFFORT_NOTES,
+    SUCCESS,
     Column,
-    Row,
-    asked,
+    made_rows,
     number,
-    share_of,
+    request_columns,
     table_of,
 )
+from cluttergen_jax.evaluation.rankings import OURS, TWIN, success_notes
+from cluttergen_jax.evaluation.records import Result, Row
 from cluttergen_jax.evaluation.resolved import MissingRowError
-from cluttergen_jax.evaluation.rivals import OURS, TWIN, success_notes
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.studies.contact_sheets import sheet
-from cluttergen_jax.evaluation.studies.findings import Findings, successes_of
-from cluttergen_jax.evaluation.studies.relations import draw
+from cluttergen_jax.evaluation.studies.pictures import draw_scene, if_drawable, sheet
 from cluttergen_jax.evaluation.studies.rules import margin_of, own_rules
-from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
+from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, grid, successes_of
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.tables import Table
 
 STACKS = range(6)
@@ -38,7 +36,7 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
     """Nothing asked for, then from none to half of the objects, by both methods that can be asked."""
     rows = grid(
         scale.trial(256, 4),
-        pool=scale.chosen("dining"),
+        pool=scale.pools_or("dining"),
         method=(OURS, TWIN),
         clutter=("", *(f"stack={each}" for each in STACKS)),
     )
@@ -47,53 +45,53 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
 
 def tables(result: Result) -> list[Table]:
     """Asked and got."""
+    # Rows of one target are compared by their methods.
     rows = [
-        {**row, "trial": {**row["trial"], "clutter": ""}, "asked": _asked(row)} for row in result["records"]
+        Row(row, trial={**row["trial"], "clutter": ""}, target=_target(row))  # type: ignore[misc]
+        for row in result["records"]
     ]
-    made = [row for row in rows if "figures" in row]
+    made = made_rows(rows)
     columns = (
-        *asked("pool", "method"),
-        Column("objects on others, asked", lambda row: _text(row["asked"]), is_asked=True),
+        *request_columns("pool", "method"),
+        Column("objects on others, asked", _target_text, is_asked=True),
         Column("got, mean of scenes", lambda row: number(row["figures"]["stack"]["mean"], 2)),
         Column("standard deviation", lambda row: number(row["figures"]["stack"]["std"], 2)),
         Column("error", _error),
-        Column("success [95 %]", lambda row: share_of(row["figures"])),
+        SUCCESS,
         *EFFORT,
     )
     notes = (
         "objects on others: those that rest on another object, counted from contacts, in valid scenes",
         "error: of what was got, in parts of what was asked",
         *EFFORT_NOTES,
-        *success_notes(made, lambda row: f"{row['trial']['pool']}, asked {_text(row['asked'])}"),
+        *success_notes(made, lambda row: f"{row['trial']['pool']}, asked {_target_text(row)}"),
     )
     return [table_of(result["title"] + margin_of(made), columns, rows, notes)]
 
 
-def _asked(row: Row) -> float | None:
+def _target(row: Row) -> float | None:
     text = row["trial"]["clutter"]
     return Clutter.of(text).stack if text else None
 
 
-def _text(stack: float | None) -> str:
-    return "nothing" if stack is None else f"{stack:g}"
+def _target_text(row: Row) -> str:
+    return "nothing" if row["target"] is None else f"{row['target']:g}"
 
 
 def _error(row: Row) -> str:
-    stack, got = row["asked"], row["figures"]["stack"]["mean"]
+    stack, got = row["target"], row["figures"]["stack"]["mean"]
     return f"{got / stack - 1:+.0%}" if stack and got is not None else "-"
 
 
-def renders(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
+@if_drawable
+def _render(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     """A scene for each number of objects on others, from tidy to heap: one that has as many as were asked."""
-    can_draw, message = renderer_status()
-    if not can_draw:
-        return Findings(notes=[f"not drawn: {message}"])
     images: list[np.ndarray] = []
     captions: list[str] = []
     for trial in (each for each in trials if each.clutter):
         stack = Clutter.of(trial.clutter).stack or 0
         try:
-            # Both methods follow the dial; the first one that is there is drawn.
+            # Both methods follow the target; the first one that is there is drawn.
             scenes = successes_of(runner, trial)
         except MissingRowError:
             continue
@@ -102,17 +100,17 @@ def renders(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
             continue
         got = (scenes.arrays["level"][scenes.index] > 0).sum(1)
         best = int(np.argmin(np.abs(got - stack)))
-        images.append(draw(scenes, best))
+        images.append(draw_scene(scenes, best))
         captions.append(f"{caption}: {got[best]} on others ({trial.pool_name}, {trial.method})")
     return sheet(images, captions, stem)
 
 
-DIAL = Study(
+CLUTTER_TARGETS = Study(
     "dial",
     "Ten objects, so many of them on others",
     256,
     trials,
-    tables,
-    renders=renders,
+    make_tables=tables,
+    renders=_render,
     measured_as="renders of the dial",
 )
