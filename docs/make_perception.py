@@ -8,10 +8,10 @@ from PIL import Image
 from scipy.ndimage import binary_dilation
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.finder import SceneFinder, load_finder
-from cluttergen_jax.downstream.perception.segment.examples import sensed
-from cluttergen_jax.downstream.perception.views.stored import StoredView
+from cluttergen_jax.downstream.perception.segment.training import simulate_camera
+from cluttergen_jax.downstream.perception.types import FIRST_OBJECT
+from cluttergen_jax.downstream.perception.views.store import StoredView
 from cluttergen_jax.rendering.sensors import palette
 from cluttergen_jax.rendering.sheet import contact_sheet
 from cluttergen_jax.sensing.camera import Camera
@@ -35,7 +35,7 @@ def silhouette(finder: SceneFinder, number: int, pose: np.ndarray, camera: Camer
 
 def row_of(finder: SceneFinder, stored: StoredView) -> list[np.ndarray]:
     """What a noisy camera sees (colours, depths), what the network says of it, and the poses that follow."""
-    seen = sensed(stored, REALSENSE, 0)
+    seen = simulate_camera(stored, REALSENSE, 0)
     look = finder.look(seen.rgb, seen.depth, seen.camera)
     found = finder([look])
     grey = np.clip((seen.depth - NEAR) / (FAR - NEAR), 0, 1)

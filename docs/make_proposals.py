@@ -8,10 +8,9 @@ import numpy as np
 from PIL import Image
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer.judge import Judge, world_pose
-from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.downstream.placer.proposers import find_placer
-from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
@@ -57,7 +56,9 @@ def main() -> None:
         camera = looking(middle, SIZE)
         sight = maker.see(sensor.sense(data, camera).depth, camera, REALSENSE, rng)
         proposals = jax.device_get(placer(jax.random.key(row), maker.query(sight, focus)))
-        judged = Judge(scenes.rules).settle(episodes, np.full(len(proposals.pose), row), proposals.pose)
+        judged = ProposalJudge(scenes.rules).settle(
+            episodes, np.full(len(proposals.pose), row), proposals.pose
+        )
         stands = judged.verdict == int(Verdict.STABLE)
         standing = np.flatnonzero(is_placed)
         ghosts = [np.asarray(world_pose(scenes.rules.region, pose)) for pose in proposals.pose]

@@ -10,10 +10,9 @@ import jax
 import numpy as np
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge
 from cluttergen_jax.downstream.placer.proposers import find_placer
-from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.sensing.camera import free
 from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.sensing.rays import RaySensor, sensed_model
@@ -59,7 +58,7 @@ proposals = jax.jit(jax.vmap(placer))(jax.random.split(jax.random.key(0), len(qu
 # the whole table must stand.
 
 # %%
-judge, rows = Judge(scenes.rules), np.arange(len(queries))
+judge, rows = ProposalJudge(scenes.rules), np.arange(len(queries))
 judged = judge.settle(episodes, rows, np.asarray(proposals.pose[:, 0]))
 stands = judge.stand(judged)
 for row, (x, y, z, yaw) in enumerate(np.asarray(proposals.pose[:, 0])):

@@ -13,10 +13,9 @@ from PIL import Image
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation
-from cluttergen_jax.downstream.perception.segment.trained import embedded_segmenters, load_segmenter
-from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE
-from cluttergen_jax.downstream.perception.views.stage import open_stage
+from cluttergen_jax.downstream.perception.segment.network_segmenter import embedded_segmenters, load_segmenter
+from cluttergen_jax.downstream.perception.types import Segmentation
+from cluttergen_jax.downstream.perception.views.stage import FOCAL, SIZE, open_stage
 from cluttergen_jax.sensing.camera import free
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
 

@@ -68,11 +68,8 @@ def evaluate_suite(
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.downstream.studies.study import Scale as DownstreamScale
     from cluttergen_jax.downstream.suite import NAME, run_downstream
-    from cluttergen_jax.evaluation.comparison import open_runner
-    from cluttergen_jax.evaluation.running import imported_pools, run_suite, suite_folder
+    from cluttergen_jax.evaluation.running import make_suite, suite_folder
     from cluttergen_jax.evaluation.studies.study import Scale
-    from cluttergen_jax.evaluation.studies.time import TIME
-    from cluttergen_jax.evaluation.suites import find_suite
 
     place = cluster_of(cluster, workers)
     check_folder(out)
@@ -99,10 +96,16 @@ def evaluate_suite(
         by_hand = None if bank is None else Path(bank)
         asked = DownstreamScale(quick, trials, num_pairs, seeds, tuple(heads), tuple(pools), by_hand, seed)
         return run_downstream(folder, only, asked, num_threads, fresh, show)
-    scale = Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed, imported_pools())
-    planned = find_suite(suite, scale, only)
-    rows = [trial for each in planned if each.study is not TIME for trial in each.trials]
-    runner = open_runner(folder, rows, checkpoint, checkpoints, engine, num_threads, fresh)
-    if place is not None:
-        runner.make_on(place, rows)
-    return run_suite(runner, suite, planned, scale, folder, show)
+    return make_suite(
+        suite,
+        only,
+        Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed),
+        folder,
+        checkpoint=checkpoint,
+        checkpoints=checkpoints,
+        engine=engine,
+        place=place,
+        num_threads=num_threads,
+        fresh=fresh,
+        show=show,
+    )

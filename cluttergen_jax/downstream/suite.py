@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from cluttergen_jax.downstream.perception.pose.free import need_gicp
+from cluttergen_jax.downstream.perception.pose.icp import need_gicp
 from cluttergen_jax.downstream.robot.model import panda_folder
 from cluttergen_jax.downstream.studies.cameras import CAMERAS
 from cluttergen_jax.downstream.studies.noise import NOISE
@@ -20,13 +20,7 @@ from cluttergen_jax.downstream.studies.rearrangement import REARRANGEMENT, REARR
 from cluttergen_jax.downstream.studies.robot import ROBOT
 from cluttergen_jax.downstream.studies.set_size import SET_SIZE
 from cluttergen_jax.downstream.studies.source import SOURCE
-from cluttergen_jax.downstream.studies.study import (
-    SETS,
-    DownstreamStudy,
-    Found,
-    Scale,
-    SuiteFolder,
-)
+from cluttergen_jax.downstream.studies.study import SETS, DownstreamStudy, Found, Scale, SuiteFolder
 from cluttergen_jax.downstream.studies.training_seeds import TRAINING_SEEDS
 from cluttergen_jax.downstream.studies.transfer import TRANSFER
 from cluttergen_jax.errors import ConfigError, closest
@@ -34,7 +28,7 @@ from cluttergen_jax.evaluation.machine import machine
 from cluttergen_jax.evaluation.report import Result, document, write_report
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.scene.bank.bank import read_bank
+from cluttergen_jax.scene.bank import read_bank
 
 NAME = "downstream"
 STUDIES = {

@@ -6,12 +6,15 @@ import hashlib
 import json
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import find_pool, list_pools
+from cluttergen_jax.cluster import Cluster
+from cluttergen_jax.config import Engine
 from cluttergen_jax.evaluation.cells import is_failed, made_rows
+from cluttergen_jax.evaluation.comparison import open_runner
 from cluttergen_jax.evaluation.machine import origin, origins_of
 from cluttergen_jax.evaluation.records import Measured, Result
 from cluttergen_jax.evaluation.report import document, write_report
@@ -20,7 +23,8 @@ from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study
 from cluttergen_jax.evaluation.studies.table1 import IMPORTED, OBJECTS
-from cluttergen_jax.evaluation.suites import PlannedStudy
+from cluttergen_jax.evaluation.studies.time import TIME
+from cluttergen_jax.evaluation.suites import find_suite
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import inside, write_atomically
 
@@ -28,10 +32,31 @@ _SHOWN = ("trial", "policy", "figures", "missing", "hint")
 Show = Callable[[Result], None]
 
 
-def run_suite(
-    runner: Runner, suite: str, planned: Sequence[PlannedStudy], scale: Scale, folder: Path, show: Show
+def make_suite(
+    suite: str,
+    only: Sequence[str],
+    scale: Scale,
+    folder: Path,
+    *,
+    checkpoint: str | Path | None,
+    checkpoints: str | Path | None,
+    engine: Engine,
+    place: Cluster | None,
+    num_threads: int,
+    fresh: bool,
+    show: Show,
 ) -> list[Result]:
-    """The results of a suite's studies, each written as it is done; see `cluttergen_jax.evaluate_suite`."""
+    """The results of a suite of methods, each written as it is done; see `cluttergen_jax.evaluate_suite`.
+
+    Args:
+      place: a cluster that makes the rows; this process if None.
+    """
+    scale = replace(scale, imported=imported_pools())
+    planned = find_suite(suite, scale, only)
+    rows = [trial for each in planned if each.study is not TIME for trial in each.trials]
+    runner = open_runner(folder, rows, checkpoint, checkpoints, engine, num_threads, fresh)
+    if place is not None:
+        runner.make_on(place, rows)
     made = (
         run_study(
             runner,

@@ -1,1 +1,29 @@
 """What a camera sees of a scene: cameras, depth and labels by rays, noise, partial height maps; no JAX."""
+
+from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, Camera, find_preset, free, intrinsics, overhead
+from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
+from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled, merged
+from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT, DepthImage, RaySensor, cast_rays, sensed_model
+
+__all__ = [
+    "FIRST_OBJECT",
+    "NOISE_OFF",
+    "REALSENSE",
+    "REALSENSE_FOCAL",
+    "SUPPORT",
+    "Camera",
+    "DepthImage",
+    "Grid",
+    "NoiseConfig",
+    "PartialMap",
+    "RaySensor",
+    "cast_rays",
+    "find_preset",
+    "free",
+    "intrinsics",
+    "levelled",
+    "merged",
+    "noisy",
+    "overhead",
+    "sensed_model",
+]

@@ -7,9 +7,8 @@ import pytest
 from flax import struct
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.fitting.fit import FitConfig
-from cluttergen_jax.downstream.fitting.run import FitRun
-from cluttergen_jax.downstream.placer.pairs.stored import read_pairs
+from cluttergen_jax.downstream.fitting import FitConfig, FitRun
+from cluttergen_jax.downstream.placer.pairs.store import read_pairs
 from cluttergen_jax.downstream.studies.study import Scale
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.learning.ppo.ppo import PPOConfig

@@ -10,10 +10,10 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream import suite
-from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult, PerceptionRow
-from cluttergen_jax.downstream.perception.evaluation.judged import JudgedMoment
+from cluttergen_jax.downstream.perception.evaluate import PerceptionResult, PerceptionRow
+from cluttergen_jax.downstream.perception.scoring import JudgedMoment
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
-from cluttergen_jax.downstream.placer.training.run import PlacerTraining
+from cluttergen_jax.downstream.placer.training import PlacerTraining
 from cluttergen_jax.downstream.rearrange.episode import RearrangeResult
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 from cluttergen_jax.downstream.robot.episode import EpisodeResult

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from cluttergen_jax.downstream.fitting.fit import FitConfig, num_examples, taken
+from cluttergen_jax.downstream.fitting import FitConfig, num_examples, take
+from cluttergen_jax.downstream.placer.examples import concatenate_examples
+from cluttergen_jax.downstream.placer.heads.checkpoint import (
+    embedded_placers,
+    head_of,
+    load_placer,
+    placer_folder,
+)
 from cluttergen_jax.downstream.placer.heads.features import (
     CROP_SIDE,
     MIRRORED,
@@ -25,20 +32,11 @@ from cluttergen_jax.downstream.placer.heads.regression import (
     RegressionExample,
     RegressionHead,
 )
-from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lowered
-from cluttergen_jax.downstream.placer.heads.trained import (
-    embedded_placers,
-    head_of,
-    load_placer,
-    placer_folder,
-)
+from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lower_candidates
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
-from cluttergen_jax.downstream.placer.training.examples import joined_examples
-from cluttergen_jax.downstream.placer.training.presets import preset
-from cluttergen_jax.downstream.placer.training.run import PlacerTraining
-from cluttergen_jax.downstream.placer.training.temperature import best_temperature
+from cluttergen_jax.downstream.placer.training import PlacerTraining, best_temperature, preset
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
@@ -57,7 +55,7 @@ HEADS = {
 
 
 features_of, crops_of = jax.jit(features_of), jax.jit(crops_of)
-own_shape, lowered = jax.jit(own_shape), jax.jit(lowered)
+own_shape, lower_candidates = jax.jit(own_shape), jax.jit(lower_candidates)
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +146,7 @@ def test_a_lowered_object_just_clears_what_was_seen():
     query, shape = made_up_query(), None
     shape = own_shape(query)
     rng = np.random.default_rng(0)
-    poses = lowered(query, Candidates(rng.uniform(-0.1, 0.1, (20, 2)), rng.uniform(0, 6, 20)))
+    poses = lower_candidates(query, Candidates(rng.uniform(-0.1, 0.1, (20, 2)), rng.uniform(0, 6, 20)))
     picture = np.asarray(crops_of(query.heights, query.ceilings, shape, poses))
     own = picture[..., 6] > 0
     lowest = np.array([each[mask].min() / 100 for each, mask in zip(picture[..., 0], own, strict=True)])
@@ -164,8 +162,8 @@ def test_padded_queries_are_read_as_before(examples):
             heights=_wider(examples.query.heights), ceilings=_wider(examples.query.ceilings)
         )
     )
-    one = taken(examples, np.arange(1)).replace(query=small)
-    both = joined_examples([one, large])
+    one = take(examples, np.arange(1)).replace(query=small)
+    both = concatenate_examples([one, large])
     assert num_examples(both) == 9
     first = jax.tree.map(lambda leaf: leaf[0], both)
     alone = jax.tree.map(lambda leaf: leaf[0], one)
@@ -397,7 +395,8 @@ def test_what_is_no_such_placer_is_refused(tmp_path):
 
 
 def test_presets_take_the_options_of_their_head_alone():
-    head, config = preset("regression", "paper", "symmetric", None, num_epochs=7, seed=3)
+    head, config = preset("regression", "paper", "symmetric", None)
+    config = config.replace_given(num_epochs=7, seed=3)
     assert (head.config.features, head.config.loss) == (1024, "symmetric")
     assert (config.num_epochs, config.seed, config.schedule) == (7, 3, "linear")
     with pytest.raises(ConfigError, match="preset 'paper' of head 'scored'"):
@@ -407,7 +406,7 @@ def test_presets_take_the_options_of_their_head_alone():
     with pytest.raises(ConfigError, match="Did you mean 'scored'"):
         preset("score", "cpu", "printed", None)
     with pytest.raises(ConfigError, match="num_epochs = 0"):
-        preset("scored", "cpu", "printed", None, num_epochs=0)
+        preset("scored", "cpu", "printed", None)[1].replace_given(num_epochs=0)
 
 
 def test_the_placer_that_comes_with_the_package_is_small_and_proposes():

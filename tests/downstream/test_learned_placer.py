@@ -5,7 +5,7 @@ import pytest
 
 from cluttergen_jax import placer_data, placer_eval, placer_train
 from cluttergen_jax.downstream.placer.heads.scored import ScoredPlacer
-from cluttergen_jax.downstream.placer.pairs.stored import load_queries
+from cluttergen_jax.downstream.placer.pairs.store import load_queries
 from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE

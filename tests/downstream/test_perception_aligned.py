@@ -7,11 +7,11 @@ import pytest
 
 pytest.importorskip("small_gicp", reason="needs the extra perception")
 
-from cluttergen_jax.downstream.perception.aligned import aligned
+from cluttergen_jax.downstream.perception.camera_correction import correct_camera
 from cluttergen_jax.downstream.perception.finder import SceneFinder
-from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.perception.types import Look
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.geometry import yaw_matrix
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, overhead, view_of
 
@@ -44,27 +44,27 @@ def error(look):
 
 def test_the_camera_comes_to_where_it_is(wrong):
     assert error(wrong) > 0.008
-    found = aligned(wrong, known())
+    found = correct_camera(wrong, known())
     assert error(found) < 0.0015
     # Nothing is made of the picture itself, and height and tilt are left to the table.
     assert found.depth is wrong.depth
     assert found.label is wrong.label
     assert found.camera.T_world_camera[2] == pytest.approx(wrong.camera.T_world_camera[2])
-    assert error(wrong) * 0.4 < error(aligned(wrong, known(), 0.5)) < error(wrong) * 0.6
-    assert error(aligned(wrong, known(), 0.0)) == pytest.approx(error(wrong))
+    assert error(wrong) * 0.4 < error(correct_camera(wrong, known(), 0.5)) < error(wrong) * 0.6
+    assert error(correct_camera(wrong, known(), 0.0)) == pytest.approx(error(wrong))
 
 
 def test_what_has_moved_is_outvoted(wrong):
     moved = POSES.copy()
     moved[2, :2] += [0.012, 0.006]
-    assert error(aligned(wrong, known(moved))) < 0.003
+    assert error(correct_camera(wrong, known(moved))) < 0.003
 
 
 def test_two_objects_are_no_majority(wrong):
-    assert aligned(wrong, dict(list(known().items())[:2])) is wrong
+    assert correct_camera(wrong, dict(list(known().items())[:2])) is wrong
     far = POSES.copy()
     far[:, :2] += 0.15
-    assert error(aligned(wrong, known(far))) == pytest.approx(error(wrong))
+    assert error(correct_camera(wrong, known(far))) == pytest.approx(error(wrong))
 
 
 def test_objects_are_found_where_the_table_has_them(wrong):

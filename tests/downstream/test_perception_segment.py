@@ -9,41 +9,44 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.downstream.fitting.fit import FitConfig
+from cluttergen_jax.downstream.fitting import FitConfig
 from cluttergen_jax.downstream.perception.certainty import Certainty, read_certainty, write_certainty
-from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.evaluation.evaluate import evaluate_perception
-from cluttergen_jax.downstream.perception.segment.examples import example_of
+from cluttergen_jax.downstream.perception.evaluate import evaluate_perception
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
     NO_DEPTH,
     WIDTH,
     SegmentConfig,
     SegmentLearner,
-    _mirrored,
-    _recoloured,
+    _mirror,
+    _recolour,
     network_images,
-    shrunk,
-    shrunk_label,
+    shrink,
+    shrink_label,
 )
-from cluttergen_jax.downstream.perception.segment.refine import (
-    by_pieces,
-    enlarged,
-    fitted_to_depth,
-    smoothed,
-    with_raised,
-)
-from cluttergen_jax.downstream.perception.segment.scores import confusion, intersection_over_union, iou_of
-from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
-from cluttergen_jax.downstream.perception.segment.trained import (
+from cluttergen_jax.downstream.perception.segment.network_segmenter import (
     NetworkSegmenter,
     agreeing,
+    by_pieces,
     embedded_segmenters,
+    enlarge,
+    fit_to_depth,
     load_segmenter,
     network_hash,
     segmenter_folder,
+    smooth,
+    with_raised,
 )
-from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining
+from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining, example_of
+from cluttergen_jax.downstream.perception.types import (
+    ARM,
+    BACKGROUND,
+    FIRST_OBJECT,
+    check_images,
+    confusion,
+    intersection_over_union,
+    iou_of,
+)
 from cluttergen_jax.errors import BankError, ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.training.metrics_log import read_rows
@@ -103,13 +106,13 @@ def test_pictures_of_any_size_are_read_and_answered(size):
     depth[: size[0] // 2] = np.nan
     rgb = np.zeros((*size, 3), np.uint8)
     rgb[:, size[1] // 2 :] = 200
-    small, far, _ = shrunk(rgb, depth, depth - 0.5)
+    small, far, _ = shrink(rgb, depth, depth - 0.5)
     assert (far[: HEIGHT // 2 - 1] == NO_DEPTH).all()
     assert far[-1, -1] == np.float16(0.7)
     assert small[0, 0, 0] == 0
     assert small[0, -1, 0] == 200
-    label = shrunk_label((rgb[..., 0] > 0).astype(np.uint8))
-    large = enlarged(label[..., None].astype(np.float32), size)[..., 0] > 0.5
+    label = shrink_label((rgb[..., 0] > 0).astype(np.uint8))
+    large = enlarge(label[..., None].astype(np.float32), size)[..., 0] > 0.5
     assert large.shape == size
     assert (large == (rgb[..., 0] > 0)).mean() > 0.98
 
@@ -124,7 +127,7 @@ def test_brightness_of_the_whole_picture_does_not_matter():
 def test_mirrored_examples_keep_centres_in_their_masks():
     example = example_of(view_of(POSES, overhead()), Known, 0)
     for flips in ([True, False], [False, True], [True, True]):
-        turned = _mirrored(example, np.array(flips))
+        turned = _mirror(example, np.array(flips))
         for number, (x, y) in enumerate(np.asarray(turned.center)):
             assert turned.label[int(y), int(x)] == FIRST_OBJECT + number
 
@@ -134,7 +137,7 @@ def test_recoloured_examples_keep_their_objects_and_half_of_their_backgrounds():
     light, is_back = example.rgb.astype(float), example.label == BACKGROUND
     kept = 0
     for key in jax.random.split(jax.random.key(0), 64):
-        other = np.asarray(_recoloured(example, key).rgb)
+        other = np.asarray(_recolour(example, key).rgb)
         np.testing.assert_allclose(other[~is_back], light[~is_back], atol=1e-3)
         assert other.min() >= 0
         assert other.max() <= 255
@@ -148,10 +151,10 @@ def test_single_heights_that_noise_made_are_left_out_and_edges_stay():
     height = np.zeros((9, 12), np.float32)
     height[:, 6:] = 0.05
     height[4, 2], height[4, 9], height[0, 0] = 0.02, -0.01, np.nan
-    smooth = smoothed(height)
-    assert np.isnan(smooth[0, 0])
-    assert (smooth[:, :6][np.isfinite(height[:, :6])] == 0).all()
-    assert (smooth[:, 6:] == np.float32(0.05)).all()
+    found = smooth(height)
+    assert np.isnan(found[0, 0])
+    assert (found[:, :6][np.isfinite(height[:, :6])] == 0).all()
+    assert (found[:, 6:] == np.float32(0.05)).all()
 
 
 def test_a_piece_of_surface_is_of_one_class_and_steps_part_pieces():
@@ -184,11 +187,11 @@ def test_objects_end_where_the_table_begins_and_have_their_thin_parts():
     height[0, 0] = np.nan
     label = np.full(height.shape, BACKGROUND, np.uint8)
     label[4:11, 4:10] = FIRST_OBJECT
-    fitted = fitted_to_depth(label, height)
+    fitted = fit_to_depth(label, height)
     expected = np.zeros(height.shape, bool)
     expected[5:10, 5:10] = expected[7, 10:13] = True
     assert np.array_equal(fitted == FIRST_OBJECT, expected)
-    assert (fitted_to_depth(np.zeros_like(label), height) == BACKGROUND).all()
+    assert (fit_to_depth(np.zeros_like(label), height) == BACKGROUND).all()
 
 
 # How it is scored
@@ -214,7 +217,7 @@ def test_votes_that_disagree_are_left_out():
 
 def refused(rgb, depth, told):
     with pytest.raises(ConfigError, match=told):
-        checked_images(rgb, depth, overhead())
+        check_images(rgb, depth, overhead())
 
 
 def test_images_that_cannot_be_used_are_refused():
@@ -226,7 +229,7 @@ def test_images_that_cannot_be_used_are_refused():
     refused(view.rgb, np.full_like(view.depth, np.nan), "nothing was measured")
     depth = view.depth.copy()
     depth[0] = (np.nan,)
-    assert np.isnan(checked_images(view.rgb, depth, overhead())[1][0]).all()
+    assert np.isnan(check_images(view.rgb, depth, overhead())[1][0]).all()
 
 
 # Runs

@@ -11,19 +11,23 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.perception.classes import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.views import maker, stored
-from cluttergen_jax.downstream.perception.views.appearance import (
+from cluttergen_jax.downstream.perception.types import ARM, FIRST_OBJECT
+from cluttergen_jax.downstream.perception.views import maker
+from cluttergen_jax.downstream.perception.views import store as stored
+from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
+from cluttergen_jax.downstream.perception.views.stage import (
+    FOCAL,
     NUM_TEXTURES,
+    SIZE,
     TEXTURES_OF,
-    exposed,
+    expose,
     table_texture,
+    wrist_camera,
 )
-from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE, wrist_camera
-from cluttergen_jax.downstream.perception.views.maker import StandingScenes, ViewConfig, write_views
-from cluttergen_jax.downstream.perception.views.stored import VIEWS, read_views, row_of
-from cluttergen_jax.downstream.robot.frames import made
+from cluttergen_jax.downstream.perception.views.store import VIEWS, read_views, row_of
+from cluttergen_jax.downstream.samples import StableScenes
+from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.errors import BankError, ConfigError
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
 from tests.helpers.perception import POSES, overhead, view_of
@@ -61,12 +65,12 @@ def test_textures_differ_and_are_always_the_same():
 
 def test_exposure_keeps_the_order_of_brightness():
     ramp = np.repeat(np.arange(0, 250, 50, dtype=np.uint8)[:, None], 3, 1)[:, None].repeat(400, 1)
-    seen = exposed(ramp, np.random.default_rng(0)).mean((1, 2))
+    seen = expose(ramp, np.random.default_rng(0)).mean((1, 2))
     assert (np.diff(seen) > 0).all()
 
 
 def test_the_camera_on_the_hand_looks_where_the_hand_points():
-    down = made(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.2, 1.3]))
+    down = rigid(np.diag([1.0, -1.0, -1.0]), np.array([0.1, 0.2, 1.3]))
     camera = wrist_camera(down)
     assert (camera.width, camera.height) == SIZE
     assert camera.K[0, 0] == FOCAL
@@ -87,7 +91,7 @@ def test_a_row_holds_the_view_to_a_tenth_of_a_millimetre():
     seen = stored.StoredView(
         7, stored.View(view.view.rgb, depth, view.view.label, view.view.camera), *_rest(view)
     )
-    back = stored._stored(row_of(seen, 3, 1))
+    back = stored._view_of(row_of(seen, 3, 1))
     assert np.isinf(back.view.depth[0, :2]).all()
     np.testing.assert_allclose(back.view.depth[1:], depth[1:], atol=6e-5)
     assert np.array_equal(back.view.label, view.view.label)
@@ -146,9 +150,9 @@ def test_a_view_shows_the_same_scene_however_many_the_bank_has(tmp_path):
     shown = []
     for number in (2, 5):
         found = write_bank(tmp_path / f"bank-{number}", number)
-        scenes = StandingScenes(found)
+        scenes = StableScenes.read(found)
         # What does not stand is passed over, and what comes behind changes nothing.
-        scenes.number = np.delete(scenes.number, 1)
+        scenes = scenes._replace(number=np.delete(scenes.number, 1))
         shown.append([int(scenes.number[scenes.row(scene)]) for scene in range(number)])
     assert shown == [[0, 0], [0, 0, 2, 3, 4]]
 
@@ -173,7 +177,7 @@ def test_fewer_views_than_an_interrupted_call_asked_for_are_a_whole_folder(
     views, bank, tmp_path, monkeypatch
 ):
     with monkeypatch.context() as patch:
-        patch.setattr(maker, "_write_blocks", lambda *asked: 1 / 0)
+        patch.setattr(maker, "open_stage", lambda *asked: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             write_views(tmp_path / "views", {"made": bank}, "train", 6, CONFIG)
     fewer = write_views(tmp_path / "views", {"made": bank}, "train", 2, CONFIG)

@@ -16,18 +16,13 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.placer import scene_cameras
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench
+from cluttergen_jax.downstream.placer.examples import TESTING, ExampleSource
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs import maker as data
-from cluttergen_jax.downstream.placer.pairs import stored as pairs
-from cluttergen_jax.downstream.placer.pairs.stored import (
-    labels_of,
-    load_queries,
-    of_tenths,
-    read_pairs,
-)
+from cluttergen_jax.downstream.placer.pairs import store as pairs
+from cluttergen_jax.downstream.placer.pairs.store import labels_of, load_queries, of_tenths, read_pairs
 from cluttergen_jax.downstream.placer.query import Proposals
-from cluttergen_jax.downstream.placer.sight import QueryMaker
-from cluttergen_jax.downstream.placer.training.examples import TESTING, ExampleSource
-from cluttergen_jax.downstream.splits import SPLITS
+from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID
 from cluttergen_jax.scene.bank import read_bank
@@ -47,6 +42,7 @@ def small_blocks():
     with pytest.MonkeyPatch.context() as patch:
         for module in (data, pairs):
             patch.setattr(module, "PAIRS", replace(pairs.PAIRS, block_size=WIDTH))
+        patch.setattr(pairs.PairSet, "form", pairs.PAIRS)
         yield
 
 
@@ -155,7 +151,7 @@ def test_a_pair_tells_of_the_scene_that_it_is_of(bank, made):
 
 def test_queries_show_what_stands_to_the_millimetre(loaded):
     queries, labels = loaded
-    from cluttergen_jax.downstream.placer.sight import CELL
+    from cluttergen_jax.downstream.placer.map_from_depth import CELL
 
     for row, slot in enumerate(labels.num_standing):
         heights, corner = queries.heights.height[row], queries.heights.corner[row]
@@ -184,7 +180,7 @@ def test_what_validates_is_not_learned_from(made, held_out):
     """Of pairs that stand in for a training split: by scenes, or as the paper has it by pairs."""
     table = pa.table({"pair": np.arange(200), "scene": np.arange(200) * 7 % 31})
     source = ExampleSource((made.path,), held_out=held_out)
-    learned, validates = (source._wanted(made, split)(table) for split in ("train", "val"))
+    learned, validates = (source._filter_of(made, split)(table) for split in ("train", "val"))
     assert not (learned & validates).any()
     assert validates.any()
     shared = np.intersect1d(np.asarray(table["scene"])[learned], np.asarray(table["scene"])[validates])

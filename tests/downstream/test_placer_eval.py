@@ -14,18 +14,18 @@ from scipy.ndimage import minimum_filter
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.placer.evaluation import bench as bench_module
-from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
+from cluttergen_jax.downstream.placer.evaluation.bench import Bench, ProposalOutcomes
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
-from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
+from cluttergen_jax.downstream.placer.evaluation.tables import figures_of
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs import maker as data
-from cluttergen_jax.downstream.placer.pairs import stored as pairs
-from cluttergen_jax.downstream.placer.pairs.stored import images_of, load_queries
+from cluttergen_jax.downstream.placer.pairs import store as pairs
+from cluttergen_jax.downstream.placer.pairs.store import images_of, load_queries
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import GeometryPlacer
 from cluttergen_jax.downstream.placer.query import Proposals, without_scores
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras
-from cluttergen_jax.downstream.placer.sight import QueryMaker
-from cluttergen_jax.downstream.splits import SPLITS
+from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
@@ -41,6 +41,7 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module in (data, pairs):
             patch.setattr(module, "PAIRS", replace(pairs.PAIRS, block_size=8))
+        patch.setattr(pairs.PairSet, "form", pairs.PAIRS)
         patch.setattr(bench_module, "_AT_ONCE", 8)
         folder = tmp_path_factory.mktemp("placer")
         found = write_bank(folder / "bank", seed=SPLITS["test"])
@@ -179,7 +180,7 @@ def test_figures_are_shares_of_verdicts_with_wilsons_intervals(labels):
     verdict = np.full((number, 2), int(Verdict.NONE))
     verdict[:, 0] = [0, 0, 0, int(Verdict.DISPLACED), int(Verdict.UNSETTLED), int(Verdict.CREPT)]
     verdict[3:, 1] = [0, 0, int(Verdict.PENETRATING)]
-    outcome = Outcome(
+    outcome = ProposalOutcomes(
         pose=np.zeros((number, 2, 4)),
         score=np.array([[0.9, 0.1]] * 3 + [[0.3, 0.1]] * 3),
         verdict=verdict,

@@ -7,7 +7,7 @@ import pytest
 
 from cluttergen_jax.downstream.placer.map_search import APART, best_apart, look, search
 from cluttergen_jax.downstream.placer.proposers import BASELINES, GeometryPlacer, RandomPlacer, find_placer
-from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, padded
+from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, pad_map
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.search.fit import Candidates, UnderSide
@@ -120,7 +120,7 @@ def test_the_random_placer_looks_at_nothing():
 
 
 def test_a_map_is_padded_at_its_far_ends():
-    wide = padded(bare(), (50, 44))
+    wide = pad_map(bare(), (50, 44))
     assert wide.shape == (50, 44)
     assert np.array_equal(wide[:42, :42], bare())
     assert (wide[42:] == VOID).all()

@@ -24,15 +24,15 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.rearrange import moves
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.episode import draw_layouts, rearrange_episode
-from cluttergen_jax.downstream.rearrange.judge import Judge
+from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.rearrange.moves import Moves
-from cluttergen_jax.downstream.rearrange.observe import (
-    Cause,
-    SceneEstimate,
-    TrueObserver,
+from cluttergen_jax.downstream.rearrange.observe import Cause, SceneEstimate, TrueObserver
+from cluttergen_jax.downstream.rearrange.task import (
+    SETTINGS,
+    RearrangeOptions,
+    RearrangeResult,
+    RearrangeSetting,
 )
-from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions, RearrangeSetting
-from cluttergen_jax.downstream.rearrange.task import RearrangeResult
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements, is_stacked, run_rearrangements
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.motion.mover import Mover
@@ -258,7 +258,7 @@ def test_a_first_estimate_that_is_unsure_is_believed_last():
 
 def test_the_judge_finds_what_is_wrong():
     execution = Execution(SCENE, 0)
-    judge = Judge(execution, SCENE, 1, [1, 1])
+    judge = RearrangementJudge(execution, SCENE, 1, [1, 1])
     judge.check_end(SCENE.poses)
     wrong = SCENE.poses.copy()
     wrong[0, 0] += 0.016

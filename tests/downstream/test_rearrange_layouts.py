@@ -9,15 +9,17 @@ pytest.importorskip("mink", reason="needs the extra robot")
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.downstream.perception.symmetry import (
-    ROUND,
-    equal_places,
-    offset,
-    turn_matrix,
-    turn_symmetry,
+from cluttergen_jax.assets.symmetry import ROUND, turn_matrix, turn_symmetry
+from cluttergen_jax.downstream.rearrange.layouts import (
+    AREA,
+    Layouts,
+    SceneDraw,
+    choose_unlike,
+    clearance_of,
+    prefer,
 )
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw, clearance_of, preferred, unlike
-from cluttergen_jax.downstream.rearrange.settings import AREA, SETTINGS
+from cluttergen_jax.downstream.rearrange.task import SETTINGS
+from cluttergen_jax.downstream.transforms import equal_places, offset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed
 from cluttergen_jax.geometry import transformed, yaw_quaternion
@@ -62,25 +64,25 @@ def test_gaps_are_those_of_the_shadows_of_what_is_moved():
 def test_layouts_that_are_reached_with_room_are_kept_or_the_best_of_the_others():
     gaps = np.array([0.012, 0.0, 0.003, 0.02, 0.01, 0.03])
     reach = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.8])
-    assert preferred(reach, gaps, 2).tolist() == [0, 3, 4]
-    assert preferred(reach, gaps, 4).tolist() == [0, 2, 3, 4]
-    assert preferred(reach, gaps, 5).tolist() == [0, 1, 2, 3, 4]
-    assert preferred(reach, gaps, 9).tolist() == [0, 1, 2, 3, 4, 5]
-    assert preferred(reach / 2, gaps, 2).tolist() == [0, 3]
+    assert prefer(reach, gaps, 2).tolist() == [0, 3, 4]
+    assert prefer(reach, gaps, 4).tolist() == [0, 2, 3, 4]
+    assert prefer(reach, gaps, 5).tolist() == [0, 1, 2, 3, 4]
+    assert prefer(reach, gaps, 9).tolist() == [0, 1, 2, 3, 4, 5]
+    assert prefer(reach / 2, gaps, 2).tolist() == [0, 3]
 
 
 def test_unlike_layouts_are_far_from_each_other():
     rng = np.random.default_rng(2)
     poses = np.array([drawn_poses(rng) for _ in range(40)])
     region = Rectangle((0, 0), (0.15, 0.15))
-    chosen = unlike(OBJECTS, poses, region, 6)
+    chosen = choose_unlike(OBJECTS, poses, region, 6)
     assert len(set(chosen.tolist())) == 6
     vectors = embed(OBJECTS, poses, np.ones((40, 3), bool), region, 0.0)
     distances = cdist(vectors, vectors)
     for place in range(1, 6):
         nearest = distances[chosen[:place]].min(0)
         assert nearest[chosen[place]] == pytest.approx(nearest.max())
-    assert unlike(OBJECTS, poses[:4], region, 6).tolist() == [0, 1, 2, 3]
+    assert choose_unlike(OBJECTS, poses[:4], region, 6).tolist() == [0, 1, 2, 3]
 
 
 def test_rules_choose_by_their_column_once_all_is_reached():
@@ -90,9 +92,9 @@ def test_rules_choose_by_their_column_once_all_is_reached():
         reach=np.array([1.0, 1.0, 0.5, 1.0]),
         travel=np.array([0.3, 0.4, 0.1, 0.2]),
     )
-    assert layouts.ranked("clearance").tolist() == [1, 3, 0, 2]
-    assert layouts.ranked("similar").tolist() == [3, 0, 1, 2]
-    assert layouts.ranked("reach").tolist() == [1, 3, 0, 2]
+    assert layouts.rank("clearance").tolist() == [1, 3, 0, 2]
+    assert layouts.rank("similar").tolist() == [3, 0, 1, 2]
+    assert layouts.rank("reach").tolist() == [1, 3, 0, 2]
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, TrueObserver
-from cluttergen_jax.downstream.robot.frames import inverse, matrix_of
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
+from cluttergen_jax.downstream.transforms import inverse, matrix_of
 from cluttergen_jax.rendering.gl import RendererError
 from cluttergen_jax.sensing.camera import Camera
 from tests.helpers.arm import BOXES, SCENE

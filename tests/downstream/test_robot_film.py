@@ -14,8 +14,8 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.layouts import Layouts
 from cluttergen_jax.downstream.rearrange.observe import TrueObserver
-from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions
 from cluttergen_jax.downstream.rearrange.sheet import layout_sheet, layout_words
+from cluttergen_jax.downstream.rearrange.task import RearrangeOptions
 from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
 from cluttergen_jax.downstream.robot import film as robot_film
 from cluttergen_jax.downstream.robot.episode import EpisodeResult

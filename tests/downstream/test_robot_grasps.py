@@ -16,21 +16,21 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.robot import model as robot_model
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, HandCheck, candidates_of, spread
+from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, MAX_SHIFT, MAX_SLIP, check_grasps
 from cluttergen_jax.downstream.robot.grasping.grasps import (
     Grasps,
+    GraspSets,
     grasp_file,
     grasps_of,
     make_grasps,
     read_grasps,
-    verified,
+    verify_grasps,
     write_grasps,
 )
-from cluttergen_jax.downstream.robot.grasping.grip_test import MAX_LOAD, MAX_SHIFT, MAX_SLIP, grip_test
 from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet, grasp_trails
-from cluttergen_jax.downstream.robot.grasping.sets import GraspSets
 from cluttergen_jax.downstream.robot.model import Panda, base_pose, home_pose, with_panda
+from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of, rigid
 from cluttergen_jax.errors import MissingExtraError, PoolError
 from cluttergen_jax.scene import Scene
 from tests.helpers.drawing import needs_gl
@@ -89,7 +89,7 @@ def test_each_finger_presses_as_strongly_as_it_should(panda):
     data.qpos[arm.qpos] = data.ctrl[arm.ctrl] = home_pose()
     for width in (0.0, 0.02, 0.04):
         data.qpos[arm.fingers] = width
-        data.ctrl[arm.grip] = robot_model.PandaConfig().grip_target
+        data.ctrl[arm.grip] = robot_model.PANDA.grip_target
         mujoco.mj_forward(panda, data)
         assert all(-70 <= force <= -59 for force in data.qfrc_actuator[arm.dofs[7:]])
 
@@ -102,7 +102,7 @@ def test_without_the_package_that_carries_it_the_extra_is_named(monkeypatch):
 
 def from_above(*heights, width=0.04):
     """The tool over the middle of an object at these heights, closing along y."""
-    pose = made(np.stack([DOWN] * len(heights)), np.array([[0, 0, z] for z in heights]))
+    pose = rigid(np.stack([DOWN] * len(heights)), np.array([[0, 0, z] for z in heights]))
     return Candidates(pose, np.full(len(heights), width), np.ones(len(heights), bool))
 
 
@@ -113,16 +113,16 @@ def test_the_hand_is_clear_of_an_object_only_where_it_is():
     assert check.clear_of(from_above(0.05).pose[0], 0.04) == (True, True)
     assert check.clear_of(from_above(-0.055).pose[0], 0.04)[1] is False
     assert check.clear_of(from_above(0.01).pose[0], 0.04) == (False, False)
-    aside = made(DOWN, np.array([0, 0.02, 0.05]))
+    aside = rigid(DOWN, np.array([0, 0.02, 0.05]))
     assert check.clear_of(aside, 0.04) == (False, False)
 
 
 def test_a_firm_grasp_holds_and_one_of_a_heavy_or_slippery_thing_does_not():
     light = box("box", (0.02, 0.02, 0.05), mass=0.2)
     with Rollout(nthread=0) as pool:
-        held = grip_test(light, from_above(0.03, 0.04), pool)
-        heavy = grip_test(box("heavy", (0.02, 0.02, 0.05), mass=12.0), from_above(0.03), pool)
-        slippery = grip_test(replace(light, friction=0.01), from_above(0.03), pool)
+        held = check_grasps(light, from_above(0.03, 0.04), pool)
+        heavy = check_grasps(box("heavy", (0.02, 0.02, 0.05), mass=12.0), from_above(0.03), pool)
+        slippery = check_grasps(replace(light, friction=0.01), from_above(0.03), pool)
     assert held.is_held.all()
     assert (held.slip < MAX_SLIP).all()
     assert (held.shift < 0.002).all()
@@ -136,16 +136,16 @@ def test_a_grasp_by_an_edge_alone_is_not_kept():
     """The pads reach 8 mm below the tool: 1 mm of them holds the box, and 2 mm short they would miss it."""
     light, at_edge = box("box", (0.02, 0.02, 0.05), mass=0.2), from_above(0.03, 0.057)
     with Rollout(nthread=0) as pool:
-        assert grip_test(light, at_edge, pool).is_held.tolist() == [True, True]
-        assert verified(light, at_edge, pool).is_held.tolist() == [True, False]
+        assert check_grasps(light, at_edge, pool).is_held.tolist() == [True, True]
+        assert verify_grasps(light, at_edge, pool).is_held.tolist() == [True, False]
 
 
 def test_a_grasp_is_judged_alone_and_by_any_number_of_threads():
     cube = box("cube", (0.02, 0.03, 0.02), mass=0.3)
     candidates = from_above(0.0, 0.01, 0.005)
     with Rollout(nthread=0) as one, Rollout(nthread=2) as two:
-        together = grip_test(cube, candidates, two)
-        alone = [grip_test(cube, candidates.take(slice(k, k + 1)), one) for k in range(3)]
+        together = check_grasps(cube, candidates, two)
+        alone = [check_grasps(cube, candidates.take(slice(k, k + 1)), one) for k in range(3)]
     for k, each in enumerate(alone):
         assert all(np.array_equal(a[k], b[0]) for a, b in zip(together, each, strict=True))
 
@@ -153,7 +153,7 @@ def test_a_grasp_is_judged_alone_and_by_any_number_of_threads():
 def test_spread_begins_anywhere_and_takes_the_far_ones_first():
     rng = np.random.default_rng(0)
     places = np.array([0.0, 0.001, 0.002, 0.3, 0.301, 0.6])
-    pose = made(np.stack([DOWN] * 6), np.array([[x, 0, 0] for x in places]))
+    pose = rigid(np.stack([DOWN] * 6), np.array([[x, 0, 0] for x in places]))
     chosen = spread(pose, 3, rng)
     assert {round(x, 1) for x in places[chosen]} == {0.0, 0.3, 0.6}
     assert sorted(spread(pose, 6, rng)) == list(range(6))
@@ -246,7 +246,7 @@ def test_candidates_repeat_exactly():
 
 def some_grasps(number):
     """Made-up ones from above, 3 cm wide; the first holds nothing more than its own weight."""
-    poses = np.tile(pose_of(made(DOWN, (0.0, 0.0, 0.04))), (number, 1))
+    poses = np.tile(pose_of(rigid(DOWN, (0.0, 0.0, 0.04))), (number, 1))
     zeros, margin = np.zeros(number), np.linspace(1, MAX_LOAD, number)
     return Grasps(
         "cube", "0", poses, zeros + 0.03, zeros, zeros, zeros, margin, np.ones(number, bool), number, poses

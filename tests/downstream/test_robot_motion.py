@@ -16,14 +16,13 @@ from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeWorld,
     Put,
-    _ended,
+    _run_episode,
     lift_episode,
     place_episode,
     stand_beside,
 )
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, made, matrix_of, pose_of, raised
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.grasping.grips import first_grasp, ranked
+from cluttergen_jax.downstream.robot.grasping.grips import first_grasp, rank_grasps
 from cluttergen_jax.downstream.robot.model import base_pose, home_pose
 from cluttergen_jax.downstream.robot.motion import execute as robot_execute
 from cluttergen_jax.downstream.robot.motion import plan as robot_plan
@@ -38,9 +37,9 @@ from cluttergen_jax.downstream.robot.motion.collision import (
 from cluttergen_jax.downstream.robot.motion.execute import Phase
 from cluttergen_jax.downstream.robot.motion.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, Mover
-from cluttergen_jax.downstream.robot.motion.plan import Planner
-from cluttergen_jax.downstream.robot.motion.timing import MAX_ACCELERATION, MAX_SPEED, SHARE, timed
+from cluttergen_jax.downstream.robot.motion.plan import MAX_ACCELERATION, MAX_SPEED, SHARE, Planner, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of, raise_by, rigid
 from cluttergen_jax.scene import Scene
 from tests.helpers.worlds import box
 
@@ -80,7 +79,7 @@ def world():
 @pytest.fixture(scope="module")
 def grasps():
     """The cube from above, by its narrow sides and by its wide ones; nothing was tested."""
-    high = made(np.stack([np.diag([1.0, -1, -1])] * 2), np.array([[0, 0, 0.02], [0, 0, 0.03]]))
+    high = rigid(np.stack([np.diag([1.0, -1, -1])] * 2), np.array([[0, 0, 0.02], [0, 0, 0.03]]))
     high[1, :3, :3] = DOWN
     nothing, pose = np.zeros(2), pose_of(high)
     return Grasps(
@@ -102,7 +101,7 @@ def test_solutions_bring_the_tool_where_it_should_be(kinematics):
     rng = np.random.default_rng(0)
     missed = 0
     for _ in range(30):
-        target = made(DOWN, np.append(rng.uniform(-0.25, 0.25, 2), TOP + rng.uniform(0.02, 0.3)))
+        target = rigid(DOWN, np.append(rng.uniform(-0.25, 0.25, 2), TOP + rng.uniform(0.02, 0.3)))
         found = list(kinematics.solutions(target, 2))
         missed += not found
         for joints in found:
@@ -111,7 +110,7 @@ def test_solutions_bring_the_tool_where_it_should_be(kinematics):
             assert angle_between(tool, target) <= TURN_TOLERANCE + 1e-6
             assert ((joints >= kinematics.low) & (joints <= kinematics.high)).all()
     assert missed <= 1
-    assert list(kinematics.solutions(made(DOWN, np.array([0.6, 0.0, TOP])), 1)) == []
+    assert list(kinematics.solutions(rigid(DOWN, np.array([0.6, 0.0, TOP])), 1)) == []
 
 
 def test_most_of_what_is_reached_is_found_in_two_tries(kinematics):
@@ -124,7 +123,7 @@ def test_most_of_what_is_reached_is_found_in_two_tries(kinematics):
 
 
 def test_a_line_is_straight_and_without_jumps(kinematics):
-    start = next(kinematics.solutions(made(DOWN, np.array([0.1, 0.1, TOP + 0.1])), 1))
+    start = next(kinematics.solutions(rigid(DOWN, np.array([0.1, 0.1, TOP + 0.1])), 1))
     path = kinematics.line(start, np.array([0.0, 0.0, 0.1]))
     places = np.array([kinematics.tool(joints)[:3, 3] for joints in path])
     assert np.abs(places[:, :2] - places[0, :2]).max() < 2 * TOLERANCE
@@ -145,7 +144,7 @@ def nearest(world):
 
 def test_what_is_free_keeps_its_distance(world, kinematics):
     rng = np.random.default_rng(2)
-    near = next(kinematics.solutions(made(DOWN, np.array([0.0, 0.0, TOP + 0.3])), 1))
+    near = next(kinematics.solutions(rigid(DOWN, np.array([0.0, 0.0, TOP + 0.3])), 1))
     frees = 0
     for _ in range(60):
         joints = near + rng.normal(0, 0.25, 7)
@@ -199,17 +198,17 @@ def _beyond(part, world, start, end, distance):
 
 
 def test_what_is_held_is_looked_at_and_what_is_put_down_too(world, kinematics):
-    above = next(kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.2])), 1))
+    above = next(kinematics.solutions(rigid(DOWN, np.array([0.15, 0.0, TOP + 0.2])), 1))
     assert world.is_free(above, 0.03)
     # A cube held 18 cm below the tool reaches into the table.
-    world.hold(made(np.eye(3), np.array([0, 0, 0.18])))
+    world.hold(rigid(np.eye(3), np.array([0, 0, 0.18])))
     assert set(world.blocker(above, 0.03)) == {"support", "panda/held"} or "panda/held" in world.blocker(
         above, 0.03
     )
-    world.hold(made(np.eye(3), np.array([0, 0, 0.02])))
+    world.hold(rigid(np.eye(3), np.array([0, 0, 0.02])))
     assert world.is_free(above, 0.03)
     world.release(SCENE.poses[TARGET])
-    at = next(kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.08])), 1))
+    at = next(kinematics.solutions(rigid(DOWN, np.array([0.15, 0.0, TOP + 0.08])), 1))
     assert "cube" in world.blocker(at, 0.005, Mode.COME)
     assert world.is_free(at, 0.024, Mode.COME)
     assert not world.is_free(at, 0.024, Mode.TRAVEL)
@@ -218,14 +217,14 @@ def test_what_is_held_is_looked_at_and_what_is_put_down_too(world, kinematics):
 @pytest.fixture
 def ends(kinematics):
     places = np.array([[-0.19, 0, TOP + 0.08], [0.15, 0, TOP + 0.15]])
-    return [next(kinematics.solutions(made(DOWN, place), 1)) for place in places]
+    return [next(kinematics.solutions(rigid(DOWN, place), 1)) for place in places]
 
 
 def test_a_way_leads_around_what_stands_between(world, kinematics, ends):
     planner = Planner(world, kinematics)
     path = planner.connect(*ends, 0.03, seed=3)
     assert np.allclose(path[[0, -1]], ends, atol=1e-6)
-    motion = timed(path, 1 / 240)
+    motion = time_path(path, 1 / 240)
     assert all(world.is_free(joints, 0.03) for joints in motion.joints)
     straight = np.linspace(*ends, 50)
     assert not all(world.is_free(joints, 0.03) for joints in straight)
@@ -246,20 +245,20 @@ def test_motions_keep_to_their_share_of_the_limits(share):
     rng = np.random.default_rng(5)
     path = np.cumsum(rng.normal(0, 0.2, (6, 7)), axis=0)
     step = 1 / 960
-    motion = timed(path, step, share)
+    motion = time_path(path, step, share)
     assert np.allclose(motion.joints[[0, -1]], path[[0, -1]], atol=1e-6)
     assert np.abs(motion.speed[[0, -1]]).max() < 1e-3
     assert (np.abs(motion.speed) <= 1.01 * share * MAX_SPEED).all()
     acceleration = np.abs(np.diff(motion.speed[:-1], axis=0)) / step
     assert np.quantile(acceleration / (share * MAX_ACCELERATION), 0.99) < 1.05
-    still = timed(np.zeros((3, 7)), step)
+    still = time_path(np.zeros((3, 7)), step)
     assert len(still.joints) == 1
 
 
 @pytest.mark.parametrize("number", [2, 3, 40])
 def test_short_ways_begin_and_end_at_rest(number):
     path = np.linspace(np.zeros(7), np.full(7, 0.01), number)
-    motion = timed(path, 1 / 960)
+    motion = time_path(path, 1 / 960)
     assert np.abs(motion.speed[[0, -1]]).max() < 1e-3
     assert np.allclose(motion.joints[-1], 0.01, atol=1e-6)
 
@@ -320,11 +319,11 @@ def test_causes_of_failure_are_told_apart(grasps):
 
 def test_an_unplanned_contact_stops_the_arm(kinematics):
     episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
-    start = next(kinematics.solutions(made(DOWN, np.array([0.15, 0.0, TOP + 0.15])), 1))
-    episode_world.execution.follow(timed(np.linspace(kinematics.home, start, 20), 1 / 960), Phase.FREE)
+    start = next(kinematics.solutions(rigid(DOWN, np.array([0.15, 0.0, TOP + 0.15])), 1))
+    episode_world.execution.follow(time_path(np.linspace(kinematics.home, start, 20), 1 / 960), Phase.FREE)
     with pytest.raises(Failed) as told:
         episode_world.execution.follow(
-            timed(kinematics.line(start, np.array([0, 0, -0.12])), 1 / 960), Phase.FREE
+            time_path(kinematics.line(start, np.array([0, 0, -0.12])), 1 / 960), Phase.FREE
         )
     assert told.value.outcome == Outcome.CONTACT
     assert "cube" in told.value.detail or "wall" in told.value.detail
@@ -347,7 +346,7 @@ def test_what_moved_and_what_does_not_stay_are_found():
         episode_world.check_stands()
 
     # How far it went is told of what failed, too.
-    result = _ended(episode_world, put)
+    result = _run_episode(episode_world, put)
     assert (result.outcome, result.proposal) == (Outcome.UNSTABLE, 2)
     assert result.error > 0.004
 
@@ -363,23 +362,23 @@ def test_room_is_kept_besides_where_it_is_asked_for(world, kinematics):
 
 
 def is_hand_free(world, x):
-    return world.is_hand_free(made(np.diag([1.0, -1, -1]), np.array([x, 0.0, TOP + 0.06])), 0.02, Mode.COME)
+    return world.is_hand_free(rigid(np.diag([1.0, -1, -1]), np.array([x, 0.0, TOP + 0.06])), 0.02, Mode.COME)
 
 
 def test_grasps_beside_the_middle_come_later(grasps):
     beside = grasps.pose.copy()
     beside[0, 0] += 0.05
     both = replace(grasps, pose=beside, width=np.array([0.05, 0.04]))
-    assert next(ranked(grasps, np.eye(4))).width == 0.06
-    assert next(ranked(both, np.eye(4))).width == 0.04
+    assert next(rank_grasps(grasps, np.eye(4))).width == 0.06
+    assert next(rank_grasps(both, np.eye(4))).width == 0.04
     assert first_grasp(both).width.tolist() == [0.04]
 
 
 def test_grasps_in_which_the_object_turned_come_later(grasps):
     both = replace(grasps, width=np.array([0.05, 0.04]))
-    assert next(ranked(both, np.eye(4))).width == 0.05
+    assert next(rank_grasps(both, np.eye(4))).width == 0.05
     swings = replace(both, turn=np.array([0.1, 0.0]))
-    assert next(ranked(swings, np.eye(4))).width == 0.04
+    assert next(rank_grasps(swings, np.eye(4))).width == 0.04
     assert first_grasp(swings).width.tolist() == [0.04]
 
 
@@ -473,11 +472,11 @@ def test_the_hand_is_not_turned_into_the_table(kinematics, degrees, is_corrected
     half = np.radians(degrees) / 2
     turned = matrix_of(np.array([0, 0, 0, np.cos(half), np.sin(half), 0, 0]))
     place = matrix_of(np.array(standing(-0.15, 0.1, CUBE)))
-    level = made(DOWN, place[:3, 3] - [0, 0, CUBE.half_extents[2] - 0.013])
-    start = next(kinematics.solutions(raised(level, LIFT), 1))
+    level = rigid(DOWN, place[:3, 3] - [0, 0, CUBE.half_extents[2] - 0.013])
+    start = next(kinematics.solutions(raise_by(level, LIFT), 1))
     lower = kinematics.line(start, np.array([0, 0, -LIFT]))
     mover._T_tool_object, mover._opening = turned @ inverse(level) @ place, 0.03
-    path = mover._corrected(lower, place)
+    path = mover._correct_lowering(lower, place)
     assert (path is not None) == is_corrected
     if path is not None:
         assert angle_between(kinematics.tool(path[-1]), level) > np.radians(degrees) / 2
@@ -517,7 +516,7 @@ def test_what_cannot_be_levelled_is_let_go_where_it_touches(grasps, kinematics, 
 
     mover = Mover(execution, world, kinematics, TARGET, 0, see)
     mover.pick(mover.find_pick(grasps))
-    monkeypatch.setattr(mover, "_corrected", lambda lower, place: None)
+    monkeypatch.setattr(mover, "_correct_lowering", lambda lower, place: None)
     too_high = 0.012
     mover._in_hand()
     place = standing(0.15, -0.15, CUBE)
@@ -541,7 +540,7 @@ def test_the_hand_leaves_by_a_shorter_way_if_the_arm_reaches_no_farther(grasps, 
 
     monkeypatch.setattr(mover.planner, "line", short)
     place = matrix_of(np.array(standing(0.15, -0.15, CUBE)))
-    target = raised(place, 0.001) @ inverse(mover._T_tool_object)
+    target = raise_by(place, 0.001) @ inverse(mover._T_tool_object)
     joints = next(kinematics.solutions(target, 1))
     assert mover._lowering(joints, place, mover._opening, mover._T_tool_object) is None
     assert mover.place(place[None]) == 0

@@ -25,9 +25,14 @@ from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.motion import plan
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.places import SearchPlaces
-from cluttergen_jax.downstream.robot.planner_hash import planner_hash
-from cluttergen_jax.downstream.robot.rows import RowFile
-from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials, episode_seed, run_trials
+from cluttergen_jax.downstream.robot.trials import (
+    EPISODES,
+    RobotTrials,
+    episode_seed,
+    planner_hash,
+    run_trials,
+)
+from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers.placing import write_bank

@@ -12,20 +12,19 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.downstream.placer.query import without_scores
-from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
 from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
-from cluttergen_jax.downstream.robot.episode import Referee, sensed_place_episode
-from cluttergen_jax.downstream.robot.frames import inverse, made, pose_of
+from cluttergen_jax.downstream.robot.episode import Referee, sensing_place_episode
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion import collision, execute
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
-from cluttergen_jax.downstream.robot.motion.columns import CELL, THIN, columns_of
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, THIN, occupancy_boxes
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.sensed import HeldPose
-from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
+from cluttergen_jax.downstream.robot.places import CameraPlacer
+from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette, HeldPose
+from cluttergen_jax.downstream.transforms import inverse, pose_of, rigid
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank.scene import read_scenes
@@ -59,7 +58,7 @@ def scene(bank):
 @pytest.fixture(scope="module")
 def grasps():
     """The box from above, by its narrow sides; nothing was tested."""
-    pose, nothing = pose_of(made(DOWN[None], np.array([[0, 0, 0.03]]))), np.zeros(1)
+    pose, nothing = pose_of(rigid(DOWN[None], np.array([[0, 0, 0.03]]))), np.zeros(1)
     return Grasps(
         "box",
         "",
@@ -71,7 +70,7 @@ def grasps():
         nothing + 4,
         nothing > -1,
         1,
-        pose_of(inverse(made(DOWN[None], np.array([[0, 0, 0.03]])))),
+        pose_of(inverse(rigid(DOWN[None], np.array([[0, 0, 0.03]])))),
     )
 
 
@@ -103,7 +102,7 @@ def test_columns_cover_what_was_seen_and_what_may_be_hidden_and_nothing_else():
     height[3:9, 4:12] = 0.06
     ceiling = np.where(rng.uniform(size=height.shape) < 0.2, height + 0.05, height).astype(np.float32)
     found = partial_map(height, ceiling)
-    columns = columns_of(found)
+    columns = occupancy_boxes(found)
     # The 48 cells alike share a few boxes.
     assert len(columns.seen) < (height > THIN).sum() - 40
     for index in np.ndindex(height.shape):
@@ -120,15 +119,15 @@ def test_columns_cover_what_was_seen_and_what_may_be_hidden_and_nothing_else():
 def test_the_arm_keeps_its_distance_from_columns_but_may_lower_what_it_holds_beside_them():
     height = np.zeros((40, 40), np.float32)
     height[:20] = 0.12
-    columns = columns_of(partial_map(height, height, yaw=0.0))
+    columns = occupancy_boxes(partial_map(height, height, yaw=0.0))
     kinematics = ArmKinematics(base_pose(TABLE))
     world = PlanningWorld(("box",), (BOX,), SCENE.poses, 0, TABLE, base_pose(TABLE), columns=columns)
     edge, turn = 0.02, np.diag([1.0, -1, -1])
-    world.hold(inverse(made(turn, np.zeros(3))))
+    world.hold(inverse(rigid(turn, np.zeros(3))))
 
     def joints(gap, z):
         """The box is held beside the columns' end, its side so far from them."""
-        target = made(turn, np.array([edge + 0.03 + gap, -0.01, TOP + z]))
+        target = rigid(turn, np.array([edge + 0.03 + gap, -0.01, TOP + z]))
         return next(kinematics.solutions(target, 1))
 
     assert world.blocker(joints(0.02, 0.1), 0.04) is None
@@ -167,7 +166,7 @@ def test_a_hand_that_has_closed_has_lost_what_it_held():
     assert np.allclose(held()[0], start)
     hand.is_closed = True
     held()
-    hand.tool = made(np.eye(3), np.array([0.0, 0.0, 0.1]))
+    hand.tool = rigid(np.eye(3), np.array([0.0, 0.0, 0.1]))
     assert np.allclose(held()[0, :3], start[:3] + np.array([0, 0, 0.1]))
     # Along a sloped side the fingers may slide.
     hand.opening = 0.025
@@ -213,7 +212,7 @@ def withheld(monkeypatch):
 
 
 def test_a_box_is_placed_by_what_cameras_see_alone(scene, placer, grasps, withheld):
-    result = sensed_place_episode(scene, 2, grasps, placer, seed=1)
+    result = sensing_place_episode(scene, 2, grasps, placer, seed=1)
     assert result.outcome == Outcome.SUCCESS, result
     assert result.placer == "geometry"
     assert result.looks == 3
@@ -229,7 +228,7 @@ def test_what_is_seen_decides_where_it_is_put(scene, placer):
     for each in (others, alone):
         each.data.qpos[each.panda.qpos[0]] -= 1.3
     seen, bare = (
-        placer.measured(each.depth(camera), camera, np.random.default_rng(0)) for each in (others, alone)
+        placer.measure(each.depth(camera), camera, np.random.default_rng(0)) for each in (others, alone)
     )
     assert len(placer.columns([seen]).seen) > len(placer.columns([bare]).seen)
     proposed, same = (placer.propose([seen], "box", 0) for _ in range(2))
@@ -244,5 +243,5 @@ def test_what_is_seen_decides_where_it_is_put(scene, placer):
 
 def test_without_a_place_in_the_region_nothing_is_put(bank, scene, grasps):
     away = CameraPlacer(bank, lambda key, query: without_scores(jnp.full((5, 4), 9.0)), "away", 0.0)
-    result = sensed_place_episode(scene, 2, grasps, away, seed=1)
+    result = sensing_place_episode(scene, 2, grasps, away, seed=1)
     assert (result.outcome, result.proposal) == (Outcome.NO_PLACE, -1)

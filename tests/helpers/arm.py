@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.downstream.rearrange.settings import RearrangeSetting
-from cluttergen_jax.downstream.rearrange.task import RearrangeTask
-from cluttergen_jax.downstream.robot.frames import inverse, made, pose_of
+from cluttergen_jax.downstream.rearrange.task import RearrangeSetting, RearrangeTask
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
+from cluttergen_jax.downstream.transforms import inverse, pose_of, rigid
 from cluttergen_jax.scene import Scene
 from tests.helpers.placing import with_surface
 from tests.helpers.worlds import box
@@ -34,7 +33,7 @@ SCENE = Scene(("red", "blue"), BOXES, standing(PLACES), TABLE)
 
 def grasps_of_box(name: str) -> Grasps:
     """From above, by the narrow sides; nothing was tested."""
-    pose = made(np.diag([1.0, -1, -1]), np.array([0.0, 0.0, 0.01]))[None]
+    pose = rigid(np.diag([1.0, -1, -1]), np.array([0.0, 0.0, 0.01]))[None]
     pose[0, :3, :3] = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]
     nothing = np.zeros(1)
     return Grasps(

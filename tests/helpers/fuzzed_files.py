@@ -19,12 +19,12 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.downstream.perception.certainty import Certainty, read_certainty, write_certainty
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.views.stored import SCHEMA as VIEW_SCHEMA
-from cluttergen_jax.downstream.perception.views.stored import VIEWS, read_views
-from cluttergen_jax.downstream.placer.pairs.stored import PAIRS, SCHEMA, labels_of, read_pairs
+from cluttergen_jax.downstream.perception.views.store import SCHEMA as VIEW_SCHEMA
+from cluttergen_jax.downstream.perception.views.store import VIEWS, read_views
+from cluttergen_jax.downstream.placer.pairs.store import PAIRS, SCHEMA, labels_of, read_pairs
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, read_grasps, write_grasps
-from cluttergen_jax.downstream.robot.rows import RowFile
+from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.learning.networks.stability import NUM_FEATURES

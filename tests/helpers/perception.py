@@ -8,11 +8,9 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.segment.segmenter import Segmentation
-from cluttergen_jax.downstream.perception.views.cameras import FOCAL, SIZE, above
-from cluttergen_jax.downstream.perception.views.stage import View
-from cluttergen_jax.downstream.perception.views.stored import StoredView
+from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, Segmentation
+from cluttergen_jax.downstream.perception.views.stage import FOCAL, SIZE, RgbdImage, above
+from cluttergen_jax.downstream.perception.views.store import StoredView
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.sensing import rays
 from cluttergen_jax.sensing.camera import Camera, free
@@ -61,7 +59,12 @@ def view_of(
         image.label >= rays.FIRST_OBJECT, image.label - rays.FIRST_OBJECT + FIRST_OBJECT, BACKGROUND
     ).astype(np.uint8)
     return StoredView(
-        number, View(COLOURS[label], image.depth, label, camera), np.arange(count), poses, "made up", False
+        number,
+        RgbdImage(COLOURS[label], image.depth, label, camera),
+        np.arange(count),
+        poses,
+        "made up",
+        False,
     )
 
 

@@ -3,8 +3,7 @@
 import jax
 import numpy as np
 
-from cluttergen_jax.downstream.placer.heads.head import Example
-from cluttergen_jax.downstream.placer.query import PlacementQuery
+from cluttergen_jax.downstream.placer.query import Example, PlacementQuery
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.search.fit import UnderSide
 from cluttergen_jax.types import Verdict

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.fitting.fit import FitConfig
+from cluttergen_jax.downstream.fitting import FitConfig
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.agents import ENCODER
 from cluttergen_jax.learning.ppo.checkpoint import check_folder, read_policy, save_policy

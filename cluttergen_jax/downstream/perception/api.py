@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cluttergen_jax.config import (
     MAX_VIEWS,
@@ -20,8 +20,8 @@ from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.perception.evaluation.evaluate import PerceptionResult
-    from cluttergen_jax.downstream.perception.views.stored import ViewSet
+    from cluttergen_jax.downstream.perception.evaluate import PerceptionResult
+    from cluttergen_jax.downstream.perception.views.store import ViewSet
 
 _MOST_SEED = 999_999
 _METHODS: dict[Method, int] = {"random": 5, "clear": 8, "drop": 8}
@@ -74,10 +74,11 @@ def perception_data(
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE, ViewConfig, write_views
-    from cluttergen_jax.downstream.perception.views.stored import VIEWS
+    from cluttergen_jax.downstream.perception.views.store import VIEWS
     from cluttergen_jax.downstream.robot.model import panda_folder
-    from cluttergen_jax.downstream.splits import SPLITS
+    from cluttergen_jax.downstream.samples import SPLITS
     from cluttergen_jax.rendering.gl import find_backend
+    from cluttergen_jax.scene.bank import Bank
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -96,7 +97,7 @@ def perception_data(
     if overwrite or not any(Path(out).glob(f"bank-{split}-*")):
         # Scenes take minutes, and are of no use where nothing can draw them.
         find_backend()
-    banks: dict[str, Any] = {
+    banks: dict[str, Bank] = {
         method: generate(
             Path(out) / f"bank-{split}-{method}",
             pool=pool,
@@ -150,25 +151,17 @@ def perception_train(
       BankError: the folder holds no views, or damaged ones.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from dataclasses import replace
     from typing import get_args
 
-    from cluttergen_jax.downstream.perception.segment.examples import ViewSource
     from cluttergen_jax.downstream.perception.segment.network import SegmentConfig
-    from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining
+    from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining, ViewSource
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_views is not None:
         check_range("num_views", num_views, 1, MAX_VIEWS, 6000)
     if reads not in get_args(SegmenterInput):
         raise ConfigError(f"reads = {reads!r}", ", ".join(get_args(SegmenterInput)))
-    given: dict[str, Any] = {
-        "num_epochs": num_epochs,
-        "batch_size": batch_size,
-        "learning_rate": learning_rate,
-        "seed": seed,
-    }
-    config = replace(FIT, **{name: value for name, value in given.items() if value is not None})
+    config = FIT.replace_given(num_epochs, batch_size, learning_rate, seed)
     source = ViewSource(Path(data), seed, num_views)
     network = SegmentConfig(len(source.views.names), colour=reads == "colour")
     folder = Path(out or f"runs/segmenter-{reads}-{seed}")
@@ -214,8 +207,8 @@ def perception_eval(
       PoolError: there is no such segmenter, or it is damaged.
       MissingExtraError: the extra `perception` is not installed.
     """
-    from cluttergen_jax.downstream.perception.evaluation.evaluate import evaluate_perception
-    from cluttergen_jax.downstream.perception.views.stored import read_views
+    from cluttergen_jax.downstream.perception.evaluate import evaluate_perception
+    from cluttergen_jax.downstream.perception.views.store import read_views
 
     check_folder(out)
     check_range("seed", seed, 0, _MOST_SEED, 0)

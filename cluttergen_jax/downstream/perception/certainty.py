@@ -10,7 +10,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from cluttergen_jax.downstream.perception.pose.estimator import PoseEstimate
+from cluttergen_jax.downstream.perception.types import PoseEstimate
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import checked_record, typed, with_checksum
@@ -38,7 +38,7 @@ class Certainty:
         """f64[...] in (0, 1): the chance that poses with features f[..., 7] are right."""
         return 1 / (1 + np.exp(-np.asarray(features, np.float64) @ np.array(self.weights)))
 
-    def fitted(self, features: np.ndarray, is_right: np.ndarray) -> Certainty:
+    def fit_to(self, features: np.ndarray, is_right: np.ndarray) -> Certainty:
         """The rule that fits poses best, bool[P], with features f[P, 7] (Newton's method)."""
         usual = np.array(self.weights)
         weights, prior = usual.copy(), _PRIOR * np.eye(len(usual)) / 4

@@ -2,28 +2,40 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.downstream.perception.aligned import aligned
+from cluttergen_jax.downstream.digests import constants_hash
+from cluttergen_jax.downstream.perception import camera_correction, certainty, mask_correction
+from cluttergen_jax.downstream.perception.camera_correction import correct_camera
 from cluttergen_jax.downstream.perception.certainty import FEATURES, Certainty, features_of, read_certainty
-from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.expected import as_expected, unexplained
-from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate, PoseEstimator
+from cluttergen_jax.downstream.perception.mask_correction import correct_masks, find_unexplained
+from cluttergen_jax.downstream.perception.pose import compare, icp, models, pose_physics_check, registration
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.pose.pose_physics_check import PosePhysicsCheck
 from cluttergen_jax.downstream.perception.pose.registration import SURE, RegistrationEstimator
-from cluttergen_jax.downstream.perception.pose.steady import SteadyCheck
-from cluttergen_jax.downstream.perception.segment.segmenter import Segmenter, checked_images
-from cluttergen_jax.downstream.perception.segment.trained import load_segmenter, segmenter_folder
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.perception.segment import network_segmenter
+from cluttergen_jax.downstream.perception.segment.network_segmenter import load_segmenter, segmenter_folder
+from cluttergen_jax.downstream.perception.types import (
+    ARM,
+    BACKGROUND,
+    FIRST_OBJECT,
+    Look,
+    PoseEstimate,
+    PoseEstimator,
+    Segmenter,
+    check_images,
+)
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.partial import Grid, levelled
+from cluttergen_jax.sensing import Camera, Grid, levelled
 
 _AGREED = 0.5
 """Certainty from which on a pose tells where a camera is."""
@@ -45,7 +57,7 @@ class FoundScene:
       seen: bool[N]. certainty: f64[N] in [0, 1], the chance that the pose is right; 0 where not seen.
       features: f64[N, 7], what that was told from (`certainty.FEATURES`).
       visible: f64[N], share of each silhouette that is seen.
-      labels: of each look u8[H, W], which object each pixel shows (`classes`): the segmenter's word,
+      labels: of each look u8[H, W], which object each pixel shows (`types`): the segmenter's word,
         corrected by depth where an object of these names was found.
     """
 
@@ -85,7 +97,7 @@ class SceneFinder:
             )
         self.names, self._segmenter = names, segmenter
         self.estimator = estimator or RegistrationEstimator(objects, support)
-        self._certainty, self._steady = certainty or Certainty(), SteadyCheck(objects, support)
+        self._certainty, self._steady = certainty or Certainty(), PosePhysicsCheck(objects, support)
         self._grid = Grid.of(support, _RADIUS)
         self._objects, self._top = tuple(objects), support.top
 
@@ -107,7 +119,7 @@ class SceneFinder:
         Raises:
           ConfigError: the images are not the camera's, or hold no depth.
         """
-        rgb, depth = checked_images(rgb, depth, camera)
+        rgb, depth = check_images(rgb, depth, camera)
         if is_own is not None:
             depth = np.where(is_own, np.nan, depth)
         camera = upright_at_its_place(depth, camera, self._grid)
@@ -141,25 +153,28 @@ class SceneFinder:
             raise ConfigError(f"objects {', '.join(strange)}", ", ".join(self.names))
         lead = np.ones(len(asked))
         if near is None or np.isnan(near).all():
-            found = self._found(looks, asked, np.full((len(asked), 7), np.nan), lead)
+            found = self._find(looks, asked, np.full((len(asked), 7), np.nan), lead)
             near, share = np.where(found.certainty[:, None] >= _AGREED, found.pose, np.nan), 1.0
             if len(looks) == 1 or np.isnan(near).all():
                 return found
             # What these looks told of a turn, they do not tell once more.
             lead = np.where(np.isnan(near).any(1), 1.0, found.features[:, _LEAD])
-        return self._found(self._aligned(looks, asked, near, share), asked, near, lead)
+        return self._find(self._correct_cameras(looks, asked, near, share), asked, near, lead)
 
-    def _aligned(
+    def _correct_cameras(
         self, looks: Sequence[Look], names: Sequence[str], known: np.ndarray, share: float
     ) -> list[Look]:
-        there = self._at(_told(self.names, names, known))
-        return [aligned(look, there, share) for look in as_expected(looks, there)]
+        there = self._at(_poses_by_number(self.names, names, known))
+        return [correct_camera(look, there, share) for look in correct_masks(looks, there)]
 
-    def _found(
+    def _find(
         self, looks: Sequence[Look], asked: Sequence[str], near: np.ndarray, most: np.ndarray
     ) -> FoundScene:
         """As `__call__`; `most` f64[n]: what each pose's lead is at most."""
-        numbers, places = [self.names.index(name) for name in asked], _told(self.names, asked, near)
+        numbers, places = (
+            [self.names.index(name) for name in asked],
+            _poses_by_number(self.names, asked, near),
+        )
         looks = self._as_expected(looks, places)
         found = {number: self.estimator(number, looks, places.get(number)) for number in numbers}
         # What is there for sure is nothing else.
@@ -172,7 +187,7 @@ class SceneFinder:
                 found[number] = self.estimator(number, told, places.get(number))
         estimates = {number: each for number, each in found.items() if each is not None}
         self._seek_in_the_rest(told, unsure, estimates)
-        poses, is_placed = self._placed(estimates)
+        poses, is_placed = self._pool_poses(estimates)
         poses = self._steady.apart(poses, is_placed)
         steady = self._steady(poses, is_placed)
         count = len(asked)
@@ -200,7 +215,7 @@ class SceneFinder:
         left = [number for number in unsure if number not in estimates or estimates[number].score < SURE]
         while left:
             found = self._at({k: each.pose for k, each in estimates.items()})
-            for masks in unexplained(looks, found, self._top, _FEWEST)[: len(left)]:
+            for masks in find_unexplained(looks, found, self._top, _FEWEST)[: len(left)]:
                 shown = list(zip(looks, masks, strict=True))
                 tried = ((k, self.estimator(k, [_as(k, *each) for each in shown])) for k in left)
                 fits = [(k, each) for k, each in tried if each is not None and each.score >= SURE]
@@ -213,12 +228,12 @@ class SceneFinder:
                 return
 
     def _as_expected(self, looks: Sequence[Look], poses: dict[int, np.ndarray]) -> list[Look]:
-        return as_expected(looks, self._at(poses))
+        return correct_masks(looks, self._at(poses))
 
     def _at(self, poses: dict[int, np.ndarray]) -> dict[int, tuple[ObjectModel, np.ndarray]]:
         return {k: (ObjectModel.of(self._objects[k]), matrix_of(pose)) for k, pose in poses.items()}
 
-    def _placed(self, estimates: dict[int, PoseEstimate]) -> tuple[np.ndarray, np.ndarray]:
+    def _pool_poses(self, estimates: dict[int, PoseEstimate]) -> tuple[np.ndarray, np.ndarray]:
         """f64[K, 7], bool[K]: where the objects of the pool are said to be, and which of them are."""
         poses, is_placed = np.tile(np.eye(7)[3], (len(self.names), 1)), np.zeros(len(self.names), bool)
         for number, estimate in estimates.items():
@@ -226,7 +241,7 @@ class SceneFinder:
         return poses, is_placed
 
 
-def _told(known: Sequence[str], names: Sequence[str], poses: np.ndarray) -> dict[int, np.ndarray]:
+def _poses_by_number(known: Sequence[str], names: Sequence[str], poses: np.ndarray) -> dict[int, np.ndarray]:
     """Poses f64[n, 7] of objects by their numbers; those that are nan are left out."""
     told = ((known.index(name), pose) for name, pose in zip(names, poses, strict=True))
     return {number: pose for number, pose in told if not np.isnan(pose).any()}
@@ -258,7 +273,7 @@ def load_finder(segmenter: str | Path, objects: Sequence[ObjectAsset], support: 
     """A finder with a trained segmenter, and with the rule of certainty that lies beside it.
 
     Args:
-      segmenter: a pool's name or a folder (`segment.trained.segmenter_folder`).
+      segmenter: a pool's name or a folder (`network_segmenter.segmenter_folder`).
 
     Raises:
       PoolError: there is no such segmenter, or it is damaged.
@@ -267,3 +282,11 @@ def load_finder(segmenter: str | Path, objects: Sequence[ObjectAsset], support: 
     """
     certainty = read_certainty(segmenter_folder(segmenter))
     return SceneFinder(objects, support, load_segmenter(segmenter), certainty=certainty)
+
+
+@cache
+def finder_hash() -> str:
+    """Hex digest of how objects and their poses are found in pictures, but for the network's weights."""
+    poses = (compare, icp, models, pose_physics_check, registration)
+    looks = (camera_correction, certainty, mask_correction, network_segmenter, sys.modules[__name__])
+    return constants_hash(*looks, *poses)

@@ -16,11 +16,11 @@ import msgspec
 import numpy as np
 from PIL import Image
 
-from cluttergen_jax.downstream.perception.segment.segmenter import checked_images
+from cluttergen_jax.downstream.perception.types import check_images
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import checked_record, digest_of, refuse, typed, with_checksum
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing import Camera
 
 _NAMES = ("rgb.png", "depth.npy", "camera.json")
 
@@ -39,7 +39,7 @@ def write_frame(folder: str | Path, frame: Frame) -> None:
     Raises:
       ConfigError: the images are not the camera's.
     """
-    rgb, depth = checked_images(*frame)
+    rgb, depth = check_images(*frame)
     picture, array = io.BytesIO(), io.BytesIO()
     Image.fromarray(rgb).save(picture, format="PNG")
     np.save(array, depth, allow_pickle=False)
@@ -70,10 +70,6 @@ class _Camera(msgspec.Struct):
     T_world_camera: tuple[_Row4, _Row4, _Row4, _Row4]
 
 
-def _bytes(folder: str | Path, name: str) -> bytes:
-    return (Path(folder) / name).read_bytes()
-
-
 def read_frame(folder: str | Path) -> Frame:
     """A frame from a folder.
 
@@ -87,7 +83,9 @@ def read_frame(folder: str | Path) -> Frame:
         depth = np.load(paths[1], allow_pickle=False)
         told = checked_record(paths[2].read_bytes())
         files = typed(told.get("checksums", {}), dict[Literal["rgb.png", "depth.npy"], str])
-        changed = [name for name, digest in files.items() if digest_of(_bytes(folder, name)) != digest]
+        changed = [
+            name for name, digest in files.items() if digest_of((Path(folder) / name).read_bytes()) != digest
+        ]
         refuse([f"{name} is not what it was" for name in changed])
         found = typed(told, _Camera)
         camera = Camera(found.width, found.height, np.array(found.K), np.array(found.T_world_camera))
@@ -97,4 +95,4 @@ def read_frame(folder: str | Path) -> Frame:
             ", ".join(_NAMES),
             "files as `downstream.perception.frames` describes them",
         ) from error
-    return Frame(*checked_images(rgb, depth, camera), camera)
+    return Frame(*check_images(rgb, depth, camera), camera)

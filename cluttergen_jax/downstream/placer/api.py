@@ -27,7 +27,7 @@ from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
-    from cluttergen_jax.downstream.placer.pairs.stored import PairSet
+    from cluttergen_jax.downstream.placer.pairs.store import PairSet
 
 _MOST_SEED = 999_999
 
@@ -79,10 +79,9 @@ def placer_data(
     """
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
-    from cluttergen_jax.downstream.placer.pairs.stored import PAIRS
-    from cluttergen_jax.downstream.splits import SPLITS
-    from cluttergen_jax.scene.bank.bank import Bank, read_bank
-    from cluttergen_jax.scene.bank.blocks import AGAIN
+    from cluttergen_jax.downstream.placer.pairs.store import PAIRS
+    from cluttergen_jax.downstream.samples import SPLITS, bank_or_made
+    from cluttergen_jax.scene.bank import AGAIN, Bank
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -91,34 +90,25 @@ def placer_data(
         check_range("num_pairs", num_pairs, 1, MAX_PAIRS, 5000)
     if split is not None and split not in SPLITS:
         raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
-    given = {
-        "spec": spec,
-        "pool": pool,
-        "num_scenes": num_scenes,
-        "method": method,
-        "support": support,
-        "num_objects": num_objects,
-    }
-    first = next((name for name, value in given.items() if value is not None), None)
-    if bank is None:
-        name = split or "train"
+    name = split or "train"
+
+    def make() -> Bank:
         PAIRS.check_place(Path(out))
-        asked = spec or SceneSpec(pool="household")
-        found: Bank = generate(
+        asked = (spec or SceneSpec(pool="household")).replace_given(pool, method, support, num_objects)
+        return generate(
             Path(out) / f"bank-{name}",
-            replace(asked.replace_given(pool, method, support, num_objects), num_threads=num_threads),
+            replace(asked, num_threads=num_threads),
             num_scenes=500 if num_scenes is None else num_scenes,
             seed=SPLITS[name] + seed,
             render=False,
             max_files=0,
             overwrite=overwrite,
         )
-    elif first:
-        raise ConfigError(f"`{first}` together with `bank`", "one or the other", f"leaving out `{first}`")
-    else:
-        found = read_bank(bank)
-        if "assets" not in found.record:
-            raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
+
+    given = (spec, pool, num_scenes, method, support, num_objects)
+    found = bank_or_made(bank, make, "spec pool num_scenes method support num_objects", given)
+    if "assets" not in found.record:
+        raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
     of_split = split_of(found, split)
     return write_pairs(out, found, of_split, num_pairs, camera, seed, num_threads, overwrite)
 
@@ -165,8 +155,8 @@ def placer_eval(
       BankError: the folder holds no pairs, or they are damaged.
       PoolError: a placer's files are damaged, or there is none for the pool.
     """
-    from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials, compare_placers
-    from cluttergen_jax.downstream.placer.pairs.stored import read_pairs
+    from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials, compare_placers
+    from cluttergen_jax.downstream.placer.pairs.store import read_pairs
     from cluttergen_jax.evaluation.store import Store
 
     check_folder(out)
@@ -181,7 +171,7 @@ def placer_eval(
         raise ConfigError(f"chains = {chains}", f"0 to {MAX_PAIRS}", "chains=100")
     folder = None if out is None else Path(out)
     store = Store(folder and folder / "results")
-    trials = Trials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)
+    trials = PlacerTrials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)
     return compare_placers(trials, tuple(map(str, placers)), tuple(map(float, noise)), folder, chains)
 
 
@@ -230,25 +220,17 @@ def placer_train(
       PoolError: `encoder_weights` does not hold what the encoders need.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from cluttergen_jax.downstream.placer.training.examples import ExampleSource
-    from cluttergen_jax.downstream.placer.training.presets import preset as preset_of
-    from cluttergen_jax.downstream.placer.training.run import PlacerTraining
+    from cluttergen_jax.downstream.placer.examples import ExampleSource
+    from cluttergen_jax.downstream.placer.training import PlacerTraining
+    from cluttergen_jax.downstream.placer.training import preset as preset_of
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_pairs is not None:
         check_range("num_pairs", num_pairs, 1, MAX_PAIRS, 5000)
     folders = (data,) if isinstance(data, str | Path) else tuple(data)
     weights = None if encoder_weights is None else Path(encoder_weights)
-    found, config = preset_of(
-        head,
-        preset,
-        loss,
-        weights,
-        num_epochs=num_epochs,
-        batch_size=batch_size,
-        learning_rate=learning_rate,
-        seed=seed,
-    )
+    found, config = preset_of(head, preset, loss, weights)
+    config = config.replace_given(num_epochs, batch_size, learning_rate, seed)
     source = ExampleSource(tuple(Path(each) for each in folders), noise, seed, num_pairs)
     folder = Path(out or f"runs/placer-{head}-{seed}")
     show(f"run        {folder}")

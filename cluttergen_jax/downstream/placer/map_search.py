@@ -7,16 +7,20 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.downstream.placer.query import PlacementQuery
-from cluttergen_jax.placement.baselines.lowest import cost_of_lowest_fit
+from cluttergen_jax.placement.baselines import cost_of_lowest_fit
 from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.region import make_region
-from cluttergen_jax.placement.search.fit import Candidates, UnderSide, lower_onto, mean_under, support_share
-from cluttergen_jax.placement.search.search import (
+from cluttergen_jax.placement.search import (
     CLEARANCE,
+    Candidates,
     CandidateScores,
     SearchConfig,
+    UnderSide,
     crowding,
     draw_candidates,
+    lower_onto,
+    mean_under,
+    support_share,
 )
 from cluttergen_jax.types import Array
 
@@ -69,8 +73,8 @@ def search(key: Array, query: PlacementQuery, heights: HeightMap, config: Search
     return look(query, heights, finalists(key, query, heights, config))
 
 
-def best_apart(cost: Array, xy: Array, number: int, distance: float = APART) -> Array:
-    """i32[number]: the cheapest candidates, each at least `distance` from those before it.
+def best_apart(cost: Array, xy: Array, number: int) -> Array:
+    """i32[number]: the cheapest candidates, each at least `APART` from those before it.
 
     Where that leaves none, the cheapest of those that are left.
 
@@ -85,7 +89,7 @@ def best_apart(cost: Array, xy: Array, number: int, distance: float = APART) -> 
         usable = jnp.where(jnp.any(is_apart), is_apart, is_left)
         index = jnp.argmin(jnp.where(usable, cost, jnp.inf))
         is_left = is_left.at[index].set(False)
-        far = jnp.linalg.norm(xy - xy[index], axis=1) >= distance
+        far = jnp.linalg.norm(xy - xy[index], axis=1) >= APART
         return (is_left, is_apart & is_left & far), index
 
     everything = jnp.ones(cost.shape, bool)

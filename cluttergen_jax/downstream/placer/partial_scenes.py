@@ -1,25 +1,26 @@
-"""Partial scenes: the first objects of scenes of a bank stand, and the next one is to be placed."""
+"""Partial scenes of a bank, and what becomes of an object that is let go in one."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import jaxlie
 import numpy as np
 
+from cluttergen_jax.downstream.samples import StableScenes
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.generation.sources.replay import setup_of
+from cluttergen_jax.generation import setup_of
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.problem import Problem
-from cluttergen_jax.placement.region import KeepOut
+from cluttergen_jax.placement.region import KeepOut, Region, to_pose
 from cluttergen_jax.placement.rules import Rules, empty_start
 from cluttergen_jax.placement.types import Episode
-from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.types import Array
-
-_COLUMNS = ("index", "is_success", "object_index", "poses")
+from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.types import Array, Verdict
 
 
 class PartialScenes:
@@ -45,7 +46,12 @@ class PartialScenes:
         setup = setup_of(bank, engine="native", num_threads=num_threads)
         self.bank, self.problem, self.keep_out = bank, setup.problem, setup.keep_out
         self.rules = judging_rules(setup.problem)
-        self.number, self.object_index, self.poses = _standing(bank, self.rules)
+        stable = StableScenes.read(bank)
+        self.number, self.object_index = stable.number.astype(np.int32), stable.objects.astype(np.int32)
+        self.poses = stable.poses.astype(np.float32)
+        num_slots, most = self.object_index.shape[1], self.object_index.max()
+        if num_slots != self.rules.num_slots or most >= self.rules.geometry.num_objects:
+            raise BankError(f"{bank.path}: its scenes are not of the objects that its record names")
         self._episodes: Any = jax.jit(jax.vmap(episode_of, in_axes=(None, None, 0, 0, 0)))
 
     @property
@@ -89,17 +95,102 @@ def episode_of(rules: Rules, keep_out: KeepOut, object_index: Array, poses: Arra
     )
 
 
-def _standing(bank: Bank, rules: Rules) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The numbers i32[S], objects i32[S, N] and poses f32[S, N, 7] of the scenes that stand."""
-    number, object_index, poses = [], [], []
-    for rows in bank.tables(_COLUMNS):
-        rows = rows.filter(rows["is_success"])
-        number += rows["index"].to_pylist()
-        object_index += rows["object_index"].to_pylist()
-        poses += rows["poses"].to_pylist()
-    if not number:
-        raise BankError(f"{bank.path}: none of its scenes stands", "one that does or more", "more scenes")
-    index = np.array(object_index, np.int32)
-    if index.shape[1] != rules.num_slots or index.max() >= rules.geometry.num_objects:
-        raise BankError(f"{bank.path}: its scenes are not of the objects that its record names")
-    return np.array(number, np.int32), index, np.array(poses, np.float32)
+_AT_ONCE = 2048
+"""Attempts that are settled together; fewer are filled up, so that one program serves all."""
+
+
+class JudgedProposals(NamedTuple):
+    """What became of P proposals.
+
+    Attributes:
+      verdict: i32[P], a `Verdict` of the attempt, as docs/contract.md says, no support margin asked for.
+      has_margin: bool[P], it is stable and has the support margin that scenes are made with.
+      poses: f32[P, K, 7], T_world_object of all objects afterwards.
+      is_placed: bool[P, K], the object included.
+    """
+
+    verdict: np.ndarray
+    has_margin: np.ndarray
+    poses: np.ndarray
+    is_placed: np.ndarray
+
+
+class ProposalJudge:
+    """Lets objects go in partial scenes and says what becomes of them, many at once.
+
+    Args:
+      rules: of the world, their physics native (`partial_scenes.judging_rules`).
+    """
+
+    def __init__(self, rules: Rules) -> None:
+        self.rules = rules
+        self._release: Any = jax.jit(jax.vmap(_at_release, in_axes=(None, 0, 0)))
+        self._verdict: Any = jax.jit(jax.vmap(_verdict, in_axes=(None, 0, 0)))
+
+    def settle(self, episodes: Episode, scene: np.ndarray, pose: np.ndarray) -> JudgedProposals:
+        """One attempt for each of P proposals.
+
+        Args:
+          episodes: partial scenes, leading axis S.
+          scene: i[P], which of them each proposal is for.
+          pose: f32[P, 4], x, y, z and yaw of T_region_object.
+        """
+        parts = []
+        for first in range(0, len(scene), _AT_ONCE):
+            rows = np.minimum(np.arange(first, first + _AT_ONCE), len(scene) - 1)
+            num = min(_AT_ONCE, len(scene) - first)
+            parts.append(self._settle(episodes, scene[rows], pose[rows], num))
+        return JudgedProposals(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+    def release(
+        self, episodes: Episode, scene: np.ndarray, pose: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The scenes at the moment of release: f32[P, K, 7], world; bool[P, K]; i32[P], the object's index.
+
+        Args: as those of `settle`.
+        """
+        chosen = jax.tree.map(lambda leaf: leaf[scene], episodes)
+        poses, is_placed, focus = (np.asarray(each) for each in self._release(self.rules, chosen, pose))
+        return poses, is_placed, focus
+
+    def _settle(self, episodes: Episode, scene: np.ndarray, pose: np.ndarray, num: int) -> JudgedProposals:
+        chosen = _take(episodes, scene)
+        asked = [np.asarray(each) for each in self._release(self.rules, chosen, pose)]
+        is_active = np.arange(len(scene)) < num
+        physics: Any = self.rules.physics
+        settling = physics.settle_batch(*asked, is_active)
+        verdict, has_margin = self._verdict(self.rules, chosen, settling.replace(trajectory=None))
+        found = JudgedProposals(np.asarray(verdict), np.asarray(has_margin), settling.poses, asked[1])
+        return JudgedProposals(*(each[:num] for each in found))
+
+    def stand(self, judged: JudgedProposals) -> np.ndarray:
+        """bool[P]: stable proposals whose partial scene also stands as a whole, everything awake."""
+        physics: Any = self.rules.physics
+        is_active = judged.verdict == int(Verdict.STABLE)
+        standing = physics.stand_batch(judged.poses, judged.is_placed, is_active)
+        return np.asarray(standing.verdict) == int(Verdict.STABLE)
+
+
+_take: Any = jax.jit(lambda episodes, scene: jax.tree.map(lambda leaf: leaf[scene], episodes))
+"""Some of the episodes: one program for all parts of one size."""
+
+
+def world_pose(region: Region, pose: Array) -> Array:
+    """f32[7], T_world_object of a proposal f32[4] in the region frame."""
+    T_region_object = jaxlie.SE3.from_rotation_and_translation(jaxlie.SO3.from_z_radians(pose[3]), pose[:3])
+    return to_pose(region.T_world_region @ T_region_object)
+
+
+def _at_release(rules: Rules, episode: Episode, pose: Array) -> tuple[Array, Array, Array]:
+    """The first arguments of `Physics.settle`."""
+    focus = rules.focus(episode)
+    poses = episode.poses.at[focus].set(world_pose(episode.region, pose))
+    return poses, episode.is_placed.at[focus].set(True), focus
+
+
+def _verdict(rules: Rules, episode: Episode, settling: Any) -> tuple[Array, Array]:
+    """i32, by the rules; bool, stable with the margin that `generate` asks for."""
+    _, transition, _ = rules.judge(episode, jnp.zeros(4), settling)
+    asking = replace(rules, config=replace(rules.config, min_margin=MIN_MARGIN))
+    is_stable = transition.verdict == int(Verdict.STABLE)
+    return transition.verdict, is_stable & asking.is_supported(episode, rules.focus(episode), settling)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.downstream.placer.heads.trained import embedded_placers, load_placer, placer_folder
+from cluttergen_jax.downstream.placer.heads.checkpoint import embedded_placers, load_placer, placer_folder
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw, search
 from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,
@@ -25,7 +25,7 @@ from cluttergen_jax.learning.methods import checkpoint_of, proposer_of, suited
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
+from cluttergen_jax.placement.search import CLEARANCE, SearchConfig
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -34,7 +34,6 @@ class RandomPlacer(struct.PyTreeNode):
     """Uniform positions and turns at the object's own height on the bare top; it looks at nothing."""
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
-        """See `query.Placer`."""
         drawn = draw(key, query, NUM_PROPOSALS)
         height = jnp.full(NUM_PROPOSALS, query.half_extents[2] + CLEARANCE)
         return without_scores(jnp.column_stack([drawn.xy, height, drawn.yaw]))
@@ -52,7 +51,6 @@ class GeometryPlacer(struct.PyTreeNode):
     config: SearchConfig = struct.field(pytree_node=False, default=SearchConfig())
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
-        """See `query.Placer`."""
         heights = query.heights if self.unseen == "free" else query.ceilings
         found = search(key, query, heights, self.config)
         best = best_apart(found.cost, found.candidates.xy, NUM_PROPOSALS)

@@ -1,4 +1,4 @@
-"""The question that a placer is asked, and its answer."""
+"""What a placer is asked and answers, and what a head learns from."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
-from cluttergen_jax.placement.search.fit import UnderSide
+from cluttergen_jax.placement.search import UnderSide
 from cluttergen_jax.types import Array
 
 CELL = 0.01
@@ -23,7 +23,7 @@ NUM_POINTS = 2048
 class PlacementQuery(struct.PyTreeNode):
     """What a placer is given, and nothing else: no truth about the scene. Region frame, metres.
 
-    Queries of one batch have maps of one size (`padded`).
+    Queries of one batch have maps of one size (`pad_map`).
 
     Attributes:
       heights: the highest surface that the camera saw over each cell; 0 where it saw nothing, VOID off the
@@ -69,10 +69,9 @@ class Placer(Protocol):
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
         """`NUM_PROPOSALS` proposals, drawn with `key`."""
-        ...
 
 
-def padded(heights: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def pad_map(heights: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """A map's heights f32[..., W, H] with cells off the support added at its far ends.
 
     The corner of the map stays where it is.
@@ -85,3 +84,18 @@ def padded(heights: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 def without_scores(pose: Array) -> Proposals:
     """Proposals f32[M, 4] of a placer that tells no chances."""
     return Proposals(pose, jnp.full(pose.shape[:-1], jnp.nan, pose.dtype))
+
+
+class Example(struct.PyTreeNode):
+    """One pair: a query and what is known of its answers. L labelled poses, region frame.
+
+    Attributes:
+      query: what the placer is given.
+      target: f32[4], where the object stands in the scene: x, y, z and yaw.
+      candidate: f32[L, 4]; verdict: u8[L], what became of each (`types.Verdict`).
+    """
+
+    query: PlacementQuery
+    target: Array
+    candidate: Array
+    verdict: Array

@@ -9,8 +9,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.problem import Problem
-from cluttergen_jax.sensing.camera import Camera, find_preset
-from cluttergen_jax.sensing.rays import SUPPORT, DepthImage, RaySensor, sensed_model
+from cluttergen_jax.sensing import SUPPORT, Camera, DepthImage, RaySensor, find_preset, sensed_model
 
 MANY = "free"
 """The preset that draws: only of it there is more than one camera."""
@@ -21,7 +20,7 @@ _VIEWS = 20
 """Cameras that are tried until one sees the support and is not inside it."""
 
 
-class View(NamedTuple):
+class DepthView(NamedTuple):
     """A depth image, f32[H, W] in metres along the optical axis, inf where nothing is, and its camera."""
 
     depth: np.ndarray
@@ -55,7 +54,7 @@ class SceneCameras:
         Raises:
           ConfigError: there is none.
         """
-        data = self._posed(poses, is_placed)
+        data = self._pose(poses, is_placed)
         for _ in range(_VIEWS):
             camera = self._draw(self._support, rng)
             image = self._sensor.sense(data, camera)
@@ -69,7 +68,7 @@ class SceneCameras:
 
     def further(
         self, poses: np.ndarray, is_placed: np.ndarray, seed: tuple[int, ...], num_cameras: int
-    ) -> list[View]:
+    ) -> list[DepthView]:
         """What all of `num_cameras` see but the first, as it would be stored.
 
         Camera k is drawn of the seed and its number, and so the same however many there are.
@@ -78,24 +77,24 @@ class SceneCameras:
         for number in range(1, num_cameras):
             rng = np.random.default_rng((*seed, number, 5))
             camera, image = self.look(poses, is_placed, rng)
-            views.append(View(depth_of(depth_bytes(image.depth), camera.width, camera.height), camera))
+            views.append(DepthView(depth_of(depth_bytes(image.depth), camera.width, camera.height), camera))
         return views
 
-    def views(self, poses: np.ndarray, is_placed: np.ndarray, cameras: list[Camera]) -> list[View]:
+    def views(self, poses: np.ndarray, is_placed: np.ndarray, cameras: list[Camera]) -> list[DepthView]:
         """What given cameras see, as it would be stored."""
-        data = self._posed(poses, is_placed)
+        data = self._pose(poses, is_placed)
         images = [depth_bytes(self._sensor.sense(data, camera).depth) for camera in cameras]
         return [
-            View(depth_of(stored, camera.width, camera.height), camera)
+            DepthView(depth_of(stored, camera.width, camera.height), camera)
             for stored, camera in zip(images, cameras, strict=True)
         ]
 
-    def drawn(self, seed: tuple[int, ...], num_cameras: int) -> list[Camera]:
+    def draw_cameras(self, seed: tuple[int, ...], num_cameras: int) -> list[Camera]:
         """Cameras that are not looked through first; the first is drawn of the seed itself."""
         seeds = [seed, *((*seed, number) for number in range(1, num_cameras))]
         return [self._draw(self._support, np.random.default_rng(each)) for each in seeds]
 
-    def _posed(self, poses: np.ndarray, is_placed: np.ndarray) -> Any:
+    def _pose(self, poses: np.ndarray, is_placed: np.ndarray) -> Any:
         if not hasattr(self._local, "data"):
             self._local.data = self._sensor.make_data()
         self._sensor.pose(self._local.data, poses, is_placed)

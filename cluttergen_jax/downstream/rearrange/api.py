@@ -111,7 +111,7 @@ def rearrange(
     import os
     from typing import get_args
 
-    from cluttergen_jax.downstream.rearrange.settings import SETTINGS, RearrangeOptions
+    from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
@@ -191,12 +191,14 @@ def _looking(pool: str | Path, segmenter: str | Path | None, seed: int) -> Perce
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.assets.support_file import find_support
     from cluttergen_jax.downstream.perception.finder import load_finder
-    from cluttergen_jax.downstream.perception.segment.trained import segmenter_folder
+    from cluttergen_jax.downstream.perception.segment.network_segmenter import segmenter_folder
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
-    from cluttergen_jax.learning.ppo.checkpoint import folder_hash
+    from cluttergen_jax.learning.ppo import checkpoint
     from cluttergen_jax.rendering.gl import find_backend
 
     support, wanted = find_support("table"), pool if segmenter is None else segmenter
     finder = load_finder(wanted, find_pool(pool).objects, support)
     find_backend()
-    return PerceptionObserver(finder, support, seed=seed, weights=folder_hash(segmenter_folder(wanted)))
+    return PerceptionObserver(
+        finder, support, seed=seed, weights=checkpoint.folder_hash(segmenter_folder(wanted))
+    )

@@ -8,18 +8,24 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from cluttergen_jax.downstream.perception.symmetry import equal_places, offset
-from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, Judge
-from cluttergen_jax.downstream.rearrange.layouts import ROOM, Layouts, Reach, clearance_of, preferred, unlike
+from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, RearrangementJudge
+from cluttergen_jax.downstream.rearrange.layouts import (
+    AREA,
+    ROOM,
+    Layouts,
+    ReachCheck,
+    choose_unlike,
+    clearance_of,
+    prefer,
+)
 from cluttergen_jax.downstream.rearrange.moves import MAX_RETRIES, Moves
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
 from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
-from cluttergen_jax.downstream.rearrange.settings import AREA, RearrangeOptions
-from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeOptions, RearrangeResult, RearrangeTask
 from cluttergen_jax.downstream.robot.grasping.grips import FIRM, first_grasp
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import equal_places, matrix_of, offset
 
 NEAR_GOAL, NEAR_GOAL_TURN = 0.01, float(np.radians(10))
 """Metres and radians from its place within which an object counts as brought there."""
@@ -51,7 +57,7 @@ class Rearranger:
         options: RearrangeOptions,
         execution: Execution,
         sight: ObjectTracker,
-        judge: Judge,
+        judge: RearrangementJudge,
         ask: Chooser | None = None,
     ) -> None:
         self._task, self._options, self._scene, self._ask = task, options, task.scene, ask
@@ -72,7 +78,7 @@ class Rearranger:
         """
         self.look_around()
         found = self.find_layouts()
-        for number in self._chosen(found)[:MAX_LAYOUTS]:
+        for number in self._choose(found)[:MAX_LAYOUTS]:
             self.layouts += 1
             self.moves.forget()
             self.goals, self.layout = found.poses[number], number
@@ -114,15 +120,11 @@ class Rearranger:
         return sorted(seen, key=lambda k: -raised[k])
 
     def find_layouts(self) -> Layouts:
-        """Draws unlike layouts around the objects that stay, as they are seen.
-
-        Raises:
-          Failed: none stands.
-        """
+        """Draws unlike layouts around the objects that stay, as they are seen. Raises Failed: none stands."""
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
         moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
         objects, region, number = self._scene.objects, task.setting.target, self._options.num_layouts
-        reach_of = Reach(objects, task.grasps, range(num_moved), self._scene.support, FIRM)
+        reach_of = ReachCheck(objects, task.grasps, range(num_moved), self._scene.support, FIRM)
         full, gap, reach = np.zeros((0, len(poses), 7)), np.zeros(0), np.zeros(0)
         for draw in range(_DRAWS):
             drawn = task.draw(task.seed + draw, moved, region, stay, poses[num_moved:])
@@ -136,19 +138,19 @@ class Rearranger:
                 break
         if not len(full):
             raise Failed(Cause.NO_LAYOUT)
-        kept = preferred(reach, gap, 2 * number)
-        kept = kept[unlike(objects[:num_moved], full[kept, :num_moved], region, number)]
+        kept = prefer(reach, gap, 2 * number)
+        kept = kept[choose_unlike(objects[:num_moved], full[kept, :num_moved], region, number)]
         way = np.linalg.norm(full[kept, :num_moved, :2] - poses[:num_moved, :2], axis=-1)
         return Layouts(poses=full[kept], clearance=gap[kept], reach=reach[kept], travel=way.mean(1))
 
-    def _chosen(self, found: Layouts) -> list[int]:
+    def _choose(self, found: Layouts) -> list[int]:
         if self._ask is not None:
             return [self._ask(self._task, self._sight.poses, found)]
         if self._options.layout is not None:
             if self._options.layout >= len(found):
                 raise Failed(Cause.NO_LAYOUT, f"number {self._options.layout} of {len(found)}")
             return [self._options.layout]
-        return found.ranked(self._options.choose).tolist()
+        return found.rank(self._options.choose).tolist()
 
     def _reach_layout(self, goals: np.ndarray) -> bool:
         """Moves objects until all are at their goals f64[N, 7]; False where nothing more can be done."""
@@ -233,16 +235,16 @@ class Rearranger:
 
 
 @contextmanager
-def _opened(
+def _open_episode(
     task: RearrangeTask,
     options: RearrangeOptions,
     observer: Observer,
     trace: Trace | None = None,
     ask: Chooser | None = None,
-) -> Iterator[tuple[Rearranger, Execution, Judge, ObjectTracker]]:
+) -> Iterator[tuple[Rearranger, Execution, RearrangementJudge, ObjectTracker]]:
     """An episode before its first look."""
     execution = Execution(task.scene, 0, trace=trace, sleeps=True)
-    judge = Judge(execution, task.scene, task.setting.num_objects, task.symmetry)
+    judge = RearrangementJudge(execution, task.scene, task.setting.num_objects, task.symmetry)
     with EpisodeView(execution, task.scene.names, task.seed) as view:
         sight = ObjectTracker(observer, view, options.relook, task.symmetry)
         yield Rearranger(task, options, execution, sight, judge, ask), execution, judge, sight
@@ -254,7 +256,7 @@ def draw_layouts(task: RearrangeTask, options: RearrangeOptions, observer: Obser
     Raises:
       Failed: none stands, or an object was never seen.
     """
-    with _opened(task, options, observer) as (worker, *_):
+    with _open_episode(task, options, observer) as (worker, *_):
         worker.look_around()
         return worker.find_layouts()
 
@@ -274,7 +276,7 @@ def rearrange_episode(
       ask: a person, who chooses in place of the rule; what is chosen is the only layout that is tried.
     """
     begun, num_moved = time.process_time(), task.setting.num_objects
-    with _opened(task, options, observer, trace, ask) as (worker, execution, judge, sight):
+    with _open_episode(task, options, observer, trace, ask) as (worker, execution, judge, sight):
         outcome, detail = str(Outcome.SUCCESS), ""
         try:
             worker.run()

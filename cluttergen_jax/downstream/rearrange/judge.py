@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig, VerifyConfig
-from cluttergen_jax.downstream.perception.symmetry import offset
 from cluttergen_jax.downstream.rearrange.observe import Cause
 from cluttergen_jax.downstream.robot.episode import WATCHED
-from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import matrix_of, motion_between, offset
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank.verify import verify_model
 
@@ -21,12 +20,12 @@ MAX_ERROR, MAX_TURN_ERROR = 0.015, float(np.radians(10))
 """Metres and radians, up to its symmetry, that each object may be from its place in the chosen layout."""
 
 
-class Judge:
+class RearrangementJudge:
     """Watches an episode and says at its end whether the objects are where they should be.
 
     Args:
       execution: the simulation. scene: as it was at the start; the first `num_moved` objects are to be moved.
-      symmetry: of each object (`symmetry.turn_symmetry`).
+      symmetry: of each object (`assets.symmetry.turn_symmetry`).
     """
 
     def __init__(self, execution: Execution, scene: Scene, num_moved: int, symmetry: Sequence[int]) -> None:
@@ -44,7 +43,7 @@ class Judge:
         Raises:
           Failed: one was disturbed: it is farther from there than the last check of scenes allows.
         """
-        far = _moved(self._execution.poses(), self._before)
+        far = _has_moved(self._execution.poses(), self._before)
         far[moved] = False
         if far.any():
             raise Failed(Outcome.DISPLACED, self._scene.names[int(far.argmax())])
@@ -68,7 +67,7 @@ class Judge:
         self._execution.wake()
         for _ in range(round(WATCHED / 0.1)):
             self._execution.wait(0.1, Phase.FREE)
-            far = _moved(self._execution.poses(), start)
+            far = _has_moved(self._execution.poses(), start)
             if far.any():
                 raise Failed(Outcome.UNSTABLE, names[int(far.argmax())])
         right = self.is_right(goals)
@@ -78,7 +77,7 @@ class Judge:
             told = f"{names[worst]}: {1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg"
             raise Failed(Cause.MISPLACED, told)
         others = slice(self._num_moved, None)
-        far = _moved(self._execution.poses()[others], self._scene.poses[others])
+        far = _has_moved(self._execution.poses()[others], self._scene.poses[others])
         if far.any():
             raise Failed(Outcome.DISPLACED, names[self._num_moved + int(far.argmax())])
         self._check_alone()
@@ -95,11 +94,8 @@ class Judge:
             raise Failed(Outcome.UNSTABLE, f"{found.worst}, alone")
 
 
-def _moved(now: np.ndarray, then: np.ndarray) -> np.ndarray:
+def _has_moved(now: np.ndarray, then: np.ndarray) -> np.ndarray:
     """bool[N]: poses f64[N, 7] farther apart than the last check of scenes allows."""
     limits = StabilityConfig()
-    if not len(now):
-        return np.zeros(0, bool)
-    shift = np.linalg.norm(now[:, :3] - then[:, :3], axis=1)
-    turn = angle_between(matrix_of(now), matrix_of(then))
+    shift, turn = motion_between(now, then)
     return (shift > limits.stand_full_shift) | (turn > limits.stand_full_turn)

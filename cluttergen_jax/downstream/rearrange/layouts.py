@@ -15,23 +15,23 @@ from scipy.spatial.distance import cdist
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import LayoutRule, Method
-from cluttergen_jax.downstream.rearrange.settings import AREA
-from cluttergen_jax.downstream.robot.frames import matrix_of
-from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.grasping.grips import ranked
+from cluttergen_jax.downstream.robot.grasping.grips import rank_grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import ROOM as HAND_ROOM
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
-from cluttergen_jax.generation.make import make_sampler
+from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.geometry import transformed
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.types import Array
 
+AREA = Rectangle((0.0, 0.0), (0.27, 0.32))
+"""All of the usual table that the arm reaches; objects may wait anywhere in it."""
 ROOM = 0.01
 """Metres between the two nearest objects from which on a layout has room; poses are seen to millimetres."""
 NUM_DRAWN = 128
@@ -83,7 +83,7 @@ class SceneDraw:
 
         Args:
           chosen: n of the pool's objects by number; those of the largest footprint are placed first.
-          region: where; no larger than `settings.AREA`.
+          region: where; no larger than `AREA`.
           standing: objects that are there already; poses: f[m, 7] of these.
         """
         if len(chosen) + len(standing) > self._num_slots:
@@ -123,13 +123,15 @@ class Layouts:
     def __len__(self) -> int:
         return len(self.poses)
 
-    def ranked(self, rule: LayoutRule) -> np.ndarray:
+    def rank(self, rule: LayoutRule) -> np.ndarray:
         """i[L]: the layouts, best first. Those that are reached wholly come first under every rule."""
         worth = {"clearance": self.clearance, "reach": self.reach, "similar": -self.travel}[rule]
         return np.lexsort((-self.clearance, -worth, -self.reach))
 
 
-def unlike(objects: Sequence[ObjectAsset], poses: np.ndarray, region: Rectangle, number: int) -> np.ndarray:
+def choose_unlike(
+    objects: Sequence[ObjectAsset], poses: np.ndarray, region: Rectangle, number: int
+) -> np.ndarray:
     """i[number]: of scenes f64[S, N, 7] each the farthest from those before it (`diversity.embed`)."""
     if len(poses) <= number:
         return np.arange(len(poses))
@@ -142,7 +144,7 @@ def unlike(objects: Sequence[ObjectAsset], poses: np.ndarray, region: Rectangle,
     return np.array(chosen)
 
 
-def preferred(reach: np.ndarray, clearance: np.ndarray, number: int) -> np.ndarray:
+def prefer(reach: np.ndarray, clearance: np.ndarray, number: int) -> np.ndarray:
     """i[M]: of layouts with f64[S] each those that are reached wholly and have `ROOM`, but at least `number`.
 
     If they are fewer, those follow that are reached best, of these those with the widest gaps.
@@ -183,7 +185,7 @@ def _is_over(one: np.ndarray, other: np.ndarray) -> bool:
     return bool((other @ planes[:, :2].T + planes[:, 2] < 0).all(1).any())
 
 
-class Reach:
+class ReachCheck:
     """Which objects the arm could take with room, as all stand.
 
     Args:
@@ -201,10 +203,7 @@ class Reach:
     ) -> None:
         self._grasps, self._max_lever, base = grasps, max_lever, base_pose(support)
         self._kinematics = ArmKinematics(base)
-        names, nowhere = (
-            [str(number) for number in range(len(objects))],
-            np.tile(np.eye(7)[3], (len(objects), 1)),
-        )
+        names, nowhere = list(map(str, range(len(objects)))), np.tile(np.eye(7)[3], (len(objects), 1))
         self._worlds = {k: PlanningWorld(names, objects, nowhere, k, support, base) for k in moved}
         for world in self._worlds.values():
             world.room = HAND_ROOM
@@ -217,13 +216,10 @@ class Reach:
         world, T_world_object = self._worlds[target], matrix_of(poses[target])
         for number, pose in enumerate(poses):
             world.move(number, pose)
-        for grip in ranked(self._grasps[target], T_world_object):
+        for grip in rank_grasps(self._grasps[target], T_world_object):
             if grip.lever > self._max_lever:
                 continue
-            T_world_tool, opening = (
-                T_world_object @ grip.T_object_tool,
-                float(opening_of(np.array(grip.width))),
-            )
+            T_world_tool, opening = T_world_object @ grip.T_object_tool, grip.opening
             if not world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
             found = self._kinematics.solutions(T_world_tool, 1)

@@ -6,19 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cluttergen_jax.downstream.rearrange.judge import Judge
+from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.rearrange.observe import Cause, ObjectTracker
 from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK
-from cluttergen_jax.downstream.robot.frames import matrix_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import ROOMS, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import Mover
-from cluttergen_jax.downstream.robot.motion.plan import PickPlan
-from cluttergen_jax.downstream.robot.motion.timing import timed
+from cluttergen_jax.downstream.robot.motion.plan import PickPlan, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.scene import Scene
 
 MAX_RETRIES = 2
@@ -52,7 +51,7 @@ class Moves:
         grasps: Sequence[Grasps],
         execution: Execution,
         sight: ObjectTracker,
-        judge: Judge,
+        judge: RearrangementJudge,
         rng: np.random.Generator,
     ) -> None:
         self._scene, self._grasps, self._rng = scene, grasps, rng
@@ -72,7 +71,7 @@ class Moves:
         if is_home:
             self._sight.glance()
             run = self._execution
-            run.follow(timed(np.linspace(run.set_point, DRAWN_BACK, 8), run.step_time), Phase.FREE)
+            run.follow(time_path(np.linspace(run.set_point, DRAWN_BACK, 8), run.step_time), Phase.FREE)
             run.wait(0.2, Phase.FREE)
         self._sight()
 
@@ -166,11 +165,7 @@ class Moves:
         return last
 
     def _count(self, k: int, is_wait: bool) -> None:
-        """Counts a pick.
-
-        Raises:
-          Failed: it is one too many.
-        """
+        """Counts a pick. Raises Failed: it is one too many."""
         is_retry = not is_wait and bool(self.homed[k])
         if is_retry and self.homed[k] > MAX_RETRIES:
             raise Failed(Cause.MISPLACED, f"{self._scene.names[k]} after {MAX_RETRIES} retries")

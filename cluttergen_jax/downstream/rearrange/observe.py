@@ -14,13 +14,12 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from cluttergen_jax.downstream.perception.symmetry import offset
-from cluttergen_jax.downstream.robot.frames import matrix_of, pose_of
 from cluttergen_jax.downstream.robot.motion.execute import Execution
+from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.renderer import Renderer, open_renderer, set_range
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing import Camera
 
 _REACH = 1.5
 """Metres around the table that are drawn."""
@@ -132,10 +131,10 @@ class EpisodeView:
         Raises:
           RendererError: nothing here can draw.
         """
-        renderer, data = self._sized(camera.width, camera.height), self._execution.data
+        renderer, data = self._renderer_of(camera.width, camera.height), self._execution.data
         return renderer.average(data, camera, 1, _REACH), renderer.measure(data, camera)[0]
 
-    def _sized(self, width: int, height: int) -> Renderer:
+    def _renderer_of(self, width: int, height: int) -> Renderer:
         """A renderer of this size; one is open at a time."""
         if self._renderer is None or (self._renderer.width, self._renderer.height) != (width, height):
             self._open.close()
@@ -190,7 +189,7 @@ class ObjectTracker:
 
     Args:
       relook: False looks once, and then goes by what the hand has done.
-      symmetry: of each object (`perception.symmetry.turn_symmetry`); none if not given.
+      symmetry: of each object (`assets.symmetry.turn_symmetry`); none if not given.
 
     Attributes:
       num_looks: how often all objects were looked for.
@@ -240,7 +239,7 @@ class ObjectTracker:
         can_see = only is None or self._observer.sees_held
         if can_see and not is_fresh and (self._relook or not self.num_looks):
             asked = range(len(self._poses)) if only is None else (only,)
-            found = self._seen(asked)
+            found = self._observe(asked)
             told = zip(asked, found.pose, found.seen, found.certainty, strict=True)
             for number, pose, is_seen, certainty in told:
                 if is_seen and self._is_believed(number, pose, certainty):
@@ -282,7 +281,7 @@ class ObjectTracker:
         self._agreed[number], self._turned[number] = 1, 0
         return True
 
-    def _seen(self, numbers: Sequence[int]) -> SceneEstimate:
+    def _observe(self, numbers: Sequence[int]) -> SceneEstimate:
         if len(numbers) == len(self._poses):
             self.num_looks, self._looked_at = self.num_looks + 1, self._view.time
         names = [self._view.names[number] for number in numbers]

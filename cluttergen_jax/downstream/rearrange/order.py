@@ -38,11 +38,7 @@ class Relations(NamedTuple):
 
 
 class Meetings:
-    """Finds how objects meet each other where they stand and where they shall.
-
-    Args:
-      objects: N.
-    """
+    """Finds how objects meet each other where they stand and where they shall; objects: N."""
 
     def __init__(self, objects: Sequence[ObjectAsset]) -> None:
         self._number = len(objects)

@@ -8,17 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.downstream.constants import constants_hash
-from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder
-from cluttergen_jax.downstream.perception.finder_hash import finder_hash
-from cluttergen_jax.downstream.perception.pose.estimator import Look
-from cluttergen_jax.downstream.perception.views.cameras import above, wrist_camera
+from cluttergen_jax.downstream.digests import constants_hash
+from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder, finder_hash
+from cluttergen_jax.downstream.perception.types import Look
+from cluttergen_jax.downstream.perception.views.stage import above, wrist_camera
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, SceneEstimate
 from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.silhouette import ArmSilhouette
+from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
+from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, Camera, NoiseConfig, noisy
 
 UNSURE = 0.5
 """Certainty below which another look is taken."""
@@ -66,11 +64,9 @@ class PerceptionObserver:
         self.registration = registration_hash(noise)
 
     def glance(self, world: EpisodeView) -> None:
-        """See `observe.Observer`."""
         self._glances = self._look(world, wrist_camera(world.tool), 0)
 
     def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
-        """See `observe.Observer`."""
         looks, self._glances = self._glances, []
         before = 0 if np.isnan(known).all() else self._num_before
         self._num_before = before + 1

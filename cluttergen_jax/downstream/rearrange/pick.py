@@ -55,7 +55,7 @@ class LayoutPanel:
                 server.gui.add_button(label) for label in ("Next layout", "Previous layout", "Take this one")
             ]
         for button, act in zip(self._buttons, (self.next, self.previous, self.take), strict=True):
-            button.on_click(self._ordered(act))
+            button.on_click(self._callback(act))
         self._enable(False)
 
     def __call__(self, task: RearrangeTask, poses: np.ndarray, layouts: Layouts) -> int:
@@ -88,7 +88,7 @@ class LayoutPanel:
 
     # How it is done.
 
-    def _ordered(self, act: Callable[[], None]) -> Callable[[Any], Any]:
+    def _callback(self, act: Callable[[], None]) -> Callable[[Any], Any]:
         """A callback of viser's that does `act` after whatever was asked for before."""
 
         # Functions that are not async run in many threads, in any order.
@@ -127,7 +127,7 @@ class LayoutPanel:
             for each in (self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())):
                 aim(each, scene.support.region, scene.support.top)
         self._layouts, self._starts = layouts, poses[:num_moved, :3]
-        self._order = layouts.ranked(self._rule).tolist()
+        self._order = layouts.rank(self._rule).tolist()
         self.number = self._order[0]
         self._enable(True)
         self._draw()

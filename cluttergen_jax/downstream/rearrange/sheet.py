@@ -10,8 +10,7 @@ import numpy as np
 from cluttergen_jax.downstream.rearrange.episode import draw_layouts
 from cluttergen_jax.downstream.rearrange.layouts import Layouts
 from cluttergen_jax.downstream.rearrange.observe import Observer
-from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions
-from cluttergen_jax.downstream.rearrange.task import RearrangeResult, RearrangeTask
+from cluttergen_jax.downstream.rearrange.task import RearrangeOptions, RearrangeResult, RearrangeTask
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.assets import close_points

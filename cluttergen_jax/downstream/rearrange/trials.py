@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
@@ -13,26 +12,30 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.symmetry import turn_symmetry
 from cluttergen_jax.config import FilmFormat
-from cluttergen_jax.downstream.constants import constants_hash
-from cluttergen_jax.downstream.perception.symmetry import turn_symmetry
-from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, settings
+from cluttergen_jax.downstream.digests import constants_hash
+from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
-from cluttergen_jax.downstream.rearrange.layouts import Reach, SceneDraw
+from cluttergen_jax.downstream.rearrange.layouts import ReachCheck, SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
 from cluttergen_jax.downstream.rearrange.order import Meetings
-from cluttergen_jax.downstream.rearrange.settings import RearrangeOptions, RearrangeSetting
 from cluttergen_jax.downstream.rearrange.sheet import save_sheets
-from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeResult, RearrangeTask
+from cluttergen_jax.downstream.rearrange.task import (
+    Chooser,
+    RearrangeOptions,
+    RearrangeResult,
+    RearrangeSetting,
+    RearrangeTask,
+)
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.motion.execute import Trace
-from cluttergen_jax.downstream.robot.planner_hash import planner_hash
-from cluttergen_jax.downstream.robot.rows import RowFile, share_of
-from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed
+from cluttergen_jax.downstream.robot.outcome import Endings, success_of
+from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash
+from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
-from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
@@ -53,7 +56,7 @@ class Starts:
         self.setting, self._pool = setting, pool
         self._num_threads = num_threads or os.cpu_count() or 1
         self._grasps: dict[str, Grasps] = {}
-        self._symmetry: dict[str, int] = {}
+        self._symmetry = cache(turn_symmetry)
 
     # Compiled when the first scene is asked for.
 
@@ -81,12 +84,12 @@ class Starts:
             moved, others = numbers[: setting.num_objects], numbers[setting.num_objects :]
             stay = np.zeros((0, 7))
             if others:
-                found = place(_drawn(rng), others, setting.target)
+                found = place(_draw_seed(rng), others, setting.target)
                 if not len(found):
                     continue
                 stay = found[0]
             objects = tuple(place.objects[each] for each in numbers)
-            scenes = self._start(_drawn(rng), moved, setting.start, others, stay)
+            scenes = self._start(_draw_seed(rng), moved, setting.start, others, stay)
             for poses in scenes:
                 scene = Scene(
                     tuple(each.name for each in objects),
@@ -94,10 +97,10 @@ class Starts:
                     np.concatenate([poses, stay]),
                     place.support,
                 )
-                grasps, symmetry = self._grasps_of(objects), self._symmetry_of(objects)
+                grasps, symmetry = self._grasps_of(objects), tuple(map(self._symmetry, objects))
                 if setting.num_stacked and not is_stacked(scene, grasps, setting.num_stacked):
                     continue
-                return RearrangeTask(setting, scene, tuple(numbers), grasps, symmetry, place, _drawn(rng))
+                return RearrangeTask(setting, scene, tuple(numbers), grasps, symmetry, place, _draw_seed(rng))
         raise ConfigError(f"no starting scene of {setting.name!r}", "smaller objects", "another pool")
 
     def _grasps_of(self, objects: Sequence[ObjectAsset]) -> tuple[Grasps, ...]:
@@ -108,14 +111,8 @@ class Starts:
             self._grasps.update(zip((each.name for each in fresh), found, strict=True))
         return tuple(self._grasps[each.name] for each in objects)
 
-    def _symmetry_of(self, objects: Sequence[ObjectAsset]) -> tuple[int, ...]:
-        for each in objects:
-            if each.name not in self._symmetry:
-                self._symmetry[each.name] = turn_symmetry(each)
-        return tuple(self._symmetry[each.name] for each in objects)
 
-
-def _drawn(rng: np.random.Generator) -> int:
+def _draw_seed(rng: np.random.Generator) -> int:
     return int(rng.integers(2**30))
 
 
@@ -131,11 +128,11 @@ def is_stacked(scene: Scene, grasps: Sequence[Grasps], number: int) -> bool:
     top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0)).tolist()
     if lies_on.any(1).sum() < number:
         return False
-    return Reach(scene.objects, grasps, top, scene.support)(scene.poses) == 1
+    return ReachCheck(scene.objects, grasps, top, scene.support)(scene.poses) == 1
 
 
 @dataclass(frozen=True, eq=False)
-class Rearrangements:
+class Rearrangements(Endings):
     """What became of episodes of one setting.
 
     Attributes:
@@ -147,20 +144,13 @@ class Rearrangements:
     observer: str
     rows: tuple[RearrangeResult, ...]
 
-    @property
-    def success_rate(self) -> float:
-        """Share of all episodes."""
-        return sum(row.is_success for row in self.rows) / max(len(self.rows), 1)
-
     def __str__(self) -> str:
         """Rates, causes, and what an episode costs."""
         rows = self.rows
-        lines = [f"{self.setting}, {self.observer}: {_share(rows)} of all episodes"]
+        lines = [f"{self.setting}, {self.observer}: {success_of(rows)} of all episodes"]
         right = [each for row in rows for each in row.right]
         lines.append(f"objects where they should be: {share_of(sum(right), len(right))}")
-        causes = Counter(row.outcome for row in rows if not row.is_success)
-        if causes:
-            lines.append("failures: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()))
+        lines += self.causes()
         good = [row for row in rows if row.is_success]
         if good:
             over = sum(row.picks - row.fewest for row in good)
@@ -184,10 +174,6 @@ class Rearrangements:
         return "\n".join([*lines, "", aligned_table(("object", "moved", "right"), table)])
 
 
-def _share(rows: Sequence[RearrangeResult]) -> str:
-    return share_of(sum(row.is_success for row in rows), len(rows))
-
-
 def _object_row(rows: Sequence[RearrangeResult], name: str) -> tuple[str, str]:
     right = [row.right[row.objects.index(name)] for row in rows if name in row.objects]
     return str(len(right)), str(sum(right))
@@ -196,7 +182,7 @@ def _object_row(rows: Sequence[RearrangeResult], name: str) -> tuple[str, str]:
 @cache
 def rearrange_hash() -> str:
     """Hex digest of how rearrangements are planned, done and judged, but for what an observer does."""
-    return constants_hash(episode, judge, layouts, moves, observe, order, settings, arm=planner_hash())
+    return constants_hash(episode, judge, layouts, moves, observe, order, task, arm=planner_hash())
 
 
 def run_rearrangements(
@@ -251,13 +237,13 @@ def run_rearrangements(
         given = options if ask is None else replace(options, layout=rows[index].layout)
         return rearrange_episode(task_of(index), given, observer, trace)
 
-    with Progress(setting.name, number, "episode", kept=len(rows)) as progress:
-        for index in range(len(rows), number):
-            row = rearrange_episode(task_of(index), options, observer, ask=ask)
-            rows.append(row)
-            file.write(rows)
-            good = sum(each.is_success for each in rows)
-            progress.update(note=f"{good} of {len(rows)} good, the last: {row.outcome}")
+    def run(index: int) -> RearrangeResult:
+        return rearrange_episode(task_of(index), options, observer, ask=ask)
+
+    def note(rows: list[RearrangeResult]) -> str:
+        return f"{sum(row.is_success for row in rows)} of {len(rows)} good, the last: {rows[-1].outcome}"
+
+    file.complete(rows, number, run, setting.name, note=note)
     if out is not None and sheets:
         save_sheets(rows, task_of, options, observer, out)
     if out is not None and films is not None:

@@ -23,7 +23,7 @@ from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.query import Placer
-    from cluttergen_jax.downstream.robot.grasping.sets import GraspSets
+    from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
     from cluttergen_jax.downstream.robot.trials import RobotTrials
 
 _MOST_GRASPS = 4096
@@ -70,8 +70,7 @@ def robot_grasps(
       RendererError: a picture is wanted, and nothing here can draw.
     """
     from cluttergen_jax.assets.pool import find_pool
-    from cluttergen_jax.downstream.robot.grasping.grasps import write_grasps
-    from cluttergen_jax.downstream.robot.grasping.sets import grasp_sets
+    from cluttergen_jax.downstream.robot.grasping.grasps import grasp_sets, write_grasps
 
     check_file(out, "out", "grasps.parquet")
     check_file(picture, "picture", "grasps.png")
@@ -147,23 +146,21 @@ def robot_place(
       MissingExtraError: the extra `robot` is not installed.
       RendererError: films are asked for, and nothing here can draw.
     """
-    import hashlib
-    import json
     import os
     from dataclasses import replace
     from typing import Any, get_args
 
     from cluttergen_jax.api.generate import generate
-    from cluttergen_jax.downstream.placer.heads.trained import placer_folder
-    from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
+    from cluttergen_jax.downstream.digests import json_digest
+    from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
-    from cluttergen_jax.downstream.robot.places import SearchPlaces
+    from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
     from cluttergen_jax.downstream.robot.trials import own_place, run_trials
+    from cluttergen_jax.downstream.samples import bank_or_made
     from cluttergen_jax.learning.methods import checkpoint_of
-    from cluttergen_jax.learning.ppo.checkpoint import folder_hash
-    from cluttergen_jax.scene.bank.bank import Bank, read_bank
-    from cluttergen_jax.scene.bank.scene import read_scenes, region_of
+    from cluttergen_jax.learning.ppo import checkpoint
+    from cluttergen_jax.scene.bank import Bank, read_scenes, region_of
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -176,37 +173,33 @@ def robot_place(
     panda_folder()
     if films:
         check_films(film)
-    given = {"pool": pool, "method": method, "support": support, "num_objects": num_objects, "region": region}
-    first = next((name for name, value in given.items() if value is not None), None)
-    if bank is None:
+
+    def make() -> Bank:
         # In a random order the last object is any of the pool, not mostly a small one.
         usual = SceneSpec(pool="household", num_objects=_NUM_OBJECTS, region=_REGION, order="random")
-        asked = replace(
-            usual.replace_given(pool, method, support, num_objects, region), num_threads=num_threads
-        )
-        found: Bank = generate(
-            Path(out) / "bank", asked, num_scenes=num_episodes, seed=seed, render=False, max_files=0
-        )
-    elif first:
-        raise ConfigError(f"`{first}` together with `bank`", "one or the other", f"leaving out `{first}`")
-    else:
-        found = read_bank(bank)
+        asked = usual.replace_given(pool, method, support, num_objects, region)
+        asked = replace(asked, num_threads=num_threads)
+        place = Path(out) / "bank"
+        return generate(place, asked, num_scenes=num_episodes, seed=seed, render=False, max_files=0)
+
+    given = (pool, method, support, num_objects, region)
+    found = bank_or_made(bank, make, "pool method support num_objects region", given)
     recipe = found.record["recipe"]
     queried = region_of(found)
     scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]
     # Of another bank's scenes the rows would not be comparable.
-    made = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
+    made = json_digest(recipe)
     rows = {"task": task, "placer": str(placer), "seed": seed, "pool": recipe.get("pool"), "bank": made}
     threads = num_threads or os.cpu_count() or 1
     places: Any = own_place
     if task == "place" and looking is not None:
         places = CameraPlacer(found, looking, placer, factor)
         trained = placer_folder(placer)
-        rows |= {"noise": factor, "weights": trained and folder_hash(trained)}
+        rows |= {"noise": factor, "weights": trained and checkpoint.folder_hash(trained)}
     elif task == "place" and placer != "none":
         places = SearchPlaces(found, str(placer), seed, threads)
-        checkpoint = checkpoint_of(str(placer), str(recipe.get("pool")))
-        rows |= {"weights": checkpoint and checkpoint.hash}
+        policy = checkpoint_of(str(placer), str(recipe.get("pool")))
+        rows |= {"weights": policy and policy.hash}
     return run_trials(
         scenes,
         task,

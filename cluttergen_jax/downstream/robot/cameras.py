@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.downstream.robot.frames import made
-from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, Camera, intrinsics, overhead
+from cluttergen_jax.downstream.transforms import rigid
+from cluttergen_jax.sensing import REALSENSE_FOCAL, Camera, intrinsics, overhead
 
 SIZE, FOCAL = (320, 240), REALSENSE_FOCAL / 2
 """Of pictures: a depth camera of the RealSense kind at half of its resolution."""
@@ -25,7 +25,7 @@ def wrist_camera(T_world_tool: np.ndarray) -> Camera:
       T_world_tool: f64[4, 4], of the tool (docs/contract.md).
     """
     turn = Rotation.from_euler("zy", [-np.pi / 2, _WRIST_TILT]).as_matrix()
-    T_tool_camera = made(turn, _WRIST_PLACE)
+    T_tool_camera = rigid(turn, _WRIST_PLACE)
     return Camera(*SIZE, intrinsics(*SIZE, FOCAL), T_world_tool @ T_tool_camera)
 
 

@@ -11,16 +11,16 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
-from cluttergen_jax.downstream.robot.frames import angle_between, matrix_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.model import PandaConfig, base_pose
+from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.sensed import SeeingArm
+from cluttergen_jax.downstream.robot.outcome import Ending, Failed, Outcome
+from cluttergen_jax.downstream.robot.places import CameraPlacer
+from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
+from cluttergen_jax.downstream.transforms import angle_between, matrix_of, motion_between
 from cluttergen_jax.geometry import product, turned, yaw_quaternion
 from cluttergen_jax.scene import Scene
 
@@ -32,11 +32,10 @@ _STAND_GAP, _STAND_HALF_HEIGHT, _STAND_BEFORE = 0.01, 0.01, 0.1
 
 
 @dataclass(frozen=True)
-class EpisodeResult:
+class EpisodeResult(Ending):
     """What became of an episode.
 
     Attributes:
-      outcome: an `Outcome`, as text; detail: of what, in words.
       object: the name of the object that was moved; num_others: objects besides it.
       error, turn_error: metres in plan and radians in the end from where it was put; nan if it never was.
         z_error: metres.
@@ -47,8 +46,6 @@ class EpisodeResult:
       scene: the number of the scene in its bank, -1 where it is not known.
     """
 
-    outcome: str
-    detail: str
     object: str
     num_others: int
     error: float
@@ -61,11 +58,6 @@ class EpisodeResult:
     placer: str = "none"
     looks: int = 0
     scene: int = -1
-
-    @property
-    def is_success(self) -> bool:
-        """Nothing went wrong."""
-        return self.outcome == Outcome.SUCCESS
 
 
 def stand_beside(support: SupportAsset) -> Box:
@@ -105,12 +97,11 @@ class Referee:
         scene: Scene,
         target: int,
         stands: tuple[Box, ...],
-        config: PandaConfig | None = None,
         trace: Trace | None = None,
     ) -> None:
         self.put: Put | None = None
         self.scene, self.target = scene, target
-        self.execution = Execution(scene, target, stands, config, trace)
+        self.execution = Execution(scene, target, stands, trace)
         self._others = [k for k in range(len(scene.names)) if k != target]
         self.displaced = 0.0
 
@@ -127,8 +118,7 @@ class Referee:
         """The numbers of the other objects that have moved too far; keeps how far one has at most."""
         limits = StabilityConfig()
         now, then = self.execution.poses()[self._others], self.scene.poses[self._others]
-        shift = np.linalg.norm(now[:, :3] - then[:, :3], axis=1)
-        turn = angle_between(matrix_of(now), matrix_of(then)) if self._others else shift
+        shift, turn = motion_between(now, then)
         self.displaced = max(self.displaced, float(shift.max(initial=0.0)))
         is_far = (shift > limits.max_shift) | (turn > limits.max_turn)
         return [number for number, far in zip(self._others, is_far, strict=True) if far]
@@ -139,11 +129,10 @@ class Referee:
         Raises:
           Failed: it moved by more than the last check of scenes allows, or another did.
         """
-        limits, start = StabilityConfig(), self.execution.pose(self.target)
+        limits, start = StabilityConfig(), self.execution.poses()[self.target]
         for _ in range(round(WATCHED / 0.1)):
             self.execution.wait(0.1, Phase.FREE)
-            now = self.execution.pose(self.target)
-            shift, turn = np.linalg.norm(now[:3, 3] - start[:3, 3]), float(angle_between(now, start))
+            shift, turn = motion_between(self.execution.poses()[self.target], start)
             if shift > limits.stand_full_shift or turn > limits.stand_full_turn:
                 raise Failed(Outcome.UNSTABLE, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
             self.check_others()
@@ -189,11 +178,10 @@ class EpisodeWorld(Referee):
         target: int,
         stands: tuple[Box, ...],
         seed: int,
-        config: PandaConfig | None = None,
         trace: Trace | None = None,
     ) -> None:
-        super().__init__(scene, target, stands, config, trace)
-        base = base_pose(scene.support, config)
+        super().__init__(scene, target, stands, trace)
+        base = base_pose(scene.support)
         planning = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
         self.mover = Mover(self.execution, planning, ArmKinematics(base), target, seed)
 
@@ -218,7 +206,7 @@ def lift_episode(
         if world.execution.pose(target)[2, 3] < height + 0.8 * LIFT:
             raise Failed(Outcome.SLIP, "not lifted")
 
-    return _ended(world, run)
+    return _run_episode(world, run)
 
 
 def place_episode(
@@ -244,10 +232,10 @@ def place_episode(
         world.check_stands()
         world.check_region()
 
-    return _ended(world, run)
+    return _run_episode(world, run)
 
 
-def sensed_place_episode(
+def sensing_place_episode(
     scene: Scene, target: int, grasps: Grasps, placer: CameraPlacer, seed: int, trace: Trace | None = None
 ) -> EpisodeResult:
     """As `place_episode`, by an arm that sees the others and asks a placer where to put the object.
@@ -259,7 +247,7 @@ def sensed_place_episode(
     scene, stand = _on_stand(scene, target, seed)
     world = Referee(scene, target, (stand,), trace=trace)
     asset, start = scene.objects[target], scene.poses[target]
-    arm = SeeingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
+    arm = SensingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
 
     def run() -> None:
         mover = arm.pick(grasps)
@@ -271,7 +259,7 @@ def sensed_place_episode(
         world.check_stands()
         world.check_region()
 
-    return replace(_ended(world, run), placer=placer.name, looks=arm.looks)
+    return replace(_run_episode(world, run), placer=placer.name, looks=arm.looks)
 
 
 def _on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
@@ -284,7 +272,7 @@ def _on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
     return replace(scene, poses=poses), stand
 
 
-def _ended(world: Referee, run: Callable[[], None]) -> EpisodeResult:
+def _run_episode(world: Referee, run: Callable[[], None]) -> EpisodeResult:
     begun = time.process_time()
     try:
         run()

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.config import FilmFormat
-from cluttergen_jax.downstream.robot.model import Panda, PandaConfig
+from cluttergen_jax.downstream.robot.model import PANDA, Panda
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
@@ -42,23 +42,16 @@ _ARM_WIDTH, _ROOM = 0.08, 0.1
 
 
 class EpisodeRow(Protocol):
-    """What a film has to know of an episode."""
+    """What a film has to know of an episode (`outcome.Ending`), and its simulated seconds."""
 
     @property
-    def outcome(self) -> str:
-        """How it ended."""
-
+    def outcome(self) -> str: ...
     @property
-    def detail(self) -> str:
-        """Of what, in words."""
-
+    def detail(self) -> str: ...
     @property
-    def is_success(self) -> bool:
-        """Nothing went wrong."""
-
+    def is_success(self) -> bool: ...
     @property
-    def seconds(self) -> float:
-        """Of the simulated time."""
+    def seconds(self) -> float: ...
 
 
 def check_films(film: FilmFormat) -> None:
@@ -125,7 +118,7 @@ def _every(seconds: float) -> int:
     """Steps from one frame to the next."""
     speed = float(np.clip(seconds / _SECONDS, 1.0, _FASTEST))
     # Rounded down, it is never faster.
-    return max(1, int(speed / FPS / PandaConfig().timestep))
+    return max(1, int(speed / FPS / PANDA.timestep))
 
 
 def _ending(row: EpisodeRow) -> str:
@@ -147,7 +140,9 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
     camera = fitted_camera(content, view, width, height)
     with open_renderer(model, width, height) as renderer:
 
-        def drawn(state: np.ndarray, text: str, rgb: tuple[float, float, float] | None = None) -> np.ndarray:
+        def frame_of(
+            state: np.ndarray, text: str, rgb: tuple[float, float, float] | None = None
+        ) -> np.ndarray:
             data.qpos[:] = state
             mujoco.mj_kinematics(model, data)
             large = renderer.average(data, camera, 1, reach, light_yaw=light_yaw)
@@ -157,9 +152,9 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
 
         for number, (state, held) in enumerate(zip(trace.states, trace.held, strict=True), 1):
             moved = f": {trace.scene.names[held]} in hand" if held >= 0 else ""
-            yield drawn(state, f"{title}{moved}, {number * step:.1f} s")
+            yield frame_of(state, f"{title}{moved}, {number * step:.1f} s")
         text = f"{title}: {_ending(row)}, {row.seconds:.1f} s"
-        last = drawn(trace.data.qpos, text, GREEN if row.is_success else RED)
+        last = frame_of(trace.data.qpos, text, GREEN if row.is_success else RED)
         yield from [last] * round(_HELD * FPS)
 
 

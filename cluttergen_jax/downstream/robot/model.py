@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import ContactConfig, check_positive
-from cluttergen_jax.errors import ConfigError, MissingExtraError
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import turned, yaw_quaternion
 from cluttergen_jax.scene import Scene
 
@@ -64,12 +64,8 @@ class PandaConfig:
     grip_force: float = 70.0
     timestep: float = 1 / 960
 
-    def __post_init__(self) -> None:
-        check_positive(
-            self, "distance", "grip_gain", "grip_damping", "finger_inertia", "grip_force", "timestep"
-        )
-        if not -1 <= self.grip_target < 0:
-            raise ConfigError(f"PandaConfig.grip_target = {self.grip_target!r}", "metres, -1 to below 0")
+
+PANDA = PandaConfig()
 
 
 def panda_folder() -> Path:
@@ -84,14 +80,14 @@ def panda_folder() -> Path:
     return Path(found.origin).parent / _FOLDER
 
 
-def panda_spec(contact: ContactConfig, config: PandaConfig | None = None) -> mujoco.MjSpec:
+def panda_spec(contact: ContactConfig) -> mujoco.MjSpec:
     """The whole arm with its base at the origin. Its home pose is `home_pose`."""
-    return _prepared(mujoco.MjSpec.from_file(str(panda_folder() / "panda.xml")), contact, config)
+    return _prepare(mujoco.MjSpec.from_file(str(panda_folder() / "panda.xml")), contact)
 
 
-def hand_spec(contact: ContactConfig, config: PandaConfig | None = None) -> mujoco.MjSpec:
+def hand_spec(contact: ContactConfig) -> mujoco.MjSpec:
     """The hand alone, fixed in the world, its frame the world's."""
-    spec = _prepared(mujoco.MjSpec.from_file(str(panda_folder() / "hand.xml")), contact, config)
+    spec = _prepare(mujoco.MjSpec.from_file(str(panda_folder() / "hand.xml")), contact)
     spec.body(HAND).quat = (1, 0, 0, 0)
     return spec
 
@@ -102,9 +98,8 @@ def home_pose() -> np.ndarray:
     return np.array(list(spec.key("home").qpos)[: len(ARM)])
 
 
-def _prepared(spec: mujoco.MjSpec, contact: ContactConfig, config: PandaConfig | None) -> mujoco.MjSpec:
+def _prepare(spec: mujoco.MjSpec, contact: ContactConfig) -> mujoco.MjSpec:
     """Its weight carried by its motors, contacts as the scene's, the gripper in metres, and a tool's site."""
-    config = config or PandaConfig()
     for key in spec.keys:
         spec.delete(key)
     for body in spec.bodies:
@@ -114,33 +109,33 @@ def _prepared(spec: mujoco.MjSpec, contact: ContactConfig, config: PandaConfig |
         geom.friction, geom.condim = contact.friction, contact.condim
         geom.solref, geom.solimp = contact.solref, contact.solimp
     gripper = spec.actuator(_GRIPPER)
-    gripper.gainprm[0] = config.grip_gain
-    gripper.biasprm[:3] = 0.0, -config.grip_gain, -config.grip_damping
-    gripper.ctrlrange = config.grip_target, MAX_OPENING
+    gripper.gainprm[0] = PANDA.grip_gain
+    gripper.biasprm[:3] = 0.0, -PANDA.grip_gain, -PANDA.grip_damping
+    gripper.ctrlrange = PANDA.grip_target, MAX_OPENING
     # A tendon pulls at both fingers with half of its force each.
-    gripper.forcerange = -2 * config.grip_force, 2 * config.grip_force
+    gripper.forcerange = -2 * PANDA.grip_force, 2 * PANDA.grip_force
     for finger in FINGERS:
-        spec.joint(finger).armature = config.finger_inertia
+        spec.joint(finger).armature = PANDA.finger_inertia
     spec.body(HAND).add_site(name=TOOL, pos=(0.0, 0.0, TOOL_DEPTH))
-    _for_holding(spec, config)
+    _for_holding(spec)
     return spec
 
 
-def _for_holding(spec: mujoco.MjSpec, config: PandaConfig) -> None:
+def _for_holding(spec: mujoco.MjSpec) -> None:
     """Options without which the arm's servos are unstable (the scene's Euler), or what is held creeps."""
-    spec.option.timestep = config.timestep
+    spec.option.timestep = PANDA.timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.impratio = _IMPRATIO
 
 
-def base_pose(support: SupportAsset, config: PandaConfig | None = None) -> np.ndarray:
+def base_pose(support: SupportAsset) -> np.ndarray:
     """f64[7]: T_world_base, on the level of the support's top, looking at the region's centre."""
-    region, distance = support.region, (config or PandaConfig()).distance
-    xy = region.center + turned(np.array([-distance, 0.0]), region.yaw)
+    region = support.region
+    xy = region.center + turned(np.array([-PANDA.distance, 0.0]), region.yaw)
     return np.array([*xy, support.top, *yaw_quaternion(region.yaw)])
 
 
-def with_panda(scene: Scene, config: PandaConfig | None = None) -> mujoco.MjSpec:
+def with_panda(scene: Scene) -> mujoco.MjSpec:
     """A scene and the arm before it, ready to be compiled.
 
     Names of the scene stay as they are, those of the arm have `PREFIX` before them. The arm's actuators come
@@ -149,14 +144,13 @@ def with_panda(scene: Scene, config: PandaConfig | None = None) -> mujoco.MjSpec
     Raises:
       MissingExtraError: the extra `robot` is not installed.
     """
-    config = config or PandaConfig()
     spec = scene.to_mjspec()
-    arm = panda_spec(scene.contact, config)
+    arm = panda_spec(scene.contact)
     for option in _OPTIONS:
         setattr(arm.option, option, getattr(spec.option, option))
     for each in (spec, arm):
-        _for_holding(each, config)
-    base = base_pose(scene.support, config)
+        _for_holding(each)
+    base = base_pose(scene.support)
     spec.attach(arm, prefix=PREFIX, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:]))
     return spec
 

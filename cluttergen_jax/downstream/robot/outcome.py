@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
+
+from cluttergen_jax.downstream.rows import share_of
 
 
 class Outcome(StrEnum):
@@ -28,12 +33,47 @@ class Outcome(StrEnum):
 
 
 class Failed(Exception):
-    """An episode ends.
-
-    Args:
-      outcome: how, an `Outcome` or another text of its kind. detail: of what, in words.
-    """
+    """An episode ends; outcome: how, an `Outcome` or another text of its kind. detail: of what, in words."""
 
     def __init__(self, outcome: StrEnum, detail: str = "") -> None:
         super().__init__(f"{outcome}: {detail}" if detail else str(outcome))
         self.outcome, self.detail = outcome, detail
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How an episode ended; outcome: an `Outcome` or another text of its kind; detail: of what, in words."""
+
+    outcome: str
+    detail: str
+
+    @property
+    def is_success(self) -> bool:
+        """Nothing went wrong."""
+        return self.outcome == Outcome.SUCCESS
+
+
+class Endings:
+    """What became of episodes, `rows`."""
+
+    rows: tuple[Ending, ...]
+
+    @property
+    def success_rate(self) -> float:
+        """Share of all episodes."""
+        return sum(row.is_success for row in self.rows) / max(len(self.rows), 1)
+
+    def causes(self) -> list[str]:
+        """A line that counts the failures by cause, where there are any."""
+        return [f"failures: {causes_of(self.rows)}"] if self.success_rate < 1 and self.rows else []
+
+
+def success_of(rows: Sequence[Ending]) -> str:
+    """The share of successes, as tables show it."""
+    return share_of(sum(row.is_success for row in rows), len(rows))
+
+
+def causes_of(rows: Sequence[Ending]) -> str:
+    """How often each cause of failure came, the most frequent first; "-" where none did."""
+    causes = Counter(row.outcome for row in rows if not row.is_success)
+    return ", ".join(f"{name} {count}" for name, count in causes.most_common()) or "-"

@@ -1,19 +1,31 @@
-"""Where an object may be put: what placers propose, and where it then comes to rest."""
+"""Where an object may be put: proposals of a method that knows the scene, and of a placer that sees it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
+from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
+from cluttergen_jax.downstream.placer.scene_cameras import DepthView
+from cluttergen_jax.downstream.robot.cameras import above
+from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, OccupancyBoxes, occupancy_boxes
+from cluttergen_jax.downstream.transforms import matrix_of
+from cluttergen_jax.generation import setup_of
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.placement.search import Candidates, lower_onto
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.types import Verdict
+from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.sensing import REALSENSE, Camera, merged
+from cluttergen_jax.types import Array, Verdict
 
 
 class SearchPlaces:
@@ -35,7 +47,7 @@ class SearchPlaces:
     def __init__(self, bank: Bank, method: str, seed: int, num_threads: int = 0) -> None:
         self.name = method
         self._scenes = PartialScenes(bank, num_threads)
-        self._judge = Judge(self._scenes.rules)
+        self._judge = ProposalJudge(self._scenes.rules)
         rules, propose = FullState(method).in_world(self._scenes.problem)
         self._propose: Any = jax.jit(lambda key, episode: proposals_of(propose, key, episode, rules).pose)
         self._key = new_key(seed)
@@ -51,3 +63,73 @@ class SearchPlaces:
         focus = int(self._scenes.object_index[row, slot])
         stands = judged.poses[judged.verdict == int(Verdict.STABLE), focus]
         return np.concatenate([scene.poses[-1:], np.asarray(stands, np.float64)])
+
+
+class CameraPlacer:
+    """A placer that is asked by pictures of the robot's cameras.
+
+    Args:
+      bank: whose scenes; of it the support, the region and the object that is to be placed are known.
+      placer: is asked. name: as rows have it.
+      noise: of the depth cameras, so many times that of a usual one; 0 for none.
+
+    Attributes:
+      overhead: the camera over the table, which sees all of it that objects in the region can reach.
+    """
+
+    def __init__(self, bank: Bank, placer: Placer, name: str | Path, noise: float) -> None:
+        problem = setup_of(bank, engine="native", num_threads=1).problem
+        support, region = problem.world.support, problem.region
+        self.name, self._noise = str(name), REALSENSE.scaled(noise)
+        self._names = problem.world.names
+        self._maker = QueryMaker(problem)
+        self._grid = self._maker.grid_of(CELL)
+        half_x, half_y = np.abs(self._maker.grid.corner).tolist()
+        seen = Rectangle(region.center, (half_x, half_y), region.yaw)
+        self.overhead = above(replace(support, region=seen))
+        self._ask: Any = jax.jit(lambda key, query: placer(key, query).pose)
+        self._lower: Any = jax.jit(_lower_poses)
+        self._world: Any = jax.jit(jax.vmap(world_pose, in_axes=(None, 0)))
+        self._region = problem.rules.region
+
+    def measure(self, depth: np.ndarray, camera: Camera, rng: np.random.Generator) -> DepthView:
+        """A picture f32[H, W] with noise, its stated pose corrected by the table's top."""
+        return self._maker.measure(depth, camera, self._noise, rng)
+
+    def columns(self, views: Sequence[DepthView]) -> OccupancyBoxes:
+        """What the arm has to avoid."""
+        return occupancy_boxes(
+            merged([self._maker.partial(*view, self._noise, self._grid) for view in views])
+        )
+
+    def propose(
+        self, views: Sequence[DepthView], name: str, seed: int, last: np.ndarray | None = None
+    ) -> np.ndarray:
+        """f32[M, 4]: x, y, z and yaw of T_region_object, best first, each lowered onto what was seen.
+
+        Those with their middle outside the region are left out.
+
+        Args:
+          name: the object's.
+          last: f32[4], a proposal of before that takes the place of the last one.
+        """
+        sight = self._maker.fuse(views, self._noise, np.random.default_rng(seed))
+        query = self._maker.query(sight, self._names.index(name))
+        pose = np.array(self._ask(new_key(seed), query))
+        if last is not None:
+            pose[-1] = last
+        pose = np.asarray(self._lower(pose, query))
+        is_inside = (np.abs(pose[:, :2]) <= np.asarray(query.region_half_extents)).all(1)
+        return pose[is_inside & np.isfinite(pose).all(1)]
+
+    def in_world(self, pose: np.ndarray) -> np.ndarray:
+        """f64[M, 4, 4]: T_world_object of proposals f32[M, 4]."""
+        if not len(pose):
+            return np.zeros((0, 4, 4))
+        return matrix_of(np.asarray(self._world(self._region, pose)))
+
+
+def _lower_poses(pose: Array, query: PlacementQuery) -> Array:
+    """Proposals f32[M, 4] lowered to first contact with the map of what was seen."""
+    fit = lower_onto(query.under, query.heights, Candidates(pose[:, :2], pose[:, 3]))
+    return pose.at[:, 2].set(fit.rest)

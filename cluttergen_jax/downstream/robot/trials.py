@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import cycle, islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cluttergen_jax.config import FilmFormat, RobotTask
-from cluttergen_jax.downstream.robot.camera_places import CameraPlacer
+from cluttergen_jax.downstream.digests import constants_hash
+from cluttergen_jax.downstream.robot import cameras, episode, model, sensing_arm
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeResult,
     lift_episode,
     place_episode,
-    sensed_place_episode,
+    sensing_place_episode,
 )
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
+from cluttergen_jax.downstream.robot.grasping import grips
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.motion import collision, execute, ik, mover, occupancy_boxes, plan
 from cluttergen_jax.downstream.robot.motion.execute import Trace
-from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.downstream.robot.planner_hash import planner_hash
-from cluttergen_jax.downstream.robot.rows import RowFile, share_of
+from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of, success_of
+from cluttergen_jax.downstream.robot.places import CameraPlacer
+from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.evaluation.machine import versions
-from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
@@ -39,7 +40,7 @@ Places = Callable[[int, Scene], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class RobotTrials:
+class RobotTrials(Endings):
     """What became of episodes.
 
     Attributes:
@@ -51,23 +52,18 @@ class RobotTrials:
     rows: tuple[EpisodeResult, ...]
 
     @property
-    def success_rate(self) -> float:
-        """Share of all episodes."""
-        return sum(row.is_success for row in self.rows) / max(len(self.rows), 1)
-
-    @property
     def possible(self) -> tuple[EpisodeResult, ...]:
         """The episodes in which a grasp free of contact was reached."""
         return tuple(row for row in self.rows if row.outcome not in (Outcome.NO_GRASP, Outcome.NO_IK))
 
     def __str__(self) -> str:
         """Causes, a row for each object, and how exactly things were put down."""
-        lines = [f"{self.task}: {_share(self.rows)} of all episodes"]
+        lines = [f"{self.task}: {success_of(self.rows)} of all episodes"]
         if len(self.possible) < len(self.rows):
-            lines.append(f"{self.task}: {_share(self.possible)} where a grasp free of contact was reached")
-        causes = Counter(row.outcome for row in self.rows if not row.is_success)
-        if causes:
-            lines.append("failures: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()))
+            lines.append(
+                f"{self.task}: {success_of(self.possible)} where a grasp free of contact was reached"
+            )
+        lines += self.causes()
         put = [row for row in self.rows if np.isfinite(row.error)]
         if put:
             error, turn = np.array([(1e3 * row.error, np.degrees(row.turn_error)) for row in put]).T
@@ -82,14 +78,8 @@ class RobotTrials:
         return "\n".join([*lines, "", aligned_table(("object", "episodes", "success", "failures"), table)])
 
 
-def _share(rows: Sequence[EpisodeResult]) -> str:
-    return share_of(sum(row.is_success for row in rows), len(rows))
-
-
 def _object_row(rows: Sequence[EpisodeResult]) -> tuple[str, str, str]:
-    causes = Counter(row.outcome for row in rows if not row.is_success)
-    told = ", ".join(f"{name} {count}" for name, count in causes.most_common()) or "-"
-    return str(len(rows)), str(sum(row.is_success for row in rows)), told
+    return str(len(rows)), str(sum(row.is_success for row in rows)), causes_of(rows)
 
 
 def own_place(index: int, scene: Scene) -> np.ndarray:
@@ -103,7 +93,7 @@ def run_trials(
     number: int,
     seed: int,
     out: Path | None,
-    recipe: dict[str, Any],
+    recipe: Mapping[str, object],
     *,
     num_threads: int = 1,
     places: Places | CameraPlacer = own_place,
@@ -148,13 +138,11 @@ def run_trials(
         row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace)
         return replace(row, scene=_number_of(scenes, index))
 
-    with Progress(task, number, "episode", kept=len(rows)) as progress:
-        for index in range(len(rows), number):
-            row = run(index)
-            rows.append(row)
-            file.write(rows)
-            good = sum(each.is_success for each in rows)
-            progress.update(note=f"{good} of {len(rows)} good, {row.object}: {row.outcome}")
+    def note(rows: list[EpisodeResult]) -> str:
+        good = sum(row.is_success for row in rows)
+        return f"{good} of {len(rows)} good, {rows[-1].object}: {rows[-1].outcome}"
+
+    file.complete(rows, number, run, task, note=note)
     if out is not None and films is not None:
         film_firsts(rows, run, out / FILMS, films, task)
     return RobotTrials(task, tuple(rows))
@@ -179,7 +167,7 @@ def _episode(
     if task == "lift":
         return lift_episode(scene, target, grasps, own, trace)
     if isinstance(places, CameraPlacer):
-        return sensed_place_episode(scene, target, grasps, places, own, trace)
+        return sensing_place_episode(scene, target, grasps, places, own, trace)
     row = place_episode(scene, target, grasps, places(index, scene), own, trace)
     return replace(row, placer=getattr(places, "name", row.placer))
 
@@ -187,3 +175,10 @@ def _episode(
 def episode_seed(seed: int, index: int) -> int:
     """The seed of an episode, by its number alone."""
     return int(np.random.SeedSequence([seed, index]).generate_state(1)[0] % 2**30)
+
+
+@cache
+def planner_hash() -> str:
+    """Hex digest of how the arm moves, plans, looks and is judged."""
+    motion = (collision, occupancy_boxes, execute, ik, mover, plan)
+    return constants_hash(cameras, episode, model, sensing_arm, grips, *motion)

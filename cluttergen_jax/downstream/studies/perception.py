@@ -7,12 +7,8 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.downstream.perception.api import perception_data, perception_eval
-from cluttergen_jax.downstream.perception.evaluation.evaluate import (
-    TRUE_MASKS,
-    PerceptionResult,
-    PerceptionRow,
-)
-from cluttergen_jax.downstream.perception.evaluation.judged import MaskFigures
+from cluttergen_jax.downstream.perception.evaluate import TRUE_MASKS, PerceptionResult, PerceptionRow
+from cluttergen_jax.downstream.perception.scoring import MaskFigures
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
 from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
 from cluttergen_jax.proportions import counted, proportion

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison, Trials, compare_placers
+from cluttergen_jax.downstream.placer.evaluation.evaluate import (
+    PlacerComparison,
+    PlacerTrials,
+    compare_placers,
+)
 from cluttergen_jax.downstream.placer.evaluation.tables import tables_of
-from cluttergen_jax.downstream.placer.heads.trained import embedded_placers
+from cluttergen_jax.downstream.placer.heads.checkpoint import embedded_placers
 from cluttergen_jax.downstream.placer.proposers import BASELINES, FULL_STATE
 from cluttergen_jax.downstream.studies.study import NOISES, SETS, DownstreamStudy, Found, SuiteFolder
 
@@ -22,7 +26,7 @@ def found_of(compared: list[PlacerComparison]) -> Found:
     return Found([row for each in compared for row in each.rows], tables)
 
 
-def _compared(trials: Trials, quick: bool) -> PlacerComparison:
+def _compared(trials: PlacerTrials, quick: bool) -> PlacerComparison:
     """Baselines with and without noise; what sees the scene itself, once."""
     placers = ("random", "geometry") if quick else (*BASELINES, *embedded_placers())
     seen = compare_placers(trials, placers, NOISES, None)

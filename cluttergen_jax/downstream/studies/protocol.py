@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
-from cluttergen_jax.downstream.placer.training.examples import TESTING
+from cluttergen_jax.downstream.placer.examples import TESTING
 from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
 from cluttergen_jax.downstream.studies.trained import SEEDS_NOTE, Variant, grouped, pooled, rows_of
 from cluttergen_jax.tables import Table

@@ -8,7 +8,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
 from cluttergen_jax.downstream.rearrange.api import rearrange
-from cluttergen_jax.downstream.rearrange.settings import SETTINGS
+from cluttergen_jax.downstream.rearrange.task import SETTINGS
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 from cluttergen_jax.downstream.robot.trials import EPISODES
 from cluttergen_jax.downstream.studies.robot import causes_of, told

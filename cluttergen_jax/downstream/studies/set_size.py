@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cluttergen_jax.downstream.placer.pairs.stored import PairSet
+from cluttergen_jax.downstream.placer.pairs.store import PairSet
 from cluttergen_jax.downstream.studies.study import VALIDATING, DownstreamStudy, Found, SuiteFolder
 from cluttergen_jax.downstream.studies.trained import Variant, household_placers, rows_of, table_of
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cluttergen_jax.downstream.placer.pairs.stored import PairSet
+from cluttergen_jax.downstream.placer.pairs.store import PairSet
 from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
 from cluttergen_jax.downstream.studies.trained import Variant, rows_of, table_of
 

@@ -9,12 +9,11 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom, check_range
 from cluttergen_jax.downstream.placer.api import placer_data
-from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
+from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
 from cluttergen_jax.downstream.placer.evaluation.tables import Row
-from cluttergen_jax.downstream.placer.pairs.stored import PairSet
-from cluttergen_jax.downstream.placer.training.examples import ExampleSource
-from cluttergen_jax.downstream.placer.training.presets import preset
-from cluttergen_jax.downstream.placer.training.run import PlacerTraining
+from cluttergen_jax.downstream.placer.examples import ExampleSource
+from cluttergen_jax.downstream.placer.pairs.store import PairSet
+from cluttergen_jax.downstream.placer.training import PlacerTraining, preset
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import MAX_TRIALS
@@ -206,7 +205,8 @@ class SuiteFolder:
     ) -> Path:
         """A placer's run, `runs/NAME-SEED`: as `placer_train` makes it, from disk or now."""
         epochs = _QUICK_EPOCHS if self.scale.quick else num_epochs
-        found, config = preset(head, "cpu", "printed", encoder_weights, num_epochs=epochs, seed=seed)
+        found, config = preset(head, "cpu", "printed", encoder_weights)
+        config = config.replace_given(num_epochs=epochs, seed=seed)
         sets = (pairs,) if isinstance(pairs, PairSet) else tuple(pairs)
         source = ExampleSource(tuple(each.path for each in sets), noise, seed, num_pairs, held_out)
         run = self.folder / "runs" / f"{name}-{seed}"
@@ -215,10 +215,10 @@ class SuiteFolder:
 
     def trials(
         self, pairs: PairSet, split: str = "test", num_cameras: int = 1, tenth: int | None = None
-    ) -> Trials:
+    ) -> PlacerTrials:
         """The rows of some queries."""
         store = Store(self.folder / "results")
-        return Trials(
+        return PlacerTrials(
             pairs, split, None, self.scale.seed, store, self.fresh, self.num_threads, num_cameras, tenth
         )
 

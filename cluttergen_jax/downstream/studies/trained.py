@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.placer.evaluation.evaluate import Trials
+from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
 from cluttergen_jax.downstream.placer.evaluation.tables import MAIN, NOTES, Row, main_cells
-from cluttergen_jax.downstream.placer.pairs.stored import PairSet
+from cluttergen_jax.downstream.placer.pairs.store import PairSet
 from cluttergen_jax.downstream.studies.study import SuiteFolder
 from cluttergen_jax.proportions import wilson
 from cluttergen_jax.tables import Table
@@ -39,7 +39,7 @@ def household_placers(suite: SuiteFolder, head: str, num_pairs: int, pairs: Pair
     return {seed: suite.trained(name, pairs, head, seed, num_pairs) for seed in suite.scale.training_seeds}
 
 
-def rows_of(trials: Trials, variants: Sequence[Variant], noises: Sequence[float]) -> list[Row]:
+def rows_of(trials: PlacerTrials, variants: Sequence[Variant], noises: Sequence[float]) -> list[Row]:
     """Each variant's rows by noise and training seed, with its labels: `variant`, `training_seed`."""
     rows = []
     for noise in noises:

@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-from cluttergen_jax.downstream.studies.study import (
-    NUM_OBJECTS,
-    SETS,
-    DownstreamStudy,
-    Found,
-    SuiteFolder,
-)
+from cluttergen_jax.downstream.studies.study import NUM_OBJECTS, SETS, DownstreamStudy, Found, SuiteFolder
 from cluttergen_jax.downstream.studies.trained import Variant, rows_of, table_of
 
 PAIRS, EPOCHS = 2560, 10

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cluttergen_jax.downstream.placer.heads.trained import embedded_placers
+from cluttergen_jax.downstream.placer.heads.checkpoint import embedded_placers
 from cluttergen_jax.downstream.studies.study import (
     HOUSEHOLD,
     SETS,

@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.baselines.clear import Clear
-from cluttergen_jax.placement.baselines.lowest import LowestFit
+from cluttergen_jax.placement.baselines.lowest import LowestFit, cost_of_lowest_fit
 from cluttergen_jax.placement.baselines.random import Random
 from cluttergen_jax.placement.baselines.spread import Spread
 from cluttergen_jax.placement.rules import Proposer, Rules
 
-__all__ = ["BASELINES", "Clear", "LowestFit", "Spread", "make_proposer"]
+__all__ = ["BASELINES", "Clear", "LowestFit", "Spread", "cost_of_lowest_fit", "make_proposer"]
 
 BASELINES: dict[str, Callable[[Rules], Proposer]] = {
     "random": Random,

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluttergen_jax.downstream.perception.classes import BACKGROUND
-from cluttergen_jax.downstream.perception.pose.estimator import Look
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.robot.frames import pose_of
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.downstream.perception.types import BACKGROUND, Look
+from cluttergen_jax.downstream.transforms import pose_of
+from cluttergen_jax.sensing import Camera
 
 AGREES = 0.006
 """Metres by which depths may differ and agree by half."""
@@ -53,11 +52,7 @@ class Agreement:
 
 
 class Comparer:
-    """Compares poses of one object with looks.
-
-    Args:
-      model: the object. index: its number. looks: at one moment.
-    """
+    """Compares poses of one object with looks; model: the object. index: its number. looks: at one moment."""
 
     def __init__(self, model: ObjectModel, index: int, looks: Sequence[Look]) -> None:
         self._model, self._sensor = model, model.sensor
@@ -69,12 +64,12 @@ class Comparer:
 
     def __call__(self, pose: np.ndarray) -> Agreement:
         """How well a pose f64[4, 4] agrees with all looks that show the object."""
-        found = [self._compared(k, pose) for k in range(len(self._looks))]
+        found = [self._compare(k, pose) for k in range(len(self._looks))]
         return Agreement(*np.sum(found, axis=0)) if found else Agreement(0.0, 0.0, 0.0, 0.0)
 
     def visible(self, pose: np.ndarray) -> float:
         """The share of the silhouette that is seen, in the look that shows the most."""
-        found = [Agreement(*self._compared(k, pose)) for k in range(len(self._looks))]
+        found = [Agreement(*self._compare(k, pose)) for k in range(len(self._looks))]
         return max((min(each.seen / each.drawn, 1.0) if each.drawn else 0.0 for each in found), default=0.0)
 
     def evidence(self, pose: np.ndarray, top: float) -> float:
@@ -88,7 +83,7 @@ class Comparer:
         """
         total = 0.0
         for look, mask in zip(self._looks, self._masks, strict=True):
-            drawn = drawn_alone(self._model, look.camera, pose)
+            drawn = render_alone(self._model, look.camera, pose)
             speaks = np.isfinite(drawn) & np.isfinite(look.depth) & ((look.label == BACKGROUND) | mask)
             table = _table_depth(look.camera, top)[speaks]
             seen, drawn = look.depth[speaks], np.minimum(drawn[speaks], table)
@@ -96,7 +91,7 @@ class Comparer:
             total += float((errors[0] - errors[1]).sum())
         return total
 
-    def _compared(self, number: int, pose: np.ndarray) -> tuple[float, float, float, float]:
+    def _compare(self, number: int, pose: np.ndarray) -> tuple[float, float, float, float]:
         look, mask = self._looks[number], self._masks[number]
         window, rows, columns = self._window(number, pose)
         self._sensor.pose(self._data, pose_of(pose)[None])
@@ -119,7 +114,7 @@ class Comparer:
     def _window(self, number: int, pose: np.ndarray) -> tuple[Camera, np.ndarray, np.ndarray]:
         """A camera that sees a look's mask and the pose alone, and the pixels i[h], i[w] that it sees."""
         camera, (low, high) = self._looks[number].camera, self._boxes[number]
-        pixels, depth = camera.project(_moved(self._points, pose))
+        pixels, depth = camera.project(_points_at(self._points, pose))
         if (depth > _CLOSEST).all():
             size = np.array([camera.width, camera.height])
             low = np.minimum(low, np.clip(pixels.min(0), -0.5 * size, 1.5 * size))
@@ -137,7 +132,7 @@ def _box(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return pixels.min(0), pixels.max(0)
 
 
-def _moved(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+def _points_at(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """f64[n, 3]: points of an object that stands at a pose f64[4, 4]."""
     return points @ pose[:3, :3].T + pose[:3, 3]
 
@@ -150,10 +145,10 @@ def _table_depth(camera: Camera, top: float) -> np.ndarray:
     return np.where(depth > 0, depth, np.inf)
 
 
-def drawn_alone(model: ObjectModel, camera: Camera, pose: np.ndarray) -> np.ndarray:
+def render_alone(model: ObjectModel, camera: Camera, pose: np.ndarray) -> np.ndarray:
     """f32[H, W]: the depth of an object alone at a pose f64[4, 4], metres; inf where it is not seen."""
     depth = np.full((camera.height, camera.width), np.inf, np.float32)
-    pixels, away = camera.project(_moved(model.points[::10], pose))
+    pixels, away = camera.project(_points_at(model.points[::10], pose))
     size = np.array([camera.width, camera.height])
     low = np.clip(np.floor(pixels.min(0)).astype(int) - 2, 0, size)
     high = np.clip(np.ceil(pixels.max(0)).astype(int) + 3, 0, size)

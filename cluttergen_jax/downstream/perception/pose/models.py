@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import joined
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.downstream.perception.symmetry import turn_symmetry
-from cluttergen_jax.sensing.rays import RaySensor, sensed_model
+from cluttergen_jax.assets.symmetry import turn_symmetry
+from cluttergen_jax.sensing import RaySensor, sensed_model
 
 NUM_POINTS = 3000
 NUM_DENSE, NUM_JUDGED = 60_000, 1000
@@ -23,7 +23,7 @@ class ObjectModel:
     """An object as pose estimation knows it.
 
     Attributes:
-      asset: the object. symmetry: of its turns about z (`symmetry.turn_symmetry`).
+      asset: the object. symmetry: of its turns about z (`assets.symmetry.turn_symmetry`).
       points, normals: f64[3000, 3], of its surface, object frame, metres.
     """
 

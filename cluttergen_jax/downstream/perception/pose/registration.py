@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.symmetry import turn_matrix
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
-from cluttergen_jax.downstream.perception.pose.estimator import Look, PoseEstimate
-from cluttergen_jax.downstream.perception.pose.free import FreeRegistration, need_gicp
+from cluttergen_jax.downstream.perception.pose.icp import (
+    FreeRegistration,
+    need_gicp,
+    register_upright,
+    starting_yaws,
+)
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.pose.upright import registered, starting_yaws
-from cluttergen_jax.downstream.perception.symmetry import offset, turn_matrix
-from cluttergen_jax.downstream.robot.frames import made, matrix_of, pose_of, shifted
+from cluttergen_jax.downstream.perception.types import Look, PoseEstimate
+from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of, rigid, shift_along
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotation_matrix
 
@@ -49,8 +54,28 @@ Scored = tuple[float, np.ndarray]
 """A score, and the pose f64[4, 4] that has it."""
 
 
+class _Seen(NamedTuple):
+    """An object as it was seen: points f64[P, 3], and from where each, f64[P, 3]."""
+
+    model: ObjectModel
+    free: FreeRegistration
+    points: np.ndarray
+    eyes: np.ndarray
+    compare: Comparer
+
+    def upright(self, yaw: float, bottom: float | None, offset: np.ndarray | None = None) -> Scored:
+        """The upright pose near a turn (`icp.register_upright`)."""
+        pose = register_upright(self.model, self.points, self.eyes, yaw, bottom, offset)
+        return _worth(self.compare, pose), pose
+
+    def freely(self, pose: np.ndarray) -> Scored:
+        """The pose near f64[4, 4] that fits best, however it leans."""
+        freed = self.free(self.points, pose)
+        return _worth(self.compare, freed), freed
+
+
 class RegistrationEstimator:
-    """Poses by registration and comparison; see `estimator.PoseEstimator`.
+    """Poses by registration and comparison; see `types.PoseEstimator`.
 
     Args:
       objects: K, in the order of their numbers. support: the table that they stand on.
@@ -66,9 +91,9 @@ class RegistrationEstimator:
 
     def model(self, index: int) -> ObjectModel:
         """Of an object, made when it is first asked for."""
-        return self._known(index)[0]
+        return self._load(index)[0]
 
-    def _known(self, index: int) -> tuple[ObjectModel, FreeRegistration]:
+    def _load(self, index: int) -> tuple[ObjectModel, FreeRegistration]:
         if not 0 <= index < len(self._objects):
             raise ConfigError(f"object {index}", f"0 to {len(self._objects) - 1}")
         if index not in self._models:
@@ -79,26 +104,25 @@ class RegistrationEstimator:
     def __call__(
         self, index: int, looks: Sequence[Look], near: np.ndarray | None = None
     ) -> PoseEstimate | None:
-        """See `estimator.PoseEstimator`; where it was it is sought first."""
-        model, free = self._known(index)
+        """See `types.PoseEstimator`; where it was it is sought first."""
+        model, free = self._load(index)
         points, eyes, num_pixels = seen_points(index, looks)
         if num_pixels < FEWEST_PIXELS or len(points) < FEWEST_PIXELS // 2:
             return None
         compare = Comparer(model, index, looks)
+        seen = _Seen(model, free, points, eyes, compare)
         if near is not None and (known := matrix_of(near))[2, 2] > _NEARLY_UPRIGHT:
-            found, lead = self._where_it_was(model, points, eyes, compare, known)
+            found, lead = self._where_it_was(seen, known)
             if found[0][0] >= SURE:
                 return self._estimate(model, found, compare, num_pixels, lead)
-        found = self._upright(model, points, eyes, compare)
+        found = self._upright(seen)
         if found[0][0] < SURE:
-            found = _best([*found, *self._lying(model, free, points, eyes, compare)])
+            found = _best([*found, *self._lying(seen)])
         likely, lead = self._likeliest(found, model.symmetry, compare)
         tried = list(found)
         others = [each for each in _unlike(found, model.symmetry) if each is not likely]
         for score, pose in [likely, *others][:_REFINED]:
-            freed = free(points, pose)
-            tried.append((_worth(compare, freed), freed))
-            tried.append(_climbed(compare, (score, pose)))
+            tried += [seen.freely(pose), _climb(compare, (score, pose))]
         ranked = _best(tried)
         # What looks alike is told apart by evidence alone, and what agrees much better is not alike.
         first = next(each for each in ranked if not _is_turned(each[1], likely[1], model.symmetry))
@@ -133,53 +157,42 @@ class RegistrationEstimator:
         is_rival = np.array([_is_turned(each[1], likely[1], symmetry) for each in alike])
         return likely, min(float(evidence[best] - evidence[is_rival].max()) / _DECISIVE, 1.0)
 
-    def _where_it_was(
-        self,
-        model: ObjectModel,
-        points: np.ndarray,
-        eyes: np.ndarray,
-        compare: Comparer,
-        known: np.ndarray,
-    ) -> tuple[list[Scored], float]:
+    def _where_it_was(self, seen: _Seen, known: np.ndarray) -> tuple[list[Scored], float]:
         """Poses at the height of `known` f64[4, 4], the likeliest first; its own turn if none is more so.
 
         Returns:
           Also the lead of the first (`_likeliest`).
         """
+        model, compare = seen.model, seen.compare
         is_low = known[2, 3] - model.asset.half_extents[2] < self._top + _LOW
         bottom = self._top if is_low else None
         yaws = starting_yaws(model.symmetry)
 
         def from_all(turns: np.ndarray) -> list[Scored]:
-            poses = [registered(model, points, eyes, _yaw(known) + turn, bottom) for turn in turns]
-            return [(_worth(compare, pose), pose) for pose in poses]
+            return [seen.upright(_yaw(known) + turn, bottom) for turn in turns]
 
         own, *others = from_all(yaws[:: max(len(yaws) // _FEW_TURNS, 1)])
         if any(each[0] > own[0] - _ALIKE and _is_turned(each[1], own[1], model.symmetry) for each in others):
             own, *others = from_all(yaws)
         likely, lead = self._likeliest([own, *others], model.symmetry, compare, _DECISIVE)
-        first = _climbed(compare, likely)
-        return [first, *_best([first if likely is own else _climbed(compare, own), *others])], lead
+        first = _climb(compare, likely)
+        return [first, *_best([first if likely is own else _climb(compare, own), *others])], lead
 
-    def _upright(
-        self, model: ObjectModel, points: np.ndarray, eyes: np.ndarray, compare: Comparer
-    ) -> list[Scored]:
+    def _upright(self, seen: _Seen) -> list[Scored]:
         """The best poses of an upright object, each with its score: on the table, and if need be elsewhere.
 
         If none on the table agrees well, it may stand on something else, or begin too far away.
         """
-        yaws = starting_yaws(model.symmetry)
+        model, yaws = seen.model, starting_yaws(seen.model.symmetry)
 
         def from_all(bottom: float | None, offsets: np.ndarray) -> list[Scored]:
-            starts = itertools.product(yaws, offsets)
-            poses = [registered(model, points, eyes, yaw, bottom, offset) for yaw, offset in starts]
-            return [(_worth(compare, pose), pose) for pose in poses]
+            return [seen.upright(yaw, bottom, offset) for yaw, offset in itertools.product(yaws, offsets)]
 
         nothing = np.zeros((1, 2))
         found = from_all(self._top, nothing)
         if _best(found)[0][0] < SURE:
             # What stands on something else has its top where its highest points are.
-            highest = float(np.quantile(points[:, 2], _TOPMOST))
+            highest = float(np.quantile(seen.points[:, 2], _TOPMOST))
             found += from_all(max(highest - 2 * float(model.asset.half_extents[2]), self._top), nothing)
         if _best(found)[0][0] < SURE:
             found += from_all(None, nothing)
@@ -189,28 +202,19 @@ class RegistrationEstimator:
         # Long things look much the same when they are turned round.
         for _, pose in _unlike(found, model.symmetry)[:_REFINED]:
             bottom = pose[2, 3] - model.asset.half_extents[2]
-            other = registered(model, points, eyes, _yaw(pose) + np.pi, float(bottom))
-            found.append((_worth(compare, other), other))
+            found.append(seen.upright(_yaw(pose) + np.pi, float(bottom)))
         return _best(found)
 
-    def _lying(
-        self,
-        model: ObjectModel,
-        free: FreeRegistration,
-        points: np.ndarray,
-        eyes: np.ndarray,
-        compare: Comparer,
-    ) -> list[Scored]:
+    def _lying(self, seen: _Seen) -> list[Scored]:
         """Poses of an object that rests in another way, if it has one."""
         found = []
-        for resting in model.asset.resting[1:3]:
+        for resting in seen.model.asset.resting[1:3]:
             rotation = rotation_matrix(np.array(resting.quaternion))
             for yaw in 2 * np.pi * np.arange(12) / 12:
                 turn = turn_matrix(yaw)[:3, :3] @ rotation
-                center = points.mean(0)
+                center = seen.points.mean(0)
                 center[2] = self._top + resting.height
-                pose = free(points, made(turn, center))
-                found.append((_worth(compare, pose), pose))
+                found.append(seen.freely(rigid(turn, center)))
         return _best(found)[:_BEST]
 
     def _estimate(
@@ -221,7 +225,7 @@ class RegistrationEstimator:
         others = [each for each, other in ranked[1:] if _differs(other, pose, model.symmetry)]
         visible, height = compare.visible(pose), float(model.asset.half_extents[2])
         if pose[2, 2] > _ALL_BUT_UPRIGHT and pose[2, 3] - height < self._top + _ALL_BUT_DOWN:
-            pose = made(turn_matrix(_yaw(pose))[:3, :3], np.array([*pose[:2, 3], self._top + height]))
+            pose = rigid(turn_matrix(_yaw(pose))[:3, :3], np.array([*pose[:2, 3], self._top + height]))
         return PoseEstimate(
             pose=pose_of(pose),
             score=max(score, 0.0),
@@ -290,12 +294,12 @@ def _is_turned(pose: np.ndarray, other: np.ndarray, symmetry: int) -> bool:
     return offset(pose, other, symmetry)[1] > _SAME_TURN
 
 
-def _climbed(compare: Comparer, start: Scored) -> Scored:
+def _climb(compare: Comparer, start: Scored) -> Scored:
     """A better pose near one, by moves along its own x and y and turns, each kept if it agrees better."""
     best, pose = start
     for step, degrees in _STEPS:
         for along in ((step, 0, 0), (-step, 0, 0), (0, step, 0), (0, -step, 0)):
-            tried = shifted(pose, along)
+            tried = shift_along(pose, along)
             if (score := _worth(compare, tried)) > best:
                 best, pose = score, tried
         for angle in np.radians([degrees, -degrees]) if degrees else ():

@@ -12,7 +12,7 @@ import numpy as np
 import optax
 from flax import struct
 
-from cluttergen_jax.downstream.perception.classes import BACKGROUND, FIRST_OBJECT, num_classes
+from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, num_classes
 from cluttergen_jax.types import Array
 
 WIDTH, HEIGHT = 160, 120
@@ -68,7 +68,7 @@ class SegmentNet(nn.Module):
           images: f32[B, H, W, 5], as `network_images` makes them.
         """
         first, *deeper = self.config.widths
-        x = _folded(images if self.config.colour else images[..., _COLOUR:])
+        x = _space_to_depth(images if self.config.colour else images[..., _COLOUR:])
         skips = [x := Block(first)(x)]
         for width in deeper:
             x = nn.max_pool(x, (2, 2), (2, 2), padding="SAME")
@@ -78,18 +78,18 @@ class SegmentNet(nn.Module):
             x = nn.Conv(skip.shape[-1], (1, 1))(x) + skip
             x = Block(skip.shape[-1])(x)
         number = num_classes(self.config.num_objects)
-        out = _unfolded(nn.Conv(4 * (number + 2), (1, 1))(x))
+        out = _depth_to_space(nn.Conv(4 * (number + 2), (1, 1))(x))
         return out[..., :number], out[..., number:]
 
 
-def _folded(x: Array) -> Array:
+def _space_to_depth(x: Array) -> Array:
     """f[B, H/2, W/2, 4 C]: squares of pixels as one."""
     b, h, w, c = x.shape
     return x.reshape(b, h // 2, 2, w // 2, 2, c).transpose(0, 1, 3, 2, 4, 5).reshape(b, h // 2, w // 2, 4 * c)
 
 
-def _unfolded(x: Array) -> Array:
-    """The inverse of `_folded`."""
+def _depth_to_space(x: Array) -> Array:
+    """The inverse of `_space_to_depth`."""
     b, h, w, c = x.shape
     return x.reshape(b, h, w, 2, 2, c // 4).transpose(0, 1, 3, 2, 4, 5).reshape(b, 2 * h, 2 * w, c // 4)
 
@@ -99,7 +99,7 @@ class SegmentExample(struct.PyTreeNode):
 
     Attributes:
       rgb: u8[H, W, 3]. depth, height: f16[H, W], metres, the latter over the table; `NO_DEPTH` where none.
-      label: u8[H, W], see `classes`.
+      label: u8[H, W], see `types`.
       center: f32[K, 2], pixels right and down, where the objects' middles are seen.
     """
 
@@ -134,11 +134,11 @@ class SegmentLearner:
         return SegmentNet(self.config).init(key, jnp.zeros((1, HEIGHT, WIDTH, 5)))
 
     def loss(self, params: Any, examples: SegmentExample, key: Array) -> tuple[Array, dict[str, Array]]:
-        """See `fitting.fit.Learner`; as coins fall views are mirrored, and their backgrounds recoloured."""
+        """See `fitting.Learner`; as coins fall views are mirrored, and their backgrounds recoloured."""
         number = len(examples.label)
         flip_key, colour_key = jax.random.split(key)
-        examples = jax.vmap(_mirrored)(examples, jax.random.bernoulli(flip_key, shape=(number, 2)))
-        examples = jax.vmap(_recoloured)(examples, jax.random.split(colour_key, number))
+        examples = jax.vmap(_mirror)(examples, jax.random.bernoulli(flip_key, shape=(number, 2)))
+        examples = jax.vmap(_recolour)(examples, jax.random.split(colour_key, number))
         images = network_images(examples.rgb, examples.depth, examples.height)
         logits, votes = self._answers(params, images)
         label = examples.label.astype(jnp.int32)
@@ -165,21 +165,21 @@ class SegmentLearner:
         return found
 
 
-def _mirrored(example: SegmentExample, flips: Array) -> SegmentExample:
+def _mirror(example: SegmentExample, flips: Array) -> SegmentExample:
     """One example mirrored along its rows and its columns where bool[2] says so."""
 
-    def turned(image: Array) -> Array:
+    def flip(image: Array) -> Array:
         for axis in (0, 1):
             image = jnp.where(flips[axis], jnp.flip(image, axis), image)
         return image
 
     size = jnp.array([WIDTH, HEIGHT], jnp.float32)
     center = jnp.where(flips[::-1], size - example.center, example.center)
-    images = {name: turned(getattr(example, name)) for name in ("rgb", "depth", "height", "label")}
+    images = {name: flip(getattr(example, name)) for name in ("rgb", "depth", "height", "label")}
     return example.replace(center=center, **images)
 
 
-def _recoloured(example: SegmentExample, key: Array) -> SegmentExample:
+def _recolour(example: SegmentExample, key: Array) -> SegmentExample:
     """One example; by half of the keys its background has another colour and contrast, its pattern stays."""
     coin_key, colour_key, contrast_key = jax.random.split(key, 3)
     light = example.rgb / 255.0
@@ -192,13 +192,13 @@ def _recoloured(example: SegmentExample, key: Array) -> SegmentExample:
     return example.replace(rgb=255 * jnp.where(is_other, other, light))
 
 
-def shrunk(rgb: np.ndarray, depth: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, ...]:
+def shrink(rgb: np.ndarray, depth: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, ...]:
     """Images of any size as the network reads them: u8[120, 160, 3], and f16[120, 160] twice.
 
     Args:
       depth, height: f32[H, W], metres, nan where nothing was measured.
     """
-    rows, columns = _sampled(depth.shape)
+    rows, columns = _sample_pixels(depth.shape)
     at = np.ix_(rows, columns)
     stacked = np.stack([depth, height])[:, rows][:, :, columns]
     stacked = np.where(np.isfinite(stacked), stacked, NO_DEPTH).astype(np.float16)
@@ -209,12 +209,12 @@ def shrunk(rgb: np.ndarray, depth: np.ndarray, height: np.ndarray) -> tuple[np.n
     return rgb[at], stacked[0], stacked[1]
 
 
-def shrunk_label(label: np.ndarray) -> np.ndarray:
+def shrink_label(label: np.ndarray) -> np.ndarray:
     """u8[120, 160]: labels of any size, each pixel that whose depth the network reads."""
-    return label[np.ix_(*_sampled(label.shape))]
+    return label[np.ix_(*_sample_pixels(label.shape))]
 
 
-def _sampled(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _sample_pixels(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """The rows and columns of a picture that stand for the network's."""
     rows = ((np.arange(HEIGHT) + 0.5) * shape[0] / HEIGHT).astype(int)
     columns = ((np.arange(WIDTH) + 0.5) * shape[1] / WIDTH).astype(int)

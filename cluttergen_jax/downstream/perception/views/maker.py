@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -11,27 +11,22 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from cluttergen_jax.downstream.perception.views.appearance import (
+from cluttergen_jax.downstream.perception.views.stage import (
+    SIZE,
     TEXTURES_OF,
+    Kind,
+    Stage,
+    draw_camera,
     draw_light,
-    jittered,
+    jitter_colours,
+    open_stage,
 )
-from cluttergen_jax.downstream.perception.views.cameras import SIZE, Kind, draw_camera
-from cluttergen_jax.downstream.perception.views.stage import Stage, open_stage
-from cluttergen_jax.downstream.perception.views.stored import (
-    SCHEMA,
-    VIEWS,
-    StoredView,
-    ViewSet,
-    row_of,
-)
-from cluttergen_jax.downstream.splits import store_assets
-from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.files import remove_partial, writing
+from cluttergen_jax.downstream.perception.views.store import SCHEMA, VIEWS, StoredView, ViewSet, row_of
+from cluttergen_jax.downstream.samples import StableScenes
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.lock import BankLock
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.sensing import Camera
 
 _ROBOT = 0.6
 """Share of pairs of the robot's cameras."""
@@ -40,7 +35,6 @@ _CAMERAS, _SEEN = 8, 0.4
 """Cameras that are drawn until so large a share of the objects is in the picture."""
 VIEWS_A_SCENE = 4
 """Views of each scene, at two moments of its filling; where there are too few scenes they are used again."""
-_COLUMNS = ("index", "is_success", "object_index", "poses")
 
 
 @dataclass(frozen=True)
@@ -59,34 +53,6 @@ class ViewConfig:
             raise ConfigError(f"arm = {self.arm}", "a share from 0 to 1", "arm=0")
 
 
-class StandingScenes:
-    """The scenes of a bank that stand: numbers, objects in the order of placement, and poses.
-
-    Attributes:
-      method: of the bank. number: i[S]; objects: i[S, N], -1 is padding; poses: f64[S, N, 7], T_world_object.
-
-    Raises:
-      BankError: none stands.
-    """
-
-    def __init__(self, bank: Bank) -> None:
-        rows = [row for table in bank.tables(_COLUMNS) for row in table.to_pylist() if row["is_success"]]
-        if not rows:
-            raise BankError(f"{bank.path}: none of its scenes stands", "one that does or more", "more scenes")
-        self.method = str(bank.record["recipe"]["method"])
-        self.number = np.array([row["index"] for row in rows])
-        self.objects = np.array([row["object_index"] for row in rows])
-        self.poses = np.array([row["poses"] for row in rows], np.float64)
-        self._num_scenes = bank.num_scenes
-
-    def row(self, scene: int) -> int:
-        """The row of a scene, or of the last one before it that stands, or the first row.
-
-        It does not depend on later scenes, so a bank may be continued.
-        """
-        return max(0, int(np.searchsorted(self.number, scene % self._num_scenes, side="right")) - 1)
-
-
 class ViewMaker:
     """Makes views of scenes; view i is the same however many are made.
 
@@ -97,7 +63,7 @@ class ViewMaker:
 
     def __init__(
         self,
-        scenes: Sequence[StandingScenes],
+        scenes: Sequence[StableScenes],
         stage: Stage,
         materials: Sequence[str],
         config: ViewConfig,
@@ -110,8 +76,8 @@ class ViewMaker:
         self._materials = [stage.material(name) for name in materials]
         self._support, self._num_objects = support, num_objects
 
-    def view(self, number: int) -> dict[str, Any]:
-        """A row of `stored.SCHEMA`; views 2 i and 2 i + 1 show the same moment, in different light.
+    def view(self, number: int) -> dict[str, object]:
+        """A row of `store.SCHEMA`; views 2 i and 2 i + 1 show the same moment, in different light.
 
         Six in ten pairs are of the robot's cameras, the one over the table and the one on the hand.
         """
@@ -141,7 +107,7 @@ class ViewMaker:
         stage = self._stage
         texture, light = int(rng.choice(self._textures)), draw_light(rng)
         rgba = stage.rgba
-        rgba[stage.object_geoms] = jittered(rgba[stage.object_geoms], rng)
+        rgba[stage.object_geoms] = jitter_colours(rgba[stage.object_geoms], rng)
         rgba[stage.floor, :3] = rng.uniform(0.1, 0.9) + rng.normal(0, 0.03, 3)
         stage.dress(np.clip(rgba, 0, 1), self._materials[texture], light)
         return texture, light.yaw
@@ -169,7 +135,7 @@ def write_views(
 ) -> ViewSet:
     """The views of one split in a folder, begun or continued; see `cluttergen_jax.perception_data`."""
     path, first = Path(out), next(iter(banks.values()))
-    scenes = [StandingScenes(bank) for bank in banks.values()]
+    scenes = [StableScenes.read(bank) for bank in banks.values()]
     names = [str(name) for name in first.record["recipe"]["names"]]
     made = {
         "seed": config.seed,
@@ -181,48 +147,22 @@ def write_views(
         "recipes": [bank.record["recipe"] for bank in banks.values()],
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco")},
     }
-    with writing(path):
-        VIEWS.check_place(path)
-        path.mkdir(parents=True, exist_ok=True)
-        lock = BankLock(path)
-    try:
-        with writing(path):
-            remove_partial(path)
-            shared = {"assets": first.record["assets"], "names": names}
-            record = VIEWS.with_split(path, shared, split, made, num_views, overwrite)
-            store_assets(path, first)
-            VIEWS.write_record(path, record)
-            views = ViewSet(path, record)
-            # More than were asked for, where an earlier call that was interrupted asked for more.
-            _write_blocks(views, scenes, split, record["splits"][split][VIEWS.number], config)
-    finally:
-        lock.release()
-    return views
 
+    def fill(record: dict[str, Any], missing: dict[int, int]) -> None:
+        if not missing:
+            return
+        views, total = ViewSet(path, record), record["splits"][split][VIEWS.number]
+        with (
+            Progress(f"views of {split}", total, "view", total - sum(missing.values())) as progress,
+            open_stage(views.objects, views.support, config.arm > 0) as (stage, materials),
+        ):
+            maker = ViewMaker(scenes, stage, materials, config, split, views.support, len(views.objects))
+            for block, number in missing.items():
+                rows = []
+                for view in range(block * VIEWS.block_size, block * VIEWS.block_size + number):
+                    rows.append(maker.view(view))
+                    progress.update(1)
+                VIEWS.write_block(path, split, block, pa.Table.from_pylist(rows, schema=SCHEMA))
 
-def _write_blocks(
-    views: ViewSet, scenes: Sequence[StandingScenes], split: str, num_views: int, config: ViewConfig
-) -> None:
-    """Renders every block that is missing, damaged or shorter."""
-    sizes = VIEWS.sizes(num_views)
-    missing = [block for block in sizes if not VIEWS.is_kept(views.path, split, block, sizes[block])]
-    kept = num_views - sum(sizes[block] for block in missing)
-    if not missing:
-        return
-    with (
-        Progress(f"views of {split}", num_views, "view", kept) as progress,
-        open_stage(views.objects, views.support, config.arm > 0) as (stage, materials),
-    ):
-        maker = ViewMaker(scenes, stage, materials, config, split, views.support, len(views.objects))
-        for block in missing:
-            rows = list(_rows(maker, block, sizes[block], progress.update))
-            table = pa.Table.from_pylist(rows, schema=SCHEMA)
-            VIEWS.write_block(views.path, split, block, table)
-
-
-def _rows(
-    maker: ViewMaker, block: int, number: int, on_row: Callable[[int], None]
-) -> Iterator[dict[str, Any]]:
-    for view in range(block * VIEWS.block_size, block * VIEWS.block_size + number):
-        yield maker.view(view)
-        on_row(1)
+    shared = {"assets": first.record["assets"], "names": names}
+    return ViewSet(path, VIEWS.write(path, first, shared, split, made, num_views, overwrite, fill))

@@ -1,26 +1,153 @@
-"""The stage of views: a pool's objects, a table and the arm before one GL context, posed and lit anew."""
+"""The stage of views: objects, a table and the arm before one GL context; what is drawn for each view."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import mujoco
 import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.downstream.perception.classes import ARM, BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.views.appearance import Light, add_table_materials
-from cluttergen_jax.downstream.perception.views.cameras import SIZE
+from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
+from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, above, wrist_camera
 from cluttergen_jax.downstream.robot.model import Panda, home_pose, with_panda
+from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.lighting import FLOOR, KEY_LIGHT, SKY_LIGHT, add_lighting
 from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, Renderer, open_renderer, set_range
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing import Camera, free
+
+NUM_TEXTURES = 20
+TEXTURES_OF = {"train": range(16), "val": range(16, 18), "test": range(18, NUM_TEXTURES)}
+"""By split: what is chosen on the split `val` is judged on textures that are in no other."""
+_SIDE = 128
+_DARKEST, _BRIGHTEST = 0.15, 0.9
+
+
+def table_texture(number: int) -> np.ndarray:
+    """u8[128, 128, 3]: a table's texture, the same for the same number.
+
+    In turns: plain with specks, boards along one side, marble, checks, and cloth.
+    """
+    rng = np.random.default_rng((number, 17))
+    base, other = rng.uniform(_DARKEST, _BRIGHTEST, (2, 3))
+    other = base + rng.uniform(0.15, 0.6) * (other - base)
+    x, y = np.meshgrid(np.arange(_SIDE), np.arange(_SIDE))
+    noise = rng.normal(size=(_SIDE, _SIDE))
+    soft = gaussian_filter(noise, 6, mode="wrap")
+    soft /= soft.std()
+    patterns = (
+        lambda: (gaussian_filter(noise, 0.7, mode="wrap") > 0.9) * 1.0,
+        lambda: 0.5 + 0.5 * np.sin(x / 3.0 + 2 * gaussian_filter(noise, (20, 2), mode="wrap") / 0.06),
+        lambda: np.abs(np.sin(2.5 * soft)),
+        lambda: ((x // 16 + y // 16) % 2) * 1.0,
+        lambda: 0.5 + 0.25 * (np.sin(x * np.pi / 2) + np.sin(y * np.pi / 2)),
+    )
+    share = np.clip(patterns[number % len(patterns)](), 0, 1)[..., None]
+    return np.round(255 * np.clip(base + share * (other - base), 0, 1)).astype(np.uint8)
+
+
+def add_table_materials(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Adds a material for each table texture; their names."""
+    names = []
+    for number in range(NUM_TEXTURES):
+        name, pixels = f"table-{number:02d}", table_texture(number)
+        image = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
+        image.width, image.height, image.nchannel = _SIDE, _SIDE, 3
+        image.data = pixels.tobytes()
+        material = spec.add_material(name=name, specular=0.1, shininess=0.2, texrepeat=(2, 2))
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+        names.append(name)
+    return tuple(names)
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """How a view is lit.
+
+    Attributes:
+      ambient, diffuse: of the camera's own light, each in [0, 1].
+      lamps: factor of the lamps; 0 puts them out, as they are in episodes of the robot.
+      yaw: radians by which the lamps are turned about the vertical.
+    """
+
+    ambient: float
+    diffuse: float
+    lamps: float
+    yaw: float
+
+
+def draw_light(rng: np.random.Generator) -> Light:
+    """In a third of the draws there is the camera's own light alone."""
+    ambient, diffuse, lamps = rng.uniform([0.1, 0.1, 0.4], [0.35, 0.5, 1.2])
+    is_off = rng.uniform() < 1 / 3
+    diffuse = rng.uniform(0.35, 0.9) if is_off else diffuse
+    return Light(float(ambient), float(diffuse), 0.0 if is_off else float(lamps), rng.uniform(0, 2 * np.pi))
+
+
+def jitter_colours(rgba: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """f[N, 4]: colours f[N, 4] of surfaces, each a little brighter or darker, paler, of another tint."""
+    number = len(rgba)
+    grey = rgba[:, :3].mean(1, keepdims=True)
+    strength, gain = rng.uniform(0.7, 1.2, (number, 1)), rng.uniform(0.75, 1.2, (number, 1))
+    tint = rng.normal(0, 0.04, (number, 3))
+    colour = np.clip((grey + strength * (rgba[:, :3] - grey) + tint) * gain, 0, 1)
+    return np.concatenate([colour, rgba[:, 3:]], axis=1)
+
+
+def expose(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """u8[H, W, 3]: a picture u8[H, W, 3] as a camera of another exposure and with noise takes it."""
+    gain, gamma, sigma = rng.uniform([0.7, 0.8, 0.0], [1.35, 1.25, 0.015])
+    balance = rng.normal(1.0, 0.03, 3)
+    light = gain * balance * (rgb / 255.0) ** gamma + sigma * rng.standard_normal(rgb.shape)
+    return np.round(255 * np.clip(light, 0, 1)).astype(np.uint8)
+
+
+Kind = Literal["free", "overhead", "wrist"]
+"""Of cameras."""
+_TILT, _SHIFT = np.radians(4.0), 0.03
+
+
+def draw_camera(
+    kind: Kind, support: SupportAsset, tool: np.ndarray | None, rng: np.random.Generator
+) -> Camera:
+    """A camera for a view: around the table, nearly overhead, or as the one on the hand.
+
+    Args:
+      tool: f64[4, 4], T_world_tool, where the arm is in the view; None if there is none.
+    """
+    if kind == "free":
+        return free(support, rng, *SIZE, FOCAL)
+    if kind == "overhead":
+        return _shake(above(support), rng)
+    return wrist_camera(_draw_tool(support, rng) if tool is None else tool)
+
+
+def _shake(camera: Camera, rng: np.random.Generator) -> Camera:
+    """The camera moved and turned by a little."""
+    T = camera.T_world_camera.copy()
+    T[:3, 3] += rng.uniform(-_SHIFT, _SHIFT, 3)
+    T[:3, :3] = Rotation.from_rotvec(rng.normal(0, _TILT, 3)).as_matrix() @ T[:3, :3]
+    return replace(camera, T_world_camera=T)
+
+
+def _draw_tool(support: SupportAsset, rng: np.random.Generator) -> np.ndarray:
+    """f64[4, 4]: a hand that looks down on the region from 30 to 60 cm, tilted by up to a few degrees."""
+    half = 0.6 * np.asarray(support.region.half_extents)
+    place = np.array([*support.region.center, support.top])
+    place += [*rng.uniform(-half, half), rng.uniform(0.3, 0.6)]
+    turn = Rotation.from_euler("zx", [rng.uniform(0, 2 * np.pi), np.pi])
+    tilt = Rotation.from_rotvec(rng.normal(0, np.radians(6.0), 3))
+    return rigid((tilt * turn).as_matrix(), place)
+
 
 _PARKED = 60.0
 """Metres from the table; what is not in a scene is there."""
@@ -34,12 +161,12 @@ _SHADOWS = 1024
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RgbdImage:
     """What one camera saw. H rows, W columns.
 
     Attributes:
       rgb: u8[H, W, 3]. depth: f32[H, W], metres along the optical axis, inf where nothing is.
-      label: u8[H, W], see `classes`. camera: where it was seen from.
+      label: u8[H, W], see `types`. camera: where it was seen from.
     """
 
     rgb: np.ndarray
@@ -127,12 +254,12 @@ class Stage:
         """The number of a material."""
         return int(self.model.material(name).id)
 
-    def picture(self, camera: Camera, light_yaw: float = 0.0) -> View:
+    def picture(self, camera: Camera, light_yaw: float = 0.0) -> RgbdImage:
         """What a camera of `cameras.SIZE` sees now."""
         rgb = self._renderer.average(self._data, camera, 1, _REACH, light_yaw=light_yaw)
         depth, geom = self._renderer.measure(self._data, camera)
         label = np.where(geom >= 0, self._label[geom], BACKGROUND).astype(np.uint8)
-        return View(rgb, depth, label, camera)
+        return RgbdImage(rgb, depth, label, camera)
 
 
 @contextmanager

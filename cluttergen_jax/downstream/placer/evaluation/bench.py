@@ -1,4 +1,4 @@
-"""The bench of placers: the queries of one split in their world, and what becomes of proposals for them."""
+"""The paper's count of a placement: every object is quiet at some time, however far it was pushed."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from cluttergen_jax.downstream.placer.evaluation.paper_count import PaperCount
-from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.pairs.stored import PairLabels
-from cluttergen_jax.downstream.placer.partial_scenes import episode_of, judging_rules
+from cluttergen_jax.downstream.fitting import concatenate, in_parts
+from cluttergen_jax.downstream.placer.pairs.store import PairLabels
+from cluttergen_jax.downstream.placer.partial_scenes import ProposalJudge, episode_of, judging_rules
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, Proposals
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.physics.paper_count import PaperCount
 from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.region import KeepOut, from_pose, to_pose
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.fit import Candidates, lower_onto
-from cluttergen_jax.placement.search.search import CLEARANCE, under_side
+from cluttergen_jax.placement.search import CLEARANCE, Candidates, lower_onto, under_side
 from cluttergen_jax.placement.setup import Setup
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import interruptible
@@ -28,7 +27,7 @@ from cluttergen_jax.types import Array, Verdict
 _AT_ONCE = 250
 
 
-class Outcome(NamedTuple):
+class ProposalOutcomes(NamedTuple):
     """What became of the proposals for P queries, M each.
 
     Attributes:
@@ -59,7 +58,7 @@ class Bench:
         self.labels, self.problem, self._keep_out = labels, setup.problem, setup.keep_out
         self._rules = judging_rules(setup.problem)
         self._episodes = self._of(self._rules)
-        self._judge = Judge(self._rules)
+        self._judge = ProposalJudge(self._rules)
         self._count = PaperCount(setup.problem.world.layout, self._rules.physics.config, num_threads)
         self._above: Any = jax.jit(jax.vmap(_height_above, in_axes=(None, None, 0, 0)))
         self._mapper = HeightMapper.of(self._rules.geometry, self._rules.region)
@@ -82,7 +81,7 @@ class Bench:
         answer: Any = jax.jit(jax.vmap(partial(proposals_of, rules=rules), in_axes=(None, 0, 0)))
         return interruptible(_in_parts, answer, propose, keys, self._of(rules))
 
-    def judge(self, proposals: Proposals) -> Outcome:
+    def judge(self, proposals: Proposals) -> ProposalOutcomes:
         """Tries each query's proposals, best first, until one is good."""
         num_queries, num_proposals = proposals.score.shape
         verdict = np.full((num_queries, num_proposals), int(Verdict.NONE), np.int32)
@@ -99,17 +98,19 @@ class Bench:
             left = left[~is_good]
         first = proposals.pose[:, 0]
         z_error = np.asarray(self._above(self._mapper, self._rules, self._episodes, first))
-        return Outcome(*proposals_arrays(proposals), verdict, has_margin, self._is_quiet(first), z_error)
+        return ProposalOutcomes(
+            *proposals_arrays(proposals), verdict, has_margin, self._is_quiet(first), z_error
+        )
 
     def _is_quiet(self, pose: np.ndarray) -> np.ndarray:
         """bool[P]: whether one proposal for each query, f32[P, 4], counts as in the paper."""
         rows = np.arange(len(pose))
-        return self._count(*self._judge.released(self._episodes, rows, pose)[:2])
+        return self._count(*self._judge.release(self._episodes, rows, pose)[:2])
 
     def is_own_quiet(self) -> np.ndarray:
         """bool[P]: whether the scene's own object, where it rests, counts as in the paper."""
         target = self.labels.target
-        poses, is_placed, focus = self._judge.released(
+        poses, is_placed, focus = self._judge.release(
             self._episodes, np.arange(len(target)), np.zeros((len(target), 4), np.float32)
         )
         own = jax.vmap(lambda region, pose: to_pose(region.T_world_region @ from_pose(pose)))
@@ -153,10 +154,9 @@ def answers(placer: Placer, keys: Array, queries: PlacementQuery) -> Proposals:
 
 
 def _in_parts(answer: Any, placer: Any, keys: Array, asked: Any) -> Proposals:
-    """The answers to many queries, some at a time, all parts of one size."""
-    number, parts = len(keys), []
-    for first in range(0, number, _AT_ONCE):
-        rows = np.minimum(first + np.arange(min(_AT_ONCE, number)), number - 1)
-        found = answer(placer, keys[rows], jax.tree.map(lambda leaf, rows=rows: leaf[rows], asked))
-        parts.append(jax.tree.map(np.asarray, found))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:number], *parts)
+    """The answers to many queries, some at a time."""
+
+    def call(part: Any) -> Any:
+        return answer(placer, *part)
+
+    return concatenate(list(in_parts(call, (keys, asked), min(_AT_ONCE, len(keys)))))

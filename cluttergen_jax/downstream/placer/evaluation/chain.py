@@ -10,17 +10,16 @@ import jax
 import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.bench import answers
-from cluttergen_jax.downstream.placer.judge import Judge
-from cluttergen_jax.downstream.placer.pairs.stored import stacked
-from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
+from cluttergen_jax.downstream.placer.pairs.store import stack_queries
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Placer
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, check_cameras
-from cluttergen_jax.downstream.placer.sight import QueryMaker
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.proportions import proportion
-from cluttergen_jax.sensing.noise import NoiseConfig
+from cluttergen_jax.sensing import NoiseConfig
 from cluttergen_jax.types import Verdict
 
 
@@ -50,8 +49,10 @@ class Chains:
         self._scenes, self._noise, self._seed = scenes, noise, seed
         self.num_chains = min(num_chains, len(scenes.number))
         self._looks = SceneCameras(scenes.problem, camera)
-        self._cameras = [self._looks.drawn((seed, row, 3), num_cameras) for row in range(self.num_chains)]
-        self._maker, self._judge = QueryMaker(scenes.problem), Judge(scenes.rules)
+        self._cameras = [
+            self._looks.draw_cameras((seed, row, 3), num_cameras) for row in range(self.num_chains)
+        ]
+        self._maker, self._judge = QueryMaker(scenes.problem), ProposalJudge(scenes.rules)
         self._pool = ThreadPoolExecutor(num_threads or os.cpu_count())
 
     def run(self, placer: Placer) -> dict[str, Any]:
@@ -85,7 +86,7 @@ class Chains:
     ) -> tuple[Episode, np.ndarray]:
         """The episodes after one object more in some of them, and in which of these it stands."""
         state = np.asarray(episodes.poses), np.asarray(episodes.is_placed)
-        queries = stacked(list(self._pool.map(lambda row: self._query(row, slot, *state), rows)))
+        queries = stack_queries(list(self._pool.map(lambda row: self._query(row, slot, *state), rows)))
         key = jax.random.fold_in(new_key(self._seed), slot)
         keys = jax.vmap(lambda row: jax.random.fold_in(key, row))(rows)
         proposals = answers(placer, keys, queries)

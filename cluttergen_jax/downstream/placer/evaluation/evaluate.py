@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,27 +10,27 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.downstream.placer.evaluation.bench import Bench, Outcome
+from cluttergen_jax.downstream.digests import json_digest
+from cluttergen_jax.downstream.placer.evaluation.bench import Bench, ProposalOutcomes
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
-from cluttergen_jax.downstream.placer.evaluation.figures import figures_of
-from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, tables_of
-from cluttergen_jax.downstream.placer.heads.trained import placer_folder
-from cluttergen_jax.downstream.placer.pairs.stored import PairLabels, PairSet, load_queries, of_tenths
+from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, figures_of, tables_of
+from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
+from cluttergen_jax.downstream.placer.pairs.store import PairLabels, PairSet, load_queries, of_tenths
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
 from cluttergen_jax.downstream.placer.scene_cameras import check_cameras
-from cluttergen_jax.downstream.splits import SPLITS
+from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.methods import checkpoint_of
-from cluttergen_jax.learning.ppo.checkpoint import folder_hash
+from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.proportions import proportion
 from cluttergen_jax.scene.bank import Bank, read_bank
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig
+from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig
 from cluttergen_jax.tables import Table
 
 
@@ -61,7 +59,7 @@ class PlacerComparison:
             write_atomically(folder / "chains.json", json_bytes(self.chains))
 
 
-class Trials:
+class PlacerTrials:
     """Makes and keeps the rows of one split; queries are read and worlds compiled when a row needs them.
 
     Args:
@@ -115,25 +113,19 @@ class Trials:
           ConfigError, PoolError: there is no such placer, or it is damaged.
         """
         found = find_placer(placer)
-        trial = self._trial(name or placer, noise)
-        sources = self._sources(placer, found)
-        text = json.dumps({"trial": trial, "sources": sources}, sort_keys=True)
-        key = hashlib.sha256(text.encode()).hexdigest()[:20]
+        trial, sources = self._trial(name or placer, noise), self._sources(placer, found)
+        key = json_digest({"trial": trial, "sources": sources}, 20)
         title = f"{Path(name or placer).name} noise {noise:g} {self.split} {self._place(trial)}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is None:
-            figures, outcome = self._made(found, noise)
+            figures, outcome = self._evaluate(found, noise)
             row = {"trial": trial, "sources": sources, "figures": figures}
             known = self.store.write(title, key, row, outcome._asdict())
         on_made(self.num_queries)
         return known
 
     def bank(self) -> Bank:
-        """The bank behind the split.
-
-        Raises:
-          ConfigError: the folder does not hold it.
-        """
+        """The bank behind the split. Raises ConfigError: the folder does not hold it."""
         place = self.pairs.path / f"bank-{self.split}"
         if not place.is_dir():
             raise ConfigError(
@@ -149,8 +141,7 @@ class Trials:
         if isinstance(found, FullState):
             return None
         trial = self._trial(placer, noise) | {"chains": number}
-        text = json.dumps([trial, self._sources(placer, found)], sort_keys=True)
-        key = hashlib.sha256(text.encode()).hexdigest()[:20]
+        key = json_digest([trial, self._sources(placer, found)], 20)
         title = f"{number} chains by {Path(placer).name} noise {noise:g} {self._place(trial)}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is not None:
@@ -192,24 +183,23 @@ class Trials:
             **more,
         }
 
-    def _sources(self, placer: str, found: Placer | FullState) -> dict[str, Any]:
+    def _sources(self, placer: str, found: Placer | FullState) -> dict[str, object]:
         """Hashes of what decides the figures beside the trial."""
         if isinstance(found, FullState):
-            checkpoint = checkpoint_of(found.method, self.made["recipe"]["pool"])
-            weights = None if checkpoint is None else checkpoint.hash
+            trained = checkpoint_of(found.method, self.made["recipe"]["pool"])
+            weights = None if trained is None else trained.hash
         else:
             folder = placer_folder(placer)
-            weights = None if folder is None else folder_hash(folder)
+            weights = None if folder is None else checkpoint.folder_hash(folder)
         told = {name: value for name, value in self.made.items() if name != "num_pairs"}
-        text = json.dumps([told, self.pairs.record["assets"]], sort_keys=True)
         return {
-            "pairs": hashlib.sha256(text.encode()).hexdigest(),
+            "pairs": json_digest([told, self.pairs.record["assets"]]),
             "placer": weights,
             "noise_seed": SPLITS[self.split] + self.seed,
             "versions": versions(),
         }
 
-    def _made(self, placer: Placer | FullState, noise: float) -> tuple[dict[str, Any], Outcome]:
+    def _evaluate(self, placer: Placer | FullState, noise: float) -> tuple[dict[str, Any], ProposalOutcomes]:
         queries, labels = self._queries(noise)
         outcome = self._bench.judge(self._bench.proposals(placer, queries, self.seed))
         # The published code leaves out pairs where the scene's own pose does not count either.
@@ -250,7 +240,7 @@ class Trials:
 
 
 def compare_placers(
-    trials: Trials,
+    trials: PlacerTrials,
     placers: Sequence[str],
     noises: Sequence[float],
     folder: Path | None,

@@ -8,16 +8,16 @@ from flax import struct
 
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
-from cluttergen_jax.placement.search.fit import (
+from cluttergen_jax.placement.search import (
     Candidates,
     base_share,
     cells_under,
+    crowding,
     lower_onto,
     mean_under,
     support_share,
     touching,
 )
-from cluttergen_jax.placement.search.search import crowding
 from cluttergen_jax.types import Array
 
 NUM_FEATURES = 36
@@ -123,12 +123,12 @@ def _of_maps(query: PlacementQuery, candidates: Candidates, z: Array) -> Array:
             _FINE * jnp.clip(fit.gap, 0.0, 0.05),
             jnp.log(jnp.clip(_FINE * fit.gap, 1e-2, 10.0)) / 4,
             fit.blocked,
-            mean_under(sparse, taken_around(surface), candidates),
+            mean_under(sparse, occupancy_around(surface), candidates),
         ]
     return jnp.stack(found, axis=1)
 
 
-def taken_around(surface: HeightMap) -> HeightMap:
+def occupancy_around(surface: HeightMap) -> HeightMap:
     """How much of the surroundings of each cell is not bare top, 0 to 1, whatever the map's size.
 
     What is beyond the support counts as bare: maps of several worlds are padded with such cells.

@@ -11,19 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.downstream.placer.heads.features import UNSEEN, taken_around
-from cluttergen_jax.downstream.placer.heads.head import Example
+from cluttergen_jax.downstream.placer.heads.features import UNSEEN, occupancy_around
 from cluttergen_jax.downstream.placer.map_search import best_apart
 from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,
+    Example,
     PlacementQuery,
     Proposals,
     without_scores,
 )
 from cluttergen_jax.learning.networks.distributions import EDGE, Mixture
 from cluttergen_jax.placement.heightmap import VOID
-from cluttergen_jax.placement.search.fit import Candidates, cells_under, lower_onto, mean_under
-from cluttergen_jax.placement.search.search import CLEARANCE
+from cluttergen_jax.placement.search import CLEARANCE, Candidates, cells_under, lower_onto, mean_under
 from cluttergen_jax.types import Array
 
 NUM_CELL_FEATURES = 13
@@ -88,7 +87,7 @@ def cell_features(query: PlacementQuery, config: MixtureConfig) -> Array:
             10 * jnp.clip(fit.rest - query.half_extents[2], -0.05, 0.3),
             fit.blocked,
             100 * jnp.clip(fit.gap, 0.0, 0.03),
-            mean_under(under, taken_around(surface), cells),
+            mean_under(under, occupancy_around(surface), cells),
         ]
     below = cells_under(under, query.heights, cells)
     hidden = query.ceilings.at(below) - query.heights.at(below)
@@ -156,7 +155,6 @@ class MixtureHead:
     kind = "mixture"
 
     def prepare(self, example: Example) -> MixtureExample:
-        """See `head.Head`."""
         query, target = example.query, example.target
         place = (target[:2] / query.region_half_extents + 1) / 2
         turn = jnp.mod(target[3] / (2 * jnp.pi), 1.0)
@@ -165,12 +163,10 @@ class MixtureHead:
         return MixtureExample(features, jnp.clip(action, EDGE, 1 - EDGE))
 
     def init(self, key: Array) -> Any:
-        """See `head.Head`."""
         number = self.config.num_cells**2 * self.config.num_turns
         return MixtureNet(self.config).init(key, jnp.zeros((number, NUM_CELL_FEATURES)))
 
     def loss(self, params: Any, examples: MixtureExample, key: Array) -> tuple[Array, dict[str, Array]]:
-        """See `head.Head`."""
         del key
 
         def surprise(example: MixtureExample) -> Array:
@@ -181,5 +177,4 @@ class MixtureHead:
         return total, {"nll": total}
 
     def placer(self, params: Any, temperature: float = 1.0) -> MixturePlacer:
-        """See `head.Head`."""
         return MixturePlacer(params, self.config)

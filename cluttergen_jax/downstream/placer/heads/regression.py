@@ -12,10 +12,15 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.config import PlacerLoss
-from cluttergen_jax.downstream.placer.heads.head import Example
-from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Proposals, without_scores
+from cluttergen_jax.downstream.placer.query import (
+    NUM_PROPOSALS,
+    Example,
+    PlacementQuery,
+    Proposals,
+    without_scores,
+)
 from cluttergen_jax.learning.networks.cloud_encoder import CloudNet
-from cluttergen_jax.learning.ppo.checkpoint import read_policy
+from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.types import Array
 
 
@@ -65,17 +70,17 @@ class RegressionNet(nn.Module):
     def __call__(self, clouds: Clouds) -> Array:
         """f32[4], x, y, z and yaw in metres and radians, of one query."""
         config = self.config
-        scene = self._encoded("scene", clouds.scene, clouds.mask, jnp.linalg.norm(clouds.region))
+        scene = self._encode("scene", clouds.scene, clouds.mask, jnp.linalg.norm(clouds.region))
         everything = jnp.ones(len(clouds.object), bool)
         size = jnp.linalg.norm(clouds.half_extents)
-        own = self._encoded("object", clouds.object, everything, size)
+        own = self._encode("object", clouds.object, everything, size)
         # Clouds are divided by their radius, which says how large they were.
         hidden = jnp.concatenate([scene, own, 10 * clouds.half_extents, 3 * clouds.region])
         for width in config.widths:
             hidden = nn.relu(nn.LayerNorm()(nn.Dense(width)(hidden)))
         return nn.Dense(4)(hidden)
 
-    def _encoded(self, name: str, cloud: Array, mask: Array, radius: Array) -> Array:
+    def _encode(self, name: str, cloud: Array, mask: Array, radius: Array) -> Array:
         config = self.config
         net = CloudNet(config.encoder, config.features, config.group_size, name=name)
         centroids = jnp.arange(max(min(config.num_centroids, len(cloud) // 2), 1))
@@ -131,15 +136,10 @@ class RegressionHead:
     kind = "regression"
 
     def prepare(self, example: Example) -> RegressionExample:
-        """See `head.Head`."""
         return RegressionExample(clouds_of(example.query, self.config), example.target)
 
     def init(self, key: Array) -> Any:
-        """See `head.Head`.
-
-        Raises:
-          PoolError: `encoder_weights` holds none, or weights of other sizes.
-        """
+        """See `checkpoint.Head`. Raises PoolError: `encoder_weights` has none, or of other sizes."""
         scene, own = self.config.scene_points, self.config.object_points
         blank = Clouds(
             jnp.zeros((scene, 3)), jnp.ones(scene, bool), jnp.zeros((own, 3)), jnp.ones(2), jnp.ones(3)
@@ -148,11 +148,12 @@ class RegressionHead:
         if self.encoder_weights is None:
             return params
         inner = params["params"]
-        read = {name: read_policy(self.encoder_weights, inner[name]) for name in ("scene", "object")}
+        read = {
+            name: checkpoint.read_policy(self.encoder_weights, inner[name]) for name in ("scene", "object")
+        }
         return {"params": inner | read}
 
     def loss(self, params: Any, examples: RegressionExample, key: Array) -> tuple[Array, dict[str, Array]]:
-        """See `head.Head`."""
         del key
         found: Any = jax.vmap(lambda clouds: RegressionNet(self.config).apply(params, clouds))(
             examples.clouds
@@ -167,7 +168,6 @@ class RegressionHead:
         return share * position + (1 - share) * turn, {"position": position, "turn": turn}
 
     def placer(self, params: Any, temperature: float = 1.0) -> RegressionPlacer:
-        """See `head.Head`."""
         return RegressionPlacer(params, self.config)
 
 

@@ -22,12 +22,10 @@ from cluttergen_jax.downstream.placer.heads.features import (
     features_of,
     own_shape,
 )
-from cluttergen_jax.downstream.placer.heads.head import Example
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw
-from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Proposals
+from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, Example, PlacementQuery, Proposals
 from cluttergen_jax.placement.heightmap import HeightMap
-from cluttergen_jax.placement.search.fit import Candidates, lower_onto
-from cluttergen_jax.placement.search.search import CLEARANCE
+from cluttergen_jax.placement.search import CLEARANCE, Candidates, lower_onto
 from cluttergen_jax.types import Array, Verdict
 
 _PATCH = 4
@@ -101,14 +99,13 @@ class ScoredPlacer(struct.PyTreeNode, eq=False):
     temperature: Any = 1.0
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
-        """See `query.Placer`."""
         config, keys, shape = self.config, jax.random.split(key, 3), own_shape(query)
         many = cheapest(query, draw(keys[0], query, config.num_drawn), config.num_finalists)
-        first = joined_candidates(draw(keys[1], query, config.num_uniform), many)
-        pose = lowered(query, first)
+        first = concatenate_candidates(draw(keys[1], query, config.num_uniform), many)
+        pose = lower_candidates(query, first)
         logit = self.logits(query, shape, pose)
         best = jax.lax.top_k(logit, config.num_refined)[1]
-        varied = lowered(query, near(keys[2], query, first.take(best), config.num_near))
+        varied = lower_candidates(query, near(keys[2], query, first.take(best), config.num_near))
         pose = jnp.concatenate([pose, varied])
         logit = jnp.concatenate([logit, self.logits(query, shape, varied)])
         best = best_apart(-logit, pose[:, :2], NUM_PROPOSALS)
@@ -139,12 +136,12 @@ def near(key: Array, query: PlacementQuery, candidates: Candidates, number: int)
     return Candidates(xy.reshape(-1, 2), (candidates.yaw + _TURN * noise[..., 2]).reshape(-1))
 
 
-def joined_candidates(*parts: Candidates) -> Candidates:
+def concatenate_candidates(*parts: Candidates) -> Candidates:
     """All of them."""
     return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
 
 
-def lowered(query: PlacementQuery, candidates: Candidates) -> Array:
+def lower_candidates(query: PlacementQuery, candidates: Candidates) -> Array:
     """f32[N, 4]: x, y, z and turn, `CLEARANCE` above first contact with what was seen."""
     z = lower_onto(query.under, query.heights, candidates).rest + CLEARANCE
     return jnp.column_stack([candidates.xy, z, candidates.yaw])
@@ -180,7 +177,6 @@ class ScoredHead:
     kind = "scored"
 
     def prepare(self, example: Example) -> ScoredExample:
-        """See `head.Head`."""
         query = example.query
         return ScoredExample(
             heights=query.heights,
@@ -193,12 +189,11 @@ class ScoredHead:
         )
 
     def init(self, key: Array) -> Any:
-        """See `head.Head`."""
         crops = jnp.zeros((1, CROP_SIDE, CROP_SIDE, NUM_CHANNELS))
         return ScoreNet(self.config).init(key, jnp.zeros((1, NUM_FEATURES)), crops)
 
     def loss(self, params: Any, examples: ScoredExample, key: Array) -> tuple[Array, dict[str, Array]]:
-        """See `head.Head`; every pair is mirrored along x and y of its object as a coin falls."""
+        """See `checkpoint.Head`; every pair is mirrored along x and y of its object as a coin falls."""
         is_mirrored = jax.random.bernoulli(key, shape=(2, len(examples.verdict)))
         logits = self._logits(params, examples, is_mirrored)
         verdict = examples.verdict.reshape(-1)
@@ -233,7 +228,6 @@ class ScoredHead:
         return found
 
     def placer(self, params: Any, temperature: float = 1.0) -> ScoredPlacer:
-        """See `head.Head`."""
         return ScoredPlacer(params, self.config, np.float32(temperature))
 
 

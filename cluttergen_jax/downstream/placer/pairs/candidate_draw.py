@@ -15,8 +15,7 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig, draw_candidates
+from cluttergen_jax.placement.search import CLEARANCE, Candidates, SearchConfig, draw_candidates
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -60,7 +59,7 @@ class CandidateDraw:
         return np.asarray(_draw_many(self._search, keys, episodes, queries))
 
 
-def _drawn(true: LowestFit, key: Array, episode: Episode, query: PlacementQuery) -> Array:
+def _draw_candidates(true: LowestFit, key: Array, episode: Episode, query: PlacementQuery) -> Array:
     keys = jax.random.split(key, 4)
     parts = [
         _by_search(keys[0], true, episode),
@@ -71,7 +70,7 @@ def _drawn(true: LowestFit, key: Array, episode: Episode, query: PlacementQuery)
     return jnp.concatenate(parts)
 
 
-_draw_many: Any = jax.jit(jax.vmap(_drawn, in_axes=(None, 0, 0, 0)))
+_draw_many: Any = jax.jit(jax.vmap(_draw_candidates, in_axes=(None, 0, 0, 0)))
 
 
 def _by_search(key: Array, true: LowestFit, episode: Episode) -> Array:
@@ -79,20 +78,20 @@ def _by_search(key: Array, true: LowestFit, episode: Episode) -> Array:
     scene = true.scene(episode)
     many = draw_candidates(key_many, episode.region, _SEARCH.num_candidates)
     few = draw_candidates(key_few, episode.region, _NUM_UNIFORM)
-    found = true.closely(scene, _joined(true.best(scene, many, _SEARCH.num_finalists), few))
+    found = true.closely(scene, _concatenate(true.best(scene, many, _SEARCH.num_finalists), few))
     height = found.scores.fit.rest + CLEARANCE
     pose = jnp.column_stack([found.candidates.xy, height, found.candidates.yaw])
-    return pose[_chosen(key_choice, found.cost, _NUM_TRUE)]
+    return pose[_choose(key_choice, found.cost, _NUM_TRUE)]
 
 
 def _by_map(key: Array, query: PlacementQuery, heights: HeightMap, number: int) -> Array:
     key_many, key_few, key_choice = jax.random.split(key, 3)
     best = finalists(key_many, query, heights, _SEARCH)
-    found = look(query, heights, _joined(best, draw(key_few, query, _NUM_UNIFORM)))
-    return found.pose[_chosen(key_choice, found.cost, number)]
+    found = look(query, heights, _concatenate(best, draw(key_few, query, _NUM_UNIFORM)))
+    return found.pose[_choose(key_choice, found.cost, number)]
 
 
-def _joined(first: Candidates, second: Candidates) -> Candidates:
+def _concatenate(first: Candidates, second: Candidates) -> Candidates:
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), first, second)
 
 
@@ -108,7 +107,7 @@ def _random(key: Array, query: PlacementQuery) -> Array:
     )
 
 
-def _chosen(key: Array, cost: Array, number: int) -> Array:
+def _choose(key: Array, cost: Array, number: int) -> Array:
     """i32[number]: a draw without repetition, the cheaper the likelier (Gumbel's trick)."""
     cost = jnp.clip(cost, 0.0, _HIGHEST_COST)
     noise = jax.random.gumbel(key, cost.shape)

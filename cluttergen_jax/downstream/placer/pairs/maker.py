@@ -12,30 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from cluttergen_jax.downstream.placer.judge import Judge
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs.candidate_draw import SOURCES, CandidateDraw
 from cluttergen_jax.downstream.placer.pairs.card import write_card
-from cluttergen_jax.downstream.placer.pairs.stored import (
-    PAIRS,
-    SCHEMA,
-    PairSet,
-    changed_frame,
-    stacked,
-)
-from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
+from cluttergen_jax.downstream.placer.pairs.store import PAIRS, SCHEMA, PairSet, changed_frame, stack_queries
+from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, depth_bytes, depth_of
-from cluttergen_jax.downstream.placer.sight import QueryMaker
-from cluttergen_jax.downstream.splits import SPLITS, store_assets
+from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.files import remove_partial, writing
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.progress import COMPILING, Progress
-from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.lock import BankLock
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE
-from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT
+from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.sensing import FIRST_OBJECT, NOISE_OFF, REALSENSE, SUPPORT, Camera
 
 
 class SensedPair(NamedTuple):
@@ -61,7 +50,7 @@ class PairMaker:
     def __init__(self, scenes: PartialScenes, camera: str, seed: int, num_threads: int = 0) -> None:
         self.scenes, self.seed = scenes, seed
         self._cameras = SceneCameras(scenes.problem, camera)
-        self._maker, self._judge = QueryMaker(scenes.problem), Judge(scenes.rules)
+        self._maker, self._judge = QueryMaker(scenes.problem), ProposalJudge(scenes.rules)
         self._draw = CandidateDraw(scenes.rules)
         self._pool = ThreadPoolExecutor(num_threads or os.cpu_count())
 
@@ -91,7 +80,7 @@ class PairMaker:
             on_rows(1)
         queries = [look.query for look in looks]
         queries += [queries[-1]] * (PAIRS.block_size - num_rows)
-        candidates = self._candidates(block, episodes, stacked(queries))[:num_rows]
+        candidates = self._candidates(block, episodes, stack_queries(queries))[:num_rows]
         scene = np.repeat(np.arange(num_rows), candidates.shape[1])
         judged = self._judge.settle(episodes, scene, candidates.reshape(-1, 4))
         verdict = judged.verdict.reshape(candidates.shape[:2])
@@ -122,14 +111,12 @@ class PairMaker:
 
     def _row(
         self, pair: int, place: np.ndarray, look: SensedPair, candidates: np.ndarray, verdict: np.ndarray
-    ) -> dict[str, Any]:
+    ) -> dict[str, object]:
         scene, slot = place
         T_region_world = np.linalg.inv(self._maker.T_world_region)
         names, camera = self.scenes.problem.world.names, look.camera
-        order, poses = (
-            self.scenes.object_index[scene],
-            changed_frame(T_region_world, self.scenes.poses[scene]),
-        )
+        order = self.scenes.object_index[scene]
+        poses = changed_frame(T_region_world, self.scenes.poses[scene])
         return {
             "pair": pair,
             "scene": int(self.scenes.number[scene]),
@@ -177,47 +164,23 @@ def write_pairs(
         "recipe": bank.record["recipe"],
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
     }
-    with writing(path):
-        PAIRS.check_place(path)
-        path.mkdir(parents=True, exist_ok=True)
-        lock = BankLock(path)
-    try:
-        with writing(path):
-            remove_partial(path)
-            record = PAIRS.with_split(
-                path, {"assets": bank.record.get("assets")}, split, made, num_pairs, overwrite
-            )
-            store_assets(path, bank)
-            PAIRS.write_record(path, record)
-            # More than were asked for, where an earlier call that was interrupted asked for more.
-            _write_blocks(path, maker, split, record["splits"][split][PAIRS.number])
-            pairs = PairSet(path, record)
-            write_card(pairs)
-    finally:
-        lock.release()
-    return pairs
 
+    def fill(record: dict[str, Any], missing: dict[int, int]) -> None:
+        total = record["splits"][split][PAIRS.number]
+        with Progress(f"pairs of {split}", total, "pair", total - sum(missing.values())) as progress:
+            if missing:
+                progress.say(COMPILING)
+            for block, rows in missing.items():
+                PAIRS.write_block(path, split, block, maker.block(block, rows, progress.update))
+            progress.update(0, f"{progress.rate():.1f} pairs/s")
+        write_card(PairSet(path, record))
 
-def _write_blocks(path: Path, maker: PairMaker, split: str, num_pairs: int) -> None:
-    """Makes every block that is missing, damaged or shorter."""
-    rows = PAIRS.sizes(num_pairs)
-    missing = [block for block in rows if not PAIRS.is_kept(path, split, block, rows[block])]
-    kept = num_pairs - sum(rows[block] for block in missing)
-    with Progress(f"pairs of {split}", num_pairs, "pair", kept) as progress:
-        if missing:
-            progress.say(COMPILING)
-        for block in missing:
-            table = maker.block(block, rows[block], progress.update)
-            PAIRS.write_block(path, split, block, table)
-        progress.update(0, f"{progress.rate():.1f} pairs/s")
+    shared = {"assets": bank.record.get("assets")}
+    return PairSet(path, PAIRS.write(path, bank, shared, split, made, num_pairs, overwrite, fill))
 
 
 def split_of(bank: Bank, asked: str | None) -> str:
-    """The split that a bank's scenes belong to, by its seed.
-
-    Raises:
-      ConfigError: another one is asked for.
-    """
+    """The split that a bank's scenes belong to, by its seed. Raises ConfigError: another one is asked for."""
     seed = int(bank.record["recipe"].get("seed", 0))
     split = max((name for name in SPLITS if SPLITS[name] <= seed), key=SPLITS.__getitem__)
     if asked not in (None, split):

@@ -54,11 +54,7 @@ class _Crossing(NamedTuple):
 
 
 class Union:
-    """The union of convex parts, for lines to be cast through.
-
-    Args:
-      parts: convex collision parts of one body.
-    """
+    """The union of convex parts, for lines to be cast through; parts: convex collision parts of one body."""
 
     def __init__(self, parts: Sequence[Mesh]) -> None:
         hulls = [ConvexHull(part.vertices) for part in parts]
@@ -119,7 +115,7 @@ class Union:
         return reach
 
 
-def sample_pairs(union: Union, number: int, rng: np.random.Generator, friction: float = FRICTION) -> Pairs:
+def sample_pairs(union: Union, number: int, rng: np.random.Generator) -> Pairs:
     """The antipodal pairs among `number` lines that are cast from the surface inwards.
 
     Half of them run against the surface's normal, since flat pads turn an object until they lie flat on it;
@@ -128,7 +124,7 @@ def sample_pairs(union: Union, number: int, rng: np.random.Generator, friction: 
     body, or upon two with a hollow between them.
     """
     points, normals = union.surface_points(number, rng)
-    cone = np.arctan(friction)
+    cone = np.arctan(FRICTION)
     axis = -normals
     level = axis * [1, 1, 0]
     length = np.linalg.norm(level, axis=1)

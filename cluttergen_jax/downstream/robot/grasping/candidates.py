@@ -10,9 +10,9 @@ import numpy as np
 from cluttergen_jax.assets.mjcf import add_object
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.frames import inverse, made, pose_of, shifted
 from cluttergen_jax.downstream.robot.grasping.antipodal import Pairs, Union, sample_pairs
 from cluttergen_jax.downstream.robot.model import MAX_OPENING, TOOL_DEPTH, hand_spec
+from cluttergen_jax.downstream.transforms import inverse, pose_of, rigid, shift_along
 
 MIN_COVER = 0.012
 """Metres of a pad's 17 mm, along and across the approach, that must lie on an object that has so much."""
@@ -31,7 +31,7 @@ _CLEARANCE = 0.0015
 _PLANE, _GROUND_GAP, _GROUND_HALF = "plane", 0.001, (0.5, 0.5, 0.05)
 _BACK = (0.0, 0.03, 0.06, 0.1)
 """Metres before the grasp at which the hand must be clear of the object too."""
-T_HAND_TOOL = made(np.eye(3), np.array([0.0, 0.0, TOOL_DEPTH]))
+T_HAND_TOOL = rigid(np.eye(3), np.array([0.0, 0.0, TOOL_DEPTH]))
 
 
 class Candidates(NamedTuple):
@@ -70,7 +70,7 @@ def candidates_of(asset: ObjectAsset, number: int, num_lines: int, rng: np.rando
       num_lines: lines that are cast to find pairs; half as many ways of approach are looked at.
     """
     union = Union(asset.parts)
-    found = _approached(union, sample_pairs(union, num_lines, rng), max(num_lines // 2, 1), rng)
+    found = _approaches(union, sample_pairs(union, num_lines, rng), max(num_lines // 2, 1), rng)
     found = found.take(spread(found.pose, min(len(found.width), 4 * number), rng))
     hand = HandCheck(asset)
     clear = [hand.clear_of(*each) for each in zip(found.pose, found.width, strict=True)]
@@ -80,7 +80,7 @@ def candidates_of(asset: ObjectAsset, number: int, num_lines: int, rng: np.rando
     return found.take(order[:number])
 
 
-def _approached(union: Union, pairs: Pairs, number: int, rng: np.random.Generator) -> Candidates:
+def _approaches(union: Union, pairs: Pairs, number: int, rng: np.random.Generator) -> Candidates:
     """So many poses of the tool about random pairs, deep enough; half of them come from straight above."""
     wide = np.flatnonzero(pairs.width >= _LEAST_WIDTH)
     if not wide.size:
@@ -103,7 +103,7 @@ def _approached(union: Union, pairs: Pairs, number: int, rng: np.random.Generato
     )
     keep = is_deep & (approach[:, 2] <= _STEEPEST_UP)
     turn = np.stack([across, axis, approach], axis=-1)
-    pose = made(turn, middle - shallow[:, None] * approach)[keep]
+    pose = rigid(turn, middle - shallow[:, None] * approach)[keep]
     return Candidates(pose, width[keep], np.zeros(len(pose), bool))
 
 
@@ -144,7 +144,7 @@ class HandCheck:
         data.qpos[: self._start] = opening_of(np.array(width))
         T_tool_object = inverse(pose)
         for back in _BACK:
-            T_hand_object = shifted(T_HAND_TOOL, (0.0, 0.0, back)) @ T_tool_object
+            T_hand_object = shift_along(T_HAND_TOOL, (0.0, 0.0, back)) @ T_tool_object
             data.qpos[self._start :] = pose_of(T_hand_object)
             mujoco.mj_kinematics(self._model, data)
             mujoco.mj_collision(self._model, data)

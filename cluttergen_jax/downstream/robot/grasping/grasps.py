@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,14 +22,15 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import user_root
-from cluttergen_jax.downstream.robot.frames import pose_of
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, candidates_of, spread
-from cluttergen_jax.downstream.robot.grasping.grip_test import MAX_LOAD, GripTest, grip_test
+from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, GraspCheck, check_grasps
 from cluttergen_jax.downstream.robot.model import MAX_OPENING
+from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.schema import SEAL, Numbers, SchemaError, check_numbers, check_seal, with_seal
+from cluttergen_jax.tables import aligned_table
 
 MIN_GRASPS = 8
 """As many an object needs; one with fewer is named."""
@@ -54,7 +56,7 @@ class Grasps:
       width: f64[G], metres between the fingers.
       shift: f64[G], metres by which the closing fingers moved the object as it floated.
       slip, turn: f64[G], metres and radians that it slipped in the test.
-      margin: f64[G], times its weight that it held, at most `grip_test.MAX_LOAD`.
+      margin: f64[G], times its weight that it held, at most `grasp_check.MAX_LOAD`.
       is_low: bool[G], the hand can come there while the object rests on a plane.
       num_tested: candidates that were tested.
       held: f64[G, 7], T_tool_object after the fingers have closed and the object was lifted.
@@ -93,13 +95,13 @@ def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Gr
     # An object's own numbers, whatever pool it is in.
     rng = np.random.default_rng([seed, int(content[:12], 16)])
     candidates = candidates_of(asset, max(_CANDIDATES * number, _LEAST_CANDIDATES), _NUM_LINES, rng)
-    tests: list[GripTest] = []
+    tests: list[GraspCheck] = []
     for first in range(0, len(candidates.width), _AT_ONCE):
-        tests.append(verified(asset, candidates.take(slice(first, first + _AT_ONCE)), pool))
+        tests.append(verify_grasps(asset, candidates.take(slice(first, first + _AT_ONCE)), pool))
         if sum(int(test.is_held.sum()) for test in tests) >= number:
             break
     num_tested = sum(len(test.is_held) for test in tests)
-    result = GripTest(*(np.concatenate(each) for each in zip(*tests, strict=True))) if tests else _NO_TEST
+    result = GraspCheck(*(np.concatenate(each) for each in zip(*tests, strict=True))) if tests else _NO_TEST
     held = np.flatnonzero(result.is_held)
     chosen = held[spread(candidates.pose[held], min(number, len(held)), rng)]
     chosen = chosen[np.argsort(~candidates.is_low[chosen], kind="stable")]
@@ -108,27 +110,23 @@ def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Gr
         hash=content,
         pose=pose_of(candidates.pose[chosen]),
         width=candidates.width[chosen],
-        shift=result.shift[chosen],
-        slip=result.slip[chosen],
-        turn=result.turn[chosen],
-        margin=result.margin[chosen],
         is_low=candidates.is_low[chosen],
         num_tested=num_tested,
-        held=result.held[chosen],
+        **{name: getattr(result, name)[chosen] for name in ("shift", "slip", "turn", "margin", "held")},
     )
 
 
-def verified(asset: ObjectAsset, candidates: Candidates, pool: Rollout) -> GripTest:
-    """`grip_test`, passed where the hand also holds the object 2 mm short of the grasp."""
-    test = grip_test(asset, candidates, pool)
+def verify_grasps(asset: ObjectAsset, candidates: Candidates, pool: Rollout) -> GraspCheck:
+    """`check_grasps`, passed where the hand also holds the object 2 mm short of the grasp."""
+    test = check_grasps(asset, candidates, pool)
     held = np.flatnonzero(test.is_held)
     if len(held):
         short = candidates.take(held)
-        test.is_held[held] = grip_test(asset, short._replace(pose=short.pose @ _SHORT), pool).is_held
+        test.is_held[held] = check_grasps(asset, short._replace(pose=short.pose @ _SHORT), pool).is_held
     return test
 
 
-_NO_TEST = GripTest(np.zeros(0, bool), *(np.zeros(0),) * 4, np.zeros((0, 7)))
+_NO_TEST = GraspCheck(np.zeros(0, bool), *(np.zeros(0),) * 4, np.zeros((0, 7)))
 
 
 def grasp_file(asset: ObjectAsset, number: int, seed: int) -> Path:
@@ -229,3 +227,59 @@ def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
         return Grasps(asset.name, object_hash(asset), num_tested=num_tested, **poses, **columns)
     except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as error:
         raise PoolError(f"{path}: damaged ({error})", "a file of `robot grasps`", "removing it") from error
+
+
+_HEADINGS = ("object", "grasps", "low", "tested", "shift mm", "slip mm", "turn deg", "margin")
+
+
+@dataclass(frozen=True, eq=False)
+class GraspSets:
+    """Grasps of several objects, in the order in which they were asked for; sets: of each object."""
+
+    sets: tuple[Grasps, ...]
+
+    def __getitem__(self, name: str) -> Grasps:
+        """Those of an object."""
+        return next(each for each in self.sets if each.name == name)
+
+    def __iter__(self) -> Iterator[Grasps]:
+        return iter(self.sets)
+
+    def __len__(self) -> int:
+        return len(self.sets)
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """The objects with fewer than `MIN_GRASPS`."""
+        return tuple(each.name for each in self.sets if len(each) < MIN_GRASPS)
+
+    @property
+    def lifted_only(self) -> tuple[str, ...]:
+        """The objects that have grasps, but none while they rest on a plane."""
+        return tuple(each.name for each in self.sets if len(each) and not each.is_low.any())
+
+    def __str__(self) -> str:
+        """A row for each object, medians over its grasps; then what is missing."""
+        lines = [aligned_table(_HEADINGS, [_row(each) for each in self.sets])]
+        if self.lacking:
+            lines.append(f"fewer than {MIN_GRASPS} grasps: {', '.join(self.lacking)}")
+        if self.lifted_only:
+            lines.append(f"none while it rests on a plane: {', '.join(self.lifted_only)}")
+        return "\n".join(lines)
+
+
+def _row(grasps: Grasps) -> tuple[str, ...]:
+    counts = (grasps.name, str(len(grasps)), str(int(grasps.is_low.sum())), str(grasps.num_tested))
+    if not len(grasps):
+        return (*counts, "-", "-", "-", "-")
+    shift, slip = 1e3 * np.median(grasps.shift), 1e3 * np.median(grasps.slip)
+    turn, margin = np.degrees(np.median(grasps.turn)), np.median(grasps.margin)
+    return (*counts, *(f"{each:.1f}" for each in (shift, slip, turn, margin)))
+
+
+def grasp_sets(
+    objects: Sequence[ObjectAsset], number: int, seed: int, num_threads: int, fresh: bool
+) -> GraspSets:
+    """The grasps of objects (`grasps.grasps_of`); 0 threads are as many as there are cores."""
+    threads = num_threads or os.cpu_count() or 1
+    return GraspSets(tuple(grasps_of(objects, number, seed, threads, fresh)))

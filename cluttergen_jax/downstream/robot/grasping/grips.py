@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
+from cluttergen_jax.downstream.transforms import matrix_of
 
 _LEVER = 10.0
 """What a metre from the line between the fingers to the object's middle takes from a grasp's worth."""
@@ -34,8 +35,13 @@ class Grip(NamedTuple):
     width: float
     lever: float
 
+    @property
+    def opening(self) -> float:
+        """Metres that each finger is from the middle before it closes."""
+        return float(opening_of(np.array(self.width)))
 
-def ranked(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
+
+def rank_grasps(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
     """Grasps, each also turned about its approach.
 
     Those that come from above and hold well are first.
@@ -68,7 +74,7 @@ def _levers(pose: np.ndarray) -> np.ndarray:
 
 
 def first_grasp(grasps: Grasps) -> Grasps:
-    """The one that `ranked` has first where the object stands upright."""
+    """The one that `rank_grasps` has first where the object stands upright."""
     if not len(grasps):
         return grasps
     worth, _ = _worth(grasps, np.eye(4))

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.downstream.robot.frames import matrix_of
+from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.grasping.grip_test import MAX_LOAD
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.rendering.assets import render_object
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.sheet import contact_sheet

@@ -12,9 +12,9 @@ from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_part, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.model import HAND, PREFIX, TOOL_DEPTH, Panda, home_pose, panda_spec
-from cluttergen_jax.downstream.robot.motion.columns import Columns
+from cluttergen_jax.downstream.robot.motion.occupancy_boxes import OccupancyBoxes
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.geometry import yaw_quaternion
 
 CLEARANCE = 0.005
@@ -43,7 +43,7 @@ _GROUND = "ground"
 
 
 class Kind(IntEnum):
-    """What a geom belongs to; the last two are columns (`columns.Columns`)."""
+    """What a geom belongs to; the last two are columns (`columns.OccupancyBoxes`)."""
 
     GROUND = 0
     OTHER = 1
@@ -136,7 +136,7 @@ class PlanningWorld:
         support: SupportAsset,
         base: np.ndarray,
         stands: Sequence[Box] = (),
-        columns: Columns | None = None,
+        columns: OccupancyBoxes | None = None,
     ) -> None:
         contact = ContactConfig()
         spec = populated_spec(names, objects, support, StabilityConfig().timestep, contact, poses=poses)
@@ -176,11 +176,7 @@ class PlanningWorld:
 
     def _kinds(self) -> np.ndarray:
         """i[ngeom]: the kind of each geom."""
-        kind = np.full(self.model.nbody, Kind.GROUND)
-        kind[self._bodies] = Kind.OTHER
-        kind[self._target] = Kind.TARGET
-        kind[self.panda.is_arm] = Kind.ARM
-        kind[[self.panda.hand, *self.panda.finger_bodies]] = Kind.HAND
+        kind = kinds_of(self.panda, self._bodies, self._target)
         kind[self._held] = Kind.HELD
         for each in _COLUMN_KINDS:
             if (body := mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _name_of(each))) >= 0:
@@ -242,6 +238,14 @@ class PlanningWorld:
             return None
         a, b = (self.model.body(self.model.geom_bodyid[geom]).name for geom in geoms[too_close.argmax()])
         return a, b
+
+
+def kinds_of(panda: Panda, bodies: Sequence[int], target: int) -> np.ndarray:
+    """i[nbody]: the kind of each body; bodies: of the objects; target: of the one that is moved."""
+    kind = np.full(len(panda.is_arm), Kind.GROUND)
+    kind[bodies], kind[target], kind[panda.is_arm] = Kind.OTHER, Kind.TARGET, Kind.ARM
+    kind[[panda.hand, *panda.finger_bodies]] = Kind.HAND
+    return kind
 
 
 def add_stand(spec: mujoco.MjSpec, box: Box, name: str) -> None:

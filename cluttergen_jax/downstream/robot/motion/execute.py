@@ -15,14 +15,13 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.support import Box
-from cluttergen_jax.downstream.robot.frames import matrix_of
-from cluttergen_jax.downstream.robot.model import MAX_OPENING, Panda, PandaConfig, home_pose, with_panda
-from cluttergen_jax.downstream.robot.motion.collision import Kind, add_stand
-from cluttergen_jax.downstream.robot.motion.timing import Trajectory
+from cluttergen_jax.downstream.robot.model import MAX_OPENING, PANDA, Panda, home_pose, with_panda
+from cluttergen_jax.downstream.robot.motion.collision import Kind, add_stand, kinds_of
+from cluttergen_jax.downstream.robot.motion.plan import Trajectory
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.rays import cast_rays
+from cluttergen_jax.sensing import Camera, cast_rays
 
 MAX_FORCE = 2.0
 """N; an unplanned contact that presses harder ends an episode."""
@@ -47,7 +46,7 @@ class Phase(IntEnum):
     TOUCH = 3
 
 
-def _unplanned() -> np.ndarray:
+def _unplanned_contacts() -> np.ndarray:
     """bool[phases, kinds, kinds]."""
     table = np.zeros((len(Phase), len(Kind), len(Kind)), bool)
     table[:, [Kind.ARM, Kind.HAND], :] = True
@@ -61,7 +60,7 @@ def _unplanned() -> np.ndarray:
     return table
 
 
-_UNPLANNED = _unplanned()
+_UNPLANNED = _unplanned_contacts()
 _TOUCHING = _UNPLANNED[Phase.CARRY] & ~_UNPLANNED[Phase.TOUCH]
 """bool[kinds, kinds]: what is held and what it may be put on."""
 
@@ -103,12 +102,10 @@ class Execution:
         scene: Scene,
         target: int,
         stands: Sequence[Box] = (),
-        config: PandaConfig | None = None,
         trace: Trace | None = None,
         sleeps: bool = False,
     ) -> None:
-        self.config = config or PandaConfig()
-        spec = with_panda(scene, self.config)
+        spec = with_panda(scene)
         for number, box in enumerate(stands):
             add_stand(spec, box, f"ground-{number}")
         self.model = spec.compile()
@@ -131,11 +128,7 @@ class Execution:
 
     def aim_at(self, target: int) -> None:
         """From now on this object is the one that the hand may touch."""
-        kind = np.full(self.model.nbody, Kind.GROUND)
-        kind[self._bodies] = Kind.OTHER
-        kind[self._bodies[target]] = Kind.TARGET
-        kind[self.panda.is_arm] = Kind.ARM
-        kind[[self.panda.hand, *self.panda.finger_bodies]] = Kind.HAND
+        kind = kinds_of(self.panda, self._bodies, self._bodies[target])
         self._kind, self._target = kind[self.model.geom_bodyid], target
 
     def _start(self, scene: Scene) -> None:
@@ -228,7 +221,7 @@ class Execution:
 
     def close(self) -> None:
         """Closes the fingers on what is between them."""
-        self.move_fingers(self.config.grip_target, Phase.GRASP)
+        self.move_fingers(PANDA.grip_target, Phase.GRASP)
 
     def _step(self, phase: Phase) -> None:
         mujoco.mj_step(self.model, self.data)

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.frames import inverse, matrix_of, pose_of
 from cluttergen_jax.downstream.robot.model import ARM, EXTRA, TOOL, Panda, home_pose, panda_spec
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import MissingExtraError
 
 TOLERANCE, TURN_TOLERANCE = 5e-4, np.radians(0.2)
@@ -33,11 +33,7 @@ _TURN_METRES = 0.15
 
 
 def need(module: str, purpose: str) -> Any:
-    """A module of the extra `robot`.
-
-    Raises:
-      MissingExtraError: it is not installed.
-    """
+    """A module of the extra `robot`. Raises MissingExtraError: it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -45,11 +41,7 @@ def need(module: str, purpose: str) -> Any:
 
 
 class ArmKinematics:
-    """The arm alone, its base where it stands.
-
-    Args:
-      base: f64[7], T_world_base.
-    """
+    """The arm alone, its base where it stands; base: f64[7], T_world_base."""
 
     def __init__(self, base: np.ndarray) -> None:
         mink = need("mink", "inverse kinematics")

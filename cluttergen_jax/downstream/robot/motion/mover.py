@@ -7,17 +7,15 @@ from itertools import chain, count, product
 
 import numpy as np
 
-from cluttergen_jax.downstream.robot.frames import angle_between, inverse, matrix_of, pose_of, raised
-from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.grasping.grips import Grip, ranked
+from cluttergen_jax.downstream.robot.grasping.grips import Grip, rank_grasps
 from cluttergen_jax.downstream.robot.model import MAX_OPENING
 from cluttergen_jax.downstream.robot.motion.collision import ROOM, ROOMS, Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import LINE_STEP, ArmKinematics
-from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner
-from cluttergen_jax.downstream.robot.motion.timing import timed
+from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of, raise_by
 
 _APPROACH, _LEAVE = (0.10, 0.06), (0.10, 0.06, 0.03)
 """Metres that the hand comes straight to an object and leaves it, the first that is free; the latter of
@@ -112,10 +110,9 @@ class Mover:
         stood = self._survey()
         T_world_object, furthest = matrix_of(stood), 0
         self.fitting = self._joints = None
-        for room, grip in product(self._rooms, ranked(grasps, T_world_object)):
+        for room, grip in product(self._rooms, rank_grasps(grasps, T_world_object)):
             self.world.room = room
-            T_world_tool = T_world_object @ grip.T_object_tool
-            opening = float(opening_of(np.array(grip.width)))
+            T_world_tool, opening = T_world_object @ grip.T_object_tool, grip.opening
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
             furthest = max(furthest, 1)
@@ -148,15 +145,15 @@ class Mover:
         Raises:
           Failed: an unplanned contact, or the object was lost.
         """
-        run, self._opening = self.execution, float(opening_of(np.array(plan.grip.width)))
+        run, self._opening = self.execution, plan.grip.opening
         run.move_fingers(self._opening, Phase.FREE, 0.2)
-        run.follow(timed(plan.path, run.step_time), Phase.FREE)
-        run.follow(timed(plan.come, run.step_time, CARRY_SHARE), Phase.FREE)
+        run.follow(time_path(plan.path, run.step_time), Phase.FREE)
+        run.follow(time_path(plan.come, run.step_time, CARRY_SHARE), Phase.FREE)
         run.wait(0.1, Phase.FREE)
         run.close()
         self._grasped = before = self._in_hand()
         first, rest = self.kinematics.split(plan.lift, TOUCH)
-        run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.TOUCH)
+        run.follow(time_path(first, run.step_time, CARRY_SHARE), Phase.TOUCH)
         self._carry(rest, before)
 
     def _hand_fits(
@@ -167,7 +164,7 @@ class Mover:
         self.world.hold(T_tool_object)
         for number, place in enumerate(() if places is None else places):
             target = _tool_at(place, T_tool_object)
-            top = raised(target, LIFT)
+            top = raise_by(target, LIFT)
             if self._hand_leaves(target, opening) and self.world.is_hand_free(top, opening, Mode.TRAVEL):
                 found[number] = place
             if len(found) == _PLACES:
@@ -178,7 +175,7 @@ class Mover:
     def _hand_leaves(self, T_world_tool: np.ndarray, opening: float) -> bool:
         """Whether the hand alone, with what it holds, gets straight up from there."""
         looks = [(0.0, Mode.CARRY), *((height, self._above) for height in _HEIGHTS)]
-        return all(self.world.is_hand_free(raised(T_world_tool, up), opening, mode) for up, mode in looks)
+        return all(self.world.is_hand_free(raise_by(T_world_tool, up), opening, mode) for up, mode in looks)
 
     def _fits(
         self, T_tool_object: np.ndarray, places: dict[int, np.ndarray], opening: float, stood: np.ndarray
@@ -229,7 +226,7 @@ class Mover:
             self.world.room = room
             if (found := self._place_plan(place)) is not None:
                 self._carry(found.path, self._T_tool_object)
-                lower = self._corrected(found.lower, place)
+                lower = self._correct_lowering(found.lower, place)
                 # What hangs askew and cannot be levelled is lowered until it is felt to touch.
                 way, feels = (found.lower, True) if lower is None else (lower, self._feels)
                 self._put_down(way, found.leave, place, feels)
@@ -283,10 +280,10 @@ class Mover:
         upper, last = self.kinematics.split(lower, FELT if feels else TOUCH, from_end=True)
         if not feels:
             self._carry(upper, self._T_tool_object, rest=0.0)
-        elif run.follow(timed(upper, run.step_time, GENTLE_SHARE), Phase.TOUCH, until_touch=True):
+        elif run.follow(time_path(upper, run.step_time, GENTLE_SHARE), Phase.TOUCH, until_touch=True):
             self._rise(self.kinematics.tool(upper[0])[2, 3] - run.tool[2, 3], Phase.TOUCH)
             raise Failed(Outcome.SLIP, "it touched something too early")
-        run.follow(timed(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH, feels)
+        run.follow(time_path(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH, feels)
         run.wait(0.2, Phase.TOUCH)
         self._in_hand()
         if feels:
@@ -295,9 +292,9 @@ class Mover:
         begin, end = (self.kinematics.tool(leave[each])[:3, 3] for each in (0, -1))
         line = self.kinematics.line(run.set_point, end - begin)
         first, rest = self.kinematics.split(leave if line is None else line, TOUCH)
-        run.follow(timed(first, run.step_time, CARRY_SHARE), Phase.GRASP)
+        run.follow(time_path(first, run.step_time, CARRY_SHARE), Phase.GRASP)
         # What hung askew rocks: the fingers may brush it until they are clear of it.
-        run.follow(timed(rest, run.step_time), Phase.GRASP if feels else Phase.FREE)
+        run.follow(time_path(rest, run.step_time), Phase.GRASP if feels else Phase.FREE)
 
     def _widest(self, leave: np.ndarray, place: np.ndarray) -> float:
         """How far the fingers can open and leave: what hung askew between them rocks as it is let go."""
@@ -310,9 +307,9 @@ class Mover:
         self.world.room = needed
         return wide if is_free else self._opening
 
-    def _corrected(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray | None:
+    def _correct_lowering(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray | None:
         """The path down with the object as it really lies in the hand; None if the arm cannot go it."""
-        start = self.kinematics.solve(raised(_tool_at(place, self._T_tool_object), LIFT), lower[0])
+        start = self.kinematics.solve(raise_by(_tool_at(place, self._T_tool_object), LIFT), lower[0])
         path = None if start is None else self.kinematics.line(start, -LIFT * _UP)
         self.world.hold(self._T_tool_object)
         if path is None or not self.world.is_free(path[-1], self._opening, Mode.CARRY):
@@ -331,7 +328,7 @@ class Mover:
     def _rise(self, height: float, phase: Phase) -> None:
         run, path = self.execution, self.kinematics.line(self.execution.set_point, height * _UP)
         if path is not None:
-            run.follow(timed(path, run.step_time, CARRY_SHARE), phase)
+            run.follow(time_path(path, run.step_time, CARRY_SHARE), phase)
 
     def go_home(self) -> bool:
         """Brings the empty hand back to where it starts; whether there was a path."""
@@ -340,7 +337,7 @@ class Mover:
         run, home = self.execution, self.kinematics.home
         path = self.planner.connect(run.set_point, home, self._opening, next(self._seeds))
         if path is not None:
-            run.follow(timed(path, run.step_time), Phase.FREE)
+            run.follow(time_path(path, run.step_time), Phase.FREE)
         return path is not None
 
     # What both need
@@ -380,7 +377,7 @@ class Mover:
         """Moves what is held; where it touches something because it slipped, the slip is the cause."""
         try:
             share = GENTLE_SHARE if self._feels else CARRY_SHARE
-            self.execution.follow(timed(path, self.execution.step_time, share), Phase.CARRY)
+            self.execution.follow(time_path(path, self.execution.step_time, share), Phase.CARRY)
             self.execution.wait(rest, Phase.CARRY)
         except Failed:
             self._check_slip(before, TOUCH / 2)
@@ -397,4 +394,4 @@ class Mover:
 
 def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:
     """f64[4, 4]: T_world_tool that holds an object just above a place."""
-    return raised(place, RELEASE) @ inverse(T_tool_object)
+    return raise_by(place, RELEASE) @ inverse(T_tool_object)

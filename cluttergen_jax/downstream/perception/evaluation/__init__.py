@@ -1,1 +1,0 @@
-"""How well perception does: masks, poses and certainty against what is true."""

@@ -1,0 +1,147 @@
+"""Training of a head: presets, examples prepared once, gradient steps, calibration, a checkpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, cast, get_args
+
+import jax
+import numpy as np
+
+from cluttergen_jax.config import PlacerLoss
+from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, concatenate, in_parts, num_examples
+from cluttergen_jax.downstream.placer.examples import ExampleSource
+from cluttergen_jax.downstream.placer.heads.checkpoint import KIND, Head
+from cluttergen_jax.downstream.placer.heads.mixture import MixtureHead
+from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, RegressionHead
+from cluttergen_jax.downstream.placer.heads.scored import ScoredHead
+from cluttergen_jax.downstream.placer.query import NUM_OBJECT_POINTS, NUM_POINTS
+from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.learning.training.stability import Calibration, calibration, draw_calibration
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.types import Verdict
+
+_REGRESSION_CPU = FitConfig(
+    num_epochs=60, batch_size=40, learning_rate=1e-3, schedule="linear", weight_decay=0.0
+)
+_PRESETS: Mapping[tuple[str, str], tuple[Head, FitConfig]] = {
+    ("scored", "cpu"): (ScoredHead(), FitConfig()),
+    ("mixture", "cpu"): (MixtureHead(), FitConfig(num_epochs=20)),
+    ("regression", "cpu"): (RegressionHead(), _REGRESSION_CPU),
+    # As the published code has it: one group of all points, 1,024 features of either cloud.
+    ("regression", "paper"): (
+        RegressionHead(
+            RegressionConfig(features=1024, scene_points=NUM_POINTS, object_points=NUM_OBJECT_POINTS)
+        ),
+        replace(_REGRESSION_CPU, num_epochs=1000),
+    ),
+}
+
+
+def preset(head: str, name: str, loss: str, encoder_weights: Path | None) -> tuple[Head, FitConfig]:
+    """The head and how it is fitted.
+
+    Args:
+      name: of the preset.
+      loss, encoder_weights: of `regression` alone.
+
+    Raises:
+      ConfigError: there is no such head or preset, or an option is not the head's.
+    """
+    known = {of: [each for own, each in _PRESETS if own == of] for of, _ in _PRESETS}
+    if head not in known:
+        raise ConfigError(f"head {head!r}", ", ".join(known), "head='scored'", closest(head, known))
+    if name not in known[head]:
+        given, allowed = f"preset {name!r} of head {head!r}", known[head]
+        raise ConfigError(given, ", ".join(allowed), f"preset={allowed[0]!r}", closest(name, allowed))
+    if loss not in get_args(PlacerLoss):
+        raise ConfigError(f"loss = {loss!r}", "'printed' or 'symmetric'", "loss='printed'")
+    found, config = _PRESETS[head, name]
+    if isinstance(found, RegressionHead):
+        return RegressionHead(replace(found.config, loss=cast(PlacerLoss, loss)), encoder_weights), config
+    if loss != "printed" or encoder_weights is not None:
+        given = f"loss = {loss!r}" if loss != "printed" else f"`encoder_weights` = {encoder_weights}"
+        raise ConfigError(
+            f"{given} with head {head!r}", "neither: they are of 'regression'", "leaving it out"
+        )
+    return found, config
+
+
+_TEMPERATURES = np.exp(np.linspace(np.log(0.25), np.log(4.0), 129))
+
+
+def best_temperature(logits: np.ndarray, label: np.ndarray) -> float:
+    """By which logits f32[N] are divided so that their chances fit labels bool[N] best (least surprise)."""
+    signed = np.where(label, 1.0, -1.0) * logits.astype(np.float64)
+    surprise = [np.logaddexp(0.0, -signed / each).mean() for each in _TEMPERATURES]
+    return float(_TEMPERATURES[int(np.argmin(surprise))])
+
+
+_AT_ONCE = 32
+"""Pairs that are prepared by one compiled call."""
+
+# Heads are values: equal ones share what is compiled.
+_prepare: Any = jax.jit(lambda head, examples: jax.vmap(head.prepare)(examples), static_argnums=0)
+
+
+class PlacerTraining(FitRun):
+    """A run that fits a placer's head; see `FitRun`. The checkpoint is in `placer/`.
+
+    Args:
+      head, config: what is fitted, and how.
+      source: of the examples.
+      folder, show: see `FitRun`.
+
+    Raises:
+      ConfigError: the folder holds a run with other settings.
+    """
+
+    kind, unit = KIND, "pair"
+
+    def __init__(
+        self,
+        head: Head,
+        config: FitConfig,
+        source: ExampleSource,
+        folder: Path,
+        show: Callable[[str], None] = print,
+    ) -> None:
+        self.head, self.source = head, source
+        recipe = {
+            "head": head.kind,
+            "data": source.record,
+            "encoder_weights": str(getattr(head, "encoder_weights", None) or ""),
+        }
+        super().__init__(head, config, recipe, folder, show)
+
+    def examples(self, split: Any) -> Any:
+        examples, parts = self.source.load(split), []
+        with Progress(f"preparing {split}", num_examples(examples), "pair") as progress:
+            for part in in_parts(partial(_prepare, self.head), examples, _AT_ONCE):
+                parts.append(part)
+                progress.update(num_examples(part))
+        return concatenate(parts)
+
+    def save(self, state: FitState, held_out: Any) -> Path:
+        temperature, found = self._calibrate(state.best, held_out)
+        validation = {"calibration": None if found is None else asdict(found)}
+        folder = self.store(state, validation, temperature=temperature)
+        if found is not None:
+            self._show(f"validation {found}")
+            draw_calibration({"stands": found}, folder / "calibration.png", "poses of the validation split")
+        return folder
+
+    def _calibrate(self, params: Any, held_out: Any) -> tuple[float, Calibration | None]:
+        """The temperature of a head that tells chances, and how far they then hold."""
+        scores = getattr(self.head, "scores", None)
+        if scores is None:
+            return 1.0, None
+        score = jax.jit(scores)
+        parts = [np.asarray(score(params, part)) for part in self.batches_of(held_out)]
+        logits = np.concatenate(parts).ravel()
+        stood = (held_out.verdict == int(Verdict.STABLE)).ravel()
+        temperature = best_temperature(logits, stood)
+        return temperature, calibration(logits / temperature, stood, held_out.is_on.ravel())

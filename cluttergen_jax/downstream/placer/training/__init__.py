@@ -1,1 +1,0 @@
-"""Training a placer: examples made of pairs, fitting, presets, and the run."""

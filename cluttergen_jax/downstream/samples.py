@@ -1,0 +1,418 @@
+"""Samples on disk: splits of rows in blocks of Parquet files, and a record of how each split was made.
+
+    KIND.json               how each split was made, digests of its assets
+    assets/                 the objects and the support, as a bank has them
+    train-000000.parquet    block 0 of a split, a row for each of its first samples
+
+A block is written as a whole or not at all. Record and blocks carry checksums (`schema`).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.errors import BankError, ConfigError, closest
+from cluttergen_jax.files import folder_whole, is_partial, remove_partial, write_atomically, writing
+from cluttergen_jax.scene.bank import LOCK, Bank, BankLock, read_bank
+from cluttergen_jax.schema import (
+    SEAL,
+    Numbers,
+    SchemaError,
+    check_numbers,
+    check_seal,
+    checked_record,
+    typed,
+    with_checksum,
+    with_seal,
+)
+
+FORMAT = 1
+SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
+"""The first seed of each split, of its banks and of all else that is drawn for it: nothing is drawn twice."""
+
+
+@dataclass(frozen=True)
+class SampleFormat:
+    """A kind of data set.
+
+    Attributes:
+      kind: its plural, "views" or "pairs"; column: that numbers the rows of a split.
+      command: that makes it, for messages.
+      schema: of its rows; block_size: rows of a block.
+      record: the class of its record (`schema.typed`).
+      check_rows: raises a SchemaError where the rows of a block are none.
+    """
+
+    kind: str
+    column: str
+    command: str
+    schema: pa.Schema
+    block_size: int
+    record: type
+    check_rows: Callable[[pa.Table], None]
+
+    @property
+    def index(self) -> str:
+        """The file's name of the record."""
+        return f"{self.kind}.json"
+
+    @property
+    def again(self) -> str:
+        """What mends a damaged folder."""
+        return f"the same `cluttergen {self.command}` again, which makes what is missing"
+
+    @property
+    def number(self) -> str:
+        """The record's name for how many rows a split has."""
+        return f"num_{self.kind}"
+
+    def check_place(self, path: Path) -> None:
+        """Refuses a folder that holds something else. Raises BankError: it does."""
+        if not path.exists() or (path / self.index).exists():
+            return
+        begun = (LOCK, "assets")
+        banks = tuple(f"bank-{split}" for split in SPLITS)
+        with writing(path):
+            names = [each.name for each in path.iterdir()] if path.is_dir() else [""]
+        if any(name not in begun and not name.startswith(banks) and not is_partial(name) for name in names):
+            raise BankError(
+                f"{path} exists and holds no {self.kind}", "a new or empty folder", "another `out`"
+            )
+
+    def read_record(self, path: Path) -> dict[str, Any]:
+        """The record of a folder. Raises BankError: there is none, or it is damaged."""
+        file = path / self.index
+        try:
+            data = file.read_bytes()
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise BankError(
+                f"{path} holds no {self.kind}: it has no {self.index}",
+                f"a folder that `cluttergen {self.command}` made",
+            ) from error
+        except OSError as error:
+            raise BankError(f"{file} cannot be read ({error})", hint=self.again) from error
+        try:
+            record = checked_record(data)
+            if (record.get("kind"), record.get("format")) != (self.kind, FORMAT):
+                raise SchemaError(f"not the record of {self.kind} of format {FORMAT}")
+            typed(record, self.record)
+        except SchemaError as error:
+            hint = f"a fresh copy of the folder, or `cluttergen {self.command}` into another"
+            raise BankError(f"{file} cannot be read ({error})", hint=hint) from error
+        return record
+
+    def write_record(self, path: Path, record: dict[str, Any]) -> None:
+        """Stores it."""
+        text = json.dumps(with_checksum(record), indent=1) + "\n"
+        write_atomically(path / self.index, text.encode(), is_durable=True)
+
+    def with_split(
+        self,
+        path: Path,
+        shared: Mapping[str, object],
+        split: str,
+        made: Mapping[str, object],
+        number: int,
+        overwrite: bool = False,
+    ) -> dict[str, Any]:
+        """The folder's record with a split in it, begun or continued; blocks of another go if asked.
+
+        Args:
+          shared: what all splits of a folder have in common; made: how this one is made.
+
+        Raises:
+          BankError: the folder holds something else, or that split made otherwise.
+        """
+        made = json.loads(json.dumps(made))
+        record: dict[str, Any] = {"format": FORMAT, "kind": self.kind, **shared, "splits": {}}
+        if (path / self.index).exists():
+            record = self.read_record(path)
+        if any(record.get(name) != value for name, value in shared.items()):
+            raise BankError(
+                f"{path} holds {self.kind} of other objects or of another support",
+                "one set of objects and one support in a folder",
+                "another `out`",
+            )
+        known = record["splits"].get(split)
+        if known is not None and overwrite:
+            known = None
+            for file in path.glob(f"{split}-*.parquet"):
+                file.unlink()
+        if known is not None:
+            changed = sorted(name for name in made if known.get(name) != made[name])
+            if changed:
+                raise BankError(
+                    f"{path} holds {self.kind} of {split!r} made with another {', '.join(changed)}",
+                    "the same settings and the same scenes, which continue it",
+                    "another `out`, or `overwrite` to begin that split anew",
+                )
+            number = max(number, known[self.number])
+        record["splits"][split] = {self.number: number, **made}
+        return record
+
+    def write(
+        self,
+        path: Path,
+        bank: Bank,
+        shared: Mapping[str, object],
+        split: str,
+        made: Mapping[str, object],
+        number: int,
+        overwrite: bool,
+        fill: Callable[[dict[str, Any], dict[int, int]], None],
+    ) -> dict[str, Any]:
+        """Begins or continues a split, one writer at a time; the folder's record.
+
+        Args:
+          bank: whose objects and support are stored, once.
+          shared, made, number, overwrite: see `with_split`.
+          fill: given the record, makes the blocks that are missing, damaged or shorter, of so many rows.
+
+        Raises:
+          BankError: see `check_place` and `with_split`, or another process writes there.
+        """
+        with writing(path):
+            self.check_place(path)
+            path.mkdir(parents=True, exist_ok=True)
+            lock = BankLock(path)
+        try:
+            with writing(path):
+                remove_partial(path)
+                record = self.with_split(path, shared, split, made, number, overwrite)
+                if not (path / "assets").is_dir():
+                    with folder_whole(path / "assets", is_only_writer=True) as fresh:
+                        shutil.copytree(bank.path / "assets", fresh)
+                self.write_record(path, record)
+                # More than were asked for, where an earlier call that was interrupted asked for more.
+                sizes = self.sizes(record["splits"][split][self.number])
+                kept = {block for block, rows in sizes.items() if self.is_kept(path, split, block, rows)}
+                fill(record, {block: rows for block, rows in sizes.items() if block not in kept})
+        finally:
+            lock.release()
+        return record
+
+    # Blocks
+
+    def block_path(self, path: Path, split: str, block: int) -> Path:
+        """Where a block of a split is stored."""
+        return path / f"{split}-{block:06d}.parquet"
+
+    def sizes(self, number: int) -> dict[int, int]:
+        """Rows of each block of so many in all."""
+        size = self.block_size
+        return {block: min(size, number - block * size) for block in range(-(-number // size))}
+
+    def is_kept(self, path: Path, split: str, block: int, num_rows: int) -> bool:
+        """Whether a block is there, sound, and holds so many rows."""
+        try:
+            self.read_block(path, split, block, num_rows)
+        except BankError:
+            return False
+        return True
+
+    def read_block(self, path: Path, split: str, block: int, num_rows: int) -> pa.Table:
+        """The first rows of a block.
+
+        Raises:
+          BankError: it is missing, damaged or shorter, or a number in it is none.
+        """
+        file = self.block_path(path, split, block)
+        try:
+            data = file.read_bytes()
+            check_seal(data)
+            table = pq.read_table(
+                pa.BufferReader(data), schema=self.schema, page_checksum_verification=True, partitioning=None
+            )
+            table.validate(full=True)
+            first = block * self.block_size
+            numbers = np.arange(first, first + table.num_rows)
+            if table.num_rows < num_rows or not np.array_equal(table[self.column], numbers):
+                raise SchemaError(f"{table.num_rows} rows where {num_rows} belong, or others")
+            table = table.slice(0, num_rows)
+            self.check_rows(table)
+        except FileNotFoundError as error:
+            raise BankError(f"{file} is missing or damaged", hint=self.again) from error
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise BankError(f"{file} is missing or damaged ({error})", hint=self.again) from error
+        return table
+
+    def write_block(self, path: Path, split: str, block: int, table: pa.Table) -> None:
+        """Stores a block."""
+        buffer = io.BytesIO()
+        with pq.ParquetWriter(buffer, table.schema, compression="zstd", write_page_checksum=True) as writer:
+            writer.write_table(table)
+            writer.add_key_value_metadata(SEAL)
+        write_atomically(self.block_path(path, split, block), with_seal(buffer.getvalue()), is_durable=True)
+
+
+@dataclass(frozen=True, eq=False)
+class SampleSet:
+    """A folder of samples that is read. `record` is what its JSON file holds."""
+
+    path: Path
+    record: dict[str, Any]
+    form: ClassVar[SampleFormat]
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Opens a folder. Raises BankError: it holds no samples of this kind, or is damaged."""
+        return cls(Path(path), cls.form.read_record(Path(path)))
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Those that it holds."""
+        return tuple(self.record["splits"])
+
+    def split(self, name: str) -> dict[str, Any]:
+        """How a split was made. Raises ConfigError: there is none of that name, or it holds nothing."""
+        form, splits = self.form, self.record["splits"]
+        if name not in SPLITS:
+            raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
+        if name not in splits:
+            raise ConfigError(
+                f"{self.path} holds no {form.kind} of the split {name!r}",
+                f"{', '.join(splits) or 'none'} in that folder",
+                f"cluttergen {form.command} --split {name} --out {self.path}",
+            )
+        return splits[name]
+
+    def num_samples(self, split: str, asked: int | None = None) -> int:
+        """How many of a split are asked for; all if None.
+
+        Raises:
+          ConfigError: there is no such split, or it has fewer.
+        """
+        total, kind = int(self.split(split)[self.form.number]), self.form.kind
+        if asked is not None and not 1 <= asked <= total:
+            allowed = f"1 to {total}, the {kind} of {split!r} in {self.path}"
+            raise ConfigError(f"num_{kind} = {asked}", allowed)
+        return asked or total
+
+    def tables(self, split: str, number: int | None = None) -> Iterator[pa.Table]:
+        """The first rows of a split, all if no number is given, block by block.
+
+        Raises:
+          ConfigError: see `num_samples`; BankError: a block is missing or damaged.
+        """
+        for block, rows in self.form.sizes(self.num_samples(split, number)).items():
+            yield self.form.read_block(self.path, split, block, rows)
+
+
+class StableScenes(NamedTuple):
+    """The S scenes of a bank that are stable, with N slots.
+
+    Attributes:
+      number: i[S], in the bank, which has `num_scenes`. method: that made them.
+      objects: i[S, N], in the order of placement, -1 is padding.
+      poses: f64[S, N, 7], T_world_object, metres, wxyz.
+    """
+
+    number: np.ndarray
+    objects: np.ndarray
+    poses: np.ndarray
+    num_scenes: int
+    method: str
+
+    @classmethod
+    def read(cls, bank: Bank) -> StableScenes:
+        """All of a bank. Raises BankError: there is none."""
+        columns = ("index", "is_success", "object_index", "poses")
+        rows = [row for table in bank.tables(columns) for row in table.to_pylist() if row["is_success"]]
+        if not rows:
+            raise BankError(f"{bank.path}: none of its scenes stands", "one that does or more", "more scenes")
+        number, objects, poses = (
+            np.array([row[name] for row in rows]) for name in (columns[0], *columns[2:])
+        )
+        method = str(bank.record["recipe"]["method"])
+        return cls(number, objects, poses.astype(np.float64), bank.num_scenes, method)
+
+    def row(self, scene: int) -> int:
+        """The row of a scene, or of the last stable one before it, or the first row.
+
+        It does not depend on later scenes, so a bank may be continued.
+        """
+        return max(0, int(np.searchsorted(self.number, scene % self.num_scenes, side="right")) - 1)
+
+
+def bank_or_made(
+    bank: str | Path | None, make: Callable[[], Bank], names: str, given: Sequence[object]
+) -> Bank:
+    """The bank in a folder, or one made along, as it is given; names: of what is given for that.
+
+    Raises:
+      ConfigError: there is a bank, and something of one that would be made is given as well.
+    """
+    if bank is None:
+        return make()
+    for name, value in zip(names.split(), given, strict=True):
+        if value is not None:
+            raise ConfigError(f"`{name}` together with `bank`", "one or the other", f"leaving out `{name}`")
+    return read_bank(bank)
+
+
+# Columns of rows, for the checks of what was read.
+
+MOST_PIXELS = 4096
+"""Of an image's side."""
+FAR = 100.0
+"""Metres beyond which nothing of a table's scene is."""
+_UNIT = 1e-3
+"""By which the length of a quaternion may differ from 1."""
+
+
+def read_columns(table: pa.Table, numbers: Mapping[str, Numbers]) -> dict[str, np.ndarray]:
+    """Columns of a block as arrays (`numbers_of`).
+
+    Raises:
+      SchemaError: a number is missing, not finite or out of its range.
+    """
+    found = {name: numbers_of(table, name) for name in numbers}
+    check_numbers(found, numbers)
+    return found
+
+
+def numbers_of(table: pa.Table, name: str) -> np.ndarray:
+    """A column of numbers or texts as an array; lists are flattened, a fixed size is that of the last axis.
+
+    Raises:
+      SchemaError: a value is missing.
+    """
+    values, last = table[name].combine_chunks(), list[int]()
+    while True:
+        if values.null_count:
+            raise SchemaError(f"{name!r} lacks a value")
+        if pa.types.is_fixed_size_list(values.type):
+            last = [values.type.list_size]
+        elif not pa.types.is_list(values.type):
+            break
+        values = values.flatten()
+    return values.to_numpy(zero_copy_only=False).reshape(-1, *last)
+
+
+def lengths_of(table: pa.Table, name: str) -> np.ndarray:
+    """i64[R]: how many entries, or bytes, each row of a column has; -1 where there is none."""
+    column = table[name].combine_chunks()
+    is_list = pa.types.is_list(column.type)
+    found = (pa.compute.list_value_length if is_list else pa.compute.binary_length)(column)
+    return found.cast(pa.int64()).fill_null(-1).to_numpy()
+
+
+def faults_of(table: pa.Table, lengths: Mapping[str, np.ndarray], *poses: np.ndarray) -> list[str]:
+    """What is wrong with lengths i[R] of columns, and with quaternions of poses f[..., 7]."""
+    faults = [
+        f"{name!r} is not as long as it should be"
+        for name, length in lengths.items()
+        if not np.array_equal(lengths_of(table, name), length)
+    ]
+    turns = np.concatenate([np.linalg.norm(each[:, 3:], axis=1) for each in poses])
+    return faults + ["a quaternion is not of length 1"] * bool(np.abs(turns - 1).max(initial=0) > _UNIT)
