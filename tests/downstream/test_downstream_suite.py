@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cluttergen_jax.downstream.studies.protocol import PROTOCOL, _table
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream import suite
@@ -21,7 +22,6 @@ from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials
 from cluttergen_jax.downstream.studies import perception, rearrangement, robot, transfer
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
-from cluttergen_jax.downstream.studies.protocol import PROTOCOL, _table
 from cluttergen_jax.downstream.studies.study import SETS, Found, Scale
 from cluttergen_jax.downstream.studies.trained import SEEDS_NOTE, grouped, mean_figures, pooled, table_of
 from cluttergen_jax.downstream.suite import STUDIES, command_of, result_of

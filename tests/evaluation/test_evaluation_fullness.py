@@ -10,8 +10,8 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.config import TRUSTED_METHODS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import resolved
-from cluttergen_jax.evaluation.report import tables_of
 from cluttergen_jax.evaluation.rankings import ranking_of, success_notes, tally
+from cluttergen_jax.evaluation.report import tables_of
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
@@ -82,10 +82,7 @@ def test_rows_of_other_tables_ask_for_one_margin(name):
 
 def test_crowds_hold_equal_rows_with_and_without_taking_away():
     trials = density.crowds(Scale())
-    of_number = {
-        number: {t.row_name for t in trials if t.num_objects == number}
-        for number in (20, 30, 40)
-    }
+    of_number = {number: {t.row_name for t in trials if t.num_objects == number} for number in (20, 30, 40)}
     assert of_number[30] == of_number[40] == set(density.FULLNESS)
     assert of_number[20] == set(density.FULLNESS) | {
         f"{method}, random order{tidy}" for method in ("spread", "guided") for tidy in ("", ", tidy")
