@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cluttergen_jax.downstream.studies.protocol import PROTOCOL, _table
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream import suite
@@ -20,10 +19,18 @@ from cluttergen_jax.downstream.rearrange.trials import Rearrangements
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials
-from cluttergen_jax.downstream.studies import perception, rearrangement, robot, transfer
+from cluttergen_jax.downstream.studies import perception, robot, trained
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
-from cluttergen_jax.downstream.studies.study import SETS, Found, Scale
-from cluttergen_jax.downstream.studies.trained import SEEDS_NOTE, grouped, mean_figures, pooled, table_of
+from cluttergen_jax.downstream.studies.study import SETS, DownstreamScale, Found
+from cluttergen_jax.downstream.studies.trained import (
+    PROTOCOL,
+    SEEDS_NOTE,
+    group_by_seed,
+    mean_figures,
+    pool_shares,
+    protocol_table,
+    table_of,
+)
 from cluttergen_jax.downstream.suite import STUDIES, command_of, result_of
 from cluttergen_jax.errors import BankError, ConfigError, MissingExtraError
 from cluttergen_jax.evaluation import suites
@@ -56,7 +63,7 @@ def trained_row(seed: int | None, good: int, noise: float = 0.0, name: str = "sc
 def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path):
     found = found_of([comparison(20), comparison(10)])
     result = result_of(PLACEMENT, found, "cluttergen evaluate --suite downstream", quick=False)
-    later = Found(found.records, [Table("by the paper", ("a",), ())])
+    later = Found(found.rows, tables=[Table("by the paper", ("a",), ())])
     for each in (result, result_of(PROTOCOL, later, "cluttergen", quick=False)):
         write_report(each, tmp_path)
     write_report(result_of(STUDIES["cameras"], later, "cluttergen", quick=False), tmp_path)
@@ -77,7 +84,7 @@ def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path)
 def test_seeds_of_one_variant_are_told_in_one_line():
     rows = [trained_row(seed, good) for seed, good in enumerate((90, 80, 100))]
     rows += [trained_row(seed, 50, noise=1.0) for seed in range(3)] + [trained_row(None, 60, name="random")]
-    assert [len(each) for each in grouped(rows)] == [3, 3, 1]
+    assert [len(each) for each in group_by_seed(rows)] == [3, 3, 1]
     table = table_of("title", rows)
     assert table.columns[:5] == ("head", "noise", "seeds", "stands [95 %]", "each seed")
     # All answer the same queries: three seeds are no more trials than one.
@@ -92,7 +99,7 @@ def test_seeds_of_one_variant_are_told_in_one_line():
 def test_the_papers_protocol_stands_beside_the_strict_count():
     shared, apart = ([trained_row(0, good)] for good in (90, 70))
     shared[0]["figures"]["paper_without_invalid"] = proportion(np.arange(80) < 78)
-    table = _table([shared], [apart])
+    table = protocol_table([shared], [apart])
     assert table.rows[0][2].startswith("0.975 [")
     assert table.rows[0][4].startswith("0.900 [")
     assert table.rows[0][5].startswith("0.700 [")
@@ -100,14 +107,14 @@ def test_the_papers_protocol_stands_beside_the_strict_count():
 
 def test_a_share_of_fewer_queries_has_the_interval_of_so_many():
     shares = [proportion(np.arange(number) < number // 2) | {"queries": number} for number in (40, 20, 60)]
-    assert pooled(shares, 100) == proportion(np.arange(20) < 10)
-    assert pooled([{"share": None, "queries": 0}] * 2, 100)["share"] is None
-    table = _table([[trained_row(seed, 90) for seed in range(3)]], [[trained_row(0, 70)]])
+    assert pool_shares(shares, 100) == proportion(np.arange(20) < 10)
+    assert pool_shares([{"share": None, "queries": 0}] * 2, 100)["share"] is None
+    table = protocol_table([[trained_row(seed, 90) for seed in range(3)]], [[trained_row(0, 70)]])
     assert SEEDS_NOTE in table.notes
 
 
 def test_sets_of_the_study_transfer_say_what_is_new_in_them():
-    told = {one.name: transfer.new_there(one) for one in (*SETS, *transfer.CAMERAS)}
+    told = {one.name: trained.new_parts(one) for one in (*SETS, *trained.CAMERAS)}
     assert told.pop("household") == ""
     assert told.pop("small-table") == "table"
     assert (told.pop("overhead"), told.pop("side")) == ("camera", "camera")
@@ -115,29 +122,32 @@ def test_sets_of_the_study_transfer_say_what_is_new_in_them():
 
 
 def test_a_studys_command_says_what_was_asked():
-    assert command_of("noise", Scale()) == "cluttergen evaluate --suite downstream --only noise"
-    asked = Scale(quick=True, num_pairs=5000, seeds=2, heads=("scored", "mixture"), seed=3)
+    assert command_of("noise", DownstreamScale()) == "cluttergen evaluate --suite downstream --only noise"
+    asked = DownstreamScale(quick=True, num_pairs=5000, seeds=2, heads=("scored", "mixture"), seed=3)
     assert command_of("set-size", asked) == (
         "cluttergen evaluate --suite downstream --only set-size --quick --heads scored mixture "
         "--num-pairs 5000 --seeds 2 --seed 3"
     )
     assert asked.training_seeds == range(2)
-    assert (Scale().training_seeds, Scale(quick=True).training_seeds) == (range(3), range(1))
-    assert (asked.capped(200), asked.capped(20_000)) == (200, 5000)
+    assert (DownstreamScale().training_seeds, DownstreamScale(quick=True).training_seeds) == (
+        range(3),
+        range(1),
+    )
+    assert (asked.pairs(200), asked.pairs(20_000)) == (200, 5000)
 
 
 def test_episodes_of_the_arm_are_counted_by_outcome():
     end = EpisodeResult(Outcome.SUCCESS, "", "mug", 7, 0.002, 0.1, 0.0, 0.001, 0, 20.0, 1.0)
     rows = (end, end, replace(end, outcome=Outcome.SLIP, object="bowl", error=np.nan, turn_error=np.nan))
     asked = {"task": "place", "placer": "drop"}
-    found = robot.row_of(asked, RobotTrials("place", rows))
+    found = robot.robot_row(asked, RobotTrials("place", rows))
     assert found["trial"] == asked | {"episodes": 3}
     assert found["figures"]["causes"] == {"slip": 1}
     assert found["figures"]["by_object"]["bowl"]["share"] == 0
     assert found["figures"]["error"] == pytest.approx(0.002)
-    lost = robot.row_of({"task": "lift"}, RobotTrials("lift", rows[2:]))
+    lost = robot.robot_row({"task": "lift"}, RobotTrials("lift", rows[2:]))
     low, high = wilson(2, 3)
-    cells = robot.table_of([found, lost]).rows
+    cells = robot.robot_table([found, lost]).rows
     assert cells[0][:6] == ("place", "drop", "-", f"0.667 [{low:.3f}, {high:.3f}]", "slip 1", "2.0")
     assert cells[1][:2] == ("lift", "-")
     assert cells[1][5:7] == ("-", "-")
@@ -151,7 +161,7 @@ def test_rearrangements_are_counted_by_episode_and_by_object():
     )  # fmt: skip
     rows = (row, replace(row, outcome=str(Outcome.CONTACT), right=[True, False], picks=1))
     asked = {"setting": "paper", "observer": "true"}
-    found = rearrangement.row_of(asked, Rearrangements("paper", "true poses", rows))
+    found = robot.rearranged_row(asked, Rearrangements("paper", "true poses", rows))
     assert found["figures"]["success"]["share"] == 0.5
     assert found["figures"]["right"]["share"] == 0.75
     assert found["figures"]["causes"] == {"contact": 1}
@@ -168,7 +178,7 @@ def test_the_pages_rearrangements_are_those_of_the_rows_beside_it():
         folder = results / "episodes" / f"rearrange-{seed}-{asked['observer']}" / asked["setting"]
         _, *lines = (folder / EPISODES).read_text().splitlines()
         rows = tuple(RearrangeResult(**json.loads(line)) for line in lines[: record["trial"]["episodes"]])
-        again = rearrangement.row_of(asked, Rearrangements(asked["setting"], asked["observer"], rows))
+        again = robot.rearranged_row(asked, Rearrangements(asked["setting"], asked["observer"], rows))
         assert json.loads(json.dumps(again)) == record
 
 
