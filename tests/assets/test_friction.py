@@ -14,7 +14,7 @@ from cluttergen_jax.assets.object_files import object_hash, read_object, write_o
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.evaluation.measures.robustness import Change, changed
+from cluttergen_jax.evaluation.measures.robustness import Change, change_physics
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.scene import Scene
@@ -100,7 +100,7 @@ def test_what_slides_on_a_slope(tmp_path, make, frictions, degrees, moves):
 def test_a_change_of_all_friction_changes_an_objects_own():
     scene = scene_of(0.4)
     models = SceneModels(make_world(scene.objects, TABLE, STABILITY, CONTACT), STABILITY, CONTACT)
-    halved = changed(models, Change("half", friction=0.5)).of(np.ones(1, bool)).model
+    halved = change_physics(models, Change("half", friction=0.5)).of(np.ones(1, bool)).model
     geom = halved.geom("box-0.part-0")
     np.testing.assert_allclose(geom.friction, [0.2, 0.002, 0.00004])
     (usual, _) = own_contact(0.4, CONTACT.friction)

@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.certificate import certificates
+from cluttergen_jax.evaluation.certify import certificates
 from cluttergen_jax.evaluation.measures.robustness import (
     PHYSICS_CHANGES,
     Change,
     RobustConfig,
     ShakeConfig,
-    changed,
+    change_physics,
     creep,
     robust,
     shake,
@@ -110,7 +110,7 @@ def test_a_cube_slides_at_its_friction_and_a_tall_box_tips_over_its_edge(models)
 
 def test_shake_grows_with_friction_and_has_a_limit(models):
     cube = scenes(STANDING[0])
-    rough = shake(changed(models, Change("rough", friction=1.5)), *cube, num_threads=1)
+    rough = shake(change_physics(models, Change("rough", friction=1.5)), *cube, num_threads=1)
     gained = rough - shake(models, *cube, num_threads=1)
     np.testing.assert_allclose(gained, 0.5 * FRICTION * GRAVITY, rtol=0.1)
     assert shake(models, *cube, ShakeConfig(limit=2.0), num_threads=1).tolist() == [[2.0, 2.0]]
@@ -133,13 +133,15 @@ def test_a_ladder_stands_as_friction_lets_it(models):
 def test_changes_reach_the_model(models):
     everyone = np.ones(4, bool)
     plain = models.of(everyone).model
-    heavy = changed(models, Change("heavy", mass=3.0)).of(everyone).model
+    heavy = change_physics(models, Change("heavy", mass=3.0)).of(everyone).model
     bodies = plain.jnt_bodyid
     np.testing.assert_allclose(heavy.body_mass[bodies], 3 * plain.body_mass[bodies])
     np.testing.assert_allclose(heavy.body_inertia[bodies], 3 * plain.body_inertia[bodies])
-    mixed = changed(models, Change("mixed", mixed_mass=2.0)).of(everyone[:4] & [False, True, True, False])
+    mixed = change_physics(models, Change("mixed", mixed_mass=2.0)).of(
+        everyone[:4] & [False, True, True, False]
+    )
     np.testing.assert_allclose(mixed.model.body_mass[mixed.layout.body_index], [0.1, 6.0])
-    slow = changed(models, Change("slow", timestep=2.0, friction=0.5)).of(everyone).model
+    slow = change_physics(models, Change("slow", timestep=2.0, friction=0.5)).of(everyone).model
     assert slow.opt.timestep == 2 * plain.opt.timestep
     np.testing.assert_allclose(slow.geom_friction, 0.5 * plain.geom_friction)
     np.testing.assert_array_equal(slow.geom_solref, plain.geom_solref)

@@ -9,10 +9,9 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.bullet_world import BodyFrames
-from cluttergen_jax.evaluation.measures.drake_world import DrakePeer
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.simulate import movement, shift_and_turn, without_sinking
-from cluttergen_jax.evaluation.measures.survival import MOST_SINKING, movement_elsewhere
+from cluttergen_jax.evaluation.measures.survival import MOST_SINKING, DrakePeer, movement_elsewhere
 from cluttergen_jax.placement.world import make_world
 from tests.helpers.worlds import TOP, box, convex, prism, tilted
 

@@ -12,7 +12,7 @@ from shapely.geometry import MultiPoint, Point
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.evaluation.measures.certificate import certificates
+from cluttergen_jax.evaluation.certify import certificates
 from cluttergen_jax.evaluation.measures.robustness import TiltConfig, tilt
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.trial import Trial, key_of

@@ -140,7 +140,7 @@ PHYSICS_CHANGES = (
 )
 
 
-def changed(models: SceneModels, change: Change) -> SceneModels:
+def change_physics(models: SceneModels, change: Change) -> SceneModels:
     """The same objects under other physics."""
     stability, contact = models.stability, models.contact
     sliding, torsional, rolling = (change.friction * each for each in contact.friction)
@@ -175,9 +175,9 @@ def survives(
       bool[N] for each change's name; its mean is the share that survives.
     """
     return {
-        change.name: movement(changed(models, change), poses, is_placed, (seconds,), num_threads).survives(
-            max_shift, max_turn
-        )[:, 0]
+        change.name: movement(
+            change_physics(models, change), poses, is_placed, (seconds,), num_threads
+        ).survives(max_shift, max_turn)[:, 0]
         for change in changes
     }
 

@@ -109,7 +109,7 @@ def _tables(result: Result) -> list[Table]:
     def median(row: Row, place: int) -> str:
         return number(row["creep"][place]["median_shift"], 2, 1e6)
 
-    def shaken(row: Row) -> str:
+    def shake_text(row: Row) -> str:
         low, median, high = row["shake"]
         return f"{median:.2f} [{low:.2f}, {high:.2f}]"
 
@@ -118,7 +118,7 @@ def _tables(result: Result) -> list[Table]:
         SCENES,
         *columns_of(range(len(seconds)), lambda n: f"stands {seconds[n]:g} s", stands),
         *columns_of(range(len(seconds)), lambda n: f"median creep {seconds[n]:g} s, micrometres", median),
-        Column("shake, m/s^2", shaken),
+        Column("shake, m/s^2", shake_text),
     )
     changes = columns_of(made["changes"], str, lambda row, name: share(row["changes"][name]["share"]))
     notes = (
@@ -200,7 +200,7 @@ def _margin_columns(rows: list[Row]) -> tuple[Column, ...]:
         least, tenth, median = (f"{1e3 * each:.1f}" for each in row["margin"])
         return f"{median} [{least}, {tenth}]"
 
-    def tilted(row: Row, place: int) -> str:
+    def tilt_text(row: Row, place: int) -> str:
         return f"{share(row['tilt'][place]['share'])} ({share(row['tilt'][place]['directions'])})"
 
     return (
@@ -211,7 +211,7 @@ def _margin_columns(rows: list[Row]) -> tuple[Column, ...]:
         SCENES,
         Column("least margin of a scene, mm", least),
         Column(f"scenes below {1e3 * MIN_MARGIN:g} mm", lambda row: share(row["below"])),
-        *columns_of(range(len(angles)), lambda n: f"stand tilted {angles[n]['degrees']:g} deg", tilted),
+        *columns_of(range(len(angles)), lambda n: f"stand tilted {angles[n]['degrees']:g} deg", tilt_text),
     )
 
 
