@@ -60,30 +60,12 @@ class Figures(TypedDict, total=False):
     paper: Figures
 
 
-class Policy(TypedDict, total=False):
-    """How a row's policy was trained; older records lack some of it."""
-
-    variant: str
-    preset: str
-    seed: int
-    attempts: int
-    max_attempts: int
-    head: str | None
-    reward: str
-    encoder: str
-    height_precision: float
-    is_cut: bool
-    discount: float
-    entropy_cost: float
-    learning_rate: float
-
-
 class Row(TypedDict, total=False):
     """A row of a trial, with `trial`, or of findings; one that could not be made has `missing` and `hint`."""
 
     trial: Mapping[str, Any]
     sources: Mapping[str, Any]
-    policy: Policy | None
+    policy: Mapping[str, Any] | None
     figures: Figures
     date: str
     machine: Machine

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
@@ -17,7 +17,6 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import METHODS, ROBUST_TILT, StabilityConfig, no_such, stability_record
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.machine import versions
-from cluttergen_jax.evaluation.records import Policy
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
@@ -249,15 +248,13 @@ class ResolvedTrial:
         return record.get("stability", {}).get("stop_when_decided", True)
 
     @property
-    def policy(self) -> Policy | None:
+    def policy(self) -> Mapping[str, Any] | None:
         """What a row says of how its policy was trained; None for a baseline."""
         if self.checkpoint is None:
             return None
         record = self.checkpoint.record
         network, placement, ppo = (record.get(name, {}) for name in ("network", "placement", "ppo"))
-        known: Any = {
-            name: record[name] for name in ("variant", "preset", "seed", "attempts") if name in record
-        }
+        known = {name: record[name] for name in ("variant", "preset", "seed", "attempts") if name in record}
         known |= {"max_attempts": placement["max_attempts"], "head": network.get("head")}
         if not ppo:
             return known

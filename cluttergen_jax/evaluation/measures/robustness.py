@@ -162,8 +162,6 @@ def survives(
     changes: Sequence[Change] = PHYSICS_CHANGES,
     seconds: float = 10.0,
     num_threads: int = 0,
-    max_shift: float = MAX_SHIFT,
-    max_turn: float = MAX_TURN,
 ) -> dict[str, np.ndarray]:
     """Which scenes stand under changed physics: nothing moves 5 mm or turns 5 degrees.
 
@@ -174,12 +172,11 @@ def survives(
     Returns:
       bool[N] for each change's name; its mean is the share that survives.
     """
-    return {
-        change.name: movement(
-            change_physics(models, change), poses, is_placed, (seconds,), num_threads
-        ).survives(max_shift, max_turn)[:, 0]
+    found = {
+        change.name: movement(change_physics(models, change), poses, is_placed, (seconds,), num_threads)
         for change in changes
     }
+    return {name: each.survives()[:, 0] for name, each in found.items()}
 
 
 @dataclass(frozen=True)
@@ -241,15 +238,12 @@ def _stands(scene: SceneModel, poses: np.ndarray, turn: float, config: TiltConfi
     for place in reversed(range(len(config.degrees))):
         angle = np.radians(config.degrees[place])
         sideways = np.sin(angle) * np.array([np.cos(turn), np.sin(turn)])
-        if _withstands(scene, poses, np.append(sideways, -np.cos(angle)), config.seconds):
+        # Gravity belongs to the model, which other threads use at the same time.
+        down = np.append(sideways, -np.cos(angle))
+        if _stays(scene, scene.own_model(), poses, down, config.seconds, 3):
             break
         result[place] = False
     return result
-
-
-def _withstands(scene: SceneModel, poses: np.ndarray, down: np.ndarray, seconds: float) -> bool:
-    # Gravity belongs to the model, which other threads use at the same time.
-    return _stays(scene, scene.own_model(), poses, down, seconds, 3)
 
 
 def _stays(
