@@ -15,18 +15,16 @@ from cluttergen_jax.evaluation.cells import (
     made_rows,
     number,
     request_columns,
-    table_of,
 )
 from cluttergen_jax.evaluation.rankings import OURS, TWIN, success_notes
-from cluttergen_jax.evaluation.records import Result, Row
+from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.pictures import draw_scene, if_drawable, sheet
-from cluttergen_jax.evaluation.studies.rules import margin_of, own_rules
+from cluttergen_jax.evaluation.studies.rules import own_rules
 from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, grid, successes_of
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.tables import Table
 
 STACKS = range(6)
 """Objects that should rest on others, of ten."""
@@ -43,30 +41,12 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
     return tuple(map(own_rules, rows))
 
 
-def tables(result: Result) -> list[Table]:
-    """Asked and got."""
-    # Rows of one target are compared by their methods.
-    rows = [
+def _with_targets(rows: list[Row]) -> list[Row]:
+    """Rows of one target are compared by their methods."""
+    return [
         Row(row, trial={**row["trial"], "clutter": ""}, target=_target(row))  # type: ignore[misc]
-        for row in result["records"]
+        for row in rows
     ]
-    made = made_rows(rows)
-    columns = (
-        *request_columns("pool", "method"),
-        Column("objects on others, asked", _target_text, is_asked=True),
-        Column("got, mean of scenes", lambda row: number(row["figures"]["stack"]["mean"], 2)),
-        Column("standard deviation", lambda row: number(row["figures"]["stack"]["std"], 2)),
-        Column("error", _error),
-        SUCCESS,
-        *EFFORT,
-    )
-    notes = (
-        "objects on others: those that rest on another object, counted from contacts, in valid scenes",
-        "error: of what was got, in parts of what was asked",
-        *EFFORT_NOTES,
-        *success_notes(made, lambda row: f"{row['trial']['pool']}, asked {_target_text(row)}"),
-    )
-    return [table_of(result["title"] + margin_of(made), columns, rows, notes)]
 
 
 def _target(row: Row) -> float | None:
@@ -105,12 +85,32 @@ def _render(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     return sheet(images, captions, stem)
 
 
+def _notes(rows: list[Row]) -> list[str]:
+    return [
+        "objects on others: those that rest on another object, counted from contacts, in valid scenes",
+        "error: of what was got, in parts of what was asked",
+        *EFFORT_NOTES,
+        *success_notes(made_rows(rows), lambda row: f"{row['trial']['pool']}, asked {_target_text(row)}"),
+    ]
+
+
 CLUTTER_TARGETS = Study(
     "dial",
     "Ten objects, so many of them on others",
     256,
     trials,
-    make_tables=tables,
+    (
+        *request_columns("pool", "method"),
+        Column("objects on others, asked", _target_text, is_asked=True),
+        Column("got, mean of scenes", lambda row: number(row["figures"]["stack"]["mean"], 2)),
+        Column("standard deviation", lambda row: number(row["figures"]["stack"]["std"], 2)),
+        Column("error", _error),
+        SUCCESS,
+        *EFFORT,
+    ),
+    _notes,
+    says_margin=True,
+    prepare=_with_targets,
     renders=_render,
     measured_as="renders of the dial",
 )

@@ -20,7 +20,6 @@ from cluttergen_jax.evaluation.cells import (
     mean_and_spread,
     request_columns,
     share,
-    table_of,
 )
 from cluttergen_jax.evaluation.plots import (
     add_legend,
@@ -31,7 +30,7 @@ from cluttergen_jax.evaluation.plots import (
     prepare,
     save,
 )
-from cluttergen_jax.evaluation.records import Result, Row, Spread
+from cluttergen_jax.evaluation.records import Row, Spread
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies import table1
 from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, grid, of_methods
@@ -40,7 +39,6 @@ from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, TABLE_ATTEMPTS
 from cluttergen_jax.placement.baselines import BASELINES
-from cluttergen_jax.tables import Table
 
 
 def _plot_by_pool(
@@ -81,30 +79,24 @@ def at_least(histogram: Sequence[int]) -> list[float]:
     return [sum(histogram[number:]) / total for number in range(1, len(histogram))]
 
 
-def _fig1a_tables(result: Result) -> list[Table]:
+def _most_objects(rows: list[Row]) -> int:
+    return max((len(row["figures"]["placed_histogram"]) - 1 for row in made_rows(rows)), default=1)
+
+
+def _with_papers_objects(rows: list[Row]) -> list[Row]:
+    known = [name for name, shares in OBJECTS_PAPER.items() if _most_objects(rows) <= len(shares)]
+    return [*rows, *(Row(pool="the paper's", method=name) for name in known)]
+
+
+def _objects_columns(rows: list[Row]) -> tuple[Column, ...]:
     """A column for each number of objects."""
-    made = [row["figures"] for row in made_rows(result["records"])]
-    most = max((len(figures["placed_histogram"]) - 1 for figures in made), default=1)
 
     def cell(row: Row, number: int) -> str:
         theirs = OBJECTS_PAPER.get(row.get("method", ""))
         return share((theirs or at_least(row["figures"]["paper"]["placed_histogram"]))[number - 1])
 
-    notes = (
-        LOOSE,
-        "an episode of n objects is the beginning of one of ten: orders are uniform, and no method is told "
-        "how many are to come",
-        "the dotted lines of the plot are strict but for the last check; the paper's values were read off "
-        "its picture, which does not say of which group they are",
-    )
-    columns = (
-        *request_columns("pool", "method"),
-        *columns_of(range(1, most + 1), lambda number: f"n = {number}", cell),
-    )
-    theirs = [
-        Row(pool="the paper's", method=name) for name, shares in OBJECTS_PAPER.items() if most <= len(shares)
-    ]
-    return [table_of(result["title"], columns, [*result["records"], *theirs], notes)]
+    numbers = range(1, _most_objects(rows) + 1)
+    return (*request_columns("pool", "method"), *columns_of(numbers, lambda number: f"n = {number}", cell))
 
 
 def _plot_fig1a(rows: list[Row], stem: Path) -> list[str]:
@@ -130,7 +122,15 @@ FIG1A = Study(
     "Success against the number of objects (figure 1a)",
     1000,
     lambda scale: of_methods(first_seed(scale), "random", CLUTTERGEN, "policy"),
-    make_tables=_fig1a_tables,
+    _objects_columns,
+    (
+        LOOSE,
+        "an episode of n objects is the beginning of one of ten: orders are uniform, and no method is told "
+        "how many are to come",
+        "the dotted lines of the plot are strict but for the last check; the paper's values were read off "
+        "its picture, which does not say of which group they are",
+    ),
+    prepare=_with_papers_objects,
     plot=_plot_fig1a,
 )
 
@@ -148,9 +148,16 @@ _FEWEST = 5
 """Attempts behind a point of the plot."""
 
 
-def _steps_tables(result: Result) -> list[Table]:
+def _with_papers_steps(rows: list[Row]) -> list[Row]:
+    lines: list[Row] = []
+    for pool in dict.fromkeys(row["trial"]["pool"] for row in rows):
+        lines += [row for row in rows if row["trial"]["pool"] == pool]
+        lines += [Row(pool=pool, method="ClutterGen, the paper")] if pool in STEPS_PAPER else []
+    return lines
+
+
+def _steps_columns(rows: list[Row]) -> tuple[Column, ...]:
     """Mean steps, a column for each attempt."""
-    records = result["records"]
 
     def cell(row: Row, attempt: int) -> str:
         if "trial" in row:
@@ -161,24 +168,22 @@ def _steps_tables(result: Result) -> list[Table]:
     def placements(row: Row) -> str:
         return str(_steps(row).get(1, {"count": 0})["count"]) if "trial" in row else "-"
 
-    most = max((row["trial"]["attempts"] for row in records), default=0)
-    columns = (
+    most = max((row["trial"]["attempts"] for row in rows if "trial" in row), default=0)
+    return (
         *request_columns("pool", "method"),
         Column("placements", placements),
         *columns_of(range(1, most + 1), lambda attempt: f"attempt {attempt}", cell),
     )
-    notes = (
+
+
+def _steps_notes(rows: list[Row]) -> list[str]:
+    return [
         LOOSE,
         "objects that stood in the end and took at least three attempts; mean ± standard deviation",
         "the paper's values were read off its picture; it takes their fall for a sign that its policy learns "
         "from failures within an episode",
-        *_selection(records),
-    )
-    rows: list[Row] = []
-    for pool in dict.fromkeys(row["trial"]["pool"] for row in records):
-        rows += [row for row in records if row["trial"]["pool"] == pool]
-        rows += [Row(pool=pool, method="ClutterGen, the paper")] if pool in STEPS_PAPER else []
-    return [table_of(result["title"], columns, rows, notes)]
+        *_selection(rows),
+    ]
 
 
 def _selection(rows: list[Row]) -> list[str]:
@@ -231,7 +236,9 @@ STEPS_BY_ATTEMPT = Study(
     "Steps of each attempt at objects that took at least three",
     1000,
     first_seed,
-    make_tables=_steps_tables,
+    _steps_columns,
+    _steps_notes,
+    prepare=_with_papers_steps,
     plot=_plot_steps,
 )
 
@@ -247,20 +254,8 @@ def _by_attempts(scale: Scale) -> tuple[Trial, ...]:
     return grid(base, pool=pools, method=("random", CLUTTERGEN, "policy"), attempts=TABLE_ATTEMPTS)
 
 
-def _attempts_tables(result: Result) -> list[Table]:
-    """Success by both counts."""
-
-    def trained_with(row: Row) -> str:
-        return str((row.get("policy") or {}).get("max_attempts", "-"))
-
-    columns = (
-        *request_columns("pool", "method", "attempts"),
-        Column("trained with", trained_with, is_asked=True),
-        *BOTH,
-        STEPS,
-    )
-    sentence = "the paper: more attempts help up to 5; two or fewer hurt (a figure without numbers)"
-    return [table_of(result["title"], columns, _sort(result["records"]), (STRICT, LOOSE, sentence))]
+def _trained_with(row: Row) -> str:
+    return str((row.get("policy") or {}).get("max_attempts", "-"))
 
 
 def _sort(rows: list[Row]) -> list[Row]:
@@ -290,7 +285,14 @@ ATTEMPTS = Study(
     "Success against attempts allowed per object",
     1000,
     _by_attempts,
-    make_tables=_attempts_tables,
+    (
+        *request_columns("pool", "method", "attempts"),
+        Column("trained with", _trained_with, is_asked=True),
+        *BOTH,
+        STEPS,
+    ),
+    (STRICT, LOOSE, "the paper: more attempts help up to 5; two or fewer hurt (a figure without numbers)"),
+    prepare=_sort,
     plot=_plot_attempts,
 )
 

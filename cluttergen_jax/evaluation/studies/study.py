@@ -107,7 +107,8 @@ class Study:
       trials: its rows at some `Scale`, in order.
       columns, notes: of its table, or what makes them of the rows; says_margin: its title says which support
         margin was asked for.
-      make_tables: where one table with a line a row does not do.
+      prepare: the lines of its table from the rows; these themselves unless given.
+      make_tables: where one such table does not do.
       measure: what is shown in place of the trials' own figures.
       plot: names of the pictures of the trials' rows, written beside the path.
       renders: what is drawn of the trials' scenes beside their rows.
@@ -127,6 +128,7 @@ class Study:
     notes: Sequence[str] | Callable[[list[Row]], Iterable[str]] = ()
     measure: Measure | None = None
     says_margin: bool = False
+    prepare: Callable[[list[Row]], list[Row]] = list
     make_tables: Callable[[Result], list[Table]] | None = None
     plot: Callable[[list[Row], Path], list[str]] | None = None
     renders: Measure | None = None
@@ -140,7 +142,7 @@ class Study:
         """The tables of a result."""
         if self.make_tables is not None:
             return self.make_tables(result)
-        rows = measured_rows(result) if self.measure else result["records"]
+        rows = self.prepare(measured_rows(result) if self.measure else result["records"])
         columns = self.columns(rows) if callable(self.columns) else self.columns
         notes = self.notes(rows) if callable(self.notes) else self.notes
         margin = margin_of(rows if self.measure else made_rows(rows)) if self.says_margin else ""
