@@ -16,7 +16,6 @@ from cluttergen_jax.evaluation.measures.robustness import (
     RobustConfig,
     ShakeConfig,
     change_physics,
-    creep,
     robust,
     shake,
     survives,
@@ -69,7 +68,7 @@ STANDING = ({CUBE: (0, 0, 0.03)}, {TALL: (0, 0, 0.1)}, {CUBE: (0, 0, 0.03), TALL
 
 def test_what_stands_does_not_creep_and_what_hangs_in_the_air_falls(models):
     poses, is_placed = scenes(*STANDING, {CUBE: (0, 0, 0.04)})
-    result = creep(models, poses, is_placed, seconds=(0.5, 1.0, 3.0), num_threads=1)
+    result = movement(models, poses, is_placed, (0.5, 1.0, 3.0), num_threads=1)
     assert result.shift.shape == (4, 3, 4)
     assert (result.largest_shift[:3] < 1e-4).all()
     # It falls 10 mm, and sinks in for a step when it lands.
@@ -180,7 +179,7 @@ def test_bad_arguments_are_refused(models):
         with pytest.raises(ConfigError):
             movement(models, poses, is_placed, seconds)
     with pytest.raises(ConfigError):
-        creep(models, poses[:, :2], is_placed[:, :2])
+        movement(models, poses[:, :2], is_placed[:, :2], (1.0,))
     with pytest.raises(ConfigError):
         ShakeConfig(rate=0.0)
 

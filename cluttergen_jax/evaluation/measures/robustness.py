@@ -13,31 +13,14 @@ from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneMod
 from cluttergen_jax.evaluation.measures.simulate import (
     MAX_SHIFT,
     MAX_TURN,
-    Movement,
     each_scene,
     movement,
     shift_and_turn,
 )
 from cluttergen_jax.physics.simulations import SOFT_SOLIMP, SOFT_SOLREF
 
-CREEP_SECONDS = (1.0, 10.0, 60.0)
 _LOOK_EVERY, _LOOK_EVERY_TILTED = 4, 12
 """Steps between two looks at how far anything has moved."""
-
-
-def creep(
-    models: SceneModels,
-    poses: np.ndarray,
-    is_placed: np.ndarray,
-    seconds: Sequence[float] = CREEP_SECONDS,
-    num_threads: int = 0,
-) -> Movement:
-    """How far anything moves by itself within 1, 10 and 60 s; `largest_shift` is the scene's creep, metres.
-
-    Args:
-      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
-    """
-    return movement(models, poses, is_placed, seconds, num_threads)
 
 
 @dataclass(frozen=True)

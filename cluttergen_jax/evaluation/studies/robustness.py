@@ -29,16 +29,15 @@ from cluttergen_jax.evaluation.cells import (
 )
 from cluttergen_jax.evaluation.measures.contacts import contacts_of
 from cluttergen_jax.evaluation.measures.robustness import (
-    CREEP_SECONDS,
     RobustConfig,
     TiltConfig,
-    creep,
     robust,
     shake,
     survives,
     tilt,
 )
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.evaluation.measures.simulate import movement
 from cluttergen_jax.evaluation.measures.survival import PEERS, SURVIVAL_SECONDS, movement_elsewhere
 from cluttergen_jax.evaluation.rankings import share_notes
 from cluttergen_jax.evaluation.records import Result, Row
@@ -74,12 +73,14 @@ def _arrays(scenes: Successes) -> tuple[SceneModels, np.ndarray, np.ndarray]:
     return SceneModels(scenes.world), scenes.poses, scenes.is_placed
 
 
-# Creep over 1, 10 and 60 s, shaking, and changed physics.
+# Creep, shaking, and changed physics.
+
+CREEP_SECONDS = (1.0, 10.0, 60.0)
 
 
 def _withstood(scenes: Successes, num_threads: int) -> Row:
     arrays = _arrays(scenes)
-    movement = creep(*arrays, num_threads=num_threads)
+    creep = movement(*arrays, CREEP_SECONDS, num_threads)
     scores = shake(*arrays, num_threads=num_threads).min(1)
     standing = survives(*arrays, num_threads=num_threads)
     return Row(
@@ -87,8 +88,8 @@ def _withstood(scenes: Successes, num_threads: int) -> Row:
         creep=[
             {
                 "seconds": seconds,
-                "median_shift": finite(np.median(movement.largest_shift[:, h])),
-                **proportion(movement.survives()[:, h]),
+                "median_shift": finite(np.median(creep.largest_shift[:, h])),
+                **proportion(creep.survives()[:, h]),
             }
             for h, seconds in enumerate(CREEP_SECONDS)
         ],
@@ -258,12 +259,12 @@ def _survival(
 
 
 def _survival_in(scenes: Successes, engine: str, num_threads: int) -> Row:
-    movement = movement_elsewhere(engine, *_arrays(scenes), num_threads=num_threads)
+    moved = movement_elsewhere(engine, *_arrays(scenes), num_threads=num_threads)
     return Row(
         seconds=SURVIVAL_SECONDS[0],
         scenes=len(scenes),
-        median_shift=finite(np.median(movement.largest_shift[:, 0])),
-        **proportion(movement.survives()[:, 0]),  # type: ignore[typeddict-item]
+        median_shift=finite(np.median(moved.largest_shift[:, 0])),
+        **proportion(moved.survives()[:, 0]),  # type: ignore[typeddict-item]
     )
 
 
