@@ -12,7 +12,7 @@ from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
-    from cluttergen_jax.evaluation.studies.study import Result
+    from cluttergen_jax.evaluation.records import Result
 
 
 @with_own_settings
@@ -66,7 +66,7 @@ def evaluate_suite(
       MissingExtraError: a study needs an extra that is not installed.
     """
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.downstream.studies.study import Scale as DownstreamScale
+    from cluttergen_jax.downstream.studies.study import DownstreamScale
     from cluttergen_jax.downstream.suite import NAME, run_downstream
     from cluttergen_jax.evaluation.running import make_suite, suite_folder
     from cluttergen_jax.evaluation.studies.study import Scale
@@ -93,9 +93,17 @@ def evaluate_suite(
         raise ConfigError(f"`{wrong[0]}` with suite {suite!r}", hint=f"leaving out `{wrong[0]}`")
     folder = suite_folder(suite, quick) if out is None else Path(out)
     if suite == NAME:
-        by_hand = None if bank is None else Path(bank)
-        asked = DownstreamScale(quick, trials, num_pairs, seeds, tuple(heads), tuple(pools), by_hand, seed)
-        return run_downstream(folder, only, asked, num_threads, fresh, show)
+        scale = DownstreamScale(
+            quick=quick,
+            trials=trials,
+            seeds=seeds,
+            pools=tuple(pools),
+            seed=seed,
+            num_pairs=num_pairs,
+            heads=tuple(heads),
+            bank=None if bank is None else Path(bank),
+        )
+        return run_downstream(folder, only, scale, num_threads, fresh, show)
     return make_suite(
         suite,
         only,

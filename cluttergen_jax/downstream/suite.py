@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-import datetime
-import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from cluttergen_jax.downstream.perception.pose.icp import need_gicp
 from cluttergen_jax.downstream.robot.model import panda_folder
-from cluttergen_jax.downstream.studies.cameras import CAMERAS
-from cluttergen_jax.downstream.studies.noise import NOISE
 from cluttergen_jax.downstream.studies.perception import PERCEPTION
-from cluttergen_jax.downstream.studies.placement import PLACEMENT
-from cluttergen_jax.downstream.studies.pretrained import PRETRAINED
-from cluttergen_jax.downstream.studies.protocol import PROTOCOL
-from cluttergen_jax.downstream.studies.rearrangement import REARRANGEMENT, REARRANGEMENT_ABLATIONS
-from cluttergen_jax.downstream.studies.robot import ROBOT
-from cluttergen_jax.downstream.studies.set_size import SET_SIZE
-from cluttergen_jax.downstream.studies.source import SOURCE
-from cluttergen_jax.downstream.studies.study import SETS, DownstreamStudy, Found, Scale, SuiteFolder
-from cluttergen_jax.downstream.studies.training_seeds import TRAINING_SEEDS
-from cluttergen_jax.downstream.studies.transfer import TRANSFER
+from cluttergen_jax.downstream.studies.placement import CAMERAS, NOISE, PLACEMENT
+from cluttergen_jax.downstream.studies.robot import REARRANGEMENT, REARRANGEMENT_ABLATIONS, ROBOT
+from cluttergen_jax.downstream.studies.study import SETS, DownstreamScale, Found, SuiteFolder
+from cluttergen_jax.downstream.studies.trained import (
+    PRETRAINED,
+    PROTOCOL,
+    SET_SIZE,
+    SOURCE,
+    TRAINING_SEEDS,
+    TRANSFER,
+)
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.evaluation.machine import machine
-from cluttergen_jax.evaluation.report import Result, document, write_report
+from cluttergen_jax.evaluation.machine import origin
+from cluttergen_jax.evaluation.records import Result
+from cluttergen_jax.evaluation.running import Show, command_with, write_each
 from cluttergen_jax.evaluation.store import FORMAT
-from cluttergen_jax.files import write_atomically
+from cluttergen_jax.evaluation.studies.study import Study
+from cluttergen_jax.evaluation.suites import check_only
 from cluttergen_jax.scene.bank import read_bank
 
 NAME = "downstream"
@@ -53,12 +52,7 @@ STUDIES = {
 
 
 def run_downstream(
-    folder: Path,
-    only: Sequence[str],
-    scale: Scale,
-    num_threads: int,
-    fresh: bool,
-    show: Callable[[Result], None],
+    folder: Path, only: Sequence[str], scale: DownstreamScale, num_threads: int, fresh: bool, show: Show
 ) -> list[Result]:
     """The studies of the suite, each written as it is done; see `cluttergen_jax.evaluate_suite`.
 
@@ -67,11 +61,7 @@ def run_downstream(
       BankError: the scale's bank cannot be read.
       MissingExtraError: a study of the robot or of perception is asked for without their extras.
     """
-    for name in only:
-        if name not in STUDIES:
-            raise ConfigError(
-                f"only = {name!r} in suite {NAME!r}", ", ".join(STUDIES), meant=closest(name, list(STUDIES))
-            )
+    check_only(only, list(STUDIES), NAME)
     known = list(dict.fromkeys(one.pool for one in SETS))
     for name in scale.pools:
         if name not in known:
@@ -80,40 +70,41 @@ def run_downstream(
             )
     if scale.bank is not None:
         read_bank(scale.bank)
-    if any(STUDIES[name].needs_robot for name in only or STUDIES):
+    studies = [STUDIES[name] for name in only or STUDIES]
+    if any(study.needs_robot for study in studies):
         panda_folder()
         need_gicp()
-    suite, results = SuiteFolder(folder, scale, num_threads, fresh), []
-    for name in only or STUDIES:
-        found = STUDIES[name].run(suite)
-        result = result_of(STUDIES[name], found, command_of(name, scale), scale.quick)
-        write_report(result, folder)
-        show(result)
-        results.append(result)
-    write_atomically(folder / "all.md", document(results, link="").encode())
-    return results
+    suite = SuiteFolder(folder, scale, num_threads, fresh)
+    return write_each((run_study(study, suite) for study in studies), folder, show)
 
 
-def command_of(study: str, scale: Scale) -> str:
+def run_study(study: Study, suite: SuiteFolder) -> Result:
+    """A study's result: what is there is not made again."""
+    assert study.measure is not None
+    found = study.measure(suite, study.trials(suite.scale), suite.folder / study.name)
+    assert isinstance(found, Found)
+    return result_of(study, found, command_of(study.name, suite.scale), suite.scale.quick)
+
+
+def command_of(study: str, scale: DownstreamScale) -> str:
     """The command that makes one study."""
-    words = ["cluttergen", "evaluate", "--suite", NAME, "--only", study]
-    given = {
-        "--pools": scale.pools,
-        "--heads": scale.heads,
-        "--trials": scale.num_scenes,
-        "--num-pairs": scale.num_pairs,
-        "--seeds": scale.seeds,
-        "--bank": None if scale.bank is None else scale.bank.name,
-        "--seed": scale.seed or None,
-    }
-    words += ["--quick"] if scale.quick else []
-    for flag, value in given.items():
-        if value is not None and value != ():
-            words += [flag, *(map(str, value) if isinstance(value, tuple) else [str(value)])]
-    return shlex.join(words)
+    return command_with(
+        {
+            "suite": NAME,
+            "only": study,
+            "quick": scale.quick,
+            "pools": scale.pools,
+            "heads": scale.heads,
+            "trials": scale.trials,
+            "num-pairs": scale.num_pairs,
+            "seeds": scale.seeds,
+            "bank": None if scale.bank is None else scale.bank.name,
+            "seed": scale.seed,
+        }
+    )
 
 
-def result_of(study: DownstreamStudy, found: Found, command: str, quick: bool) -> Result:
+def result_of(study: Study, found: Found, command: str, quick: bool) -> Result:
     """A study as the page of results has it, its tables made already."""
     return {
         "format": FORMAT,
@@ -123,11 +114,10 @@ def result_of(study: DownstreamStudy, found: Found, command: str, quick: bool) -
         "place": list(STUDIES).index(study.name),
         "command": command,
         "quick": quick,
-        "size": 1,
-        "trials": sorted({_size(row) for row in found.records}),
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "machine": machine(),
-        "records": found.records,
+        "size": study.size,
+        "trials": sorted({_size(row) for row in found.rows}),
+        **origin(),
+        "records": found.rows,
         "measure": None,
         "pictures": [],
         "tables": [asdict(table) for table in found.tables],

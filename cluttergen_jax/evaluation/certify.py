@@ -1,4 +1,4 @@
-"""Stability certificates of stored scenes: columns of a bank, found by `measures.certificate`."""
+"""Stability certificates: how well a scene stands in plain numbers, and these as columns of a bank."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
+import mujoco
 import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.cluster import Cluster, each_on
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import DETECTORS, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.evaluation.measures.arrangement import by_object
-from cluttergen_jax.evaluation.measures.certificate import certificates
+from cluttergen_jax.evaluation.measures.contacts import contacts_of
+from cluttergen_jax.evaluation.measures.robustness import ShakeConfig, TiltConfig, robust, shake, tilt
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.simulate import horizons_of
+from cluttergen_jax.evaluation.measures.simulate import each_scene, horizons_of, movement
 from cluttergen_jax.files import writing
 from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.world import base_name, make_world
@@ -31,6 +33,7 @@ from cluttergen_jax.scene.bank.index import BankIndex
 from cluttergen_jax.scene.bank.remote import check_is_here
 from cluttergen_jax.scene.bank.scene import config_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE, is_fully_certified, schema_of
+from cluttergen_jax.statistics import finite
 
 _RENAMED = {"drift": "horizon_drift", "drift_turn": "horizon_turn", "drift_seconds": "horizon_seconds"}
 
@@ -150,10 +153,10 @@ class Certifier:
         """The function that is given a block and returns it with its certificate."""
         world = make_world(self.objects, self.support, self.stability, self.contact)
         models = SceneModels(world, self.stability, self.contact)
-        return partial(certified, models=models, seconds=self.seconds, jobs=self.jobs)
+        return partial(add_certificates, models=models, seconds=self.seconds, jobs=self.jobs)
 
 
-def certified(rows: pa.Table, models: SceneModels, seconds: float, jobs: int) -> pa.Table:
+def add_certificates(rows: pa.Table, models: SceneModels, seconds: float, jobs: int) -> pa.Table:
     """The rows with the columns of `CERTIFICATE`."""
     rows = rows.select([name for name in schema_of(rows).names if name not in CERTIFICATE.names])
     scenes = rows.select(["is_success", "object_index", "is_placed", "poses"]).to_pylist()
@@ -187,3 +190,97 @@ def _by_object(scenes: list[dict[str, Any]], num_objects: int) -> tuple[np.ndarr
             "a scene names an object that the bank's record does not", hint="the bank's own bank.json"
         )
     return by_object(index, placed, poses, num_objects)[:2]
+
+
+def certificates(
+    models: SceneModels,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    seconds: float = 2.0,
+    shake_config: ShakeConfig | None = None,
+    num_threads: int = 0,
+) -> list[dict[str, Any]]:
+    """One certificate a scene, ready to become a bank's columns.
+
+    Args:
+      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
+      seconds: the horizon of drift; by default that of the last check's second stage.
+
+    Returns:
+      For each scene
+        residual_speed: m/s, the fastest origin after the scene was let go for 0.25 s.
+        residual_angular_speed: rad/s, likewise.
+        drift, drift_turn: metres and radians, the most that anything was from its start within the horizon,
+          with either of MuJoCo's detectors of convex collisions.
+        detectors: those with which nothing moved by 5 mm or 5 degrees; all else is measured with native's.
+        drift_seconds: the horizon.
+        penetration: metres, the deepest overlap of two bodies.
+        num_contacts: contact points.
+        shake: m/s^2, the smaller of the scores along world x and y (`robustness.shake`).
+        shake_x, shake_y: both of them, where these are the directions.
+        rests_on: list of (i, j): object i rests on object j; indices of the world's objects, -1 the support.
+        margin: metres, the least support margin; None if nothing is carried from below.
+        margins: metres, each of the world's K objects'; None where not placed or not carried from below.
+        tilt_1, tilt_2, tilt_5: share of directions in which gravity, tilted by so many degrees, topples
+          nothing.
+        robust: it stands in soft contact, with less friction and gravity tilted (`robustness.robust`).
+    """
+    models.check(poses, is_placed)
+    is_placed, tilt_config = np.asarray(is_placed, bool), TiltConfig()
+    contacts = contacts_of(models, poses, is_placed, num_threads)
+    drifts = {
+        name: movement(models.with_detector(name), poses, is_placed, (seconds,), num_threads)
+        for name in DETECTORS
+    }
+    scores = shake(models, poses, is_placed, shake_config, num_threads)
+    speeds = residual_speeds(models, poses, is_placed, num_threads)
+    stands = tilt(models, poses, is_placed, tilt_config, num_threads)
+    is_robust = robust(models, poses, is_placed, num_threads=num_threads)
+    rests_on, margins = contacts.rests_on, [[finite(each) for each in row] for row in contacts.margin]
+    return [
+        {
+            "residual_speed": float(speeds[n, 0]),
+            "residual_angular_speed": float(speeds[n, 1]),
+            "drift": max(float(each.largest_shift[n, 0]) for each in drifts.values()),
+            "drift_turn": max(float(each.largest_turn[n, 0]) for each in drifts.values()),
+            "drift_seconds": float(seconds),
+            "penetration": float(contacts.penetration[n]),
+            "num_contacts": int(contacts.count[n]),
+            "shake": float(scores[n].min()),
+            "shake_x": float(scores[n, 0]),
+            "shake_y": float(scores[n, -1]),
+            "rests_on": support_edges(rests_on[n]),
+            "margin": min((each for each in margins[n] if each is not None), default=None),
+            "margins": margins[n],
+            **{
+                f"tilt_{by:g}": float(share) for by, share in zip(tilt_config.degrees, stands[n], strict=True)
+            },
+            "robust": bool(is_robust[n]),
+            "detectors": [name for name, each in drifts.items() if each.survives()[n, 0]],
+        }
+        for n in range(len(is_placed))
+    ]
+
+
+def support_edges(rests_on: np.ndarray) -> list[tuple[int, int]]:
+    """The support graph of one scene, bool[K, K + 1], as pairs (who rests, on whom), -1 for the support."""
+    size = rests_on.shape[0]
+    return [(int(i), -1 if j == size else int(j)) for i, j in np.argwhere(rests_on)]
+
+
+def residual_speeds(
+    models: SceneModels, poses: np.ndarray, is_placed: np.ndarray, num_threads: int = 0, seconds: float = 0.25
+) -> np.ndarray:
+    """f64[N, 2]: m/s and rad/s of the fastest object `seconds` after scenes were let go from rest."""
+    models.check(poses, is_placed)
+    is_placed = np.asarray(is_placed, bool)
+
+    def run(scene: int) -> tuple[float, float]:
+        model = models.of(is_placed[scene])
+        data = model.start(poses[scene])
+        mujoco.mj_step(model.model, data, round(seconds / model.model.opt.timestep))
+        velocity = data.qvel.reshape(-1, 2, 3)
+        linear, angular = np.linalg.norm(velocity, axis=2).max(0, initial=0.0)
+        return float(linear), float(angular)
+
+    return np.array(each_scene(run, len(is_placed), num_threads), np.float64).reshape(-1, 2)

@@ -14,15 +14,16 @@ import numpy as np
 from cluttergen_jax.evaluation import plots
 from cluttergen_jax.evaluation.cells import (
     SPEED,
+    SUCCESS,
     Column,
-    Row,
-    asked,
+    figure_column,
     name_of,
     number,
+    request_columns,
     share,
-    share_of,
     table_of,
 )
+from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store, json_bytes
@@ -129,22 +130,22 @@ def _flat(row: Row) -> dict[str, Any]:
 
 
 def _table(rows: list[Row]) -> Table:
-    figures = (
-        Column("success [95 %]", lambda row: share_of(row["figures"])),
+    columns = (
+        *request_columns("pool", "support", num_objects="objects", method="method"),
+        SUCCESS,
         Column("filled", lambda row: share(row["figures"]["filled"])),
-        Column("placed", lambda row: number(row["figures"]["placed"], 2)),
+        figure_column("placed", "placed", 2),
         Column("attempts per valid scene", _effort),
         SPEED,
     )
-    head = (*asked("pool", "support", num_objects="objects"), *asked("method"))
-    return table_of(f"{rows[0]['trial']['trials']} trials a row", (*head, *figures), rows)
+    return table_of(f"{rows[0]['trial']['trials']} trials a row", columns, rows)
 
 
 def _draw(rows: Sequence[dict[str, Any]], stem: Path) -> None:
     """A panel for each pool on each support: success of each row with its interval."""
     made = [row for row in rows if row["missing"] is None]
     places = list(dict.fromkeys((row["pool"], row["support"]) for row in made))
-    figure, axes = plots.grid(len(places), 3, 3.4, 2.4)
+    figure, axes = plots.grid_of_panels(len(places), 3, 3.4, 2.4)
     for axis, place in zip(axes, places, strict=True):
         bars = [row for row in made if (row["pool"], row["support"]) == place]
         y = np.array([row["success"] for row in bars])

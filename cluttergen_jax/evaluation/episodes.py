@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
 from flax import struct
 
+from cluttergen_jax.evaluation.records import Figures, Share, Spread
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.scenes import SceneBatch
@@ -86,7 +86,8 @@ def run_episodes(
     made: list[Attempts] = []
 
     def note(indices: np.ndarray, number: int, attempts: Attempts) -> None:
-        made.append(_kept(attempts.replace(scene=indices.astype(np.int32))))
+        attempts = attempts.replace(scene=indices.astype(np.int32))
+        made.append(jax.tree.map(lambda leaf: leaf[attempts.is_made], attempts))
         on_done(number)
 
     scenes = rollout.run_all(sampler, key, num_scenes, width, note)
@@ -113,15 +114,11 @@ def attempts_of(before: Episode, after: Episode, transition: Transition) -> Atte
     )
 
 
-def _kept(attempts: Attempts) -> Attempts:
-    return jax.tree.map(lambda leaf: leaf[attempts.is_made], attempts)
-
-
 LEAST_ATTEMPTS = 3
 """Placements that needed fewer say nothing about attempts (paper, figure on stable steps)."""
 
 
-def figures_of(outcome: Outcome, has_last_check: bool = True) -> dict[str, Any]:
+def figures_of(outcome: Outcome, has_last_check: bool = True) -> Figures:
     """Success, objects placed, attempts, steps and speed of one run.
 
     Args:
@@ -147,14 +144,14 @@ def figures_of(outcome: Outcome, has_last_check: bool = True) -> dict[str, Any]:
         "attempts": int(counts.attempts.sum()),
         "within": within(good, counts.attempts.sum(1), num_slots),
         "attempts_per_valid_scene": per_scene(int(counts.attempts.sum()), valid),
-        "attempts_histogram": _attempts_histogram(scenes.is_placed, counts.attempts),
+        "attempts_histogram": np.bincount(counts.attempts[scenes.is_placed], minlength=2).tolist(),
         "simulated_steps": simulated,
         "simulated_steps_per_valid_scene": per_scene(simulated, valid),
         "stack": spread_of(np.sum(np.asarray(scenes.level) > 0, axis=1)[good]),
         "stable_steps": spread_of(counts.steps[scenes.is_placed]),
         "rest_steps": spread_of(counts.rest_steps[scenes.is_placed]),
         "steps_by_attempt": steps_by_attempt(outcome.attempts),
-        "verdicts": _verdicts(counts.verdicts),
+        "verdicts": {Verdict(code).label: int(n) for code, n in enumerate(counts.verdicts.sum(0))},
         "num_crept": int((scenes.verdict == Verdict.CREPT).sum()),
         "seconds": outcome.seconds,
         "cpu_seconds": outcome.cpu_seconds,
@@ -173,7 +170,7 @@ WITHIN = (1.0, 1.5, 5.0)
 """Attempts in all, in objects of a scene, within which scenes are counted as finished."""
 
 
-def within(is_good: np.ndarray, attempts: np.ndarray, num_objects: int) -> list[dict[str, float]]:
+def within(is_good: np.ndarray, attempts: np.ndarray, num_objects: int) -> list[Share]:
     """Scenes that were finished with few attempts, rejected ones included.
 
     Args:
@@ -185,7 +182,7 @@ def within(is_good: np.ndarray, attempts: np.ndarray, num_objects: int) -> list[
     return [{"times": each, **proportion(is_good & (attempts <= each * num_objects))} for each in WITHIN]
 
 
-def steps_by_attempt(attempts: Attempts) -> list[dict[str, Any]]:
+def steps_by_attempt(attempts: Attempts) -> list[Spread]:
     """Steps of the first attempt, the second and so on, over placements that took at least three.
 
     A placement is a turn of an object that ended with it in place.
@@ -209,15 +206,6 @@ def steps_by_attempt(attempts: Attempts) -> list[dict[str, Any]]:
         {"attempt": number, **spread_of(attempts.steps[chosen & (attempts.ordinal == number)])}
         for number in range(1, most + 1)
     ]
-
-
-def _attempts_histogram(is_placed: np.ndarray, attempts: np.ndarray) -> list[int]:
-    """Placed objects by the number of attempts that they took, from 0."""
-    return np.bincount(attempts[is_placed], minlength=2).tolist()
-
-
-def _verdicts(counts: np.ndarray) -> dict[str, int]:
-    return {Verdict(code).label: int(number) for code, number in enumerate(counts.sum(0))}
 
 
 def arrays_of(outcome: Outcome) -> dict[str, np.ndarray]:

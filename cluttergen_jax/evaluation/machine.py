@@ -6,12 +6,13 @@ import datetime
 import json
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import jax
+
+from cluttergen_jax.evaluation.records import Machine, Origin, Row
 
 _PACKAGES = ("cluttergen_jax", "mujoco", "mujoco-mjx", "jax")
 
@@ -21,7 +22,7 @@ def versions() -> dict[str, str]:
     return {name: version(name) for name in _PACKAGES}
 
 
-def machine() -> dict[str, Any]:
+def machine() -> Machine:
     """Cores, model of the processor, accelerator, and versions."""
     devices = jax.devices()
     return {
@@ -33,12 +34,12 @@ def machine() -> dict[str, Any]:
     }
 
 
-def origin() -> dict[str, Any]:
+def origin() -> Origin:
     """When and where something is made: `date` and `machine` of now and here."""
     return {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "machine": machine()}
 
 
-def origins_of(made: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def origins_of(made: Iterable[Row]) -> list[Origin]:
     """When and where several things were made: an entry for each machine, the latest first.
 
     Args:
@@ -47,27 +48,22 @@ def origins_of(made: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     Returns:
       `date`, a day or "FIRST to LAST", and `machine`; both None, and last, for things that lack them.
     """
-    machines: dict[str, dict[str, Any]] = {}
+    machines: dict[str, Machine] = {}
     days: dict[str, list[str]] = {}
-    is_unknown = False
+    unknown: list[Origin] = []
     for each in made:
-        if "machine" not in each:
-            is_unknown = True
-            continue
-        name = json.dumps(each["machine"], sort_keys=True)
-        machines[name] = each["machine"]
-        days.setdefault(name, []).append(each["date"])
+        if "machine" in each:
+            name = json.dumps(each["machine"], sort_keys=True)
+            machines.setdefault(name, each["machine"])
+            days.setdefault(name, []).append(each["date"])
+        else:
+            unknown = [{"date": None, "machine": None}]
     latest_first = sorted(days, key=lambda name: max(days[name]), reverse=True)
-    known = [{"date": _span(days[name]), "machine": machines[name]} for name in latest_first]
-    return known + ([{"date": None, "machine": None}] if is_unknown else [])
+    spans = {name: " to ".join(dict.fromkeys((min(days[name]), max(days[name])))) for name in latest_first}
+    return [Origin(date=span, machine=machines[name]) for name, span in spans.items()] + unknown
 
 
-def _span(days: list[str]) -> str:
-    first, last = min(days), max(days)
-    return first if first == last else f"{first} to {last}"
-
-
-def sentence(facts: dict[str, Any]) -> str:
+def sentence(facts: Machine) -> str:
     """A machine for people."""
     parts = [f"{facts['cores']} {'core' if facts['cores'] == 1 else 'cores'} of {facts['cpu']}"]
     parts += [facts["accelerator"]] if facts["accelerator"] else []

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.evaluation.records import Figures
 from cluttergen_jax.files import write_atomically
 
 COLOURS = {
@@ -88,7 +89,7 @@ def add_legend(figure: Any) -> None:
     figure.legend([lines[label] for label in labels], labels, fontsize=7, loc="outside right center")
 
 
-def grid(number: int, columns: int, width: float, height: float) -> tuple[Any, list[Any]]:
+def grid_of_panels(number: int, columns: int, width: float, height: float) -> tuple[Any, list[Any]]:
     """A figure of `number` panels in rows of `columns`, each so many inches large."""
     columns = min(columns, number)
     rows = -(-number // columns)
@@ -99,16 +100,8 @@ def grid(number: int, columns: int, width: float, height: float) -> tuple[Any, l
     return figure, axes[:number]
 
 
-def panels_of_pools(rows: Sequence[dict]) -> tuple[Any, list[tuple[Any, str, list[dict]]]]:
-    """A figure with a panel for each pool: its axis, the pool and the pool's rows."""
-    pools = list(dict.fromkeys(row["trial"]["pool"] for row in rows))
-    figure, axes = grid(len(pools), 3, 3.0, 2.4)
-    of_pool = [[row for row in rows if row["trial"]["pool"] == pool] for pool in pools]
-    return figure, list(zip(axes, pools, of_pool, strict=True))
-
-
-def success_line(axis: Any, name: str, x: Sequence[float], figures: Sequence[dict]) -> None:
-    """A row's success with 95 % intervals, dashed where its rules are not its method's own."""
+def plot_success(axis: Any, name: str, x: Sequence[float], figures: Sequence[Figures]) -> None:
+    """Draws a row's success with 95 % intervals, dashed where its rules are not its method's own."""
     y = np.array([each["success"] for each in figures])
     ends = np.array([[each["low95"], each["high95"]] for each in figures]).T
     style = "-" if name == _method_of(name) else "--"

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.cells import made_rows, values_of
 from cluttergen_jax.evaluation.machine import sentence
-from cluttergen_jax.evaluation.rivals import OURS, TWIN, tally
+from cluttergen_jax.evaluation.rankings import OURS, TWIN, tally
+from cluttergen_jax.evaluation.records import Origin, Result
 from cluttergen_jax.evaluation.store import FORMAT, json_bytes
 from cluttergen_jax.evaluation.studies.study import Scale
-from cluttergen_jax.evaluation.suites import FORMER_NAMES, STUDIES
+from cluttergen_jax.evaluation.suites import STUDIES
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.tables import Table
-
-Result = dict[str, Any]
 
 
 def tables_of(result: Result) -> list[Table]:
@@ -26,15 +26,15 @@ def tables_of(result: Result) -> list[Table]:
     The result of a study that is made in a package above this one brings its tables along.
     """
     if "tables" in result:
-        return [_table(each) for each in result["tables"]]
-    tables = STUDIES[result["name"]].tables(result)
-    return [Table(_title(result, table.title), table.columns, table.rows, table.notes) for table in tables]
+        return [_table(**each) for each in result["tables"]]
+    return [
+        replace(table, title=_title(result, table.title)) for table in STUDIES[result["name"]].tables(result)
+    ]
 
 
-def _table(told: dict[str, Any]) -> Table:
+def _table(title: str, columns: list, rows: list, notes: list) -> Table:
     """A table from JSON."""
-    rows = tuple(map(tuple, told["rows"]))
-    return Table(told["title"], tuple(told["columns"]), rows, tuple(told["notes"]))
+    return Table(title, tuple(columns), tuple(map(tuple, rows)), tuple(notes))
 
 
 def _title(result: Result, title: str) -> str:
@@ -49,17 +49,17 @@ def _title(result: Result, title: str) -> str:
 
 def provenance(result: Result) -> str:
     """How the figures came about, in one paragraph; rows that were kept, by the machine that made them."""
-    made, *earlier = (_made(each) for each in (result, *result.get("earlier", ())))
+    made, *earlier = (_how_made(each) for each in (result, *result.get("earlier", ())))
     commands: dict[str, dict[str, None]] = {}
     for command, date, how in earlier:
         commands.setdefault(how, {})[f"{command} ({date})" if date else command] = None
     kept = "; ".join(f"{', '.join(each)}: {how}" for how, each in commands.items())
     command, date, how = made
-    told = ", ".join(filter(None, (command, date, how)))
-    return f"{told}." + (f" Rows that it did not make again: {kept}." if kept else "")
+    text = ", ".join(filter(None, (command, date, how)))
+    return f"{text}." + (f" Rows that it did not make again: {kept}." if kept else "")
 
 
-def _made(result: Result) -> tuple[str, str, str]:
+def _how_made(result: Result) -> tuple[str, str, str]:
     """The command, the day, if it is known, and where and with how many trials."""
     trials = " or ".join(f"{each:,}" for each in result["trials"])
     others = "".join(
@@ -70,10 +70,10 @@ def _made(result: Result) -> tuple[str, str, str]:
     return f"`{result['command']}`", date, f"{trials} trials a row, {where}{others}"
 
 
-def _when_and_where(origin: dict[str, Any]) -> tuple[str, str]:
+def _when_and_where(origin: Origin | Result) -> tuple[str, str]:
     if origin["machine"] is None:
         return "", "kept by an older version, which did not note when and where it made them"
-    return origin["date"], f"on {sentence(origin['machine'])}"
+    return origin["date"] or "", f"on {sentence(origin['machine'])}"
 
 
 def with_earlier_rows(result: Result, earlier: Result) -> Result:
@@ -93,26 +93,26 @@ def with_earlier_rows(result: Result, earlier: Result) -> Result:
             "`python docs/make_results.py FOLDER`; a study made again into FOLDER keeps its rows itself",
         )
     asked = {trial.method for trial in STUDIES[result["name"]].trials(Scale())}
-    made = [row for row in result["records"] if "figures" in row]
-    before = [row for row in earlier["records"] if "figures" in row and row["trial"]["method"] in asked]
+    made = made_rows(result["records"])
+    before = [row for row in made_rows(earlier["records"]) if row["trial"]["method"] in asked]
     # An earlier version may have named fewer of a trial's settings: it knew of no others than the defaults.
     usual = asdict(Trial())
-    rows = {json.dumps(usual | row["trial"], sort_keys=True): row for row in (*before, *made)}
+    rows = {json.dumps({**usual, **row["trial"]}, sort_keys=True): row for row in (*before, *made)}
     if len(rows) == len(made):
         return result
     pools = list(dict.fromkeys(row["trial"].get("pool") for row in rows.values()))
     names = ("command", "trials", "date", "machine", "also_made")
-    told = {name: earlier[name] for name in names if name in earlier}
-    return result | {
-        "records": sorted(rows.values(), key=lambda row: pools.index(row["trial"].get("pool"))),
-        "earlier": [told, *earlier.get("earlier", ())],
-    }
+    origin: Any = {name: values_of(earlier)[name] for name in names if name in earlier}
+    return result | Result(
+        records=sorted(rows.values(), key=lambda row: pools.index(row["trial"].get("pool"))),
+        earlier=[origin, *earlier.get("earlier", ())],
+    )
 
 
 def redraw(result: Result, folder: Path) -> list[str]:
     """Draws a study's plot of all its rows into a folder; its file names, none if it has no plot."""
     plot = STUDIES[result["name"]].plot
-    rows = [row for row in result["records"] if "figures" in row]
+    rows = made_rows(result["records"])
     return plot(rows, folder / result["name"]) if plot and rows else []
 
 
@@ -129,7 +129,7 @@ def markdown(result: Result, level: int = 2, link: str = "") -> str:
         if len(tables) > 1:
             lines += [f"**{table.title}**", ""]
         lines += [table.markdown(), ""]
-    notes = [f"- {note}" for note in (result["measure"] or {}).get("notes", ())]
+    notes = [f"- {note}" for note in (result["measure"]["notes"] if result["measure"] else ())]
     lines += [*notes, ""] if notes else []
     for name in shown_pictures(result):
         lines += [f"![{result['title']}]({link}{name})", ""]
@@ -174,13 +174,13 @@ worse where they do not. `{TWIN}` is the same sampler without a network.
 """
 
 
-def read_results(folder: Path) -> list[dict[str, Any]]:
+def read_results(folder: Path) -> list[Result]:
     """The studies in a folder, in the order of their suites.
 
     Raises:
       ConfigError: a file is damaged, or is no study's result.
     """
-    results = []
+    results: list[Result] = []
     if not folder.is_dir():
         raise ConfigError(f"{folder} is not a folder", "one that `cluttergen evaluate --suite` made")
     for path in sorted(folder.glob("*.json")):
@@ -192,7 +192,7 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
             ) from error
         if not isinstance(result, dict) or result.get("format") != FORMAT or "suite" not in result:
             raise ConfigError(f"{path} is not the result of a study of format {FORMAT}", hint="removing it")
-        results.append(result)
+        results.append(cast(Result, result))
     order = list(STUDIES)
     known = [result for result in results if result["name"] in order]
     known.sort(key=lambda result: order.index(result["name"]))
@@ -200,29 +200,23 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     return known + sorted(others, key=lambda result: result.get("place", 0))
 
 
-def suite_of(result: dict[str, Any]) -> str:
-    """The suite of a result, by its name of today."""
-    return FORMER_NAMES.get(result["suite"], result["suite"])
-
-
-def standing_section(results: list[dict[str, Any]]) -> list[str]:
+def standing_section(results: list[Result]) -> list[str]:
     """Where other methods are as good as `guided`, study by study; nothing where it has no rows."""
     lines = []
     for result in results:
         if result["name"] not in STUDIES:
             continue
         question = STUDIES[result["name"]].question
-        made = [row for row in result["records"] if "figures" in row]
-        counted = tally(made, question) if question else ""
-        lines += [f"- {result['name']}: {counted}."] if counted else []
+        text = tally(made_rows(result["records"]), question) if question else ""
+        lines += [f"- {result['name']}: {text}."] if text else []
     return [_STANDING, "\n".join(lines) + "\n"] if lines else []
 
 
-def document(results: list[dict[str, Any]], notes: str = "", link: str = "results/") -> str:
+def document(results: list[Result], notes: str = "", link: str = "results/") -> str:
     """The whole page; `notes`, Markdown, stand at its end."""
     parts = [_INTRODUCTION, *standing_section(results)]
     for suite in _HEADINGS:
-        of_suite = [result for result in results if suite_of(result) == suite]
+        of_suite = [result for result in results if result["suite"] == suite]
         if of_suite:
             parts += [f"## {_HEADINGS[suite]}\n", *(markdown(result, 3, link) for result in of_suite)]
     return "\n".join([*parts, notes] if notes else parts)

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from cluttergen_jax.assets.pool import Pool
+from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import METHODS, ROBUST_TILT, StabilityConfig, no_such, stability_record
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
-from cluttergen_jax.evaluation.variant_pools import find_any_pool
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
@@ -28,7 +27,25 @@ from cluttergen_jax.learning.training.suite import (
     PAPERS_PRESET,
     PAPERS_VARIANTS,
 )
+from cluttergen_jax.learning.training.variants import HELD_OUT_FAMILIES, TRAINING_FAMILIES, variants
 from cluttergen_jax.placement.baselines import BASELINES
+
+VARIANT_POOLS = {"held_out_families": HELD_OUT_FAMILIES, "training_families": TRAINING_FAMILIES}
+"""Names of pools of the modeller's variants, which no folder holds, and the families of their objects."""
+NUM_VARIANTS, FIRST_SEED = 40, 5000
+"""Objects of each, and their first seed: far from those that networks are trained on."""
+
+
+def find_any_pool(name: str) -> Pool:
+    """The pool of that name or path; one of variants is made at first, and its bodies are cached.
+
+    Raises:
+      PoolError: nothing is called so, or its files are damaged.
+      AssetError: a variant could not be made.
+    """
+    if name not in VARIANT_POOLS:
+        return find_pool(name)
+    return Pool(name, variants(NUM_VARIANTS, FIRST_SEED, VARIANT_POOLS[name]), licence="Apache-2.0")
 
 
 class MissingRowError(PoolError):
@@ -113,7 +130,7 @@ class Checkpoints:
             checkpoint_of(trial.method, trial.pool)
             return None
         given = self.given if self._is_of(trial.method) else None
-        found = given or self._in_folder(trial) or self._embedded(trial)
+        found = given or self._in_folder(trial) or self._find_embedded(trial)
         if found is None:
             raise MissingCheckpointError(
                 f"no checkpoint for method {trial.method!r} on pool {trial.pool!r}", hint=train_command(trial)
@@ -135,7 +152,7 @@ class Checkpoints:
         with usable(place, trial):
             return None if place is None else read_checkpoint(place)
 
-    def _embedded(self, trial: Trial) -> Checkpoint | None:
+    def _find_embedded(self, trial: Trial) -> Checkpoint | None:
         """The embedded ones are of training seed 0; a given folder hides those of single pools."""
         is_hidden = self.folder is not None and trial.method not in FOR_ANY_POOL
         if is_hidden or trial.training_seed != 0:
@@ -231,15 +248,15 @@ class ResolvedTrial:
         return record.get("stability", {}).get("stop_when_decided", True)
 
     @property
-    def policy(self) -> dict[str, Any] | None:
+    def policy(self) -> Mapping[str, Any] | None:
         """What a row says of how its policy was trained; None for a baseline."""
         if self.checkpoint is None:
             return None
         record = self.checkpoint.record
+        network, placement, ppo = (record.get(name, {}) for name in ("network", "placement", "ppo"))
         known: dict[str, Any] = {
             name: record[name] for name in ("variant", "preset", "seed", "attempts") if name in record
         }
-        network, placement, ppo = (record.get(name, {}) for name in ("network", "placement", "ppo"))
         known |= {"max_attempts": placement["max_attempts"], "head": network.get("head")}
         if not ppo:
             return known

@@ -15,6 +15,7 @@ from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
 from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.evaluation.episodes import Outcome, arrays_of, attempts_of, figures_of, run_episodes
 from cluttergen_jax.evaluation.machine import origin
+from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import (
     Checkpoints,
     MissingCheckpointError,
@@ -36,7 +37,6 @@ from cluttergen_jax.placement.rollout import BlockSampler, Rollout
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible
 
-Row = dict[str, Any]
 _KEPT_SETUPS = 4
 
 
@@ -49,7 +49,7 @@ class Runner:
       checkpoints: where policies are.
       engine: "auto", "native", "warp" or "jax"; num_threads: of the native engine, 0 for every core.
       is_fresh: do not use rows that were kept.
-      measured_at: when and where the findings that `measured` has returned were made (`machine.origin`).
+      measured_at: when and where the findings that `measure` has returned were made (`machine.origin`).
       errors: why rows could not be made, in the order in which they were asked for.
     """
 
@@ -68,7 +68,7 @@ class Runner:
         self._made: set[str] = set()
         self._rows: dict[str, Row] = {}
         self._num_rows = self._num_done = 0
-        self.measured_at: list[Row] = []
+        self.measured_at: list[Any] = []
         self.errors: list[ClutterGenError] = []
 
     def plan(self, trials: Iterable[Trial]) -> None:
@@ -123,12 +123,12 @@ class Runner:
         resolved = self.resolve(trial)
         self.begin(trial.title)
         try:
-            row, arrays = self.made(resolved)
+            row, arrays = self.make(resolved)
         except ClutterGenError as error:
             return self._fail(resolved, error)
         return self._keep(resolved, row, arrays)
 
-    def made(self, resolved: ResolvedTrial) -> tuple[Row, dict[str, np.ndarray]]:
+    def make(self, resolved: ResolvedTrial) -> tuple[Row, dict[str, np.ndarray]]:
         """The trial's row and its scenes, made now and kept nowhere.
 
         Raises:
@@ -136,15 +136,16 @@ class Runner:
           ClutterGenError: its settings do not fit its pool or support.
         """
         strict = self.run(resolved)
-        figures = figures_of(strict) | {"fill": self._fill(resolved)}
+        figures = figures_of(strict)
+        figures["fill"] = self._fill(resolved)
         if resolved.trial.paper_count:
             loose = self.run(resolved, judge_neighbours=False)
             figures["paper"] = figures_of(loose, has_last_check=False)
-        row = {
-            "trial": resolved.trial.shown(),
+        row: Row = {
+            "trial": resolved.trial.record(),
             "sources": resolved.sources,
             "policy": resolved.policy,
-            **origin(),
+            **origin(),  # type: ignore[typeddict-item]
             "figures": figures,
         }
         return row, arrays_of(strict)
@@ -183,7 +184,7 @@ class Runner:
     def _missing(self, trial: Trial, error: ClutterGenError) -> Row:
         self.errors.append(error)
         allowed = f" (allowed: {error.allowed})" if error.allowed else ""
-        return {"trial": trial.shown(), "missing": error.given + allowed, "hint": error.hint}
+        return {"trial": trial.record(), "missing": error.given + allowed, "hint": error.hint}
 
     def _keep(self, resolved: ResolvedTrial, row: Row, arrays: dict[str, np.ndarray]) -> Row:
         trial, figures = resolved.trial, row["figures"]
@@ -217,7 +218,7 @@ class Runner:
         assert arrays is not None, "what was just written cannot be read"
         return arrays
 
-    def measured(self, trial: Trial, what: str, make: Callable[[], Row]) -> Row:
+    def measure(self, trial: Trial, what: str, make: Callable[[], Any]) -> Row:
         """What `make` finds out about a trial's scenes: from disk, or now.
 
         Args:
@@ -329,13 +330,13 @@ class RowMaker:
     num_threads: int
 
     def __call__(self) -> Callable[[Trial], tuple[str, Any]]:
-        """The function that is given a trial: its key, and `Runner.made` of it, or why it cannot be made."""
+        """The function that is given a trial: its key, and `Runner.make` of it, or why it cannot be made."""
         runner = Runner(Store(None), self.checkpoints, self.engine, self.num_threads)
 
         def make(trial: Trial) -> tuple[str, Any]:
             resolved = runner.resolve(trial)
             try:
-                return resolved.key, runner.made(resolved)
+                return resolved.key, runner.make(resolved)
             except ClutterGenError as error:
                 return resolved.key, error
 

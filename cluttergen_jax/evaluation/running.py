@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -13,21 +13,23 @@ from typing import Any
 from cluttergen_jax.assets.pool import find_pool, list_pools
 from cluttergen_jax.cluster import Cluster
 from cluttergen_jax.config import Engine
-from cluttergen_jax.evaluation.cells import is_failed
+from cluttergen_jax.evaluation.cells import is_failed, made_rows
 from cluttergen_jax.evaluation.comparison import open_runner
 from cluttergen_jax.evaluation.machine import origin, origins_of
+from cluttergen_jax.evaluation.records import Measured, Result
 from cluttergen_jax.evaluation.report import document, write_report
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import FORMAT
-from cluttergen_jax.evaluation.studies.study import Measure, Result, Scale, Study
+from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study
 from cluttergen_jax.evaluation.studies.table1 import IMPORTED, OBJECTS
 from cluttergen_jax.evaluation.studies.time import TIME
-from cluttergen_jax.evaluation.suites import FORMER_NAMES, PlannedStudy, find_suite
+from cluttergen_jax.evaluation.suites import find_suite
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import inside, write_atomically
 
 _SHOWN = ("trial", "policy", "figures", "missing", "hint")
+Show = Callable[[Result], None]
 
 
 def make_suite(
@@ -42,9 +44,9 @@ def make_suite(
     place: Cluster | None,
     num_threads: int,
     fresh: bool,
-    show: Callable[[Result], None],
+    show: Show,
 ) -> list[Result]:
-    """The results of a suite of methods; see `cluttergen_jax.evaluate_suite`.
+    """The results of a suite of methods, each written as it is done; see `cluttergen_jax.evaluate_suite`.
 
     Args:
       place: a cluster that makes the rows; this process if None.
@@ -55,30 +57,30 @@ def make_suite(
     runner = open_runner(folder, rows, checkpoint, checkpoints, engine, num_threads, fresh)
     if place is not None:
         runner.make_on(place, rows)
-    return run_suite(runner, suite, planned, scale, folder, show)
+    made = (
+        run_study(
+            runner,
+            each.study,
+            each.trials,
+            folder,
+            suite,
+            command_of(suite, each.name, scale, runner),
+            scale.quick,
+        )
+        for each in planned
+    )
+    return write_each(made, folder, show)
 
 
-def run_suite(
-    runner: Runner,
-    suite: str,
-    planned: Sequence[PlannedStudy],
-    scale: Scale,
-    folder: Path,
-    show: Callable[[Result], None],
-) -> list[Result]:
-    """The results of a suite's studies, each written as it is done; see `cluttergen_jax.evaluate_suite`."""
-    if suite in FORMER_NAMES:
-        suite = FORMER_NAMES[suite]
-        runner.say(f"note: this suite is now called {suite}; its former name is understood in this release")
-    results = []
-    for each in planned:
-        command = command_of(suite, each.name, scale, runner)
-        result = run_study(runner, each.study, each.trials, folder, suite, command, scale.quick)
+def write_each(results: Iterable[Result], folder: Path, show: Show) -> list[Result]:
+    """Writes each result as it is made, and at last the page of all of them."""
+    written = []
+    for result in results:
         write_report(result, folder)
         show(result)
-        results.append(result)
-    write_atomically(folder / "all.md", document(results, link="").encode())
-    return results
+        written.append(result)
+    write_atomically(folder / "all.md", document(written, link="").encode())
+    return written
 
 
 def suite_folder(suite: str, quick: bool) -> Path:
@@ -108,6 +110,11 @@ def command_of(suite: str, study: str, scale: Scale, runner: Runner) -> str:
         "threads": runner.num_threads,
         "only": study,
     }
+    return command_with(options)
+
+
+def command_with(options: Mapping[str, Any]) -> str:
+    """The command `cluttergen evaluate` with those of the options that are given."""
     words = ["cluttergen evaluate"]
     for name, value in options.items():
         if value:
@@ -117,7 +124,13 @@ def command_of(suite: str, study: str, scale: Scale, runner: Runner) -> str:
 
 
 def run_study(
-    runner: Runner, study: Study, trials: Sequence[Trial], folder: Path, suite: str, command: str, quick: bool
+    runner: Runner,
+    study: Study,
+    trials: Sequence[Trial],
+    folder: Path,
+    suite: str,
+    command: str,
+    quick: bool,
 ) -> Result:
     """Runs what was not kept from before.
 
@@ -128,11 +141,11 @@ def run_study(
     """
     runner.say(f"{study.name}: {study.title}")
     rows = [] if study.measure else [runner.row(trial) for trial in trials]
-    measure = study.measure or study.renders
-    findings, measured = _findings(runner, study, trials, folder, measure) if measure else (None, [])
-    made = [row for row in rows if "figures" in row]
+    findings, measured = _findings(runner, study, trials, folder)
+    made = made_rows(rows)
     latest, *others = origins_of(made or measured) or [origin()]
     plots = study.plot(made, folder / study.name) if study.plot and made else []
+    shown: Any = [{name: value for name, value in row.items() if name in _SHOWN} for row in rows]
     return {
         "format": FORMAT,
         "suite": suite,
@@ -144,7 +157,7 @@ def run_study(
         "trials": sorted({trial.trials for trial in trials}),
         **latest,
         **({"also_made": others} if others else {}),
-        "records": [{name: row[name] for name in _SHOWN if name in row} for row in rows],
+        "records": shown,
         "measure": findings,
         "pictures": [*(findings["pictures"] if findings else []), *plots],
     }
@@ -152,31 +165,35 @@ def run_study(
 
 def num_failed(results: Sequence[Result]) -> int:
     """Rows of studies that could not be made (`cells.is_failed`)."""
-    measured = (result["measure"]["rows"] for result in results if result.get("measure"))
-    rows = [row for each in (*(result["records"] for result in results), *measured) for row in each]
-    return sum(map(is_failed, rows))
+    measured = [result["measure"]["rows"] for result in results if result.get("measure")]  # type: ignore
+    return sum(is_failed(row) for rows in (*measured, *(each["records"] for each in results)) for row in rows)
 
 
 def _findings(
-    runner: Runner, study: Study, trials: Sequence[Trial], folder: Path, measure: Measure
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    runner: Runner, study: Study, trials: Sequence[Trial], folder: Path
+) -> tuple[Measured | None, list[Any]]:
     """The measure's findings: those that were kept if they are of the same trials, else made now.
 
     Returns:
-      The findings, and when and where they were made.
+      The findings, None of a study without a measure, and when and where they were made.
     """
-    stem = folder / study.name
+    stem, measure = folder / study.name, study.measure or study.renders
+    if measure is None:
+        return None, []
     if study.keeps_each:
         runner.measured_at.clear()
-        return asdict(measure(runner, trials, stem)), list(runner.measured_at)
+        return _plain(measure(runner, trials, stem)), list(runner.measured_at)
     key, title = _findings_key(runner, study, trials), f"measure {study.name}"
     stored = None if runner.is_fresh else runner.store.read(title, key)
     if stored and all(inside(folder, name).is_file() for name in stored["figures"]["pictures"]):
         return stored["figures"], [stored]
     runner.begin(f"measuring {study.name}")
-    found = asdict(measure(runner, trials, stem))
-    made = origin()
+    found, made = _plain(measure(runner, trials, stem)), origin()
     return runner.store.keep(title, key, found, made), [made]
+
+
+def _plain(findings: Findings) -> Any:
+    return asdict(findings)
 
 
 def _findings_key(runner: Runner, study: Study, trials: Sequence[Trial]) -> str:

@@ -42,7 +42,7 @@ class Store:
         words = re.sub(r"[^a-z0-9.]+", "-", title.lower()).strip("-")
         return self.root / f"{words}-{key}.json"
 
-    def read(self, title: str, key: str) -> dict[str, Any] | None:
+    def read(self, title: str, key: str) -> Any | None:
         """The result, or None if there is none that can be used."""
         if self.root is None:
             return None
@@ -83,9 +83,7 @@ class Store:
         if stated is not None and digest_of(path.read_bytes()) != stated:
             raise SchemaError(f"not the scenes of {row.name}")
 
-    def write(
-        self, title: str, key: str, record: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
-    ) -> dict[str, Any]:
+    def write(self, title: str, key: str, record: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Any:
         """Stores a result, its scenes first: where the JSON is, they are too. Returns what was stored."""
         stored = {"format": FORMAT, "key": key, **record}
         if self.root is not None:

@@ -6,27 +6,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.evaluation.studies.acceptance import ACCEPTANCE
-from cluttergen_jax.evaluation.studies.attempts import ATTEMPTS
-from cluttergen_jax.evaluation.studies.closed_loop import CLOSED_LOOP
+from cluttergen_jax.evaluation.studies.clutter_targets import CLUTTER_TARGETS
 from cluttergen_jax.evaluation.studies.density import CROWDS, DENSITY
-from cluttergen_jax.evaluation.studies.dial import DIAL
-from cluttergen_jax.evaluation.studies.diversity import DIVERSITY
-from cluttergen_jax.evaluation.studies.diversity_maps import DIVERSITY_MAPS
-from cluttergen_jax.evaluation.studies.fig1a import FIG1A
-from cluttergen_jax.evaluation.studies.furniture import FURNITURE, TABLE_TOPS
-from cluttergen_jax.evaluation.studies.learning_curves import LEARNING_CURVES
-from cluttergen_jax.evaluation.studies.margin import MARGIN
+from cluttergen_jax.evaluation.studies.diversity import ACCEPTANCE, DIVERSITY, DIVERSITY_MAPS
+from cluttergen_jax.evaluation.studies.held_out import HELD_OUT_OBJECTS
+from cluttergen_jax.evaluation.studies.paper_figures import (
+    ATTEMPTS,
+    FIG1A,
+    LEARNING_CURVES,
+    STEPS_BY_ATTEMPT,
+)
+from cluttergen_jax.evaluation.studies.pictures import CLOSED_LOOP
 from cluttergen_jax.evaluation.studies.relations import RELATIONS
-from cluttergen_jax.evaluation.studies.robustness import ROBUSTNESS
-from cluttergen_jax.evaluation.studies.stability import STABILITY
-from cluttergen_jax.evaluation.studies.steps_by_attempt import STEPS_BY_ATTEMPT
+from cluttergen_jax.evaluation.studies.robustness import (
+    MARGIN,
+    MARGIN_SURVIVAL,
+    ROBUSTNESS,
+    STABILITY,
+    SURVIVAL,
+)
 from cluttergen_jax.evaluation.studies.study import Scale, Study, of_methods
-from cluttergen_jax.evaluation.studies.survival import MARGIN_SURVIVAL, SURVIVAL
 from cluttergen_jax.evaluation.studies.table1 import IMPORTED, IMPORTED_GROUPS, TABLE1
-from cluttergen_jax.evaluation.studies.table2 import TABLE2
+from cluttergen_jax.evaluation.studies.tables import TABLE2, TABLE_TOPS, TABLES
 from cluttergen_jax.evaluation.studies.time import TIME
-from cluttergen_jax.evaluation.studies.unseen import UNSEEN
 from cluttergen_jax.evaluation.trial import Trial
 
 # Times are measured in processes of their own, after everything else.
@@ -41,14 +43,14 @@ SUITES: dict[str, tuple[Study, ...]] = {
         LEARNING_CURVES,
         ATTEMPTS,
         TABLE2,
-        FURNITURE,
+        TABLES,
         TABLE_TOPS,
         RELATIONS,
     ),
     "extended": (
         DENSITY,
         CROWDS,
-        UNSEEN,
+        HELD_OUT_OBJECTS,
         DIVERSITY,
         ACCEPTANCE,
         ROBUSTNESS,
@@ -56,13 +58,11 @@ SUITES: dict[str, tuple[Study, ...]] = {
         MARGIN,
         MARGIN_SURVIVAL,
         STABILITY,
-        DIAL,
+        CLUTTER_TARGETS,
         TIME,
     ),
 }
 """The paper's tables and figures in its order, and what the paper does not ask."""
-FORMER_NAMES = {"honest": "extended"}
-"""Of suites, understood for one release and in stored results."""
 STUDIES = {study.name: study for studies in SUITES.values() for study in studies}
 
 
@@ -71,7 +71,7 @@ class PlannedStudy:
     """A study and its trials at some scale."""
 
     study: Study
-    trials: tuple[Trial, ...]
+    trials: Sequence[Trial]
 
     @property
     def name(self) -> str:
@@ -85,21 +85,12 @@ def find_suite(suite: str, scale: Scale, only: Sequence[str] = ()) -> tuple[Plan
     Raises:
       ConfigError: there is no such suite, no such study in it, or nothing is left to be made.
     """
-    suite = FORMER_NAMES.get(suite, suite)
     if suite not in SUITES:
         every = (*SUITES, "downstream")
         raise ConfigError(f"suite = {suite!r}", ", ".join(every), 'suite="paper"', closest(suite, every))
-    names = [study.name for study in SUITES[suite]]
-    for each in only:
-        if each not in names:
-            raise ConfigError(
-                f"only = {each!r} in suite {suite!r}",
-                ", ".join(names),
-                f'only="{names[0]}"',
-                closest(each, names),
-            )
-    chosen = [study for study in SUITES[suite] if not only or study.name in only]
-    planned = [PlannedStudy(study, trials) for study in chosen if (trials := study.trials(scale))]
+    check_only(only, [study.name for study in SUITES[suite]], suite)
+    named = [study for study in SUITES[suite] if not only or study.name in only]
+    planned = [PlannedStudy(study, trials) for study in named if (trials := study.trials(scale))]
     if not planned:
         raise ConfigError(
             f"only = {', '.join(only)!r} without such a pool",
@@ -113,3 +104,15 @@ def find_suite(suite: str, scale: Scale, only: Sequence[str] = ()) -> tuple[Plan
         known = dict.fromkeys(trial.method for each in planned for trial in each.trials)
         raise ConfigError(f"methods = {', '.join(scale.methods)!r} with suite {suite!r}", ", ".join(known))
     return tuple(each for each in kept if each.trials)
+
+
+def check_only(only: Sequence[str], names: Sequence[str], suite: str) -> None:
+    """ConfigError for a name that is none of a suite's studies."""
+    for each in only:
+        if each not in names:
+            raise ConfigError(
+                f"only = {each!r} in suite {suite!r}",
+                ", ".join(names),
+                f'only="{names[0]}"',
+                closest(each, names),
+            )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +19,6 @@ from cluttergen_jax.placement.region import find_change
 MAX_TRIALS = 1_000_000
 RUIN, RANDOM_ORDER, TIDY, ROBUST, FREE_HEIGHT = "ruin", "random order", "tidy", "robust", "free height"
 """Of rows whose rules are not their method's own."""
-_ADDED = (
-    "min_margin",
-    "order",
-    "ruin_after",
-    "budget",
-    "robust",
-    "both_detectors",
-    "clutter",
-    "tidy",
-    "height",
-)
 
 
 @dataclass(frozen=True)
@@ -124,9 +113,26 @@ class Trial:
         """Likewise."""
         return Path(self.support).name
 
-    def shown(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
         """Its fields for results that others read."""
         return asdict(self) | {"pool": self.pool_name, "support": self.support_name}
+
+    @property
+    def row_name(self) -> str:
+        """What tables call its row: its method, and what sets its rules apart from that method's own."""
+        is_trusted, is_ruined = self.method in TRUSTED_METHODS, self.ruin_after > 0
+        own, other = ("weighted", "random") if is_trusted else ("random", "weighted")
+        if is_ruined != is_trusted and self.order == other:
+            words = [RUIN if is_ruined else RANDOM_ORDER]
+        else:
+            words = [f"order {self.order}"] if self.order != own else []
+            words += [f"ruin after {self.ruin_after}"] if is_ruined != is_trusted else []
+        return ", ".join([self.method, *words, *self._extra_rules])
+
+    @property
+    def _extra_rules(self) -> list[str]:
+        named = {TIDY: self.tidy, FREE_HEIGHT: self.height == "free", ROBUST: self.robust}
+        return [name for name, is_asked in named.items() if is_asked] + [self.clutter] * bool(self.clutter)
 
     @property
     def title(self) -> str:
@@ -135,35 +141,16 @@ class Trial:
         words += [f"seed {self.training_seed}"] if self.training_seed else []
         words += [self.change] if self.change != "none" else []
         words += [f"margin {1000 * self.min_margin:g} mm"] if self.min_margin else []
-        words += [TIDY] if self.tidy else []
-        words += [FREE_HEIGHT] if self.height == "free" else []
-        words += [ROBUST] if self.robust else []
-        words += [self.clutter] if self.clutter else []
+        words += self._extra_rules
         words += [self.order] if self.order != "random" else []
         words += [f"ruin after {self.ruin_after}"] if self.ruin_after else []
         words += [f"budget {self.budget}"] if self.budget else []
         return " ".join([*words, f"{self.num_objects} objects", f"{self.attempts} attempts"])
 
 
-def row_name(trial: Mapping[str, Any]) -> str:
-    """What tables call a row: its method, and what sets its rules apart from that method's own.
-
-    Args:
-      trial: fields of a `Trial`; those of results of older versions lack some.
-    """
-    method, is_ruined = str(trial["method"]), bool(trial.get("ruin_after", 0))
-    is_trusted, order = method in TRUSTED_METHODS, trial.get("order", "random")
-    own, other = ("weighted", "random") if is_trusted else ("random", "weighted")
-    if is_ruined != is_trusted and order == other:
-        words = [RUIN if is_ruined else RANDOM_ORDER]
-    else:
-        words = [f"order {order}"] if order != own else []
-        words += [f"ruin after {trial.get('ruin_after', 0)}"] if is_ruined != is_trusted else []
-    words += [TIDY] if trial.get("tidy") else []
-    words += [FREE_HEIGHT] if trial.get("height") == "free" else []
-    words += [ROBUST] if trial.get("robust") else []
-    words += [trial["clutter"]] if trial.get("clutter") else []
-    return ", ".join([method, *words])
+def trial_of(row: Mapping[str, Any]) -> Trial:
+    """The trial of a stored row; settings that an older version did not know are the usual ones."""
+    return Trial(**row["trial"])
 
 
 def key_of(trial: Trial, sources: dict[str, Any]) -> str:
@@ -172,10 +159,10 @@ def key_of(trial: Trial, sources: dict[str, Any]) -> str:
     Args:
       sources: hashes of what the trial names (pool, support, checkpoint) and versions.
     """
-    # Where the rules are the paper's, results of versions that knew no others are found again.
-    paper = Trial()
-    is_paper = {name: getattr(trial, name) == getattr(paper, name) for name in _ADDED}
-    left_out = ("pool", "support", *(name for name in _ADDED if is_paper[name]))
+    names, usual = [field.name for field in fields(Trial)], Trial()
+    later = names[names.index("min_margin") :]
+    # Pools and supports by their hashes; the later settings only where they are not the usual ones.
+    left_out = {"pool", "support", *(name for name in later if getattr(trial, name) == getattr(usual, name))}
     asked = {name: value for name, value in asdict(trial).items() if name not in left_out}
     text = json.dumps({"trial": asked, "sources": sources}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:20]

@@ -6,7 +6,7 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.placer.pairs.store import read_pairs
-from cluttergen_jax.downstream.studies.study import Scale
+from cluttergen_jax.downstream.studies.study import DownstreamScale
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.learning.ppo.ppo import PPOConfig
 from tests.helpers.fuzzed_files import load_pairs, pairs_of, write_pairs
@@ -69,8 +69,8 @@ HUGE = 10**12
         (lambda folder: cg.perception_eval(folder, num_views=HUGE), "num_views.*1000000"),
         (lambda folder: cg.evaluate(trials=HUGE), "trials.*1000000"),
         (lambda folder: cg.generate(folder, num_scenes=HUGE), "num_scenes.*2000000000"),
-        (lambda folder: Scale(num_pairs=HUGE), "num_pairs.*10000000"),
-        (lambda folder: Scale(num_scenes=HUGE), "trials.*1000000"),
+        (lambda folder: DownstreamScale(num_pairs=HUGE), "num_pairs.*10000000"),
+        (lambda folder: DownstreamScale(trials=HUGE), "trials.*1000000"),
         (lambda folder: PPOConfig(num_attempts=HUGE), "num_attempts.*10,000,000,000"),
         (lambda folder: cg.pretrain(out=folder, num_shapes=HUGE), "num_shapes.*1000000"),
     ],

@@ -9,8 +9,10 @@ import cluttergen_jax as cg
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
 from cluttergen_jax.downstream.placer.training import PlacerTraining
 from cluttergen_jax.downstream.studies.placement import PLACEMENT, found_of
-from cluttergen_jax.downstream.studies.protocol import PROTOCOL
 from cluttergen_jax.downstream.studies.study import Found
+from cluttergen_jax.downstream.studies.trained import (
+    PROTOCOL,
+)
 from cluttergen_jax.downstream.suite import STUDIES, result_of
 from cluttergen_jax.evaluation.report import document, read_results, tables_of, write_report
 from cluttergen_jax.tables import Table
@@ -29,7 +31,7 @@ def comparison(queries: int) -> PlacerComparison:
 def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path):
     found = found_of([comparison(20), comparison(10)])
     result = result_of(PLACEMENT, found, "cluttergen evaluate --suite downstream", quick=False)
-    later = Found(found.records, [Table("by the paper", ("a",), ())])
+    later = Found(found.rows, tables=[Table("by the paper", ("a",), ())])
     for each in (result, result_of(PROTOCOL, later, "cluttergen", quick=False)):
         write_report(each, tmp_path)
     write_report(result_of(STUDIES["cameras"], later, "cluttergen", quick=False), tmp_path)

@@ -11,7 +11,7 @@ from cluttergen_jax.evaluation.episodes import (
     figures_of,
     run_episodes,
 )
-from cluttergen_jax.evaluation.studies.fig1a import at_least
+from cluttergen_jax.evaluation.studies.paper_figures import at_least
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_blocks
 from tests.helpers.problems import made_up_rules
 

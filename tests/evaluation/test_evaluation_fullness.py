@@ -7,7 +7,7 @@ import pytest
 from cluttergen_jax.evaluation.studies.rules import named_rows
 from cluttergen_jax.evaluation.studies.study import Scale
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
-from cluttergen_jax.evaluation.trial import Trial, row_name
+from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.statistics import wilson
 
@@ -27,7 +27,7 @@ PAPERS = ("table1", "table2", "fig1a", "steps_by_attempt", "attempts", "acceptan
 @pytest.mark.parametrize("name", NAMES)
 def test_rows_are_called_what_they_were_asked_as(name):
     (trial,) = named_rows([SMALL], name)
-    assert row_name(dataclasses.asdict(trial)) == name
+    assert trial.row_name == name
     assert trial.min_margin == MIN_MARGIN
 
 

@@ -75,14 +75,14 @@ def test_rows_are_kept_with_both_counts(runner):
 
 
 def test_a_row_that_fails_leaves_the_others(tmp_path, monkeypatch):
-    made = Runner.made
+    make = Runner.make
 
     def fails_on_margin(self, resolved):
         if resolved.trial.min_margin:
             raise ConfigError("min_margin here", "none", "another")
-        return made(self, resolved)
+        return make(self, resolved)
 
-    monkeypatch.setattr(Runner, "made", fails_on_margin)
+    monkeypatch.setattr(Runner, "make", fails_on_margin)
     runner, bad = Runner(Store(tmp_path)), dataclasses.replace(SMALL, min_margin=0.003)
     runner.plan([bad, SMALL])
     found = compare(runner, [bad, SMALL], tmp_path)

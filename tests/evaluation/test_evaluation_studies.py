@@ -16,10 +16,9 @@ from cluttergen_jax.evaluation.report import document, read_results, tables_of
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
-from cluttergen_jax.evaluation.studies import furniture, table1, table2
-from cluttergen_jax.evaluation.studies.findings import Findings, each_standing, row_of
-from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
-from cluttergen_jax.evaluation.studies.survival import SURVIVAL
+from cluttergen_jax.evaluation.studies import table1, tables
+from cluttergen_jax.evaluation.studies.robustness import SURVIVAL
+from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, each_success, grid, row_of
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 
@@ -42,10 +41,10 @@ def test_suites_ask_what_the_paper_asked():
     twins = {table1.TWINS.get(t.method, t.method) for t in studies["table1"]}
     assert twins == set(table1.PAPER)
     assert {t.trials for t in studies["table1"]} == {1000}
-    assert {t.change for t in studies["table2"]} == set(table2.PAPER)
+    assert {t.change for t in studies["table2"]} == set(tables.PAPER_BY_CHANGE)
     assert {t.trials for t in studies["table2"]} == {500}
-    assert len(studies["furniture"]) == 50 * (1 + len(furniture.ROWS))
-    assert set(furniture.SUPPORTS) <= set(list_supports())
+    assert len(studies["furniture"]) == 50 * (1 + len(tables.ROWS))
+    assert set(tables.SUPPORTS) <= set(list_supports())
     assert len([t for t in studies["table1"] if t.method == "policy"]) == 15
 
 
@@ -131,9 +130,9 @@ def test_tables_hold_every_row_and_say_quick(name, number, cells):
     result = json.loads(json.dumps(result_of(study, rows)))
     for table in tables_of(result):
         assert "quick: 6 trials" in table.title
-        if name == "furniture" and table.columns[1] in furniture.ROWS:
+        if name == "furniture" and table.columns[1] in tables.ROWS:
             # A column for each of them, of the two scenes of one pool and of all ten tables' pools.
-            assert table.columns[1:] == furniture.ROWS
+            assert table.columns[1:] == tables.ROWS
             assert all(set(row[1:]) == {STRICT} for row in table.rows[:-1])
             continue
         assert sum(set(cells) <= set(row) for row in table.rows) == number
@@ -172,13 +171,13 @@ def counted(asked, keeps_each):
 
     def measure(runner, trials, stem):
         rows = []
-        for trial, scenes in each_standing(runner, trials, rows):
+        for trial, scenes in each_success(runner, trials, rows):
             find = lambda trial=trial, scenes=scenes: count(trial, scenes)  # noqa: E731
-            rows.append(row_of(trial, **(runner.measured(trial, "count", find) if keeps_each else find())))
+            rows.append(row_of(trial, runner.measure(trial, "count", find) if keeps_each else find()))
         return Findings(rows)
 
     trials = grid(SMALL, seed=(0, 1))
-    return Study("count", "counted", 6, lambda scale: trials, lambda _: [], measure, keeps_each=keeps_each)
+    return Study("count", "counted", 6, lambda scale: trials, measure=measure, keeps_each=keeps_each)
 
 
 @pytest.mark.slow

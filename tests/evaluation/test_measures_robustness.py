@@ -8,12 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.measures.certificate import certificates
+from cluttergen_jax.evaluation.certify import certificates
 from cluttergen_jax.evaluation.measures.robustness import (
     PHYSICS_CHANGES,
     RobustConfig,
     ShakeConfig,
-    creep,
     robust,
     shake,
     survives,
@@ -66,7 +65,7 @@ STANDING = ({CUBE: (0, 0, 0.03)}, {TALL: (0, 0, 0.1)}, {CUBE: (0, 0, 0.03), TALL
 
 def test_what_stands_does_not_creep_and_what_hangs_in_the_air_falls(models):
     poses, is_placed = scenes(*STANDING, {CUBE: (0, 0, 0.04)})
-    result = creep(models, poses, is_placed, seconds=(0.5, 1.0, 3.0), num_threads=1)
+    result = movement(models, poses, is_placed, (0.5, 1.0, 3.0), num_threads=1)
     assert result.shift.shape == (4, 3, 4)
     assert (result.largest_shift[:3] < 1e-4).all()
     # It falls 10 mm, and sinks in for a step when it lands.

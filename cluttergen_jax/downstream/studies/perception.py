@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,12 +12,12 @@ from cluttergen_jax.downstream.perception.api import perception_data, perception
 from cluttergen_jax.downstream.perception.evaluate import TRUE_MASKS, PerceptionResult, PerceptionRow
 from cluttergen_jax.downstream.perception.scoring import MaskFigures
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
-from cluttergen_jax.downstream.studies.study import DownstreamStudy, Found, SuiteFolder
+from cluttergen_jax.downstream.studies.study import Found, SuiteFolder
+from cluttergen_jax.evaluation.studies.study import Study
 from cluttergen_jax.statistics import proportion, share_row
 from cluttergen_jax.tables import Table
 
 POOL = "household"
-_VIEWS, _QUICK_VIEWS = 300, 2
 _HEAD = ("masks", "cameras", "noise", "moments")
 _MASKS = ("mean IoU", "found", "false")
 _POSES = ("ADD-S < 5 mm", "turn < 5 deg", "both", "CPU-s")
@@ -32,9 +34,9 @@ _MASK_NOTES = (
 )
 
 
-def run(suite: SuiteFolder) -> Found:
+def _find_objects(suite: SuiteFolder, masks: Sequence[str], stem: Path) -> Found:
     """True masks, then the segmenter's; one camera and two; noise off and on."""
-    number, seed = suite.scale.scenes(_VIEWS, _QUICK_VIEWS), suite.scale.seed
+    number, seed = suite.scale.number(300, 2), suite.scale.seed
     views = perception_data(
         suite.folder / "data" / f"views-{number}-{seed}",
         pool=POOL,
@@ -47,16 +49,15 @@ def run(suite: SuiteFolder) -> Found:
     if suite.fresh:
         for old in out.glob("*.jsonl"):
             old.unlink()
-    asked = (TRUE_MASKS, POOL)
-    found = [perception_eval(views.path, each, seed=seed, out=out) for each in asked]
+    found = [perception_eval(views.path, each, seed=seed, out=out) for each in masks]
     rows = [row_of(result, row) for result in found for row in result.rows]
-    return Found(rows, tables_of(rows))
+    return Found(rows, tables=tables_of(rows))
 
 
 def row_of(result: PerceptionResult, row: PerceptionRow) -> Row:
     """What was found in the moments of one setting."""
     right = dict(zip(("adds", "turn", "both"), row.right().T, strict=True))
-    figures: dict[str, Any] = {name: proportion(each) for name, each in right.items()}
+    figures: Any = {name: proportion(each) for name, each in right.items()}
     if result.segmenter != TRUE_MASKS:
         figures |= {"segmenter": _masks(row.masks()), "corrected": _masks(row.masks(corrected=True))}
     figures["cpu"] = float(np.mean([each.cpu for each in row.moments]))
@@ -69,11 +70,11 @@ def row_of(result: PerceptionResult, row: PerceptionRow) -> Row:
     return {"trial": trial, "figures": figures}
 
 
-def _masks(told: MaskFigures) -> dict[str, Any]:
+def _masks(figures: MaskFigures) -> Row:
     return {
-        "mean_iou": told.mean_iou,
-        "found": share_row(told.found, told.visible),
-        "false": share_row(told.false, told.masks),
+        "mean_iou": figures.mean_iou,
+        "found": share_row(figures.found, figures.visible),
+        "false": share_row(figures.false, figures.masks),
     }
 
 
@@ -101,4 +102,12 @@ def tables_of(rows: list[Row]) -> list[Table]:
     ]
 
 
-PERCEPTION = DownstreamStudy("perception", "Known objects and their poses in noisy images", run, True)
+PERCEPTION = Study(
+    "perception",
+    "Known objects and their poses in noisy images",
+    1,
+    # The true masks, then the segmenter's.
+    lambda scale: (TRUE_MASKS, POOL),
+    measure=_find_objects,
+    needs_robot=True,
+)

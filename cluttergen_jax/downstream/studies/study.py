@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom, check_range
 from cluttergen_jax.downstream.placer.api import placer_data
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
-from cluttergen_jax.downstream.placer.evaluation.tables import Row
 from cluttergen_jax.downstream.placer.examples import ExampleSource
 from cluttergen_jax.downstream.placer.pairs.store import PairSet
 from cluttergen_jax.downstream.placer.training import PlacerTraining, preset
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.store import Store
+from cluttergen_jax.evaluation.studies.study import Findings, Scale
 from cluttergen_jax.evaluation.trial import MAX_TRIALS
 from cluttergen_jax.tables import Table
 
@@ -25,7 +25,6 @@ _SCENES, _QUICK_SCENES = 100, 2
 VALIDATING = (60, 600)
 """Scenes and pairs of the split `val` beside a training set."""
 _QUICK_PAIRS, _QUICK_EPOCHS = 100, 1
-_SEEDS = 3
 MOST_SEED = 999_999
 """Of pairs, whose splits' banks have seeds in ranges of their own."""
 
@@ -56,45 +55,32 @@ HOUSEHOLD = SETS[0]
 
 
 @dataclass(frozen=True)
-class Scale:
-    """How much is to be done.
+class DownstreamScale(Scale):
+    """How much is to be done by the suite `downstream`.
+
+    `trials` are test scenes, ten queries and one chain each, or episodes of a robot, or moments that
+    perception sees; `pools` choose among `SETS`; `seed` is also that of noise and proposals.
 
     Attributes:
-      quick: a look at everything within minutes; its figures say nothing.
-      num_scenes: of each test set, ten queries and one chain each, or episodes of a robot, or moments that
-        perception sees; the study's own number if None.
       num_pairs: the most that a placer learns from; what each study asks for if None.
-      seeds: training seeds; 3 if None, 1 if quick.
       heads: that are trained where a study asks for some; its own if empty.
-      pools: of the sets of `placement`; all if empty.
       bank: made by hand, for `source`.
-      seed: of scenes, noise and proposals.
     """
 
-    quick: bool = False
-    num_scenes: int | None = None
     num_pairs: int | None = None
-    seeds: int | None = None
     heads: tuple[str, ...] = ()
-    pools: tuple[str, ...] = ()
     bank: Path | None = None
-    seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.num_scenes is not None:
-            check_range("trials", self.num_scenes, 1, MAX_TRIALS, 1000)
+        if self.trials is not None:
+            check_range("trials", self.trials, 1, MAX_TRIALS, 1000)
         if self.num_pairs is not None:
             check_range("num_pairs", self.num_pairs, 1, MAX_PAIRS, 5000)
         check_range("seed", self.seed, 0, MOST_SEED, 0)
+        known = get_args(PlacerHead)
         for head in self.heads:
-            if head not in get_args(PlacerHead):
-                known = get_args(PlacerHead)
+            if head not in known:
                 raise ConfigError(f"head {head!r}", ", ".join(known), meant=closest(head, known))
-
-    @property
-    def training_seeds(self) -> range:
-        """Of trained placers."""
-        return range(self.seeds or (1 if self.quick else _SEEDS))
 
     @property
     def noises(self) -> tuple[float, ...]:
@@ -106,17 +92,17 @@ class Scale:
         """That a placer learns from."""
         return self.num_pairs or (_QUICK_PAIRS if self.quick else None)
 
-    def scenes(self, full: int = _SCENES, quick: int = _QUICK_SCENES) -> int:
-        """Of a test set."""
-        return self.num_scenes or (quick if self.quick else full)
-
-    def capped(self, num_pairs: int) -> int:
+    def pairs(self, number: int) -> int:
         """So many pairs, or as many as are allowed."""
-        return min(num_pairs, self.most_pairs or num_pairs)
+        return min(number, self.most_pairs or number)
 
-    def chosen(self, *heads: str) -> tuple[str, ...]:
-        """The heads of a study: those that were asked for, else its own."""
-        return self.heads or heads
+    def heads_or(self, *default: str) -> tuple[str, ...]:
+        """The heads that were asked for, else a study's own."""
+        return self.heads or default
+
+    def sets(self, *some: PlacementSet) -> list[PlacementSet]:
+        """Those of some sets whose pools were asked for; the first alone if quick."""
+        return [one for one in some if one.pool in self.pools_or(one.pool)][: 1 if self.quick else None]
 
 
 @dataclass(frozen=True)
@@ -130,7 +116,7 @@ class SuiteFolder:
     """
 
     folder: Path
-    scale: Scale = field(default_factory=Scale)
+    scale: DownstreamScale = field(default_factory=DownstreamScale)
     num_threads: int = 0
     fresh: bool = False
 
@@ -138,7 +124,7 @@ class SuiteFolder:
         self, asked: PlacementSet = HOUSEHOLD, num_scenes: int | None = None, **more: Any
     ) -> PairSet:
         """The queries of a set."""
-        number = num_scenes or self.scale.scenes()
+        number = num_scenes or self.scale.number(_SCENES, _QUICK_SCENES)
         return self._pairs(
             f"{asked.name}-{number}",
             pool=asked.pool,
@@ -191,27 +177,28 @@ class SuiteFolder:
         place, seed = self.folder / "data" / f"{name}-{self.scale.seed}", self.scale.seed
         return placer_data(place, seed=seed, num_threads=self.num_threads, **settings)
 
-    def trained(
+    def train(
         self,
         name: str,
         pairs: PairSet | Sequence[PairSet],
         head: str,
-        seed: int,
         num_pairs: int | None = None,
         noise: PlacerNoise = "both",
         held_out: Literal["scenes", "pairs"] = "scenes",
         encoder_weights: Path | None = None,
         num_epochs: int | None = None,
-    ) -> Path:
-        """A placer's run, `runs/NAME-SEED`: as `placer_train` makes it, from disk or now."""
-        epochs = _QUICK_EPOCHS if self.scale.quick else num_epochs
-        found, config = preset(head, "cpu", "printed", encoder_weights)
-        config = config.replace_given(num_epochs=epochs, seed=seed)
+    ) -> dict[int, Path]:
+        """Placers by training seed, `runs/NAME-SEED`: as `placer_train` makes them, from disk or now."""
         sets = (pairs,) if isinstance(pairs, PairSet) else tuple(pairs)
-        source = ExampleSource(tuple(each.path for each in sets), noise, seed, num_pairs, held_out)
-        run = self.folder / "runs" / f"{name}-{seed}"
-        PlacerTraining(found, config, source, run).run()
-        return run
+        runs = {}
+        for seed in self.scale.training_seeds:
+            found, config = preset(head, "cpu", "printed", encoder_weights)
+            epochs = _QUICK_EPOCHS if self.scale.quick else num_epochs
+            config = config.replace_given(num_epochs=epochs, seed=seed)
+            source = ExampleSource(tuple(each.path for each in sets), noise, seed, num_pairs, held_out)
+            runs[seed] = self.folder / "runs" / f"{name}-{seed}"
+            PlacerTraining(found, config, source, runs[seed]).run()
+        return runs
 
     def trials(
         self, pairs: PairSet, split: str = "test", num_cameras: int = 1, tenth: int | None = None
@@ -223,24 +210,9 @@ class SuiteFolder:
         )
 
 
-class Found(NamedTuple):
+@dataclass(frozen=True)
+class Found(Findings):
     """What a study found: rows as they are stored, and tables of them."""
 
-    records: list[Row]
-    tables: list[Table]
-
-
-@dataclass(frozen=True)
-class DownstreamStudy:
-    """One question.
-
-    Attributes:
-      name: for `only` and files; title: for people.
-      run: makes its rows and tables, or takes them from disk.
-      needs_robot: the extras `robot` and `perception` must be there.
-    """
-
-    name: str
-    title: str
-    run: Callable[[SuiteFolder], Found]
-    needs_robot: bool = False
+    rows: list[Any] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)

@@ -7,6 +7,5 @@ arrangement: scenes by object index, positions in the queried region. diversity:
 with a distance, nearest neighbours, Vendi score, entropy in plan view, boxes. acceptance: what passes less
 often than it is proposed. scene_models, simulate: plain MuJoCo models of what stands, and
 running them. robustness: creep, shake, tilted gravity, changed physics. contacts: forces and who rests on
-whom. relations: on, in, under, leaning. survival: the same scenes in PyBullet or Drake. certificate: a
-scene's stability in numbers.
+whom. relations: on, in, under, leaning. survival: the same scenes in PyBullet or Drake.
 """

@@ -78,7 +78,7 @@ def relations(
 
     def run(scene: int) -> None:
         model = models.of(is_placed[scene])
-        covered[scene] = _covered(model, models.world.objects, poses[scene])
+        covered[scene] = _covered_shares(model, models.world.objects, poses[scene])
         is_in[scene, :, :-1] = _inside(models.world.objects, poses[scene], is_placed[scene])
 
     each_scene(run, len(poses), num_threads)
@@ -142,7 +142,7 @@ def _inside(objects: Sequence[ObjectAsset], poses: np.ndarray, is_placed: np.nda
     return result
 
 
-def _covered(scene: SceneModel, objects: Sequence[ObjectAsset], poses: np.ndarray) -> np.ndarray:
+def _covered_shares(scene: SceneModel, objects: Sequence[ObjectAsset], poses: np.ndarray) -> np.ndarray:
     """f64[K, K + 1]: the share of i's surface points over which the next body straight above is j."""
     data, geom = scene.start(poses), np.zeros(1, np.int32)
     index = np.append(scene.objects, len(objects))[scene.layout.geom_object]

@@ -13,31 +13,14 @@ from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneMod
 from cluttergen_jax.evaluation.measures.simulate import (
     MAX_SHIFT,
     MAX_TURN,
-    Movement,
     each_scene,
     movement,
     shift_and_turn,
 )
 from cluttergen_jax.physics.simulations import SOFT_SOLIMP, SOFT_SOLREF
 
-CREEP_SECONDS = (1.0, 10.0, 60.0)
 _LOOK_EVERY, _LOOK_EVERY_TILTED = 4, 12
 """Steps between two looks at how far anything has moved."""
-
-
-def creep(
-    models: SceneModels,
-    poses: np.ndarray,
-    is_placed: np.ndarray,
-    seconds: Sequence[float] = CREEP_SECONDS,
-    num_threads: int = 0,
-) -> Movement:
-    """How far anything moves by itself within 1, 10 and 60 s; `largest_shift` is the scene's creep, metres.
-
-    Args:
-      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
-    """
-    return movement(models, poses, is_placed, seconds, num_threads)
 
 
 @dataclass(frozen=True)
@@ -140,7 +123,7 @@ PHYSICS_CHANGES = (
 )
 
 
-def changed(models: SceneModels, change: Change) -> SceneModels:
+def change_physics(models: SceneModels, change: Change) -> SceneModels:
     """The same objects under other physics."""
     stability, contact = models.stability, models.contact
     sliding, torsional, rolling = (change.friction * each for each in contact.friction)
@@ -162,8 +145,6 @@ def survives(
     changes: Sequence[Change] = PHYSICS_CHANGES,
     seconds: float = 10.0,
     num_threads: int = 0,
-    max_shift: float = MAX_SHIFT,
-    max_turn: float = MAX_TURN,
 ) -> dict[str, np.ndarray]:
     """Which scenes stand under changed physics: nothing moves 5 mm or turns 5 degrees.
 
@@ -174,12 +155,11 @@ def survives(
     Returns:
       bool[N] for each change's name; its mean is the share that survives.
     """
-    return {
-        change.name: movement(changed(models, change), poses, is_placed, (seconds,), num_threads).survives(
-            max_shift, max_turn
-        )[:, 0]
+    found = {
+        change.name: movement(change_physics(models, change), poses, is_placed, (seconds,), num_threads)
         for change in changes
     }
+    return {name: each.survives()[:, 0] for name, each in found.items()}
 
 
 @dataclass(frozen=True)
@@ -241,15 +221,12 @@ def _stands(scene: SceneModel, poses: np.ndarray, turn: float, config: TiltConfi
     for place in reversed(range(len(config.degrees))):
         angle = np.radians(config.degrees[place])
         sideways = np.sin(angle) * np.array([np.cos(turn), np.sin(turn)])
-        if _withstands(scene, poses, np.append(sideways, -np.cos(angle)), config.seconds):
+        # Gravity belongs to the model, which other threads use at the same time.
+        down = np.append(sideways, -np.cos(angle))
+        if _stays(scene, scene.own_model(), poses, down, config.seconds, 3):
             break
         result[place] = False
     return result
-
-
-def _withstands(scene: SceneModel, poses: np.ndarray, down: np.ndarray, seconds: float) -> bool:
-    # Gravity belongs to the model, which other threads use at the same time.
-    return _stays(scene, scene.own_model(), poses, down, seconds, 3)
 
 
 def _stays(

@@ -13,22 +13,23 @@ from cluttergen_jax.assets.pool import ALL, find_pool
 from cluttergen_jax.evaluation.cells import (
     EFFORT,
     EFFORT_NOTES,
+    FILL,
     SPEED,
+    SUCCESS,
     Column,
-    Row,
-    asked,
+    made_rows,
     missing,
     name_of,
-    number,
-    share_of,
+    request_columns,
     table_of,
 )
-from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, save, success_line
-from cluttergen_jax.evaluation.rivals import OURS, success_notes
+from cluttergen_jax.evaluation.plots import add_legend, new_figure, plot_success, prepare, save
+from cluttergen_jax.evaluation.rankings import OURS, success_notes
+from cluttergen_jax.evaluation.records import Result, Row
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows, with_seeds
-from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
+from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
 from cluttergen_jax.evaluation.studies.table1 import ALL_METHODS
-from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.evaluation.trial import Trial, trial_of
 from cluttergen_jax.tables import Table
 
 SIZES = ("0.60x0.70", "0.50x0.60", "0.40x0.50", "0.35x0.45", "0.30x0.40")
@@ -69,7 +70,7 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
     """All methods on tables of six sizes, then those that fill a table on tables filled by so much."""
     base = scale.trial(256, 8)
     names = (*ALL_METHODS, "drop, ruin", "clear, ruin")
-    ladder = grid(base, pool=scale.chosen("dining"), support=table_sizes(*SIZES, _NARROW))
+    ladder = grid(base, pool=scale.pools_or("dining"), support=table_sizes(*SIZES, _NARROW))
     filled = [
         replace(base, pool=ALL, num_objects=_FILL_OBJECTS, support=filled_table(fill)) for fill in FILLS
     ]
@@ -86,37 +87,33 @@ def crowds(scale: Scale) -> tuple[Trial, ...]:
     return with_seeds(rows, OURS, scale.seeds)
 
 
+FILL_NOTE = "fill: the sum of the objects' footprints (boxes from above) over the region's area, on average"
+
+
 def tables(result: Result) -> list[Table]:
     """Success and cost, by rung."""
-    made = [row for row in result["records"] if "figures" in row]
-    lacking = [row for row in result["records"] if "figures" not in row]
+    made = made_rows(result["records"])
+    has_seeds = any(row["trial"]["training_seed"] for row in made)
     columns = (
-        *asked("pool"),
+        *request_columns("pool"),
         Column("rung", _rung),
-        Column("fill", lambda row: number(row["figures"].get("fill"), 2)),
-        *asked("method"),
-        *_seeds(made),
-        Column("success [95 %]", lambda row: share_of(row["figures"])),
+        FILL,
+        *request_columns("method"),
+        *(request_columns(training_seed="training seed") if has_seeds else ()),
+        SUCCESS,
         *EFFORT,
         SPEED,
     )
     notes = (
         "n: the objects of a scene; 5 n attempts a scene unless the rung says otherwise, cut off as soon as "
         "they can no longer succeed; what overhangs can fall",
-        "fill: the sum of the objects' footprints (boxes from above) over the region's area, on average",
+        FILL_NOTE,
         *EFFORT_NOTES,
         *RULES,
         *success_notes(made, _question),
-        *dict.fromkeys(map(missing, lacking)),
+        *dict.fromkeys(missing(row) for row in result["records"] if "figures" not in row),
     )
     return [table_of(result["title"] + margin_of(made), columns, made, notes)]
-
-
-def _seeds(rows: list[Row]) -> tuple[Column, ...]:
-    """A column of training seeds where there is more than one."""
-    if not any(row["trial"]["training_seed"] for row in rows):
-        return ()
-    return (Column("training seed", lambda row: str(row["trial"]["training_seed"])),)
 
 
 def _question(row: Row) -> str:
@@ -124,15 +121,14 @@ def _question(row: Row) -> str:
 
 
 def _rung(row: Row) -> str:
-    """Where a row stands: its table, or its number of objects, or both."""
-    trial = row["trial"]
-    size, number_of = trial["support"].removeprefix("table-"), trial["num_objects"]
-    objects = f"{number_of} objects"
-    if trial.get("budget"):
-        objects += f", {trial['budget'] // number_of} n attempts"
+    """A row's table, or its number of objects, or both."""
+    trial = trial_of(row)
+    size, objects = trial.support.removeprefix("table-"), f"{trial.num_objects} objects"
+    if trial.budget:
+        objects += f", {trial.budget // trial.num_objects} n attempts"
     if size == "table":
         return objects
-    return f"{size} m" if trial["pool"] != ALL else f"{objects}, {size} m"
+    return f"{size} m" if trial.pool != ALL else f"{objects}, {size} m"
 
 
 def plot(rows: list[Row], stem: Path) -> list[str]:
@@ -150,7 +146,9 @@ def plot(rows: list[Row], stem: Path) -> list[str]:
     for axis, pool, panel, places in zip(axes, pools, panels, rungs, strict=True):
         _panel(axis, panel, places)
         prepare(axis, pool if len(pools) > 1 else "", "", "success" if axis is axes[0] else "")
-        axis.set_xticks(range(len(places)), [_lines(rung) for rung in places], fontsize=6)
+        # Short enough to stand side by side.
+        labels = [rung.replace(", ", "\n").replace("x", " x\n", 1) for rung in places]
+        axis.set_xticks(range(len(places)), labels, fontsize=6)
     add_legend(figure)
     return save(figure, stem)
 
@@ -159,16 +157,12 @@ def _panel(axis: Any, rows: list[Row], rungs: list[str]) -> None:
     rungs_of = {name: {_rung(row) for row in rows if name_of(row) == name} for name in map(name_of, rows)}
     names = [name for name, own in rungs_of.items() if len(own) > 1 or len(rungs) == 1]
     for turn, name in enumerate(names):
-        chosen = [row for row in rows if name_of(row) == name]
+        some = [row for row in rows if name_of(row) == name]
         # Side by side, so that equal rates do not hide one another.
         shift = _APART * (turn - (len(names) - 1) / 2)
-        x = [rungs.index(_rung(row)) + shift for row in chosen]
-        success_line(axis, name, x, [row["figures"] for row in chosen])
-
-
-def _lines(rung: str) -> str:
-    """A rung's label, short enough to stand beside others."""
-    return rung.replace(", ", "\n").replace("x", " x\n", 1)
+        plot_success(
+            axis, name, [rungs.index(_rung(row)) + shift for row in some], [row["figures"] for row in some]
+        )
 
 
 DENSITY = Study(
@@ -176,16 +170,8 @@ DENSITY = Study(
     "Tables of exactly the region's size: ten objects, then twenty of `all` by fill",
     256,
     trials,
-    tables,
+    make_tables=tables,
     plot=plot,
     question=_question,
 )
-CROWDS = Study(
-    "crowds",
-    "Objects of the pool `all` on 0.60 x 0.70 m",
-    256,
-    crowds,
-    tables,
-    plot=plot,
-    question=_question,
-)
+CROWDS = replace(DENSITY, name="crowds", title="Objects of the pool `all` on 0.60 x 0.70 m", trials=crowds)

@@ -9,19 +9,25 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.assets.pool import EMBEDDED
-from cluttergen_jax.evaluation.cells import Column, Row, asked, number, table_of
+from cluttergen_jax.evaluation.cells import Column, number, request_columns
 from cluttergen_jax.evaluation.measures.relations import Relation, count_relations, relations
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.studies.contact_sheets import SAMPLES, sheet
-from cluttergen_jax.evaluation.studies.findings import Findings, Successes, each_standing, row_of
-from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows
-from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid, of_methods
+from cluttergen_jax.evaluation.studies.pictures import draw_scene, if_drawable, sheet
+from cluttergen_jax.evaluation.studies.rules import RULES, named_rows
+from cluttergen_jax.evaluation.studies.study import (
+    Findings,
+    Scale,
+    Study,
+    Successes,
+    each_success,
+    grid,
+    of_methods,
+    row_of,
+)
 from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN, first_seed
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.rendering.assets import render_scene
-from cluttergen_jax.rendering.gl import renderer_status
-from cluttergen_jax.tables import Table
 
 _EXAMPLES = 2
 """Scenes drawn of each relation."""
@@ -32,7 +38,7 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
 
     Nobody is asked for a support margin, as in table 1.
     """
-    bases = grid(scale.trial(1000, 6), pool=scale.chosen(*EMBEDDED))
+    bases = grid(scale.trial(1000, 6), pool=scale.pools_or(*EMBEDDED))
     ours = [replace(each, min_margin=0.0) for each in named_rows(bases, "spread", "guided")]
     return (*of_methods(first_seed(scale), CLUTTERGEN, "policy", "random"), *ours)
 
@@ -41,7 +47,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     """Counts from contacts, with examples."""
     rows: list[Row] = []
     examples = []
-    for trial, scenes in each_standing(runner, trials, rows):
+    for trial, scenes in each_success(runner, trials, rows):
         models = SceneModels(scenes.world)
         relation = relations(models, scenes.poses, scenes.is_placed, num_threads=runner.num_threads)
         among = relation[:, :, :-1]
@@ -68,50 +74,39 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     return Findings(rows, drawn.pictures, drawn.notes)
 
 
+@if_drawable
 def _pictures(examples: Sequence[tuple[Trial, Successes, np.ndarray]], stem: Path) -> Findings:
     """A contact sheet of scenes with relations between objects, as many kinds as there are."""
-    can_draw, message = renderer_status()
-    if not can_draw:
-        return Findings(notes=[f"not drawn: {message}"])
     found: dict[str, tuple[Successes, int]] = {}
     for kind in (Relation.IN, Relation.UNDER, Relation.LEANING, Relation.ON):
-        chosen = 0
+        number_drawn = 0
         for trial, scenes, among in examples:
             hits = np.argwhere(among == kind)
-            if len(hits) and chosen < _EXAMPLES:
+            if len(hits) and number_drawn < _EXAMPLES:
                 scene, i, j = (int(each) for each in hits[0])
                 names = scenes.world.names
                 caption = f"{names[i]} {kind.label} {names[j]} ({trial.pool_name}, {trial.method})"
                 found[caption] = (scenes, scene)
-                chosen += 1
-    return sheet([draw(*place) for place in found.values()], list(found), stem)
+                number_drawn += 1
+    return sheet([draw_scene(*place) for place in found.values()], list(found), stem)
 
 
-def draw(scenes: Successes, scene: int) -> np.ndarray:
-    """uint8[H, W, 3]: one of the successful scenes, seen closely."""
-    here = np.flatnonzero(scenes.is_placed[scene])
-    objects, poses = [scenes.world.objects[k] for k in here], scenes.poses[scene, here]
-    return render_scene(
-        objects, poses, scenes.world.support, close=True, width=480, height=360, samples=SAMPLES
-    )
-
-
-def tables(result: Result) -> list[Table]:
-    """Relations per hundred scenes, and the commonest pairs."""
-    columns = (
-        *asked("pool", "method"),
+RELATIONS = Study(
+    "relations",
+    "Relations that arise by themselves",
+    1000,
+    trials,
+    (
+        *request_columns("pool", "method"),
         Column("relation", lambda row: row.get("relation", "-"), is_asked=True),
         Column("per 100 scenes", lambda row: number(100 * row["count"] / row["scenes"])),
         Column("scenes with one", lambda row: f"{row['scenes_with']} of {row['scenes']}"),
-        Column("commonest", _commonest),
-    )
-    rows = result["measure"]["rows"]
-    notes = ("between objects, counted from contacts, in valid scenes", *RULES)
-    return [table_of(result["title"] + margin_of(rows), columns, rows, notes)]
-
-
-def _commonest(row: Row) -> str:
-    return "; ".join(f"{each['what']} ({each['count']})" for each in row["commonest"]) or "-"
-
-
-RELATIONS = Study("relations", "Relations that arise by themselves", 1000, trials, tables, measure)
+        Column(
+            "commonest",
+            lambda row: "; ".join(f"{each['what']} ({each['count']})" for each in row["commonest"]) or "-",
+        ),
+    ),
+    ("between objects, counted from contacts, in valid scenes", *RULES),
+    measure,
+    says_margin=True,
+)

@@ -10,7 +10,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.cells import Row
+from cluttergen_jax.evaluation.cells import request_of
+from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.trial import RANDOM_ORDER, ROBUST, RUIN, TIDY, Trial
 from cluttergen_jax.placement.config import RUIN_AFTER
 from cluttergen_jax.spec import SceneSpec
@@ -34,50 +35,37 @@ def with_rules_of(trial: Trial, spec: SceneSpec) -> Trial:
     )
 
 
-def with_ruin(trial: Trial) -> Trial:
-    """The trial with the largest objects mostly first, and some taken away again where it is stuck."""
-    return replace(trial, order="weighted", ruin_after=min(RUIN_AFTER, trial.attempts))
-
-
-def without_ruin(trial: Trial) -> Trial:
-    """The trial with objects in random order, none of them ever taken away."""
-    return replace(trial, order="random", ruin_after=0)
-
-
-def when_tidy(trial: Trial) -> Trial:
-    """The trial with the best pose of those that are trusted, not any."""
-    return replace(trial, tidy=True)
-
-
-def when_robust(trial: Trial) -> Trial:
-    """The trial with robust scenes asked for."""
-    return replace(trial, robust=True)
-
-
-_CHANGED = {RUIN: with_ruin, RANDOM_ORDER: without_ruin, TIDY: when_tidy, ROBUST: when_robust}
+_CHANGES = {
+    RUIN: lambda trial: replace(trial, order="weighted", ruin_after=min(RUIN_AFTER, trial.attempts)),
+    RANDOM_ORDER: lambda trial: replace(trial, order="random", ruin_after=0),
+    TIDY: lambda trial: replace(trial, tidy=True),
+    ROBUST: lambda trial: replace(trial, robust=True),
+}
+"""Rules after a method's name: objects mostly by size and some taken away again where it is stuck; in random
+order and none taken away; the best pose of those that are trusted, not any; robust scenes."""
 
 
 def named_rows(bases: Iterable[Trial], *names: str) -> tuple[Trial, ...]:
-    """Rows of every base by their names in tables (`trial.row_name`), the names vary fastest.
+    """Rows of every base by their names in tables (`Trial.row_name`), the names vary fastest.
 
     Args:
-      names: METHOD by its own rules; after it, each behind a comma, "ruin" (`with_ruin`), "random order"
-        (`without_ruin`), "tidy" (`when_tidy`) and "robust" (`when_robust`).
+      names: METHOD by its own rules; after it, each behind a comma, "ruin", "random order", "tidy" and
+        "robust".
 
     Raises:
       ConfigError: there are no such rules.
     """
-    return tuple(_named(base, name) for base in bases for name in names)
 
+    def row(base: Trial, name: str) -> Trial:
+        method, *rules = name.split(", ")
+        trial = own_rules(replace(base, method=method))
+        for each in rules:
+            if each not in _CHANGES:
+                raise ConfigError(f"a row {name!r}", f"a method, and after commas {', '.join(_CHANGES)}")
+            trial = _CHANGES[each](trial)
+        return trial
 
-def _named(base: Trial, name: str) -> Trial:
-    method, *rules = name.split(", ")
-    trial = own_rules(replace(base, method=method))
-    for each in rules:
-        if each not in _CHANGED:
-            raise ConfigError(f"a row {name!r}", f"a method, and after commas {', '.join(_CHANGED)}")
-        trial = _CHANGED[each](trial)
-    return trial
+    return tuple(row(base, name) for base in bases for name in names)
 
 
 def with_seeds(trials: Iterable[Trial], method: str, seeds: int | None) -> tuple[Trial, ...]:
@@ -91,7 +79,7 @@ def with_seeds(trials: Iterable[Trial], method: str, seeds: int | None) -> tuple
 
 def margin_of(rows: Iterable[Row]) -> str:
     """What a heading says of the support margin that all rows ask for; "" if there are no rows."""
-    margins = sorted({float(row.get("trial", row).get("min_margin", 0.0)) for row in rows})
+    margins = sorted({float(request_of(row).get("min_margin", 0.0)) for row in rows})
     if not margins:
         return ""
     if margins == [0.0]:

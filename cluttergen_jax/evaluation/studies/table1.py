@@ -8,23 +8,23 @@ hand. Stable steps are those of all attempts of an object added up.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.evaluation.cells import (
     LOOSE,
     STRICT,
     Column,
-    Row,
-    asked,
+    made_rows,
     name_of,
-    pooled,
+    pooled_success,
+    request_columns,
     share,
     stable_steps,
     table_of,
 )
-from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
-from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.evaluation.records import Result, Row
+from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
+from cluttergen_jax.evaluation.trial import Trial, trial_of
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.tables import Table
 
@@ -80,24 +80,21 @@ def papers(method: str, pool: str) -> tuple[float, int] | None:
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
     """Every method on every pool, learned ones for each seed of training."""
-    base, pools = scale.counted_twice(1000, 6), scale.chosen(*EMBEDDED)
+    base, pools = scale.trial_by_both_counts(1000, 6), scale.pools_or(*EMBEDDED)
     rows = grid(base, pool=pools, method=TABLE_METHODS, training_seed=scale.training_seeds)
     once = (row for row in rows if row.training_seed == 0 or row.method not in BASELINES)
-    return tuple(each for row in once for each in _with_free_height(row))
-
-
-def _with_free_height(row: Trial) -> tuple[Trial, ...]:
-    """The row, and before that of `random` the same with a height that is drawn, too."""
-    return (replace(row, height="free"), row) if row.method == "random" else (row,)
+    # `random` also with a height that is drawn.
+    heights = {"random": ("free", "rest")}
+    return tuple(each for row in once for each in grid(row, height=heights.get(row.method, ("rest",))))
 
 
 def imported_trials(scale: Scale) -> tuple[Trial, ...]:
     """The full method and chance on the paper's own objects, as far as they were imported."""
-    base = scale.counted_twice(1000, 6)
+    base = scale.trial_by_both_counts(1000, 6)
     return tuple(
         trial
         for pool, number in scale.imported
-        if pool in scale.chosen(pool)
+        if pool in scale.pools_or(pool)
         for trial in grid(base, pool=(pool,), num_objects=(number,), method=("random", "policy"))
     )
 
@@ -115,29 +112,39 @@ _OF_SEEDS = (
 
 def tables(result: Result) -> list[Table]:
     """Success and stable steps by pool and method, training seeds taken together."""
+    groups = _groups(result["records"])
+    # The first row stands for its group.
+    made = {id(group[0]): made_rows(group) for group in groups}
+
+    def seeds(row: Row) -> str:
+        rows = made[id(row)]
+        return "-" if rows and not any(each.get("policy") for each in rows) else str(len(rows))
+
+    def by_seed(row: Row) -> str:
+        rates = [share(each["figures"]["success"]) for each in made[id(row)]]
+        return " ".join(rates) if len(rates) > 1 else "-"
+
     columns = (
-        *asked("pool", "method"),
-        Column("seeds", _seeds, is_asked=True),
-        Column("success, strict [95 %]", lambda group: pooled(group["made"], is_loose=False)),
-        Column("by seed", _by_seed),
-        Column("success, paper's count [95 %]", lambda group: pooled(group["made"], is_loose=True)),
-        Column("stable steps", lambda group: stable_steps(group["made"])),
-        Column("paper: success", lambda group: _papers_cell(group, 0), is_asked=True),
-        Column("paper: steps", lambda group: _papers_cell(group, 1), is_asked=True),
-        Column("what differs", lambda group: differs(group["made"][0])),
+        *request_columns("pool", "method"),
+        Column("seeds", seeds, is_asked=True),
+        Column("success, strict [95 %]", lambda row: pooled_success(made[id(row)])),
+        Column("by seed", by_seed),
+        Column("success, paper's count [95 %]", lambda row: pooled_success(made[id(row)], is_loose=True)),
+        Column("stable steps", lambda row: stable_steps(made[id(row)])),
+        Column("paper: success", lambda row: _papers_cell(row, 0), is_asked=True),
+        Column("paper: steps", lambda row: _papers_cell(row, 1), is_asked=True),
+        Column("what differs", differs),
     )
-    groups = [_joined(rows) for rows in _groups(result["records"])]
-    has_several = any(len(group["made"]) > 1 for group in groups)
     notes = (
         STRICT,
         LOOSE,
         "stable steps: all attempts of a placed object added up, mean ± standard deviation over objects, by "
         "the paper's count, attempts run to step 240",
         "seeds: of training; rows with fewer than were asked for are of those that have a checkpoint",
-        *([_OF_SEEDS] if has_several else ()),
+        *([_OF_SEEDS] if any(len(rows) > 1 for rows in made.values()) else ()),
         *differences(result),
     )
-    return [table_of(result["title"], columns, groups, notes)]
+    return [table_of(result["title"], columns, [group[0] for group in groups], notes)]
 
 
 def _groups(rows: list[Row]) -> list[list[Row]]:
@@ -153,34 +160,18 @@ def _groups(rows: list[Row]) -> list[list[Row]]:
     return alike
 
 
-def _joined(rows: list[Row]) -> Row:
-    """The rows of all training seeds as one, missing if all are."""
-    made = [row for row in rows if "figures" in row]
-    return {"trial": rows[0]["trial"], "made": made} | ({} if made else rows[0])
-
-
-def _seeds(group: Row) -> str:
-    made: list[Any] = group["made"]
-    return "-" if made and not any(row.get("policy") for row in made) else str(len(made))
-
-
-def _by_seed(group: Row) -> str:
-    seeds = [share(row["figures"]["success"]) for row in group["made"]]
-    return " ".join(seeds) if len(seeds) > 1 else "-"
-
-
-def _papers_cell(group: Row, place: int) -> str:
-    theirs = papers(group["trial"]["method"], group["trial"]["pool"])
+def _papers_cell(row: Row, place: int) -> str:
+    theirs = papers(row["trial"]["method"], row["trial"]["pool"])
     return (share(theirs[0]), str(theirs[1]))[place] if theirs else "-"
 
 
-def differs(row: dict[str, Any]) -> str:
+def differs(row: Row) -> str:
     """What sets a row apart from the paper's; `differences` has the words behind it."""
-    trial, policy = row["trial"], row.get("policy") or {}
-    parts = ["engine", *(["assets"] if trial["pool"] in GROUP_OF_POOL else [])]
-    if trial["num_objects"] != OBJECTS:
-        parts.append(f"{trial['num_objects']} objects for {OBJECTS}")
-    if trial["method"] == "random" and trial.get("height") != "free":
+    trial, policy = trial_of(row), dict(row.get("policy") or {})
+    parts = ["engine", *(["assets"] if trial.pool in GROUP_OF_POOL else [])]
+    if trial.num_objects != OBJECTS:
+        parts.append(f"{trial.num_objects} objects for {OBJECTS}")
+    if trial.method == "random" and trial.height != "free":
         parts.append("height")
     parts += [
         words.format(policy[name])
@@ -206,7 +197,7 @@ _SETTINGS = {
 """Of how a policy was trained (`ResolvedTrial.policy`): the paper's values, and what is said of others."""
 
 
-def differences(result: dict[str, Any]) -> tuple[str, ...]:
+def differences(result: Result) -> tuple[str, ...]:
     """Notes below a table with a column of `differs`."""
     pools = dict.fromkeys(row["trial"]["pool"] for row in result["records"])
     groups = [(pool, *GROUP_OF_POOL[pool]) for pool in pools if pool in GROUP_OF_POOL]
@@ -218,7 +209,7 @@ def differences(result: dict[str, Any]) -> tuple[str, ...]:
         f"what differs from the paper: {engine}; its policies had {BUDGET:,} training attempts",
         *([f"assets: modelled objects, {stands}"] if groups else []),
         "height: `random` lets go at the object's own resting height",
-        *([_FREE] if any(row["trial"].get("height") == "free" for row in result["records"]) else ()),
+        *([_FREE] if any(trial_of(row).height == "free" for row in result["records"]) else ()),
         *([_NOT_NOTED] if any(_is_not_noted(row) for row in result["records"]) else ()),
     )
 
@@ -239,5 +230,13 @@ def _is_not_noted(row: Row) -> bool:
     return policy.get("preset") == "cpu" and "reward" not in policy
 
 
-TABLE1 = Study("table1", "Success and stable steps by method and pool (table 1)", 1000, trials, tables)
-IMPORTED_GROUPS = Study("imported", "The same with the paper's own objects", 1000, imported_trials, tables)
+TABLE1 = Study(
+    "table1",
+    "Success and stable steps by method and pool (table 1)",
+    1000,
+    trials,
+    make_tables=tables,
+)
+IMPORTED_GROUPS = replace(
+    TABLE1, name="imported", title="The same with the paper's own objects", trials=imported_trials
+)

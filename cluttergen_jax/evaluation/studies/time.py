@@ -9,23 +9,21 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from cluttergen_jax.evaluation.cells import Column, asked, number, table_of
+from cluttergen_jax.evaluation.cells import Column, number_column, request_columns
+from cluttergen_jax.evaluation.rankings import by_question, ranking
+from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
-from cluttergen_jax.evaluation.rivals import by_question, ranking
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.studies.findings import Findings, row_of
-from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, own_rules
-from cluttergen_jax.evaluation.studies.study import Result, Scale, Study, grid
+from cluttergen_jax.evaluation.studies.rules import RULES, own_rules
+from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, grid, row_of
 from cluttergen_jax.evaluation.studies.table1 import ALL_METHODS
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.tables import Table
 
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
     """All methods by their own rules, one after another."""
-    rows = grid(scale.trial(256, 8), pool=scale.chosen("dining"), method=ALL_METHODS)
+    rows = grid(scale.trial(256, 8), pool=scale.pools_or("dining"), method=ALL_METHODS)
     return tuple(map(own_rules, rows))
 
 
@@ -42,13 +40,13 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
             runner.begin(f"time of {trial.title} on {cores} cores")
             order = {"trial": asdict(trial), "cores": cores, "engine": runner.engine}
             order["checkpoint"] = checkpoint and str(checkpoint.path)
-            rows.append(row_of(trial, **_timed(order)))
+            rows.append(row_of(trial, _run_apart(json.dumps(order))))
     return Findings(rows)
 
 
-def _timed(order: dict[str, Any]) -> dict[str, Any]:
+def _run_apart(order: str) -> Row:
     """What `timing.main` prints, run in a process that sees so many cores."""
-    command = [sys.executable, "-m", "cluttergen_jax.evaluation.timing", json.dumps(order)]
+    command = [sys.executable, "-m", "cluttergen_jax.evaluation.timing", order]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         said = "".join(done.stderr.strip().splitlines()[-1:])
@@ -56,28 +54,36 @@ def _timed(order: dict[str, Any]) -> dict[str, Any]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def tables(result: Result) -> list[Table]:
-    """Seconds per scene."""
-    columns = (
-        *asked("pool", "method"),
-        Column("cores", lambda row: str(row.get("cores", "-")), is_asked=True),
-        Column("valid scenes", lambda row: f"{row['valid']} of {row['scenes']}"),
-        Column("whole process, s", lambda row: number(row["seconds"])),
-        Column("s per valid scene", lambda row: number(row["seconds_per_valid_scene"], 4)),
-        Column("without start, s", lambda row: number(row["running_seconds_per_valid_scene"], 4)),
-    )
-    notes = (
-        "wall time of a process of its own, from its first import to its last scene; the last column leaves "
-        "out imports, models and compilation; rejected work is included in both",
-    )
-    rows = result["measure"]["rows"]
+def _notes(rows: list[Row]) -> list[str]:
     by_cores = by_question([row for row in rows if "cores" in row], lambda row: str(row["cores"]))
     ranks = (
         f"s per valid scene without start, cores {cores}, least first: "
         f"{ranking(group, 'running_seconds_per_valid_scene', 4, falls=False)}"
         for cores, group in by_cores.items()
     )
-    return [table_of(result["title"] + margin_of(rows), columns, rows, (*notes, *RULES, *ranks))]
+    return [
+        "wall time of a process of its own, from its first import to its last scene; the last column leaves "
+        "out imports, models and compilation; rejected work is included in both",
+        *RULES,
+        *ranks,
+    ]
 
 
-TIME = Study("time", "Time per valid scene, end to end", 256, trials, tables, measure, measured_as="timing")
+TIME = Study(
+    "time",
+    "Time per valid scene, end to end",
+    256,
+    trials,
+    (
+        *request_columns("pool", "method"),
+        Column("cores", lambda row: str(row.get("cores", "-")), is_asked=True),
+        Column("valid scenes", lambda row: f"{row['valid']} of {row['scenes']}"),
+        number_column("whole process, s", "seconds"),
+        number_column("s per valid scene", "seconds_per_valid_scene", 4),
+        number_column("without start, s", "running_seconds_per_valid_scene", 4),
+    ),
+    _notes,
+    measure,
+    says_margin=True,
+    measured_as="timing",
+)

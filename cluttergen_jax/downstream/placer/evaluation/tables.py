@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -203,6 +203,6 @@ def cell(share: float | None) -> str:
     return "-" if share is None else f"{share:.3f}"
 
 
-def with_interval(figure: dict[str, float]) -> str:
+def with_interval(figure: Mapping[str, float]) -> str:
     """A share with its interval."""
     return f"{figure['share']:.3f} [{figure['low95']:.3f}, {figure['high95']:.3f}]"

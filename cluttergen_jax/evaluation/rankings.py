@@ -1,4 +1,4 @@
-"""Rivals of a method: rows of a table whose figures are as good as its own, as sentences.
+"""Rankings of a table's rows as sentences: whose figures are as good as those of `guided`.
 
 Nothing here is written by hand: who is ahead is read from the rows, so that a table and the words below it
 cannot disagree.
@@ -6,18 +6,22 @@ cannot disagree.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from cluttergen_jax.evaluation.cells import Row, name_of, number, share_of
+from cluttergen_jax.evaluation.cells import name_of, number, share_of, values_of
+from cluttergen_jax.evaluation.records import Row
 
 OURS, TWIN = "guided", "spread"
 """The method that the sentences are about, and the same sampler without a network."""
+Question = Callable[[Row], str]
+"""What a row asks of all methods alike."""
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Where a method stands among the rows of one question.
+    """How a method compares with the other rows of one question.
 
     Attributes:
       own: the method's row; better, equal, worse: names of the others, by whether the 95 % interval of their
@@ -29,27 +33,23 @@ class Ranking:
     equal: tuple[str, ...]
     worse: tuple[str, ...]
 
-    def sentence(self, question: str, share: Callable[[Row], str]) -> str:
-        """For a note below a table."""
+    def sentence(self, question: str, share: str) -> str:
+        """For a note below a table; `share` is the method's own with its interval."""
+        named = {
+            "better:": self.better,
+            "as good (intervals overlap):": self.equal,
+            "worse:": self.worse,
+        }
         parts = [
-            f"{what} {', '.join(f'`{name}`' for name in names)}"
-            for what, names in (
-                ("better:", self.better),
-                ("as good (intervals overlap):", self.equal),
-                ("worse:", self.worse),
-            )
-            if names
+            f"{what} {', '.join(f'`{name}`' for name in names)}" for what, names in named.items() if names
         ]
-        return f"{question}: `{OURS}` {share(self.own)}; {'; '.join(parts) or 'no other row'}"
+        return f"{question}: `{OURS}` {share}; {'; '.join(parts) or 'no other row'}"
 
 
-def _figures(row: Row) -> Row:
-    figures: Row = row["figures"]
-    return figures
-
-
-def ranking_of(rows: Sequence[Row], figures: Callable[[Row], Row] = _figures) -> Ranking | None:
-    """Where `guided` stands among rows of one question; None where it has no row with figures.
+def ranking_of(
+    rows: Sequence[Row], figures: Callable[[Row], Mapping[str, Any]] = lambda row: row["figures"]
+) -> Ranking | None:
+    """How `guided` compares with the other rows of one question; None where it has no row with figures.
 
     Args:
       rows: one question's, of all methods; those that are missing are passed over.
@@ -67,65 +67,62 @@ def ranking_of(rows: Sequence[Row], figures: Callable[[Row], Row] = _figures) ->
     return Ranking(own, *(tuple(dict.fromkeys(each)) for each in (better, equal, worse)))
 
 
-def by_question(rows: Iterable[Row], question: Callable[[Row], str]) -> dict[str, list[Row]]:
-    """The rows by what is asked of all methods alike, in order."""
+def by_question(rows: Iterable[Row], question: Question) -> dict[str, list[Row]]:
+    """The rows of each question, in order."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(question(row), []).append(row)
     return groups
 
 
-def success_notes(rows: Iterable[Row], question: Callable[[Row], str]) -> list[str]:
+def success_notes(rows: Iterable[Row], question: Question) -> list[str]:
     """For each question, who succeeds as often as `guided`, and what it costs beside `spread`."""
-    notes = []
-    for asked, group in by_question(rows, question).items():
-        found = ranking_of(group)
-        if found is not None:
-            said = found.sentence(asked, lambda row: share_of(row["figures"]))
-            notes.append(said + _cost(found.own, group))
-    return notes
+    found = ((asked, group, ranking_of(group)) for asked, group in by_question(rows, question).items())
+    return [
+        each.sentence(asked, share_of(each.own["figures"])) + _cost(each.own, group)
+        for asked, group, each in found
+        if each is not None
+    ]
 
 
-def share_notes(rows: Iterable[Row], question: Callable[[Row], str], name: str = "share") -> list[str]:
+def share_notes(rows: Iterable[Row], question: Question) -> list[str]:
     """Likewise of findings, rows with a share and its interval of their own."""
-    notes = []
-    for asked, group in by_question(rows, question).items():
-        found = ranking_of(group, lambda row: row)
-        if found is not None:
-            notes.append(found.sentence(asked, lambda row: share_of(row, name)))
-    return notes
+    found = ((asked, ranking_of(group, dict)) for asked, group in by_question(rows, question).items())
+    return [each.sentence(asked, share_of(each.own, "share")) for asked, each in found if each is not None]
 
 
-def tally(rows: Sequence[Row], question: Callable[[Row], str]) -> str:
+def tally(rows: Sequence[Row], question: Question) -> str:
     """How often other rows are as good as `guided`, or better; "" where it has no row."""
     found = [each for group in by_question(rows, question).values() if (each := ranking_of(group))]
     if not found:
         return ""
     alone = sum(not each.better and not each.equal for each in found)
     parts = [f"`{OURS}` is ahead of all others in {alone} of {len(found)} comparisons"]
-    for what, rivals in (
+    for what, names in (
         ("as good", [name for each in found for name in each.equal]),
         ("better", [name for each in found for name in each.better]),
     ):
-        counts = ", ".join(f"`{name}` in {rivals.count(name)}" for name in dict.fromkeys(rivals))
+        counts = ", ".join(f"`{name}` in {names.count(name)}" for name in dict.fromkeys(names))
         parts += [f"{what}: {counts}"] if counts else []
     return "; ".join(parts)
 
 
 def ranking(rows: Iterable[Row], name: str, digits: int, falls: bool = True) -> str:
     """The rows that have a figure, from the highest (or the lowest) on."""
-    known = [row for row in rows if row.get(name) is not None]
-    ordered = sorted(known, key=lambda row: -row[name] if falls else row[name])
-    return ", ".join(f"`{name_of(row)}` {number(row[name], digits)}" for row in ordered)
+    values = ((name_of(row), values_of(row).get(name)) for row in rows)
+    known = [(method, value) for method, value in values if value is not None]
+    ordered = sorted(known, key=lambda each: -each[1] if falls else each[1])
+    return ", ".join(f"`{method}` {number(value, digits)}" for method, value in ordered)
 
 
 def _cost(own: Row, rows: Sequence[Row]) -> str:
     """Of `guided` over that of `spread`; "" where one of them has no scene to show for it."""
-    twin = next((row for row in rows if name_of(row) == TWIN and "figures" in row), None)
-    if twin is None or not (own["figures"]["num_success"] and twin["figures"]["num_success"]):
+    ours = own["figures"]
+    theirs = next((row["figures"] for row in rows if name_of(row) == TWIN and "figures" in row), None)
+    if theirs is None or not (ours["num_success"] and theirs["num_success"]):
         return ""
     attempts, steps = (
-        own["figures"][name] / twin["figures"][name]
+        values_of(ours)[name] / values_of(theirs)[name]
         for name in ("attempts_per_valid_scene", "simulated_steps_per_valid_scene")
     )
     return f"; attempts and steps per valid scene over those of `{TWIN}`: {attempts:.2f}, {steps:.2f}"

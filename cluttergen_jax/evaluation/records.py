@@ -1,0 +1,156 @@
+"""What evaluation stores as JSON: rows of trials and of findings, and results of studies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypedDict
+
+Share = Mapping[str, float | None]
+"""`share`, or `success`, with its 95 % interval, `low95` and `high95` (`proportions.proportion`)."""
+Spread = Mapping[str, Any]
+"""`proportions.spread_of`."""
+
+
+class Machine(TypedDict):
+    """What speeds depend on."""
+
+    cores: int | None
+    cpu: str
+    accelerator: str | None
+    python: str
+    versions: dict[str, str]
+
+
+class Origin(TypedDict):
+    """When and where something was made; None where an older version did not note it."""
+
+    date: str | None
+    machine: Machine | None
+
+
+class Figures(TypedDict, total=False):
+    """What became of a trial's episodes (`episodes.figures_of`); `paper` by the paper's looser count."""
+
+    trials: int
+    num_success: int
+    success: float
+    low95: float
+    high95: float
+    filled: float
+    placed: float
+    placed_histogram: list[int]
+    attempts: int
+    within: list[Share]
+    attempts_per_valid_scene: float | None
+    attempts_histogram: list[int]
+    simulated_steps: int
+    simulated_steps_per_valid_scene: float | None
+    stack: Spread
+    stable_steps: Spread
+    rest_steps: Spread
+    steps_by_attempt: list[Spread]
+    verdicts: dict[str, int]
+    num_crept: int
+    seconds: float
+    cpu_seconds: float
+    compile_seconds: float
+    valid_scenes_per_second: float
+    valid_scenes_per_cpu_second: float | None
+    fill: float
+    paper: Figures
+
+
+class Row(TypedDict, total=False):
+    """A row of a trial, with `trial`, or of findings; one that could not be made has `missing` and `hint`."""
+
+    trial: Mapping[str, Any]
+    sources: Mapping[str, Any]
+    policy: Mapping[str, Any] | None
+    figures: Figures
+    date: str
+    machine: Machine
+    missing: str
+    hint: str
+    # Of findings: what the trial asked, and what was found.
+    pool: str
+    support: str
+    method: str
+    min_margin: float
+    scenes: int
+    share: float
+    low95: float
+    high95: float
+    success: float | None
+    # Robustness and survival.
+    creep: list[Share]
+    shake: list[float]
+    changes: dict[str, Share]
+    margin: list[float]
+    below: float
+    unsupported: float
+    tilt: list[Share]
+    objects: int
+    robust: Share
+    survival: dict[str, Share]
+    engine: str
+    seconds: float
+    median_shift: float | None
+    # Diversity, acceptance, relations.
+    object: str
+    evenness: float | None
+    nearest: float | None
+    vendi: float | None
+    box_area: float | None
+    edges: float | None
+    clusters: float | None
+    heaped: float | None
+    sorting: str
+    under: list[Row]
+    label: str
+    lift: float
+    proposals: int
+    passed: int
+    relation: str
+    count: int
+    scenes_with: int
+    commonest: list[Mapping[str, Any]]
+    # Clutter targets.
+    target: float | None
+    # Time and training.
+    cores: int
+    valid: int
+    seconds_per_valid_scene: float | None
+    running_seconds_per_valid_scene: float | None
+    seed: int
+    attempts: int
+    checked: float | None
+
+
+class Measured(TypedDict):
+    """What a study's measure found (`studies.study.Findings`)."""
+
+    rows: list[Row]
+    pictures: list[str]
+    notes: list[str]
+
+
+class Result(TypedDict, total=False):
+    """A study's result; one that is made in a package above this one brings its `tables` along."""
+
+    format: int
+    suite: str
+    name: str
+    title: str
+    place: int
+    command: str
+    quick: bool
+    size: int
+    trials: list[int]
+    date: str | None
+    machine: Machine | None
+    also_made: list[Origin]
+    records: list[Row]
+    measure: Measured | None
+    pictures: list[str]
+    tables: list[Mapping[str, Any]]
+    earlier: list[Result]
