@@ -30,6 +30,7 @@ CAPTIONS = [
     ", ".join(filter(None, (f"{pool}: {number} objects on {support}", clutter)))
     for pool, support, number, clutter in SCENES
 ]
+FILM_CAPTIONS = [f"{pool}: {number} objects" for pool, _, number, _ in SCENES]
 FILM_SIZE, FILM_STEPS, FILM_FPS, FILM_END = (264, 198), 10, 5, 12
 """Of the film: pixels of a scene, steps in which it is filled, frames a second, frames of rest at the end."""
 
@@ -75,7 +76,7 @@ def filling(scene: cg.Scene) -> Iterator[np.ndarray]:
         lifted = qpos.reshape(-1, 7).copy()
         lifted[shown, 2] += 0.06
         for poses in (lifted.ravel(), qpos):
-            show = [names[index] for index in order[:last]]
+            show = ["support", *(names[index] for index in order[:last])]
             yield render_model(model, poses, width=width, height=height, show=show, focus=focus, samples=24)
 
 
@@ -84,7 +85,7 @@ def main() -> None:
     scenes = [first_success(*scene) for scene in SCENES]
     with gl_context(*FILM_SIZE):
         steps = zip(*map(filling, scenes), strict=True)
-        frames = [contact_sheet(images, CAPTIONS, columns=3) for images in steps]
+        frames = [contact_sheet(images, FILM_CAPTIONS, columns=3) for images in steps]
     save_film([*frames, *frames[-1:] * FILM_END], HERE / "filling.gif", FILM_FPS)
     save_png(contact_sheet([draw(scene) for scene in scenes], CAPTIONS, columns=3), HERE / "scenes.png")
     for pool in POOLS:
