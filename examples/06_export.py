@@ -3,15 +3,13 @@
 # Self-contained folders: meshes, collision parts, masses, frictions, licences.
 
 # %%
-import os
 from pathlib import Path
 
 import mujoco
 
 import cluttergen_jax as cg
 
-SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
-num_objects = 2 if SMALL else 8
+num_objects = 8
 
 # %%
 bank = cg.generate("scenes", num_scenes=4, num_objects=num_objects, method="clear", max_files=0)

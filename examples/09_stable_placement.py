@@ -1,11 +1,9 @@
 # %% [markdown]
 # # From a bank to a placed object
-# A table with clutter, one noisy depth image of it, and one more object: where would it stand? A placer that
-# comes with the package answers from the image and the object's shape alone; the simulator judges.
+# A table with clutter, one noisy depth image of it, and one more object: where would it be stable? A placer
+# that comes with the package answers from the image and the object's shape alone; the simulator judges.
 
 # %%
-import os
-
 import jax
 import numpy as np
 
@@ -19,11 +17,10 @@ from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 from cluttergen_jax.types import Verdict
 
-SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
-num_scenes, num_objects = (2, 3) if SMALL else (16, 10)
+num_scenes, num_objects = 16, 10
 
 # %% [markdown]
-# Scenes that stand; of each, all objects but the last are there already.
+# Successful scenes; of each, all objects but the last are there already.
 
 # %%
 bank = cg.generate("cluttered", pool="household", num_scenes=num_scenes, num_objects=num_objects, max_files=0)
@@ -47,7 +44,7 @@ for row, slot in last:
     print(f"scene {row}: {sight.unseen:.0%} of the region is hidden from the camera")
 
 # %% [markdown]
-# Five proposals for each, best first, with the chance that each will stand. `placer` is a JAX function.
+# Five proposals for each, best first, with the probability that each is stable. `placer` is a JAX function.
 
 # %%
 placer = find_placer("scored")
@@ -56,7 +53,7 @@ proposals = jax.jit(jax.vmap(placer))(jax.random.split(jax.random.key(0), len(qu
 
 # %% [markdown]
 # The first proposals are tried: the object is let go there, must come to rest and disturb nothing, and then
-# the whole table must stand.
+# the whole scene must be stable.
 
 # %%
 judge, rows = Judge(scenes.rules), np.arange(len(queries))
@@ -64,7 +61,7 @@ judged = judge.settle(episodes, rows, np.asarray(proposals.pose[:, 0]))
 stands = judge.stand(judged)
 for row, (x, y, z, yaw) in enumerate(np.asarray(proposals.pose[:, 0])):
     name = world.names[scenes.object_index[row, num_objects - 1]]
-    word = "stands" if stands[row] else Verdict(int(judged.verdict[row])).label
+    word = "stable" if stands[row] else Verdict(int(judged.verdict[row])).label
     chance = float(proposals.score[row, 0])
     where = f"x {x:+.3f} y {y:+.3f} z {z:.3f} m, turned by {yaw:.2f} rad"
     print(f"scene {row}: {name} at {where} (chance {chance:.2f}): {word}")

@@ -4,7 +4,6 @@
 # could come from a real camera; here they are rendered first, so that the answer can be compared.
 
 # %%
-import os
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +19,11 @@ from cluttergen_jax.downstream.perception.views.stage import open_stage
 from cluttergen_jax.sensing.camera import free
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
 
-SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
-num_objects = 3 if SMALL else 8
+num_objects = 8
 folder = Path("frame")
 
 # %% [markdown]
-# A scene that stands, seen by a camera beside the table: colours, depths with noise, and the camera, whose
+# A successful scene, seen by a camera beside the table: colours, depths with noise, and the camera, whose
 # stated pose errs by some millimetres. Labels are written too, for those who have no segmenter.
 
 # %%

@@ -42,4 +42,6 @@ def test_the_site_builds_without_a_warning(tmp_path):
     assert {"index.html", "reference/api/index.html", "reference/commands/index.html"} <= pages
     assert "make_sampler" in (tmp_path / "site" / "reference" / "api" / "index.html").read_text()
     commands = (tmp_path / "site" / "reference" / "commands" / "index.html").read_text()
-    assert all(f'id="{anchor}"' in commands for anchor in ("generate-pool", "robot-place-placer", "verify-jobs"))
+    assert all(
+        f'id="{anchor}"' in commands for anchor in ("generate-pool", "robot-place-placer", "verify-jobs")
+    )
