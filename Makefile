@@ -14,7 +14,7 @@ CODE = cluttergen_jax tests benchmarks docs examples reports scenes $(wildcard *
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-wheel lint dist docs format scenes bench clean prerequisites
+.PHONY: help demo test test-all test-wheel lint dist docs images format scenes bench clean prerequisites
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -63,6 +63,9 @@ $(VENV)/.docs: $(VENV)/.dev
 
 docs: $(VENV)/.docs ## build the documentation in out/site; a broken link is an error
 	$(RUN)/mkdocs build --strict
+
+images: $(VENV)/.core ## draw the pictures of the README and the gallery again
+	$(RUN)/python docs/make_images.py
 
 dist: $(VENV)/.dev ## build the wheel and the source distribution in dist, and check them
 	rm -rf dist

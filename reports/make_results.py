@@ -4,8 +4,8 @@ python reports/make_results.py                          from what is there
 python reports/make_results.py out/paper out/extended   after taking over what those suites made
 python reports/make_results.py --keep-rows out/paper    the same, and rows that were not made again stay
 
-Of a suite that had episodes of the arm their rows come too, to reports/results/episodes: copied into the folder
-of `evaluate --out` as they lie there, that command takes them up again.
+Of a suite that had episodes of the arm their rows come too, to reports/results/episodes. Copied from there
+into the folder of `evaluate --out`, they are resumed by that command.
 """
 
 from __future__ import annotations

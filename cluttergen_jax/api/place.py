@@ -46,7 +46,7 @@ def place_by_hand(
     bank of method "hand" whose column `seconds` tells what it took; the same call adds scenes to it.
 
     Args:
-      out: the bank's folder, or a URL; a bank made by hand with the same settings is continued.
+      out: the bank's folder, or a URL; a hand-made bank with the same settings is continued.
       pool: a pool's name or folder, or several joined by +: dining+mine.
       num_objects: objects per scene; all of the pool's (40 at most) if not given.
       objects: names of the pool's objects to use; all of them if empty.
@@ -60,7 +60,7 @@ def place_by_hand(
         asks for nothing. If not given: 0.003.
       overhang: how much of an object may reach beyond the support's edge once it rests: "any", "half" or
         "none".
-      repeat: let objects stand there more than once.
+      repeat: allow duplicates: an object may be placed more than once.
       seed: draws each scene's objects, 0 to 4294967295.
       overwrite: begin anew if the folder holds another bank.
       host: the address to listen on; 0.0.0.0 lets other machines in, if they have the token.

@@ -28,7 +28,7 @@ class PerceptionData(Options):
 
 @options_from(perception_train, data=Annotated[str, tyro.conf.Positional])
 class PerceptionTrain(Options):
-    """Train a segmenter on views. The same command takes an interrupted run up again.
+    """Train a segmenter on views. Rerun to resume.
 
     Example: `cluttergen perception train views --out runs/segmenter`
     """
@@ -43,7 +43,7 @@ class PerceptionTrain(Options):
 class PerceptionEval(Options):
     """Judge masks, poses and certainty against what is true (extra `perception`).
 
-    Every row is kept in the folder `--out`: the same command takes an interrupted one up again.
+    Every row is kept in the folder `--out`: rerun to resume.
 
     Example: `cluttergen perception eval views --segmenter runs/segmenter`
     """

@@ -148,7 +148,7 @@ def certify(
     cluster: str | None = None,
     workers: int = 0,
 ) -> Certification:
-    """Adds a stability certificate to each scene of a bank that stands: a column for each measure.
+    """Adds a stability certificate to each successful scene of a bank: a column for each measure.
 
     Args:
       bank: a bank's folder; in Python also a `Bank`.
@@ -161,7 +161,7 @@ def certify(
         Each has `jobs` cores, one if that is 0.
 
     Raises:
-      BankError: the bank cannot be read or written, another process writes it, or no scene in it stands.
+      BankError: the bank cannot be read or written, another process writes it, or it holds no success.
       ConfigError: a setting is outside its range.
       MissingExtraError: a cluster without the extra `ray`.
     """

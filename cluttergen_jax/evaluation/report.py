@@ -161,8 +161,8 @@ _HEADINGS = {
 """The suites in the order of the page; the studies of the last one bring their tables along."""
 _INTRODUCTION = """# Results
 
-Every number here was written by `python reports/make_results.py` from the JSON files in `reports/results`; a test
-checks that the two agree. Each section names the command that made it, its trials and its machine. What
+Every number here was written by `python reports/make_results.py` from the JSON files in `reports/results`; a
+test checks that the two agree. Each section names the command that made it, its trials and its machine. What
 success means: *strict* is this project's `is_success` (nothing else is disturbed, and the finished scene
 stands); *the paper's count* judges only the current object and puts the others back.
 """

@@ -129,7 +129,7 @@ def perception_train(
     seed: int = 0,
     show: Callable[[str], None] = print,
 ) -> Path:
-    """Trains a segmenter on views (`cluttergen perception train`). The same call goes on with a run.
+    """Trains a segmenter on views (`cluttergen perception train`). The same call resumes a run.
 
     Args:
       data: a folder of `perception data`. Validated on its split `val`, else on every tenth view.

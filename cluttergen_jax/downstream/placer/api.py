@@ -61,7 +61,7 @@ def placer_data(
       spec: what that bank is to be made of; household if not given.
       pool, num_scenes, method, support, num_objects: of that bank, as `generate` takes them, in place of
         those of `spec`; 500 scenes, guided and the usual table if not given.
-      num_pairs: how many; if not given, one for each object of each scene that stands.
+      num_pairs: how many; if not given, one for each object of each success.
       split: train, val or test, by the seed of the bank: from 0, 1000000 or 2000000 on; of a bank that is
         given, its own, else train.
       camera: free, drawn anew for each pair; overhead; or side, the paper's.
@@ -74,7 +74,7 @@ def placer_data(
 
     Raises:
       ConfigError: a setting is out of range, or contradicts the bank.
-      BankError: the bank cannot be read or holds no scene that stands, or the folder holds something else.
+      BankError: the bank cannot be read or holds no success, or the folder holds something else.
       PoolError: there is no such pool or support.
     """
     from cluttergen_jax.api.generate import generate
@@ -138,7 +138,7 @@ def placer_eval(
     fresh: bool = False,
     out: str | Path | None = None,
 ) -> PlacerComparison:
-    """Compares placers: how often what they propose stands, strictly judged (`cluttergen placer eval`).
+    """Compares placers: the success rate of their proposals (`cluttergen placer eval`).
 
     Args:
       data: a folder that `placer_data` made.
@@ -202,12 +202,12 @@ def placer_train(
     seed: int = 0,
     show: Callable[[str], None] = print,
 ) -> Path:
-    """Trains a placer on pairs (`cluttergen placer train`). The same call takes an interrupted run up again.
+    """Trains a placer on pairs (`cluttergen placer train`). The same call resumes an interrupted run.
 
     Args:
       data: a folder of `placer data`, or several; one network learns from all. Validated on the split `val`
         where there is one, else on every tenth scene of the training split.
-      head: "scored" (candidates of a search, each with the chance that it stands), "mixture" (a distribution
+      head: "scored" (candidates, each with the probability that it is stable), "mixture" (a distribution
         over cells and turns of the region) or "regression" (the paper's: one pose).
       out: the run's folder; runs/placer-HEAD-SEED if not given.
       preset: "cpu", or of "regression" also "paper": as printed, for a GPU.

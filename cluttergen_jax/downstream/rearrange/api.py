@@ -66,8 +66,8 @@ def rearrange(
 
     Args:
       out: the folder; rows are kept there, for each setting apart.
-      setting: paper (five objects into an empty half of the table), occupied (three others stand there),
-        blocked (into the very area where they stand), eight (objects), or stacked (one lies on another at
+      setting: paper (five objects into an empty half of the table), occupied (three others are there),
+        blocked (into the very area where they are), eight (objects), or stacked (one lies on another at
         first).
       num_episodes: how many.
       pool: a pool's name or folder, or several joined by +.
@@ -80,12 +80,12 @@ def rearrange(
       one_grasp: an object has a single grasp, at 0 and 180 degrees, as in the paper.
       observer: true, the true poses; or perception, what cameras over the table and on the hand show, with
         noise (extra `perception`); in Python also one of your own
-        (`cluttergen_jax.downstream.rearrange.observe.Observer`), whose attribute `name` is told in the table.
+        (`cluttergen_jax.downstream.rearrange.observe.Observer`), whose attribute `name` is in the table.
       segmenter: of `perception`: a folder of `perception train`, or a pool's name where one comes with the
         package; the pool's own if not given.
       pick: in each episode a person looks at the layouts in a browser, in the order of the rule, and takes
         one (extra `viewer`); it is the only one that is tried.
-      show_layouts: draw each episode's layouts over the scene as it stands, on a sheet layouts-NUMBER.png
+      show_layouts: draw each episode's layouts over the scene as it is, on a sheet layouts-NUMBER.png
         beside the rows, the chosen one framed.
       films: draw films of the first success and of the first failure of each kind, in the folder films beside
         the rows; those episodes are run again for it.

@@ -141,7 +141,7 @@ def robot_place(
 
     Raises:
       ConfigError: a setting is out of range, or contradicts the bank.
-      BankError: the bank cannot be read or holds no scene that stands, the folder holds episodes of other
+      BankError: the bank cannot be read or holds no success, the folder holds episodes of other
         settings, grasps or weights, or an episode that is filmed does not end as it did.
       PoolError: there is no such pool or support.
       MissingExtraError: the extra `robot` is not installed.
