@@ -122,7 +122,7 @@ def run(command: Any) -> int:
         print(f"error: {_told(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\nstopped; the same command takes it up again", file=sys.stderr)
+        print("\nstopped; rerun the command to resume", file=sys.stderr)
         return INTERRUPTED
 
 

@@ -13,7 +13,7 @@ from cluttergen_jax.downstream.perception.api import perception_data, perception
 
 @options_from(perception_data)
 class PerceptionData(Options):
-    """Render views of scenes to train and judge perception with. The same command goes on where it stopped.
+    """Render views of scenes to train and judge perception with. Rerun to resume.
 
     Example: `cluttergen perception data --pool household --num-views 6000 --out views`
     """

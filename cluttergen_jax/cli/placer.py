@@ -16,8 +16,8 @@ from cluttergen_jax.errors import ConfigError
 class PlacerData(Options):
     """Make pairs to learn stable placement from. Rerun to resume.
 
-    A pair is what one depth camera sees of the first objects of a scene, where the next one stood, and 32
-    poses at which it was let go with what became of each.
+    A pair is one depth image of the first objects of a scene, the true pose of the next object, and 32
+    labelled candidate poses.
 
     Example: `cluttergen placer data --num-scenes 500 --pool household --out pairs`
     """

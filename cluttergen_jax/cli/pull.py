@@ -14,7 +14,7 @@ from cluttergen_jax.cli.options import Options, options_from
 class Pull(Options):
     """Fetch a bank from the Hugging Face Hub (extra `hub`) and check every file of it.
 
-    The same command goes on where it was interrupted.
+    Rerun to resume.
 
     Example: `cluttergen pull me/breakfast --out breakfast`
     """
