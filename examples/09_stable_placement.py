@@ -66,3 +66,8 @@ for row, (x, y, z, yaw) in enumerate(np.asarray(proposals.pose[:, 0])):
     where = f"x {x:+.3f} y {y:+.3f} z {z:.3f} m, turned by {yaw:.2f} rad"
     print(f"scene {row}: {name} at {where} (chance {chance:.2f}): {word}")
 print(f"{stands.sum()} of {len(stands)} objects placed from one noisy image each")
+
+# %% [markdown]
+# Proposals of the same placer on four tables, by `python docs/make_proposals.py`; green ones are stable:
+#
+# ![Five proposals for one object on each of four tables](../docs/images/proposals.png)

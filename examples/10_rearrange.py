@@ -51,3 +51,8 @@ class Blurred(TrueObserver):
 
 blurred = cg.rearrange("blurred", choose="similar", num_episodes=num_episodes, observer=Blurred(0.003))
 print(blurred)
+
+# %% [markdown]
+# An episode of the first kind, drawn by `python docs/make_robot.py`:
+#
+# ![Five objects are brought to the other half of the table](../docs/images/rearrange.png)

@@ -73,3 +73,9 @@ for name, pose, is_seen, certainty in zip(found.names, found.pose, found.seen, f
         off = f"{1e3 * np.linalg.norm(pose[:3] - placed[name][:3]):.1f} mm" if name in placed else "not there"
         print(f"{name} at {x:+.3f} {y:+.3f} {z:.3f} m, certainty {certainty:.2f}; from the true place: {off}")
 print(f"{found.seen.sum()} objects found, {len(placed)} on the table")
+
+# %% [markdown]
+# What two noisy cameras see, the masks, and the poses that are found, drawn by
+# `python docs/make_perception.py`:
+#
+# ![Four scenes, their masks and poses](../docs/images/perception.png)
