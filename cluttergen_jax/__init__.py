@@ -20,6 +20,7 @@ Every command has a function with the same defaults:
     robot_grasps, robot_place      grasps of a pool's objects; objects moved by a simulated arm
     rearrange                      objects brought into new layouts by that arm
     push_bank, pull_bank           a bank to and from a hub
+    pull_policies                  weights of ablations, which do not come with the package
 
 `Rectangle` tells `make_sampler` of a region or a keep-out box; `make_region` and `KeepOut` are for those of
 `sample(key, region=..., keep_out=...)`, which may be traced. CONTRIBUTING.md says what the packages are.
@@ -31,7 +32,7 @@ from warnings import warn
 
 from cluttergen_jax.api.export import export
 from cluttergen_jax.api.generate import generate
-from cluttergen_jax.api.hub import pull_bank, push_bank
+from cluttergen_jax.api.hub import pull_bank, pull_policies, push_bank
 from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.api.place import place_by_hand
 from cluttergen_jax.api.pretrain import pretrain
@@ -104,6 +105,7 @@ __all__ = [
     "pool_poses",
     "pretrain",
     "pull_bank",
+    "pull_policies",
     "push_bank",
     "read_bank",
     "read_scenes",

@@ -7,12 +7,8 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, get_args
 
-from cluttergen_jax.assets.pool import composed, find_pool
-from cluttergen_jax.assets.rectangle_text import parse_boxes, parse_region, recorded_rectangle
-from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import (
     HAND,
     METHODS,
@@ -36,7 +32,9 @@ from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, RUIN_AFTER, PlacementConfig
 
+# What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.placement.problem import ProblemConfig
 
 SETTINGS = get_args(Setting)
@@ -182,6 +180,9 @@ class SceneSpec:
     num_threads: int = 0
 
     def __post_init__(self) -> None:
+        from cluttergen_jax.assets.rectangle_text import parse_boxes
+        from cluttergen_jax.assets.support import Rectangle
+
         for name in ("num_objects", "max_attempts", "ruin_after", "budget"):
             check_whole(**{name: getattr(self, name)})
         check_workers("num_threads", self.num_threads)
@@ -206,8 +207,8 @@ class SceneSpec:
             object.__setattr__(self, name, str(getattr(self, name)))
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
-        # With no number of objects yet, a budget for one is enough.
-        self._placement(1 if self.num_objects is None else self.num_objects)
+        # With no number of objects yet, a budget for one is enough; of too many, the pool says what it has.
+        self._placement(1 if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
 
     @classmethod
     def from_recipe(cls, recipe: Mapping[str, Any]) -> SceneSpec:
@@ -219,6 +220,8 @@ class SceneSpec:
         Raises:
           KeyError, TypeError, ValueError: it does not say it whole, as of banks of early versions.
         """
+        from cluttergen_jax.assets.rectangle_text import recorded_rectangle
+
         rules, stability = recipe["placement"], recipe["stability"]
         is_native = recipe["engine"] == "native"
         return cls(
@@ -313,10 +316,14 @@ class SceneSpec:
     @property
     def pool_text(self) -> str:
         """The text that names the pool without what is left out of it."""
+        from cluttergen_jax.assets.pool import composed
+
         return composed(self.pool, self.exclude)
 
     def boxes(self) -> list[Rectangle]:
         """The keep-out boxes."""
+        from cluttergen_jax.assets.rectangle_text import parse_boxes
+
         return parse_boxes(self.keep_out, "keep_out")
 
     def problem_config(self, method: str | None) -> ProblemConfig:
@@ -329,6 +336,9 @@ class SceneSpec:
           ConfigError: more objects are asked for than there are, or there is no such engine.
           PoolError: there is no such pool or support.
         """
+        from cluttergen_jax.assets.pool import find_pool
+        from cluttergen_jax.assets.rectangle_text import parse_region
+        from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
         from cluttergen_jax.placement.problem import ProblemConfig, check_number
 
@@ -380,26 +390,25 @@ def takes_spec(options: type, **defaults: Any) -> Callable[[F], F]:
     """
 
     def decorate(function: F) -> F:
-        usual = SceneSpec(**defaults)
         own = [
             each
             for each in inspect.signature(function).parameters.values()
             if each.kind is not inspect.Parameter.VAR_KEYWORD
         ]
-        kinds = get_type_hints(options)
-        fields = [
+        usual = {each.name: each.default for each in dataclasses.fields(SceneSpec)} | defaults
+        names = [name for name in usual if name in options.__annotations__]
+        shown = [
             inspect.Parameter(
-                each.name,
+                name,
                 inspect.Parameter.KEYWORD_ONLY,
-                default=getattr(usual, each.name),
-                annotation=kinds[each.name],
+                default=usual[name],
+                annotation=options.__annotations__[name].__forward_arg__,
             )
-            for each in dataclasses.fields(SceneSpec)
-            if each.name in kinds
+            for name in names
         ]
-        function.__signature__ = inspect.Signature([*own, *fields])  # type: ignore[attr-defined]
-        function.usual_spec = usual  # type: ignore[attr-defined]
-        function.spec_fields = tuple(each.name for each in fields)  # type: ignore[attr-defined]
+        function.__signature__ = inspect.Signature([*own, *shown])  # type: ignore[attr-defined]
+        function.spec_fields = tuple(names)  # type: ignore[attr-defined]
+        function.spec_defaults = defaults  # type: ignore[attr-defined]
         return function
 
     return decorate
@@ -421,7 +430,7 @@ def spec_of(
       ConfigError: there is no such field, the function does not take it, or a value is refused.
     """
     taken: tuple[str, ...] = function.spec_fields  # type: ignore[attr-defined]
-    usual: SceneSpec = function.usual_spec  # type: ignore[attr-defined]
+    usual = SceneSpec(**function.spec_defaults)  # type: ignore[attr-defined]
     for name in options:
         if name not in taken:
             names = [each for each in inspect.signature(function).parameters if each != "spec"]

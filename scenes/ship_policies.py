@@ -1,4 +1,4 @@
-"""Takes trained checkpoints into scenes/checkpoints: weights for acting, a picture, and a card.
+"""Takes trained checkpoints into scenes/checkpoints or scenes/ablations: weights, a picture, and a card.
 
     python scenes/ship_policies.py runs/dining-policy-0 runs/kitchen-normal-0 runs/guided-0 ...
 
@@ -19,7 +19,9 @@ from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.metrics_log import draw_curve, read_rows
 
 MAX_BYTES, MAX_BYTES_FOR_ANY_POOL = 1_000_000, 200_000
-ROOT = Path(__file__).parent / "checkpoints"
+SCENES = Path(__file__).parent
+SHIPPED = ("guided", "policy")
+"""Variants that come with the package; those of ablations stay in the repository."""
 
 
 def name_of(record: dict[str, Any]) -> str:
@@ -109,7 +111,7 @@ def _versions(record: dict[str, Any]) -> str:
     return ", ".join(f"{name} {number}" for name, number in record["versions"].items())
 
 
-def ship(run: Path, root: Path = ROOT) -> Path:
+def ship(run: Path, scenes: Path = SCENES) -> Path:
     """One run's policy; the folder it went to."""
     record = read_record(run / "policy")
     is_for_any = record["variant"] in FOR_ANY_POOL
@@ -119,7 +121,7 @@ def ship(run: Path, root: Path = ROOT) -> Path:
     most = MAX_BYTES_FOR_ANY_POOL if is_for_any else MAX_BYTES
     if size > most:
         raise SystemExit(f"{run / 'policy' / 'weights.npz'} has {size:,} bytes; at most {most:,}")
-    folder = root / name_of(record)
+    folder = scenes / ("checkpoints" if record["variant"] in SHIPPED else "ablations") / name_of(record)
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(run / "policy", folder)
     if is_for_any:

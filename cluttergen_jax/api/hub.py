@@ -1,4 +1,4 @@
-"""Banks on a hub: pushed whole, and pulled whole."""
+"""Banks and policies on a hub: pushed whole, and pulled whole."""
 
 from __future__ import annotations
 
@@ -61,3 +61,65 @@ def pull_bank(
     from cluttergen_jax.scene.bank.hub import pull
 
     return pull(name, out, hub, revision, overwrite, allow_unchecked)
+
+
+_OF_POLICIES = ("*/record.json", "*/weights.npz", "*/README.md", "*/curve.png")
+
+
+def pull_policies(
+    name: str, *, hub: str | None = None, revision: str | None = None, overwrite: bool = False
+) -> list[str]:
+    """Fetches checkpoints of policies, which methods find by name from then on (`cluttergen pull`).
+
+    Weights of ablations do not come with the package: `scenes` of a checkout of the repository is a hub of
+    its own, as in `cluttergen pull scenes/ablations --hub CHECKOUT`.
+
+    Args:
+      name: OWNER/NAME of a data set with a folder for each checkpoint, POOL-VARIANT.
+      hub: as in `pull_bank`.
+      revision: a branch, tag or commit; the latest if not given.
+      overwrite: replace checkpoints of these names that were pulled before.
+
+    Returns:
+      The names, POOL-VARIANT.
+
+    Raises:
+      BankError: there is no such data set, it holds no checkpoint, one is there already, or the hub cannot be
+        reached.
+      PoolError: a checkpoint is damaged.
+      UnsafePathError: it names paths outside of its folder.
+      MissingExtraError: the extra `hub` is not installed.
+    """
+    from cluttergen_jax.errors import BankError
+    from cluttergen_jax.files import inside, own_folder, swap_in, writing
+    from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+    from cluttergen_jax.learning.policies.embedded import pulled_root
+    from cluttergen_jax.learning.ppo.checkpoint import check_weights
+    from cluttergen_jax.scene.bank.hub import hub_of
+
+    place, root = hub_of(hub), pulled_root()
+    commit, files = place.listing(name, revision)
+    found = sorted(
+        {each.split("/")[0] for each in files if each.count("/") == 1 and each.endswith("/record.json")}
+    )
+    if not found:
+        raise BankError(f"{name} holds no checkpoints", "a folder POOL-VARIANT with record.json for each")
+    if there := [each for each in found if inside(root, each).exists() and not overwrite]:
+        raise BankError(
+            f"{root / there[0]} exists", "checkpoints that are new", "`overwrite` to replace them"
+        )
+    with writing(root), own_folder(root / "fetched") as scratch:
+        place.fetch(name, commit, scratch, _OF_POLICIES)
+        for each in found:
+            check_weights(read_checkpoint(inside(scratch, each)).path)
+        for each in found:
+            swap_in(scratch / each, root / each)
+    return found
+
+
+def holds_policies(name: str, hub: str | None = None, revision: str | None = None) -> bool:
+    """Whether a data set on a hub holds checkpoints and no bank; the errors are those of `pull_bank`."""
+    from cluttergen_jax.scene.bank.hub import hub_of
+
+    files = hub_of(hub).listing(name, revision)[1]
+    return "bank.json" not in files and any(each.endswith("/record.json") for each in files)

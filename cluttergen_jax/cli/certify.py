@@ -11,7 +11,7 @@ from cluttergen_jax.evaluation.api import certify
 
 @options_from(certify, bank=Positional[str])
 class Certify(Options):
-    """Add a stability certificate to each scene of a bank that stands, a column for each measure.
+    """Add a stability certificate to each successful scene of a bank, a column for each measure.
 
     Residual speed, drift, overlap, contacts, shake score, the contact graph, support margins, and what tilted
     gravity topples. Rerun to resume.

@@ -14,13 +14,13 @@ COMMANDS = {
     "certify": "Add a stability certificate to each successful scene of a bank, a column for each measure.",
     "stats": "Show what a bank holds: successes, failures by reason, objects, attempts, duplicates, gaps.",
     "push": "Publish a bank as a data set on the Hugging Face Hub (extra `hub`), with its card.",
-    "pull": "Fetch a bank from the Hugging Face Hub (extra `hub`) and check every file of it.",
+    "pull": "Fetch a bank, or policies, from the Hugging Face Hub (extra `hub`) and check every file of it.",
     "view": "Look at scenes in a browser: objects, hulls, clouds, attempts, and new scenes when asked for.",
     "render": (
         "Draw scenes: pictures (PNG), films, contact sheets, and what a camera or a scanner would measure."
     ),
-    "train": "Train a placement policy with PPO. Rerun to resume an interrupted run.",
-    "pretrain": "Pretrain a point encoder by classifying shapes. Rerun to resume an interrupted run.",
+    "train": "Train a placement policy with PPO. Rerun to resume.",
+    "pretrain": "Pretrain a point encoder by classifying shapes. Rerun to resume.",
     "evaluate": "Compare methods on pools and supports, or make a suite of tables and figures (`--suite`).",
     "placer": "Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.",
     "perception": "Known objects in images: `perception data`, `perception train` and `perception eval`.",

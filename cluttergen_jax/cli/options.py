@@ -12,9 +12,9 @@ from typing import Annotated, Any, get_args, get_origin
 import tyro
 from docstring_parser import parse
 
+from cluttergen_jax import spec
 from cluttergen_jax.cli.flags import FLAGS, option_help, options_of
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.spec import SceneSpec
 
 _NO_OPTIONS = ("show", "spec")
 
@@ -104,16 +104,17 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
 
 def _annotation(parameter: inspect.Parameter, function: Callable[..., Any]) -> Any:
     """The type of an argument; one by one, as some other's may take long to import."""
-    if isinstance(parameter.annotation, str):
-        return eval(parameter.annotation, inspect.unwrap(function).__globals__)
-    return parameter.annotation
+    if parameter.name in getattr(function, "spec_fields", ()):
+        # A rectangle is text there, and reading its class would load what reads tables.
+        return eval(parameter.annotation, vars(spec) | {"Rectangle": str})
+    return eval(parameter.annotation, inspect.unwrap(function).__globals__)
 
 
 def _docs(function: Callable[..., Any]) -> dict[str, str]:
     """What a docstring says of each argument."""
     own = parse(function.__doc__ or "").params
     # What a function says of an argument of its own, else what the request says of its fields.
-    params = [*parse(SceneSpec.__doc__ or "").params, *own] if hasattr(function, "spec_fields") else own
+    params = [*parse(spec.SceneSpec.__doc__ or "").params, *own] if hasattr(function, "spec_fields") else own
     return {name: each.description or "" for each in params for name in each.arg_name.split(", ")}
 
 

@@ -19,7 +19,7 @@ _HEADER = ("object", "size mm", "scale", "mass kg", "friction", "licence", "what
 
 @dataclass(frozen=True)
 class Pool:
-    """List pools, show what one holds, remove your own, or change how objects stand: cluttergen pool list.
+    """List pools, show what one holds, remove your own, or change an object's pose: cluttergen pool list.
 
     Example: `cluttergen pool show dining+study`. `cluttergen pool pose mine mug` lists the poses of a mug,
     `cluttergen pool pose mine mug 1` puts it into the first other one.

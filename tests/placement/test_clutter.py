@@ -13,7 +13,7 @@ from shapely.geometry import box as rectangle
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.learning.methods import Method, check_steered, sampler_of
+from cluttergen_jax.learning.methods import Method, sampler_of
 from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, spacing_of
 from cluttergen_jax.placement.clutter import Clutter
@@ -24,6 +24,7 @@ from cluttergen_jax.placement.search.features import FEATURES, Placing
 from cluttergen_jax.placement.search.tilting import shortfall, tilted
 from cluttergen_jax.placement.setup import make_setup
 from cluttergen_jax.scene.bank.table import CLUTTER, table_of, with_added
+from cluttergen_jax.spec import SceneSpec
 from tests.helpers import banks
 from tests.helpers.problems import trio_problem
 from tests.helpers.worlds import trio
@@ -114,9 +115,9 @@ def test_records_tell_what_was_asked_and_nothing_else():
 def test_only_methods_that_draw_from_weights_take_it():
     for asked in ({"clutter": "stack=1"}, {"natural": True}):
         with pytest.raises(ConfigError, match="spread"):
-            check_steered("drop", PlacementConfig(**asked))
-        check_steered("spread", PlacementConfig(**asked))
-    check_steered("drop", PlacementConfig(overhang="none"))
+            SceneSpec(**asked).check_method("drop")
+        SceneSpec(**asked).check_method("spread")
+    SceneSpec(overhang="none").check_method("drop")
 
 
 def drawn(seed: int, number: int = 40, features: int = 3):

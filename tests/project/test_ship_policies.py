@@ -41,7 +41,7 @@ def run_of_guided(folder, width=4):
 
 def test_guided_is_shipped_with_its_card(tmp_path):
     folder = ship_policies.ship(run_of_guided(tmp_path / "runs" / "any-name"), tmp_path / "shipped")
-    assert folder == tmp_path / "shipped" / "guided"
+    assert folder == tmp_path / "shipped" / "checkpoints" / "guided"
     assert {path.name for path in folder.iterdir()} == {
         "README.md",
         "calibration.png",

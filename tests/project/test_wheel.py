@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-MOST_MEGABYTES = 40
+MOST_MEGABYTES = 10
 
 
 def run(*command, cwd) -> str:
@@ -52,7 +52,9 @@ def test_both_distributions_are_ready_to_be_published(tmp_path):
     run(sys.executable, "-m", "twine", "check", "--strict", wheel, sdist, cwd=tmp_path)
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
-    files = {path for name in ("cluttergen_jax", "scenes") for path in (ROOT / name).rglob("*")}
+    folders = ("checkpoints", "placers", "pools", "segmenters", "supports")
+    names = ("cluttergen_jax", *(f"scenes/{name}" for name in folders))
+    files = {path for name in names for path in (ROOT / name).rglob("*")}
     data = {path.relative_to(ROOT) for path in files if path.is_file() and "__pycache__" not in path.parts}
     assert "cluttergen_jax/py.typed" in held
     # The folder `scenes` of a checkout is installed as `cluttergen_jax/data`.
@@ -61,6 +63,7 @@ def test_both_distributions_are_ready_to_be_published(tmp_path):
         path if path.parts[0] == package.name else package / "data" / Path(*path.parts[1:]) for path in data
     )
     assert {str(path) for path in inside} <= held
+    assert not any("ablations" in name or "/ready/" in name for name in held)
 
 
 @pytest.mark.slow

@@ -1,21 +1,32 @@
-"""The policies that come with the package. Nothing here reads weights or imports JAX."""
+"""The policies that are at hand: the package's, a checkout's and pulled ones. Nothing here imports JAX."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.assets.pool import embedded_root, user_root
 from cluttergen_jax.errors import PoolError
 
 FOR_ANY_POOL = ("guided",)
 """Variants of which one checkpoint serves every pool."""
 
 
+def pulled_root() -> Path:
+    """Where `pull_policies` puts checkpoints: `$CLUTTERGEN_HOME/checkpoints`, else in the XDG data home."""
+    return user_root().parent / "checkpoints"
+
+
 def list_policies() -> dict[str, Path]:
-    """Embedded checkpoints by name, POOL-VARIANT or a variant for any pool, with their folders."""
-    root = embedded_root() / "checkpoints"
-    folders = sorted(root.iterdir()) if root.is_dir() else []
-    return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+    """Checkpoints by name, POOL-VARIANT or a variant for any pool, with their folders.
+
+    Those of ablations are not in the package: they lie in a checkout, or were pulled.
+    """
+    scenes = embedded_root()
+    found: dict[str, Path] = {}
+    for root in (pulled_root(), scenes / "ablations", scenes / "checkpoints"):
+        folders = sorted(root.iterdir()) if root.is_dir() else []
+        found |= {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+    return dict(sorted(found.items()))
 
 
 def find_policy(variant: str, pool: str) -> Path:
@@ -32,5 +43,6 @@ def find_policy(variant: str, pool: str) -> Path:
     raise PoolError(
         f"no checkpoint for method {variant!r} on pool {pool!r}",
         ", ".join(policies) or "none is embedded",
-        f"cluttergen train{of_pool} --variant {variant}, then --checkpoint runs/{name}-0/policy",
+        f"cluttergen train{of_pool} --variant {variant}, then --checkpoint runs/{name}-0/policy; the "
+        "repository has those of ablations: cluttergen pull scenes/ablations --hub CHECKOUT",
     )

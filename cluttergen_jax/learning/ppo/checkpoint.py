@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -194,16 +195,29 @@ def read_policy(path: Path, like: Any) -> Any:
     """
     flat = flax.traverse_util.flatten_dict(like, sep="/")
     weights = _stored_weights(path / "weights.npz", flat)
-    _check_weights(path)
+    check_weights(path)
     merged = {name: jnp.asarray(weights.get(name, value), jnp.float32) for name, value in flat.items()}
     return flax.traverse_util.unflatten_dict(merged, sep="/")
 
 
-def _check_weights(path: Path) -> None:
-    """Refuses weights that are not those of the record beside them, where that says which they are."""
+def check_weights(path: Path) -> None:
+    """Refuses weights that cannot be unpacked, or are not those that the record beside them says.
+
+    Raises:
+      PoolError: they are damaged, or others.
+    """
     stated = read_record(path).get(_WEIGHTS) if (path / "record.json").exists() else None
     file = path / "weights.npz"
-    if stated is not None and digest_of(file.read_bytes()) != stated:
+    if stated is not None:
+        is_sound = digest_of(file.read_bytes()) == stated
+    else:
+        # Earlier records do not say it; an archive knows at least its own checksums.
+        try:
+            with zipfile.ZipFile(file) as archive:
+                is_sound = archive.testzip() is None
+        except (OSError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+            raise PoolError(f"{file}: damaged ({error})", hint=_FRESH) from error
+    if not is_sound:
         raise PoolError(f"{file}: damaged, or not the weights that record.json beside it is of", hint=_FRESH)
 
 

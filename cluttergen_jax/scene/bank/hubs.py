@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -28,9 +28,9 @@ _KIND = "dataset"
 _LONGEST = 300
 
 
-def is_of_a_bank(name: str) -> bool:
-    """Whether a file of this path belongs to a bank."""
-    return any(fnmatchcase(name, pattern) for pattern in PATTERNS)
+def is_of_a_bank(name: str, patterns: Sequence[str] = PATTERNS) -> bool:
+    """Whether a file of this path belongs to a bank, or to what else the patterns are of."""
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
 class Hub(Protocol):
@@ -43,8 +43,10 @@ class Hub(Protocol):
           BankError: there is none, or it cannot be reached.
         """
 
-    def fetch(self, dataset: str, revision: str | None, folder: Path) -> None:
-        """Copies the files that belong to a bank into `folder`; those that are there already may stay.
+    def fetch(
+        self, dataset: str, revision: str | None, folder: Path, patterns: Sequence[str] = PATTERNS
+    ) -> None:
+        """Copies the files of these patterns into `folder`; those that are there already may stay.
 
         Raises:
           BankError: there is no such data set, or it cannot be reached.
@@ -82,11 +84,14 @@ class FolderHub:
             )
         return None, _names_in(folder)
 
-    def fetch(self, dataset: str, revision: str | None, folder: Path) -> None:
+    def fetch(
+        self, dataset: str, revision: str | None, folder: Path, patterns: Sequence[str] = PATTERNS
+    ) -> None:
         """See `Hub`."""
         source = inside(self._root, dataset)
-        for name in filter(is_of_a_bank, _names_in(source)):
-            _copy(inside(source, name), inside(folder, name))
+        for name in _names_in(source):
+            if is_of_a_bank(name, patterns):
+                _copy(inside(source, name), inside(folder, name))
 
     def store(self, dataset: str, folder: Path, is_private: bool) -> str:
         """See `Hub`; who may read a folder is for its file system to say."""
@@ -133,11 +138,13 @@ class HuggingFaceHub:
             info = self._api.dataset_info(dataset, revision=revision)
             return info.sha, [each.rfilename for each in info.siblings or []]
 
-    def fetch(self, dataset: str, revision: str | None, folder: Path) -> None:
+    def fetch(
+        self, dataset: str, revision: str | None, folder: Path, patterns: Sequence[str] = PATTERNS
+    ) -> None:
         """See `Hub`. What an interrupted call has fetched is not fetched again."""
         with self._explained(dataset):
             self._api.snapshot_download(
-                dataset, repo_type=_KIND, revision=revision, local_dir=folder, allow_patterns=list(PATTERNS)
+                dataset, repo_type=_KIND, revision=revision, local_dir=folder, allow_patterns=list(patterns)
             )
 
     def store(self, dataset: str, folder: Path, is_private: bool) -> str:
