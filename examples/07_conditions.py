@@ -57,3 +57,11 @@ describe("around a plate and a mug", jax.jit(jax.vmap(around))(keys))
 # %%
 desk = cg.make_sampler(pool="study", support="drawer_desk", num_objects=num_objects, method="clear")
 describe("on a desk", jax.jit(jax.vmap(desk))(keys))
+
+# %% [markdown]
+# It prints:
+#
+#     turned regions: 32 of 32 succeed, objects within -0.25 to 0.26 m, -0.17 to 0.24 m
+#     kept free: 32 of 32 succeed, objects within -0.26 to 0.27 m, -0.11 to 0.31 m
+#     around a plate and a mug: 32 of 32 succeed, objects within -0.27 to 0.13 m, -0.30 to 0.29 m
+#     on a desk: 32 of 32 succeed, objects within -0.56 to 0.53 m, -0.26 to 0.24 m

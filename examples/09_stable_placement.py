@@ -68,6 +68,15 @@ for row, (x, y, z, yaw) in enumerate(np.asarray(proposals.pose[:, 0])):
 print(f"{stands.sum()} of {len(stands)} objects placed from one noisy image each")
 
 # %% [markdown]
+# It prints, a line for each scene:
+#
+#     scene 0: 65% of the region is hidden from the camera
+#     ...
+#     scene 0: remote_control at x +0.012 y -0.238 z 0.013 m, turned by 2.08 rad (chance 1.00): stable
+#     scene 1: remote_control at x -0.221 y +0.164 z 0.013 m, turned by 6.32 rad (chance 1.00): stable
+#     ...
+#     16 of 16 objects placed from one noisy image each
+#
 # Proposals of the same placer on four tables, by `python docs/make_proposals.py`; green ones are stable:
 #
 # ![Five proposals for one object on each of four tables](../docs/images/proposals.png)
