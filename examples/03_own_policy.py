@@ -19,7 +19,9 @@ num_attempts = 40_000
 # trained with (5), but not more.
 
 # %%
-checkpoint = cg.train(pool, support, num_objects, num_attempts=num_attempts, out="runs/my_pool")
+checkpoint = cg.train(
+    pool=pool, support=support, num_objects=num_objects, num_attempts=num_attempts, out="runs/my_pool"
+)
 
 # %%
 keys = jax.random.split(jax.random.key(0), 256)

@@ -44,7 +44,19 @@ for name, pose in zip(scene.objects, scene.poses, strict=True):
     print(f"{name:14} at {np.round(pose[:3], 3)} m, turned {np.round(pose[3:], 3)}")
 
 # %% [markdown]
+# It prints, among other lines:
+#
+#     attempts   2002, 1.00 per placed object
+#     rejected   2 unsettled (0.1%): did not come to rest in time
+#     movement of 200 objects: median 1.32 um, 99th percentile 5.29 um, most 9.59 um and 0.00 deg
+#     missing    nothing of the 200 scenes asked for
+#     median steps simulated for a scene: 330
+#     bottle         at [ 0.183 -0.     0.847] m, turned [0.114 0.    0.    0.993]
+#
 # A picture of six scenes, `pictures/bank-sheet.png`:
 
 # %%
 cg.render("bank", "pictures", scenes="0-5", picture=False, sheet=True, columns=3)
+
+# %% [markdown]
+# ![Six scenes of the bank](../docs/images/tutorials/bank-sheet.png)
