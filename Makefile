@@ -10,11 +10,11 @@ PYTEST = $(RUN)/pytest -n auto --maxprocesses 4 --dist loadfile
 # Most of a quick test's time is XLA's compiler; what runs once need not be optimised. test-all compiles as users do.
 QUICKLY = XLA_FLAGS="$$XLA_FLAGS --xla_backend_optimization_level=0"
 # Not the whole folder: what users make here (banks, with their cards) is not the project's.
-CODE = cluttergen_jax tests benchmarks docs examples scenes $(wildcard *.py *.md)
+CODE = cluttergen_jax tests benchmarks docs examples reports scenes $(wildcard *.py *.md)
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-wheel lint dist docs format scenes bench clean prerequisites
+.PHONY: help demo test test-all test-wheel lint dist docs images format scenes bench clean prerequisites
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -64,6 +64,9 @@ $(VENV)/.docs: $(VENV)/.dev
 docs: $(VENV)/.docs ## build the documentation in out/site; a broken link is an error
 	$(RUN)/mkdocs build --strict
 
+images: $(VENV)/.core ## draw the pictures of the README and the gallery again
+	$(RUN)/python docs/make_images.py
+
 dist: $(VENV)/.dev ## build the wheel and the source distribution in dist, and check them
 	rm -rf dist
 	$(RUN)/python -m build
@@ -85,7 +88,7 @@ scenes: $(VENV)/.dev ## build the embedded pools, supports and ready scenes agai
 	$(RUN)/python scenes/build_supports.py
 	$(RUN)/python scenes/build_ready.py
 
-bench: $(VENV)/.all ## measure contact, last check and engines again; renews benchmarks/README.md
+bench: $(VENV)/.all ## measure contact, last check and engines again; renews reports/benchmarks.md
 	$(RUN)/python -m benchmarks.contact --write
 	$(RUN)/python -m benchmarks.last_check --write
 	$(RUN)/python -m benchmarks.engines --write

@@ -1,1 +1,1 @@
-"""Programs that measure: `python -m benchmarks.NAME [--write]`; README.md holds what they wrote."""
+"""Programs that measure: `python -m benchmarks.NAME [--write]`; reports/benchmarks.md has what they wrote."""

@@ -146,7 +146,7 @@ def compare(
     parser.add_argument("--encoder-weights", required=needs_encoder, help="of `cluttergen pretrain`")
     names = [row.name for row in rows]
     parser.add_argument("--rows", nargs="+", choices=names, help="these alone, such as with a larger budget")
-    parser.add_argument("--write", action="store_true", help="put the section into benchmarks/README.md")
+    parser.add_argument("--write", action="store_true", help="put the section into reports/benchmarks.md")
     args = parser.parse_args()
     if args.rows and args.write:
         parser.error("--write puts the whole section into the file: it takes no --rows")

@@ -38,7 +38,7 @@ class BankReading:
       out: the bank's folder; what is there is not made again.
       num_scenes: in the bank.
       one_block: a bank of the block that is repeated; made by `clear` of dining if it is not there.
-      write: put the section into benchmarks/README.md.
+      write: put the section into reports/benchmarks.md.
     """
 
     out: Path = Path("out/bank_reading/bank")

@@ -25,7 +25,7 @@ from benchmarks.section import ROOT, report, table
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank import read_bank
 
-PICTURE = Path("docs/images/big_bank.png")
+PICTURE = Path("reports/images/big_bank.png")
 _DONE = re.compile(r"placing: (\d+) of \d+ scenes")
 _MILLIONS = (1, 10, 1000)
 
@@ -57,7 +57,7 @@ class BigBank:
       every: seconds between two looks.
       core_hour: price of a core for an hour; gigabyte_month: of 10^9 bytes for a month; both in one currency.
       machine_cores: cores of a machine in the sums.
-      write: put the section into benchmarks/README.md, and the picture into docs/images.
+      write: put the section into reports/benchmarks.md, and the picture into reports/images.
     """
 
     out: Path = Path("out/big_bank/bank")

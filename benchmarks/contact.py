@@ -76,7 +76,7 @@ class Contact:
       num_scenes: scenes by each method.
       warp: drop things on Warp too, which compiles for some seconds for each candidate.
       only: names of the candidates to run; all if empty.
-      write: renew this program's section of benchmarks/README.md.
+      write: renew this program's section of reports/benchmarks.md.
     """
 
     pool: tuple[str, ...] = ("dining", "study")

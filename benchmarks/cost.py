@@ -36,7 +36,7 @@ class Cost:
       objects: numbers of objects in a scene.
       scenes: numbers of scenes made in one go.
       groups: of the pool's objects, sorted by their convex parts; each fills tables.
-      write: renew this program's section of benchmarks/README.md, and its picture.
+      write: renew this program's section of reports/benchmarks.md, and its picture.
     """
 
     methods: tuple[str, ...] = ("clear", "guided")
@@ -149,7 +149,7 @@ def main(options: Cost) -> None:
     }
     parts = [_section(f"Against {of}", abouts[of], of, methods) for of, methods in found.items()]
     text = "\n\n".join(["## What a scene costs", *parts])
-    report("cost", f"{text}\n\n![Cost of a scene](../docs/images/cost.png)", write=options.write)
+    report("cost", f"{text}\n\n![Cost of a scene](images/cost.png)", write=options.write)
     if options.write:
         _draw(found, IMAGES / "cost")
 

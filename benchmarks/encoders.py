@@ -35,7 +35,7 @@ class Encoders:
       batch: scenes in one pass.
       rounds: in which the encoders take turns.
       full: also the network of preset paper: 20,480 scene points and 1,024 of each object.
-      write: renew this program's section of benchmarks/README.md.
+      write: renew this program's section of reports/benchmarks.md.
     """
 
     pool: str = "dining"
@@ -140,7 +140,7 @@ def compete(args: Encoders) -> dict[tuple[str, int], Contender]:
 
 
 def body_of(contenders: dict[tuple[str, int], Contender], args: Encoders) -> str:
-    """The section of benchmarks/README.md."""
+    """The section of reports/benchmarks.md."""
     rows = [
         [
             name,
@@ -171,7 +171,7 @@ def _sizes(full: bool) -> str:
 
 
 def main(args: Encoders) -> None:
-    """Prints the section, and with `write` puts it into benchmarks/README.md."""
+    """Prints the section, and with `write` puts it into reports/benchmarks.md."""
     report("encoders", body_of(compete(args), args), write=args.write, packages=("jax", "flax"))
 
 

@@ -44,7 +44,7 @@ class Engines:
       rounds: how often the engines take turns.
       num_awake: scenes stepped with everything awake.
       num_replayed: attempts given to MJX; 0 leaves MJX out.
-      write: renew this program's section of benchmarks/README.md.
+      write: renew this program's section of reports/benchmarks.md.
     """
 
     pool: str = "dining"

@@ -26,7 +26,7 @@ import tyro
 from benchmarks import gpu_engines, gpu_training
 from benchmarks.bodies import box
 from benchmarks.rows import Cases, OutOfTimeError, Row, Rows, columns
-from benchmarks.section import README, prose, replace_section, table, version_of
+from benchmarks.section import PAGE, prose, replace_section, table, version_of
 from cluttergen_jax.assets.pool import Pool, find_pool, write_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig
@@ -50,7 +50,7 @@ class Gpu:
       minutes: after which a call ends.
       small: a miniature of everything on three boxes, for any machine; its figures say nothing.
       retry: make rows again that failed.
-      write: no measurement; put the rows that are there into benchmarks/README.md.
+      write: no measurement; put the rows that are there into reports/benchmarks.md.
     """
 
     parts: tuple[str, ...] = ()
@@ -252,7 +252,7 @@ LAYOUTS = {
 
 
 def body_of(rows: Rows) -> str:
-    """The section of benchmarks/README.md, from the rows that are there."""
+    """The section of reports/benchmarks.md, from the rows that are there."""
     facts = rows.of("doctor").get("machine", {})
     text = ["## GPU"] + ["A miniature: its figures say nothing."] * bool(facts.get("small"))
     for part, layout in LAYOUTS.items():
@@ -288,14 +288,14 @@ def _flat(row: Row) -> Row:
     }
 
 
-def main(args: Gpu, readme: Path = README) -> None:
+def main(args: Gpu, page: Path = PAGE) -> None:
     """Measures, or writes what was measured."""
     if not args.write:
         measure(args)
         return
     body = body_of(Rows(args.folder / "rows.json"))
     print(body)
-    replace_section(readme, "gpu", body)
+    replace_section(page, "gpu", body)
 
 
 if __name__ == "__main__":

@@ -192,7 +192,13 @@ def _whole_scenes(scale: Scale, lanes: int) -> tuple[np.ndarray, np.ndarray]:
 
 def sampler_with(scale: Scale, method: str, engine: str, stability: StabilityConfig) -> BlockSampler:
     """Episodes as `generate` makes them, on an engine of `Scale.engines`."""
-    made = make_sampler(scale.pool, scale.support, scale.num_objects, method, engine="native")
+    made = make_sampler(
+        pool=scale.pool,
+        support=scale.support,
+        num_objects=scale.num_objects,
+        method=method,
+        engine="native",
+    )
     physics = physics_of(engine, made.problem.world, stability)
     return replace(made.steps, rules=replace(made.steps.rules, physics=physics))
 

@@ -40,7 +40,7 @@ class LastCheck:
       method: who fills them.
       num_scenes: scenes begun for each support and method; those that are filled count.
       num_verified: how many of all are watched for ten seconds too.
-      write: renew this program's section of benchmarks/README.md.
+      write: renew this program's section of reports/benchmarks.md.
     """
 
     pool: str = "dining"

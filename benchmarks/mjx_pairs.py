@@ -41,7 +41,7 @@ class MjxPairs:
 
     Attributes:
       num_scenes: side by side.
-      write: renew this program's section of benchmarks/README.md.
+      write: renew this program's section of reports/benchmarks.md.
       case: what a child process does; for this program's own use.
     """
 

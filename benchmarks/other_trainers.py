@@ -139,7 +139,7 @@ def draw(curves: dict[str, list[list[float]]], chance: list[float]) -> None:
 
 
 def section(found: dict[str, dict], chance: list[float], asked: int) -> str:
-    """The section of benchmarks/README.md."""
+    """The section of reports/benchmarks.md."""
     rows = []
     for name, each in found.items():
         for label, row in (("first", each["rows"][0]), ("last", each["rows"][-1])):
@@ -178,7 +178,7 @@ def main() -> None:
     parser.add_argument("--attempts", type=int, default=50_000)
     parser.add_argument("--trainers", nargs="+", default=list(NAMES), choices=list(NAMES))
     parser.add_argument("--runs", type=Path, default=Path("runs") / "other_trainers", help="keeps the curves")
-    parser.add_argument("--write", action="store_true", help="into benchmarks/README.md")
+    parser.add_argument("--write", action="store_true", help="into reports/benchmarks.md")
     asked = parser.parse_args()
     found = {name: trained(name, asked.attempts, asked.runs) for name in asked.trainers}
     if len(found) == len(NAMES):

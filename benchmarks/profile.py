@@ -55,7 +55,7 @@ class Profile:
       methods: that sample; presets: that train, for two updates after the first.
       pool: name or folder.
       num_blocks: of 256 scenes, after the first one.
-      write: renew this program's section of benchmarks/README.md, and its picture.
+      write: renew this program's section of reports/benchmarks.md, and its picture.
     """
 
     methods: tuple[str, ...] = ("clear", "drop", "guided")
@@ -201,7 +201,7 @@ def main(options: Profile) -> None:
         method, without files, by scene that stands; and training by attempt, at its beginning."""
     )
     text = "\n\n".join(["## Where the time goes", about, _text("scene", sampled), _text("attempt", trained)])
-    report("profile", f"{text}\n\n![Shares of CPU time](../docs/images/profile.png)", write=options.write)
+    report("profile", f"{text}\n\n![Shares of CPU time](images/profile.png)", write=options.write)
     if options.write:
         _draw({"scenes": sampled, "training": trained}, IMAGES / "profile")
 

@@ -1,4 +1,4 @@
-"""Sections of benchmarks/README.md: each program writes its own, with command, date and machine."""
+"""Sections of reports/benchmarks.md: each program writes its own, with command, date and machine."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from pathlib import Path
 from cluttergen_jax.evaluation.machine import cpu_model
 
 ROOT = Path(__file__).parents[1]
-README = Path(__file__).parent / "README.md"
-IMAGES = ROOT / "docs/images"
+PAGE = ROOT / "reports/benchmarks.md"
+IMAGES = ROOT / "reports/images"
 _HEAD = (
     "# Benchmarks\n\nEvery section is written by the command that stands in it; no figure is typed by hand.\n"
 )
 
 
 def report(
-    name: str, body: str, *, write: bool, packages: Sequence[str] = ("mujoco", "jax"), readme: Path = README
+    name: str, body: str, *, write: bool, packages: Sequence[str] = ("mujoco", "jax"), page: Path = PAGE
 ) -> None:
     """Prints a section, and with `write` puts it in the place of the old one.
 
@@ -35,17 +35,18 @@ def report(
     text = f"{body.strip()}\n\n{provenance(name, packages)}"
     print(text)
     if write:
-        replace_section(readme, name, text)
+        replace_section(page, name, text)
 
 
-def replace_section(readme: Path, name: str, text: str) -> None:
+def replace_section(page: Path, name: str, text: str) -> None:
     """Puts `text` between the markers of section `name`; a section that is not there yet goes to the end."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    old = readme.read_text(encoding="utf-8") if readme.exists() else _HEAD
+    old = page.read_text(encoding="utf-8") if page.exists() else _HEAD
     section = f"{begin}\n{text.strip()}\n{end}"
     pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
     new, num_found = pattern.subn(lambda _: section, old)
-    readme.write_text(new if num_found else f"{old.rstrip()}\n\n{section}\n", encoding="utf-8")
+    page.parent.mkdir(parents=True, exist_ok=True)
+    page.write_text(new if num_found else f"{old.rstrip()}\n\n{section}\n", encoding="utf-8")
 
 
 def provenance(name: str, packages: Sequence[str] = ()) -> str:

@@ -66,7 +66,7 @@ def main() -> None:
     """Writes the section."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", type=Path, nargs="+")
-    parser.add_argument("--write", action="store_true", help="put the section into benchmarks/README.md")
+    parser.add_argument("--write", action="store_true", help="put the section into reports/benchmarks.md")
     args = parser.parse_args()
     body = prose(
         f"""Preset `{DEFAULT_PRESET}`, {DEFAULT_OBJECTS} objects and up to {DEFAULT_ATTEMPTS} attempts each

@@ -35,7 +35,7 @@ class Upright:
     Attributes:
       sources: folders of files that are upright; the embedded pools come first.
       seeds: random turns of each object.
-      write: renew this program's section of benchmarks/README.md.
+      write: renew this program's section of reports/benchmarks.md.
     """
 
     sources: tuple[Path, ...] = ()

@@ -6,14 +6,14 @@
     envs = cluttergen_jax.make_vector_env(64, pool="dining")               # a VectorEnv of Gymnasium
     bank = cluttergen_jax.load_bank("owner/name")                          # pulled from a hub
 
-What a command does, one function does, with the same defaults:
+Every command has a function with the same defaults:
 
     import_pool, import_support    meshes, URDF, SDF, MJCF -> a pool, a support
-    pool_poses, set_pose           the poses in which an object of a pool can stand; another one for it
-    generate, verify, stats_of     scenes -> a bank on disk; which of them stand; what it holds
+    pool_poses, set_pose           the resting poses of an object of a pool; selects another one
+    generate, verify, stats_of     scenes -> a bank on disk; which are stable; what it holds
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer
-    placer_data, placer_eval       pairs for stable placement; how often what placers propose stands
+    placer_data, placer_eval       pairs for stable placement; success rates of placers
     placer_train                   pairs -> a placer for what one camera sees
     place_by_hand                  a person's scenes -> a bank
     perception_data, _train, _eval views of scenes; a segmenter; how well objects and poses are found

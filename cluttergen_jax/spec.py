@@ -128,36 +128,36 @@ class SceneSpec:
       objects: names of the pool's objects to use; all of them if empty.
       exclude: names of the pool's objects to leave out; exclude=("mug",) is the same as pool="dining~mug".
       num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
-      repeat: let objects stand there more than once.
+      repeat: allow duplicates: an object may be placed more than once.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
         In Python also a `Rectangle`.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       containment: what must lie in the region: the bounding box's "center", or its whole "footprint".
-      order: in which objects come: "random"; "fixed" to the pool's order; "largest" footprint first; or
-        "weighted", mostly but not always so. If not given: the method's own, "random" for most.
+      order: the order in which objects are placed: "random"; "fixed", the pool's; "largest" footprint first;
+        or "weighted", larger ones mostly first. If not given: the method's own, "random" for most.
       max_attempts: attempts per object, 1 to 10; a policy of poses allows as many as it was trained with at
         most.
-      ruin_after: failed attempts in a row after which some placed objects, with all that leans on them, are
-        taken away and placed again; 0 takes nothing away. If not given: the method's own, 0 for most.
+      ruin_after: number of failed attempts in a row after which some placed objects, with all that lean on
+        them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
       budget: attempts of a scene in all; `max_attempts` for each object if not given.
-      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0
-        asks for nothing. If not given: 0.003.
-      robust: ask that an object also stands, with whatever it touches, while gravity tilts by 5 degrees,
-        friction is 0.7 times as much and contacts are soft; native engine alone.
-      setting: what holds of these where they are not given: "default", or "paper" for the paper's rules: a
-        random order, nothing taken away, no margin.
-      overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
-        "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
-      clutter: what scenes should have, on average (methods "guided", "spread"): stack, objects on others;
-        depth, objects below each, summed; contacts, pairs that touch; near, metres to the nearest other
-        object, mean; occlusion, mean share of an object that others hide. As text "stack=3,near=0.02"; in
-        Python also a mapping.
-      natural: prefer wide, flat things below and small ones on them (methods "guided", "spread").
-      tidy: keep room instead of spreading objects out: more objects fit, and scenes are more alike (methods
+      min_margin: minimum horizontal distance (m) from an object's centre of mass to the edge of its support;
+        0 asks for nothing. If not given: 0.003.
+      robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5
+        degrees, friction is 0.7 times as much and contacts are softer; native engine only.
+      setting: default preset of the rules that are not given: "default", or "paper": a random order, nothing
+        removed, no margin.
+      overhang: how much of an object's footprint may reach beyond the edge of the support once it rests:
+        "any"; "half", at most 25 % (a uniform body tips at 50 %); or "none".
+      clutter: what scenes should have on average (methods "guided", "spread"): stack, number of objects on
+        others; depth, sum over objects of those below; contacts, touching pairs; near, mean distance to the
+        nearest object (m); occlusion, mean hidden share of an object. As text "stack=3,near=0.02"; in Python
+        also a mapping.
+      natural: prefer wide, flat objects below and small ones on top (methods "guided", "spread").
+      tidy: keep room instead of spreading objects out: more objects fit, but scenes are less diverse (methods
         "guided", "spread").
-      height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;
+      height: from which `random` releases an object: "rest", 1 mm above its resting height on the bare top;
         or "free", anywhere in the region's range of heights.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
         the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is

@@ -41,7 +41,7 @@ def from_above(values: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """One household scene: colours, labels, depth without and with noise, what is known of the heights."""
-    sample = cg.make_sampler("household", "table", 10)
+    sample = cg.make_sampler(pool="household", support="table", num_objects=10)
     scenes = jax.device_get(jax.jit(jax.vmap(sample))(jax.random.split(jax.random.key(0), 8)))
     scene = sample.scene(scenes, int(np.flatnonzero(scenes.is_success)[0]))
     middle = np.array([0.0, 0.0, scene.support.top])

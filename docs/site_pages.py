@@ -1,7 +1,7 @@
-"""MkDocs hook: pages made from the repository (README, examples, commands, package map), and links to them.
+"""MkDocs hook: pages made from the repository (README, examples, reports, references), and links to them.
 
-Nothing is written twice: the home page is the README, tutorials are the examples (which the tests run), and
-the command reference is what `--help` prints.
+Nothing is written twice: the home page is the README, tutorials are the examples (which the tests run), the
+command reference is what `--help` prints, and the reference of Python is made from the code.
 """
 
 from __future__ import annotations
@@ -29,12 +29,21 @@ PAGES = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changes.md",
     "benchmarks/README.md": "benchmarks.md",
+    "reports/README.md": "reports/index.md",
+    "reports/results.md": "reports/results.md",
+    "reports/measured.md": "reports/measured.md",
+    "reports/missed.md": "reports/missed.md",
+    "reports/benchmarks.md": "reports/benchmarks.md",
 } | {
     f"examples/{path.name}": f"tutorials/{path.stem}.md" for path in sorted((ROOT / "examples").glob("*.py"))
 }
 """Files of the repository outside docs, and the pages that they become."""
 _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)(#[^)\s]*)?(?=\))")
-_COLUMNS = "100"
+_WIDE = "300"
+"""Columns of a terminal in which an option of a command and its type are on one line."""
+_PUBLIC = ("assets", "physics", "placement", "importing", "sensing", "learning", "scene", "rendering",
+           "generation", "evaluation", "downstream")  # fmt: skip
+"""The packages whose modules are in the reference of Python."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -43,7 +52,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         text = (ROOT / source).read_text(encoding="utf-8")
         content = _tutorial(text, source) if source.endswith(".py") else text
         files.append(File.generated(config, uri, content=content))
+    for picture in sorted((ROOT / "reports").rglob("*.png")):
+        uri = str(picture.relative_to(ROOT))
+        files.append(File.generated(config, uri, abs_src_path=str(picture)))
     files.append(File.generated(config, "reference/commands.md", content=_commands()))
+    for name in _PUBLIC:
+        files.append(File.generated(config, f"reference/python/{name}.md", content=_package_page(name)))
     return files
 
 
@@ -67,12 +81,12 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 def _without_code_links(markdown: str, source: str) -> str:
     """Links to files that are no page, such as modules, lose their target: the text names the file."""
 
-    def told(match: re.Match[str]) -> str:
+    def without_target(match: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join(posixpath.dirname(source), match[2].partition("#")[0]))
         is_page = target in PAGES or target.startswith("docs/")
         return match[0] if is_page else match[1]
 
-    return re.sub(r"(?<!!)\[([^\]]*)\]\((?![a-z]+:|#)([^)\s]+)\)", told, markdown)
+    return re.sub(r"(?<!!)\[([^\]]*)\]\((?![a-z]+:|#)([^)\s]+)\)", without_target, markdown)
 
 
 def _tutorial(text: str, source: str) -> str:
@@ -89,15 +103,41 @@ def _tutorial(text: str, source: str) -> str:
 
 
 def _commands() -> str:
-    """What each command says of itself."""
-    os.environ["COLUMNS"] = _COLUMNS
-    parts = ["# Command line", "What `cluttergen COMMAND --help` prints."]
-    for name, about in COMMANDS.items():
-        parts.append(f"## {name}\n\n{about}")
-        for action in _actions(name) or [""]:
-            title = f"### {name} {action}\n\n" if action else ""
-            parts.append(f"{title}```text\n{_help([name, *filter(None, [action])])}\n```")
+    """What each command says of itself, with an anchor for each option."""
+    os.environ["COLUMNS"] = _WIDE
+    about = "What `cluttergen COMMAND --help` prints. Every option has an anchor, such as `#generate-pool`."
+    parts = ["# Command line", about]
+    for name, summary in COMMANDS.items():
+        actions = _actions(name)
+        parts += [f"## {name}", *([summary] if actions else [])]
+        for command in [f"{name} {action}" for action in actions] or [name]:
+            parts += [f"### {command}"] if actions else []
+            parts.append(_command(command, _help(command.split())))
     return "\n\n".join(parts) + "\n"
+
+
+def _command(name: str, text: str) -> str:
+    """A command's help in Markdown: usage, what it does, and its arguments."""
+    intro, *boxes = re.split(r"\n *[a-z][a-z ]*\n *-{10,} *\n", text)
+    usage, _, about = intro.partition("\n\n")
+    parts = [f"```text\n{usage.removeprefix('usage: ').strip()}\n```", about.strip()]
+    # An argument begins its line after two spaces; what is said of it may go on below, further in.
+    for place, entry in enumerate(re.findall(r"^  \S.*(?:\n {3,}\S.*)*", "\n".join(boxes), re.MULTILINE), 1):
+        written, *rest = re.split(r"(?<=\S) {2,}|\n", entry.strip(), maxsplit=1)
+        flags = re.findall(r"(?<![\w-])--[a-z][\w-]*", written) or [f"--argument-{place}"]
+        if rest and "--help" not in flags:
+            anchor = f"{name} {flags[0][2:]}".replace(" ", "-")
+            parts.append(_option(anchor, written, " ".join(rest[0].split())))
+    return "\n\n".join(parts)
+
+
+def _option(anchor: str, written: str, text: str) -> str:
+    """One argument: how it is written, its default, and what it does."""
+    default = re.search(r"\((default: (.*)|required)\)$", text)
+    about = text[: default.start()].strip() if default else text
+    after = default[1] if default and default[2] not in ("", "None") else "optional"
+    plain = written.replace("{None}|", "").replace("{None,", "{")
+    return f'<a id="{anchor}"></a>`{plain}` ({after})\n:   {about}'
 
 
 def _actions(name: str) -> list[str]:
@@ -115,6 +155,31 @@ def _help(words: list[str]) -> str:
     return re.sub(r"\x1b\[[0-9;]*m", "", printed.getvalue()).strip()
 
 
+def _package_page(name: str) -> str:
+    """The reference of a package: what its docstring says, and the public names of each of its modules."""
+    folder = ROOT / "cluttergen_jax" / name
+    parts = [f"# cluttergen_jax.{name}", _docstring(folder / "__init__.py")]
+    for path in sorted(folder.rglob("*.py")):
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        names = _public_names(path)
+        if not names or any(part.startswith("_") or part == "scripts" for part in path.parts[-4:]):
+            continue
+        parts.append(f"## {module}\n\n{_docstring(path)}")
+        parts += [f"::: {module}.{each}" for each in names]
+    return "\n\n".join(parts) + "\n"
+
+
+def _public_names(path: Path) -> list[str]:
+    """The functions and classes that a module defines for others."""
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    kinds = (ast.FunctionDef, ast.ClassDef)
+    return [each.name for each in body if isinstance(each, kinds) and not each.name.startswith("_")]
+
+
+def _docstring(path: Path) -> str:
+    return ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+
+
 def _package_map() -> str:
     """The layers of the import contract in pyproject.toml; each package has its docstring's first line."""
     with (ROOT / "pyproject.toml").open("rb") as file:
@@ -130,5 +195,5 @@ def _package_map() -> str:
 def _box(name: str) -> str:
     path = ROOT / "cluttergen_jax" / name
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-    first = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))).splitlines()[0]
+    first = _docstring(path).splitlines()[0]
     return f"<div><b>{name}</b><br>{first.replace('`', '')}</div>"

@@ -5,27 +5,26 @@
 # preset's.
 
 # %%
-import os
-
 import jax
 
 import cluttergen_jax as cg
 
-SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
-pool, num_objects = os.environ.get("CLUTTERGEN_POOL", "my_pool"), 3
+pool, num_objects = "my_pool", 3
 support = "table-0.20x0.16"
-num_attempts = 2048 if SMALL else 40_000
+num_attempts = 40_000
 
 # %% [markdown]
-# A run leaves `runs/my_pool/policy` (the weights), `curve.png` and everything that is needed to go on after
+# A run leaves `runs/my_pool/policy` (the weights), `curve.png` and everything that is needed to resume after
 # Ctrl-C. The policy reads the failed attempts of the current object: it may be allowed fewer than it was
 # trained with (5), but not more.
 
 # %%
-checkpoint = cg.train(pool, support, num_objects, num_attempts=num_attempts, out="runs/my_pool")
+checkpoint = cg.train(
+    pool=pool, support=support, num_objects=num_objects, num_attempts=num_attempts, out="runs/my_pool"
+)
 
 # %%
-keys = jax.random.split(jax.random.key(0), 16 if SMALL else 256)
+keys = jax.random.split(jax.random.key(0), 256)
 
 
 def success(sample: cg.Sampler) -> float:
@@ -35,7 +34,7 @@ def success(sample: cg.Sampler) -> float:
 settings = {"pool": pool, "support": support, "num_objects": num_objects}
 trained = cg.make_sampler(**settings, method="policy", checkpoint=checkpoint)
 chance = cg.make_sampler(**settings, method="random")
-print(f"scenes that stand: {success(trained):.0%} with the policy, {success(chance):.0%} at random")
+print(f"success rate: {success(trained):.0%} with the policy, {success(chance):.0%} at random")
 
 # %% [markdown]
 # From the command line:

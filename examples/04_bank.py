@@ -1,27 +1,25 @@
 # %% [markdown]
 # # A bank: thousands of scenes on disk, verified
 # The same as `cluttergen generate`, `verify` and `stats`, from Python. If it is interrupted, run it again:
-# it goes on where it stopped.
+# it resumes.
 
 # %%
-import os
-
 import numpy as np
 
 import cluttergen_jax as cg
 
-SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
-num_scenes, num_objects = (6, 2) if SMALL else (1000, 10)
+num_scenes, num_objects = 200, 10
 
 # %%
 bank = cg.generate(
     "bank", pool="dining", num_scenes=num_scenes, num_objects=num_objects, method="clear",
-    render=not SMALL, max_files=20,
+    max_files=20,
 )  # fmt: skip
 print(bank)
 
 # %% [markdown]
-# Each saved file (at most `max_files`), loaded afresh in plain MuJoCo, everything awake, for ten seconds.
+# Each saved file (at most `max_files`) is reloaded in plain MuJoCo and simulated for ten seconds with
+# sleeping disabled.
 
 # %%
 report = cg.verify("bank")
@@ -44,3 +42,21 @@ print(f"median steps simulated for a scene: {np.median(table['simulated_steps'])
 scene = next(scene for scene in bank.scenes() if scene.is_success)
 for name, pose in zip(scene.objects, scene.poses, strict=True):
     print(f"{name:14} at {np.round(pose[:3], 3)} m, turned {np.round(pose[3:], 3)}")
+
+# %% [markdown]
+# It prints, among other lines:
+#
+#     attempts   2002, 1.00 per placed object
+#     rejected   2 unsettled (0.1%): did not come to rest in time
+#     movement of 200 objects: median 1.32 um, 99th percentile 5.29 um, most 9.59 um and 0.00 deg
+#     missing    nothing of the 200 scenes asked for
+#     median steps simulated for a scene: 330
+#     bottle         at [ 0.183 -0.     0.847] m, turned [0.114 0.    0.    0.993]
+#
+# A picture of six scenes, `pictures/bank-sheet.png`:
+
+# %%
+cg.render("bank", "pictures", scenes="0-5", picture=False, sheet=True, columns=3)
+
+# %% [markdown]
+# ![Six scenes of the bank](../docs/images/tutorials/bank-sheet.png)

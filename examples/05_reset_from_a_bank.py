@@ -5,7 +5,6 @@
 # Both objects are of one hull, for MJX in pure JAX; with `impl="warp"` on an NVIDIA GPU any will do.
 
 # %%
-import os
 import time
 
 import flax.linen as nn
@@ -18,8 +17,6 @@ from mujoco import mjx
 import cluttergen_jax as cg
 from cluttergen_jax.learning.networks.distributions import Beta
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
-
-SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 
 # %%
 pair = ("cereal_box", "soup_can")
@@ -86,8 +83,7 @@ class Net(nn.Module):  # a Beta policy, and a value
 
 
 # %%
-size = {"num_envs": 4, "num_steps": 4, "num_attempts": 32} if SMALL else {"num_attempts": 80_000}
-config = PPOConfig(num_minibatches=4, discount=0.97, **size)
+config = PPOConfig(num_minibatches=4, discount=0.97, num_attempts=80_000)
 learner = PPO(Push(bank), Net().apply, config)
 state = learner.start(jax.random.key(0), Net().init(jax.random.key(1), jnp.zeros((1, 16))))
 state = jax.device_put(state, jax.devices()[0])  # MJX's arrays are; else the second update compiles anew

@@ -3,15 +3,13 @@
 # Self-contained folders: meshes, collision parts, masses, frictions, licences.
 
 # %%
-import os
 from pathlib import Path
 
 import mujoco
 
 import cluttergen_jax as cg
 
-SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
-num_objects = 2 if SMALL else 8
+num_objects = 8
 
 # %%
 bank = cg.generate("scenes", num_scenes=4, num_objects=num_objects, method="clear", max_files=0)
@@ -43,3 +41,13 @@ start = data.qpos.copy()
 mujoco.mj_step(model, data, 500)
 moved = abs(data.qpos - start).reshape(-1, 7)[:, :3].max()
 print(f"after a second in your own world, the objects have moved {moved * 1000:.2f} mm at most")
+
+# %% [markdown]
+# It prints:
+#
+#     mjcf  exported/mjcf
+#     urdf  exported/urdf
+#     sdf   exported/sdf
+#     glb   exported/glb
+#     read back by MuJoCo: 10 bodies, 82 meshes
+#     after a second in your own world, the objects have moved 0.00 mm at most

@@ -6,7 +6,6 @@
 
 # %%
 import functools
-import os
 
 import jax
 import numpy as np
@@ -14,7 +13,6 @@ from brax.training.agents.ppo import networks
 
 import cluttergen_jax as cg
 
-SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
 task = {"pool": "dining", "objects": ("mug", "bowl", "wine_glass"), "history_stride": 0, "num_cells": 0}
 
 # %% [markdown]
@@ -24,9 +22,9 @@ task = {"pool": "dining", "objects": ("mug", "bowl", "wine_glass"), "history_str
 env = cg.make_env(**task, auto_reset=False)
 make_policy, params, _ = cg.train_brax(
     env,
-    num_timesteps=512 if SMALL else 20_000,
-    num_envs=16 if SMALL else 64,
-    batch_size=4 if SMALL else 16,
+    num_timesteps=20_000,
+    num_envs=64,
+    batch_size=16,
     unroll_length=16,
     num_minibatches=4,
     num_updates_per_batch=8,

@@ -4,18 +4,15 @@
 # part of the table, one is chosen, and one object after another is moved, so that none is in the way.
 
 # %%
-import os
-
 import numpy as np
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.rearrange.observe import TrueObserver
 
-SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
-num_episodes = 1 if SMALL else 5
+num_episodes = 5
 
 # %% [markdown]
-# Five objects go to the other half of the table. The same call goes on where it was interrupted. The first
+# Five objects go to the other half of the table. The same call resumes an interrupted one. The first
 # one tests grasps of each object, which are kept for later.
 
 # %%
@@ -31,7 +28,7 @@ for row in found.rows:
     print(f"  {row.picks} picks ({row.fewest} could do), {row.path:.1f} m of the tool in {row.seconds:.0f} s")
 
 # %% [markdown]
-# Where objects are the arm is told by an observer: a perfect one, or one that looks through cameras
+# An observer tells the arm where objects are: a perfect one, or one that looks through cameras
 # (`observer="perception"`, extra `perception`; for the household pool a segmenter comes with the package).
 # Here is one of your own, which errs by some millimetres. It asks the perfect one; yours would look at
 # `world.picture(camera)`.
@@ -54,3 +51,8 @@ class Blurred(TrueObserver):
 
 blurred = cg.rearrange("blurred", choose="similar", num_episodes=num_episodes, observer=Blurred(0.003))
 print(blurred)
+
+# %% [markdown]
+# An episode of the first kind, drawn by `python docs/make_robot.py`:
+#
+# ![Five objects are brought to the other half of the table](../docs/images/rearrange.png)

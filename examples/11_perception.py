@@ -4,7 +4,6 @@
 # could come from a real camera; here they are rendered first, so that the answer can be compared.
 
 # %%
-import os
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +18,11 @@ from cluttergen_jax.downstream.perception.views.stage import FOCAL, SIZE, open_s
 from cluttergen_jax.sensing.camera import free
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
 
-SMALL = bool(os.environ.get("CLUTTERGEN_SMALL"))  # the tests set it
-num_objects = 3 if SMALL else 8
+num_objects = 8
 folder = Path("frame")
 
 # %% [markdown]
-# A scene that stands, seen by a camera beside the table: colours, depths with noise, and the camera, whose
+# A successful scene, seen by a camera beside the table: colours, depths with noise, and the camera, whose
 # stated pose errs by some millimetres. Labels are written too, for those who have no segmenter.
 
 # %%
@@ -74,3 +72,9 @@ for name, pose, is_seen, certainty in zip(found.names, found.pose, found.seen, f
         off = f"{1e3 * np.linalg.norm(pose[:3] - placed[name][:3]):.1f} mm" if name in placed else "not there"
         print(f"{name} at {x:+.3f} {y:+.3f} {z:.3f} m, certainty {certainty:.2f}; from the true place: {off}")
 print(f"{found.seen.sum()} objects found, {len(placed)} on the table")
+
+# %% [markdown]
+# What two noisy cameras see, the masks, and the poses that are found, drawn by
+# `python docs/make_perception.py`:
+#
+# ![Four scenes, their masks and poses](../docs/images/perception.png)

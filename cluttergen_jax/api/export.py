@@ -38,7 +38,7 @@ def export(
       The folder.
 
     Raises:
-      BankError: there is no such bank or scene, or none that stands; or another export is being written to
+      BankError: there is no such bank or scene, or none that succeeds; or another export is being written to
         `out`.
       ConfigError: there is no such format or camera, or two answers to one question.
       MissingExtraError: the format needs an extra that is not installed.

@@ -39,7 +39,7 @@ def pull_bank(
     """Fetches a bank; returns its folder, which is there whole or not at all.
 
     It is fetched beside its place; its names, rows, assets and the digests of all files are checked, each
-    scene's file is held against its row, and then it is moved there. An interrupted pull goes on where it
+    scene's file is held against its row, and then it is moved there. An interrupted pull resumes where it
     stopped.
 
     Args:

@@ -73,7 +73,7 @@ def import_pool(
       decomposition: CoACD's parameters; the defaults of `DecompositionConfig` if not given.
       trials: placements by which solo stability is measured.
       jobs: worker processes; 0 takes one for each core.
-      time_limit: seconds that one object may take; then it is left out by name, and the rest goes on.
+      time_limit: seconds that one object may take; then it is left out by name, and the others are imported.
       friction: sliding coefficient of every object, instead of 0.5 wherever it touches something.
       licence: on which terms the objects may be passed on, where their source does not say.
       attribution: whom to name, where the licence asks for it.

@@ -38,7 +38,7 @@ def place_by_hand(
     arguments that are not explained here are those of `SceneSpec`.
 
     Args:
-      out: the bank's folder, or a URL; a bank made by hand with the same settings is continued.
+      out: the bank's folder, or a URL; a hand-made bank with the same settings is continued.
       seed: draws each scene's objects, 0 to 4294967295.
       overwrite: begin anew if the folder holds another bank.
       host: the address to listen on; 0.0.0.0 lets other machines in, if they have the token.

@@ -32,7 +32,7 @@ def pretrain(
     """Pretrains a point encoder by classifying shapes (`cluttergen pretrain`).
 
     The classes are the families of the modeller (those of the five pools), each with many objects of drawn
-    proportions. The same call takes an interrupted run up again.
+    proportions. The same call resumes an interrupted run.
 
     Args:
       encoder: "pointnet2" (the paper's), "pointnet", or "set" (the small one of the set encoder).

@@ -54,13 +54,13 @@ def render(
       source: a bank; one scene of it, BANK:INDEX or BANK/scenes/000003.xml; any MJCF file with free bodies;
         or a checkpoint, whose policy then makes the scenes.
       out: the folder for what is made; files are named after the scene.
-      scenes: numbers such as 0,3,7 or 0-9, or all; the first that stands if not given (12 of them on a
+      scenes: numbers such as 0,3,7 or 0-9, or all; the first success if not given (12 of them on a
         sheet). In Python also a list.
       picture: draw a PNG of each scene.
       sheet: all scenes on one contact sheet, NAME-sheet.png, after the bank or what else the source is.
       turntable: a film once around the scene.
       replay: a film of the placement as it happened, failed attempts in red.
-      figure: the closed-loop figure: an object's failed attempts ringed in red, until it stands.
+      figure: the closed-loop figure: an object's failed attempts ringed in red, until it is stable.
       density: where the method would put the object of the last attempt, as a heat map on the table.
       depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and beside it a JSON file
         with the camera, the names and the poses, and all of it in an NPZ file. Depth, segmentation, points
@@ -71,7 +71,7 @@ def render(
         masks, poses, models. Scenes are added to one that is there; those of a second bank get the next
         numbers, and the same call resumes.
       views: pictures of each of its scenes, by cameras at random places around it.
-      seed: of where these cameras stand; 0 to 4294967295.
+      seed: for the camera positions; 0 to 4294967295.
       split: folder of its scenes: train, val or test, with a kind of images after it.
       pixel_origin: of its cam_K: "center", the first pixel's middle is (0, 0), as in OpenCV; "corner", its
         corner is, as in OpenGL and in the renderer of bop_toolkit.
@@ -86,7 +86,7 @@ def render(
       columns: of the contact sheet.
 
     Raises:
-      PoolError, BankError, AssetError: there is no such source, no such scene, or none that stands.
+      PoolError, BankError, AssetError: there is no such source, no such scene, or no success.
       ConfigError: a setting is out of range.
       RendererError: what is asked for has to be drawn, and nothing can be drawn on this machine.
       BankError: another call is adding scenes to the same dataset.

@@ -1,4 +1,4 @@
-"""Whether saved scenes stand."""
+"""Whether saved scenes are stable."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def verify(
     workers: int = 0,
     allow_unchecked: bool = False,
 ) -> VerificationReport:
-    """Checks that saved scenes stand: plain MuJoCo, everything awake; `cluttergen verify`.
+    """Checks that saved scenes are stable: plain MuJoCo, sleeping disabled (`cluttergen verify`).
 
     Of a bank, its files are compared with the digests in bank.json as well, and each scene's file with its
     row: a scene of which something was changed does not count. What was found is written to verification.json

@@ -11,10 +11,10 @@ from cluttergen_jax.evaluation.api import certify
 
 @options_from(certify, bank=Positional[str])
 class Certify(Options):
-    """Add a stability certificate to each scene of a bank that stands, a column for each measure.
+    """Add a stability certificate to each successful scene of a bank, a column for each measure.
 
-    Residual speed, drift, overlap, contacts, shake score, who rests on whom, support margins, and what tilted
-    gravity topples. The same command goes on where it was interrupted.
+    Residual speed, drift, overlap, contacts, shake score, the contact graph, support margins, and what tilted
+    gravity topples. Rerun to resume.
 
     Example: `cluttergen certify out --seconds 10`
     """

@@ -9,20 +9,18 @@ from typing import Annotated, Any
 
 COMMANDS = {
     "generate": "Generate verified cluttered scenes and save them as a bank.",
-    "verify": "Check that saved scenes stand: plain MuJoCo, everything awake. Exit status 1 if one does not.",
+    "verify": "Check that saved scenes are stable, in plain MuJoCo. Exit status 1 if one is not.",
     "export": "Write scenes of a bank as a self-contained folder for another program.",
-    "certify": "Add a stability certificate to each scene of a bank that stands, a column for each measure.",
-    "stats": "Show what a bank holds: successes, verdicts, objects, attempts, duplicates, what is missing.",
+    "certify": "Add a stability certificate to each successful scene of a bank, a column for each measure.",
+    "stats": "Show what a bank holds: successes, failures by reason, objects, attempts, duplicates, gaps.",
     "push": "Publish a bank as a data set on the Hugging Face Hub (extra `hub`), with its card.",
     "pull": "Fetch a bank, or policies, from the Hugging Face Hub (extra `hub`) and check every file of it.",
     "view": "Look at scenes in a browser: objects, hulls, clouds, attempts, and new scenes when asked for.",
     "render": (
         "Draw scenes: pictures (PNG), films, contact sheets, and what a camera or a scanner would measure."
     ),
-    "train": "Train a placement policy with PPO. The same command takes an interrupted run up again.",
-    "pretrain": (
-        "Pretrain a point encoder by classifying shapes. The same command takes an interrupted run up again."
-    ),
+    "train": "Train a placement policy with PPO. Rerun to resume.",
+    "pretrain": "Pretrain a point encoder by classifying shapes. Rerun to resume.",
     "evaluate": "Compare methods on pools and supports, or make a suite of tables and figures (`--suite`).",
     "placer": "Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.",
     "perception": "Known objects in images: `perception data`, `perception train` and `perception eval`.",
@@ -32,7 +30,7 @@ COMMANDS = {
         "Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, SDF, MJCF, or `ycb`."
     ),
     "pool": (
-        "List pools, show what one holds, remove your own, or change how objects stand: cluttergen pool list."
+        "List pools, show what one holds, remove your own, or change an object's pose: cluttergen pool list."
     ),
     "inspect": "Show what was measured about a pool's objects; draw each mesh beside its collision parts.",
     "list": "List pools and their objects, supports and checkpoints.",

@@ -15,8 +15,8 @@ class Evaluate(Options):
     """Compare methods on pools and supports, or make a suite of tables and figures (`--suite`).
 
     A comparison writes table.md, table.csv, table.tex and results.json; a suite writes Markdown, CSV, LaTeX,
-    JSON and pictures for each of its studies. Every row is kept under `results` in that folder: the same
-    command takes an interrupted one up again. If a row cannot be made, the others are, and the exit status
+    JSON and pictures for each of its studies. Every row is kept under `results` in that folder:
+    rerun to resume. If a row cannot be made, the others are, and the exit status
     is 1.
 
     Example: `cluttergen evaluate --methods clear drop --supports table table-0.40x0.50 --trials 200`

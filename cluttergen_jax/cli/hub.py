@@ -33,7 +33,7 @@ class Push(Options):
 class Pull(Options):
     """Fetch a bank, or policies, from the Hugging Face Hub (extra `hub`) and check every file of it.
 
-    The same command goes on where it was interrupted.
+    Rerun to resume.
 
     Example: `cluttergen pull me/breakfast --out breakfast`
     """

@@ -120,7 +120,7 @@ def run(command: Any) -> int:
         print(f"error: {_os_error_text(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\nstopped; the same command takes it up again", file=sys.stderr)
+        print("\nstopped; rerun the command to resume", file=sys.stderr)
         return INTERRUPTED
 
 
@@ -183,5 +183,5 @@ def watch_signals(usual: Callable[..., Any]) -> None:
 def _end_late(number: int, count: int, usual: Callable[..., Any]) -> None:
     time.sleep(GRACE)
     if count > 1 or signal.getsignal(signal.SIGINT) is usual:
-        print("\nstopped; the same command takes it up again", file=sys.stderr, flush=True)
+        print("\nstopped; rerun the command to resume", file=sys.stderr, flush=True)
         os._exit(128 + number)

@@ -13,7 +13,7 @@ from cluttergen_jax.downstream.perception.api import perception_data, perception
 
 @options_from(perception_data)
 class PerceptionData(Options):
-    """Render views of scenes to train and judge perception with. The same command goes on where it stopped.
+    """Render views of scenes to train and judge perception with. Rerun to resume.
 
     Example: `cluttergen perception data --pool household --num-views 6000 --out views`
     """
@@ -27,7 +27,7 @@ class PerceptionData(Options):
 
 @options_from(perception_train, data=Annotated[str, tyro.conf.Positional])
 class PerceptionTrain(Options):
-    """Train a segmenter on views. The same command takes an interrupted run up again.
+    """Train a segmenter on views. Rerun to resume.
 
     Example: `cluttergen perception train views --out runs/segmenter`
     """
@@ -41,7 +41,7 @@ class PerceptionTrain(Options):
 class PerceptionEval(Options):
     """Judge masks, poses and certainty against what is true (extra `perception`).
 
-    Every row is kept in the folder `--out`: the same command takes an interrupted one up again.
+    Every row is kept in the folder `--out`: rerun to resume.
 
     Example: `cluttergen perception eval views --segmenter runs/segmenter`
     """

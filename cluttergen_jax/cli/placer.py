@@ -14,10 +14,10 @@ from cluttergen_jax.errors import ConfigError
 
 @options_from(placer_data, bank=Annotated[str | None, tyro.conf.Positional])
 class PlacerData(Options):
-    """Make pairs to learn stable placement from. The same command takes an interrupted one up again.
+    """Make pairs to learn stable placement from. Rerun to resume.
 
-    A pair is what one depth camera sees of the first objects of a scene, where the next one stood, and 32
-    poses at which it was let go with what became of each.
+    A pair is one depth image of the first objects of a scene, the true pose of the next object, and 32
+    labelled candidate poses.
 
     Example: `cluttergen placer data --num-scenes 500 --pool household --out pairs`
     """
@@ -31,7 +31,7 @@ class PlacerData(Options):
 
 @options_from(placer_train, data=Annotated[tuple[str, ...], tyro.conf.Positional])
 class PlacerTrain(Options):
-    """Train a placer on pairs. The same command takes an interrupted run up again.
+    """Train a placer on pairs. Rerun to resume.
 
     Example: `cluttergen placer train pairs --head scored --out runs/placer`
     """
@@ -45,10 +45,9 @@ class PlacerTrain(Options):
 
 @options_from(placer_eval, data=Annotated[str, tyro.conf.Positional])
 class PlacerEval(Options):
-    """Compare placers: how often what they propose stands, strictly judged.
+    """Compare placers: the success rate of their proposals, strictly judged.
 
-    Every row is kept under `results` in the folder `--out`: the same command takes an interrupted one up
-    again.
+    Every row is kept under `results` in the folder `--out`: rerun to resume.
 
     Example: `cluttergen placer eval pairs --placers random geometry --noise 0 1`
     """

@@ -22,7 +22,7 @@ _POSES = ("pose", "mm tall", "degrees from now", "tips over at", "of random fall
 
 @dataclass(frozen=True)
 class Pool:
-    """List pools, show what one holds, remove your own, or change how objects stand: cluttergen pool list.
+    """List pools, show what one holds, remove your own, or change an object's pose: cluttergen pool list.
 
     Example: `cluttergen pool show dining+study`. `cluttergen pool pose mine mug` lists the poses of a mug,
     `cluttergen pool pose mine mug 1` puts it into the first other one.

@@ -8,7 +8,7 @@ from cluttergen_jax.cli.options import Options, options_from
 
 @options_from(pretrain)
 class Pretrain(Options):
-    """Pretrain a point encoder by classifying shapes. The same command takes an interrupted run up again.
+    """Pretrain a point encoder by classifying shapes. Rerun to resume.
 
     The classes are the families of the modeller (those of the five pools), each with many objects of drawn
     proportions; accuracy is that on objects that were not learned from.

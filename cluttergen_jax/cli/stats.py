@@ -10,7 +10,7 @@ import tyro
 
 @dataclass(frozen=True)
 class Stats:
-    """Show what a bank holds: successes, verdicts, objects, attempts, duplicates, what is missing.
+    """Show what a bank holds: successes, failures by reason, objects, attempts, duplicates, gaps.
 
     Example: `cluttergen stats out --card`
 

@@ -15,7 +15,7 @@ _OF_PROCESSES = ("coordinator", "num_processes", "process_id")
 
 @options_from(train, train_suite, suite=Suite | None)
 class Train(Options):
-    """Train a placement policy with PPO. The same command takes an interrupted run up again.
+    """Train a placement policy with PPO. Rerun to resume.
 
     Example: `cluttergen train --pool dining --preset cpu`
     """

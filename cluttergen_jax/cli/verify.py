@@ -1,4 +1,4 @@
-"""`cluttergen verify`: every saved scene, loaded afresh in plain MuJoCo, for ten seconds."""
+"""`cluttergen verify`: reloads every saved scene in plain MuJoCo and simulates ten seconds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cluttergen_jax.cli.options import Options, options_from
 
 @options_from(verify, path=Positional[str])
 class Verify(Options):
-    """Check that saved scenes stand: plain MuJoCo, everything awake. Exit status 1 if one does not.
+    """Check that saved scenes are stable, in plain MuJoCo. Exit status 1 if one is not.
 
     Of a bank, its files are compared with the digests in bank.json as well, and each scene's file with its
     row: a scene of which something was changed does not count.

@@ -54,7 +54,7 @@ def evaluate_suite(
         checkpoint are left out, and those of placers are trained.
       heads: of suite "downstream": of the placers that a study trains; the study's own if not given.
       num_pairs: of suite "downstream": the most pairs that a placer learns from.
-      bank: of suite "downstream": a bank made by hand, whose row stands in the study `source`.
+      bank: of suite "downstream": a hand-made bank, for a row of its own in the study `source`.
       show: is given each result as it is done.
 
     Returns:

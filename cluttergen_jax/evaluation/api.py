@@ -62,12 +62,12 @@ def evaluate(
       spec: what is asked for; its pool, support and method are rows where `pools`, `supports` and `methods`
         name none.
       trials: scenes per row; 1000 if not given, and what each study asks for in a suite.
-      seed: of the scenes.
+      seed: for the scenes.
       change: how the queried region is changed at random in every episode: "none", "translation",
         "rotation", "shrinkage", "expansion" or "all".
       checkpoints: a folder of training runs (POOL-VARIANT, with -attemptsA and -SEED behind it where those
         differ), instead of the embedded ones of single pools.
-      fresh: make rows again that are at hand.
+      fresh: compute rows again that are stored.
       out: where everything goes: the table, and rows, which are not made again. With None a function writes
         nothing of a comparison; the command takes out/evaluation, and a suite out/SUITE.
       cluster: where rows are made: "local", Ray on this machine; "auto", the Ray cluster that this machine
@@ -148,7 +148,7 @@ def certify(
     cluster: str | None = None,
     workers: int = 0,
 ) -> Certification:
-    """Adds a stability certificate to each scene of a bank that stands: a column for each measure.
+    """Adds a stability certificate to each successful scene of a bank: a column for each measure.
 
     Args:
       bank: a bank's folder; in Python also a `Bank`.
@@ -161,7 +161,7 @@ def certify(
         Each has `jobs` cores, one if that is 0.
 
     Raises:
-      BankError: the bank cannot be read or written, another process writes it, or no scene in it stands.
+      BankError: the bank cannot be read or written, another process writes it, or it holds no success.
       ConfigError: a setting is outside its range.
       MissingExtraError: a cluster without the extra `ray`.
     """

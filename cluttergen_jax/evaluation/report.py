@@ -1,4 +1,4 @@
-"""A study's result as JSON, Markdown, CSV and LaTeX, and all results as one page, `docs/results.md`."""
+"""A study's result as JSON, Markdown, CSV and LaTeX, and all results as one page, `reports/results.md`."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def with_earlier_rows(result: Result, earlier: Result) -> Result:
         raise ConfigError(
             f"rows of the study {result['name']!r} to be kept",
             "studies whose tables are made here, of rows",
-            "`python docs/make_results.py FOLDER`; a study made again into FOLDER keeps its rows itself",
+            "`python reports/make_results.py FOLDER`; a study made again into FOLDER keeps its rows itself",
         )
     asked = {trial.method for trial in STUDIES[result["name"]].trials(Scale())}
     made = made_rows(result["records"])
@@ -161,8 +161,8 @@ _HEADINGS = {
 """The suites in the order of the page; the studies of the last one bring their tables along."""
 _INTRODUCTION = """# Results
 
-Every number here was written by `python docs/make_results.py` from the JSON files in `docs/results`; a test
-checks that the two agree. Each section names the command that made it, its trials and its machine. What
+Every number here was written by `python reports/make_results.py` from the JSON files in `reports/results`; a
+test checks that the two agree. Each section names the command that made it, its trials and its machine. What
 success means: *strict* is this project's `is_success` (nothing else is disturbed, and the finished scene
 stands); *the paper's count* judges only the current object and puts the others back.
 """

@@ -61,7 +61,7 @@ class Checkpoints:
     """Finds policies: each row has the one of its own method.
 
     Attributes:
-      folder: of training runs, POOL-VARIANT[-attemptsA][-SEED], each with its `policy`; None takes embedded
+      folder: of training runs, `POOL-VARIANT[-attemptsA][-SEED]`, each with its `policy`; None takes embedded
         checkpoints. It hides those of single pools; a method for all pools that was not trained there is
         taken from the package.
       path: the checkpoint of the method that it was trained as; goes before everything else.

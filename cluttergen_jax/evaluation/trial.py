@@ -33,7 +33,7 @@ class Trial:
       seed: of the scenes; training_seed: of the checkpoint, for learned methods.
       region: the sides of the queried region in metres, at the middle of the support's own; None takes that.
       change: how the region is changed at random in every episode (`changes.REGION_CHANGES`).
-      repeat: let objects stand there more than once.
+      repeat: allow duplicates: an object may be placed more than once.
       whole_attempts: run attempts to step 240 even when they can no longer succeed, so that stable steps are
         counted as the paper counts them. Verdicts are the same.
       paper_count: run it a second time with the paper's looser count (only the current object is judged, the

@@ -42,7 +42,7 @@ class ProblemConfig:
     Attributes:
       pool: a pool's name or folder.
       objects: names of the pool's objects to use; empty means all of them.
-      repeat: let objects stand there more than once when there are fewer than `placement.num_objects`.
+      repeat: allow duplicates when there are fewer than `placement.num_objects`.
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
       region: the queried region; None takes the support's own.
       change: how it is changed at random in every episode, a name of `changes.REGION_CHANGES`; what is

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from cluttergen_jax.assets.support_file import list_supports
-from cluttergen_jax.downstream.suite import STUDIES as DOWNSTREAM
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.episodes import WITHIN
 from cluttergen_jax.evaluation.measures.survival import PEERS
@@ -22,8 +21,8 @@ from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, each
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 
-DOCS = Path(__file__).parents[2] / "docs"
 SMALL = Trial(num_objects=2, trials=6)
+REPORTS = Path(__file__).parents[2] / "reports"
 PACKAGES = {"pybullet": "pybullet", "drake": "pydrake"}
 
 
@@ -145,10 +144,10 @@ def test_tables_hold_every_row_and_say_quick(name, number, cells):
 
 
 def test_results_page_agrees_with_its_json():
-    results, notes = read_results(DOCS / "results"), (DOCS / "missed.md").read_text(encoding="utf-8")
+    results, notes = read_results(REPORTS / "results"), (REPORTS / "missed.md").read_text(encoding="utf-8")
     # New studies have no result until they are made.
     assert {result["name"] for result in results} <= {*STUDIES, *DOWNSTREAM}
-    assert (DOCS / "results.md").read_text(encoding="utf-8") == document(results, notes)
+    assert (REPORTS / "results.md").read_text(encoding="utf-8") == document(results, notes)
 
 
 def test_damaged_results_are_named(tmp_path):

@@ -78,3 +78,5 @@ def test_source_distribution_carries_what_the_documents_speak_of(tmp_path):
             assert path.name in held
     for folder, kind in (("docs", "*"), ("examples", "*.py"), ("benchmarks", "*.py"), ("tests", "*.py")):
         assert {str(path.relative_to(ROOT)) for path in (ROOT / folder).glob(kind) if path.is_file()} <= held
+    # Records of measurements are of the repository alone.
+    assert not [name for name in held if name.startswith(("reports/", "tests/reports/"))]

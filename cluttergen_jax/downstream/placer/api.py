@@ -52,29 +52,29 @@ def placer_data(
 ) -> PairSet:
     """Makes pairs for stable placement of a bank's scenes (`cluttergen placer data`).
 
-    A pair is what one depth camera sees of the first objects of a scene, where the next one stood, and 32
-    poses at which it was let go with what became of each. The same call continues an interrupted one.
+    A pair is one depth image of the first objects of a scene, the true pose of the next object, and 32
+    labelled candidate poses. The same call resumes an interrupted one.
 
     Args:
       out: the folder; each split of it is made by a call of its own.
-      bank: whose scenes; if not given, one is made in the folder.
-      spec: what that bank is to be made of; household if not given.
-      pool, num_scenes, method, support, num_objects: of that bank, as `generate` takes them, in place of
-        those of `spec`; 500 scenes, guided and the usual table if not given.
-      num_pairs: how many; if not given, one for each object of each scene that stands.
+      bank: the scenes to use; if not given, a bank is generated in the folder.
+      spec: the request for that bank; household if not given.
+      pool, num_scenes, method, support, num_objects: for that bank, as in `generate`, in place of those of
+        `spec`; 500 scenes, guided and the usual table if not given.
+      num_pairs: number of pairs; if not given, one for each object of each success.
       split: train, val or test, by the seed of the bank: from 0, 1000000 or 2000000 on; of a bank that is
         given, its own, else train.
       camera: free, drawn anew for each pair; overhead; or side, the paper's.
-      seed: of all that is drawn, the scenes of a bank made along included, 0 to 999999.
+      seed: for everything random, the generated bank included, 0 to 999999.
       num_threads: 0 takes every core.
-      overwrite: begin the split, and a bank made along, anew if the folder holds others of it.
+      overwrite: replace the split, and the generated bank, if the folder holds others of it.
 
     Returns:
       The pairs, as `load_queries` of `downstream.placer.pairs` reads them.
 
     Raises:
       ConfigError: a setting is out of range, or contradicts the bank.
-      BankError: the bank cannot be read or holds no scene that stands, or the folder holds something else.
+      BankError: the bank cannot be read or holds no success, or the folder holds something else.
       PoolError: there is no such pool or support.
     """
     from cluttergen_jax.api.generate import generate
@@ -128,19 +128,19 @@ def placer_eval(
     fresh: bool = False,
     out: str | Path | None = None,
 ) -> PlacerComparison:
-    """Compares placers: how often what they propose stands, strictly judged (`cluttergen placer eval`).
+    """Compares placers: the success rate of their proposals (`cluttergen placer eval`).
 
     Args:
       data: a folder that `placer_data` made.
       placers: "random", "geometry", "geometry-occupied", folders of trained ones, and "drop", "guided" and
         "policy", which see the scene itself.
-      noise: of the depth camera, so many times that of a usual one; 0 for none.
+      noise: factors of the simulated sensor noise of a usual depth camera; 0 for none.
       split: train, val or test.
       num_pairs: the first so many queries; all of the split if not given.
       cameras: that look at each scene, their maps fused; all but the first are drawn anew around the table,
         which pairs of the camera "free" alone allow.
-      chains: tables that each placer fills by itself besides, object after object by what the camera sees
-        after the last; as many as the split has scenes at most.
+      chains: number of tables that each placer also fills by itself, with a new image after each object; at
+        most as many as the split has scenes.
       seed: of noise and proposals, 0 to 999999.
       num_threads: 0 takes every core.
       fresh: make rows again that are at hand.
@@ -192,12 +192,12 @@ def placer_train(
     seed: int = 0,
     show: Callable[[str], None] = print,
 ) -> Path:
-    """Trains a placer on pairs (`cluttergen placer train`). The same call takes an interrupted run up again.
+    """Trains a placer on pairs (`cluttergen placer train`). The same call resumes an interrupted run.
 
     Args:
       data: a folder of `placer data`, or several; one network learns from all. Validated on the split `val`
         where there is one, else on every tenth scene of the training split.
-      head: "scored" (candidates of a search, each with the chance that it stands), "mixture" (a distribution
+      head: "scored" (candidates, each with the probability that it is stable), "mixture" (a distribution
         over cells and turns of the region) or "regression" (the paper's: one pose).
       out: the run's folder; runs/placer-HEAD-SEED if not given.
       preset: "cpu", or of "regression" also "paper": as printed, for a GPU.

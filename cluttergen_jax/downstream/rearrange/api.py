@@ -59,43 +59,43 @@ def rearrange(
 ) -> Rearrangements:
     """Lets a simulated Franka Panda rearrange the objects of scenes (`cluttergen rearrange`).
 
-    Where objects shall go is drawn by the generator: of 128 layouts or more the most unlike ones with room
-    are kept, and one is chosen. The arm then moves one object after another, by way of free places where
-    they are in each other's way, and looks again after each. Where objects are, an observer tells it. The
-    same call continues an interrupted one, and each episode is made again by its seed.
+    The generator draws 128 layouts or more; the most different ones with enough room are kept, and one is
+    chosen. The arm moves one object after another, by way of free places if they are in each other's way,
+    and looks again after each. An observer tells it where objects are. The same call resumes an interrupted
+    one, and each episode can be repeated from its seed.
 
     Args:
       out: the folder; rows are kept there, for each setting apart.
-      setting: paper (five objects into an empty half of the table), occupied (three others stand there),
-        blocked (into the very area where they stand), eight (objects), or stacked (one lies on another at
+      setting: paper (five objects into an empty half of the table), occupied (three others are there),
+        blocked (into the very area where they are), eight (objects), or stacked (one lies on another at
         first).
-      num_episodes: how many.
+      num_episodes: number of episodes.
       pool: a pool's name or folder, or several joined by +.
       choose: the rule by which a layout is chosen: clearance, with the widest gap between objects; reach,
         with the most objects that the hand can get at; or similar, with the shortest ways.
-      num_layouts: from how many unlike layouts.
-      layout: take this one of them, by number, in place of the rule.
+      num_layouts: number of different layouts to choose from.
+      layout: use this one of them, by number, instead of the rule.
       relook: look again after each move, and try again what went wrong; without it only once.
       order: graph, by what is in whose way; or lowest object first, as in the paper.
       one_grasp: an object has a single grasp, at 0 and 180 degrees, as in the paper.
       observer: true, the true poses; or perception, what cameras over the table and on the hand show, with
         noise (extra `perception`); in Python also one of your own
-        (`cluttergen_jax.downstream.rearrange.observe.Observer`), whose attribute `name` is told in the table.
-      segmenter: of `perception`: a folder of `perception train`, or a pool's name where one comes with the
+        (`cluttergen_jax.downstream.rearrange.observe.Observer`), whose attribute `name` is in the table.
+      segmenter: for `perception`: a folder of `perception train`, or a pool's name where one comes with the
         package; the pool's own if not given.
       pick: in each episode a person looks at the layouts in a browser, in the order of the rule, and takes
         one (extra `viewer`); it is the only one that is tried.
-      show_layouts: draw each episode's layouts over the scene as it stands, on a sheet layouts-NUMBER.png
+      show_layouts: draw each episode's layouts over the scene as it is, on a sheet layouts-NUMBER.png
         beside the rows, the chosen one framed.
       films: draw films of the first success and of the first failure of each kind, in the folder films beside
         the rows; those episodes are run again for it.
       film: "gif", or "mp4" (extra video).
-      seed: of all that is drawn.
+      seed: for everything random.
       num_threads: 0 takes every core.
       host: with `pick`, the address to listen on; 0.0.0.0 lets other machines in, if they have the token.
-      port: of it; 0 takes any free one.
-      browser: open a browser for it.
-      show: is given the line that tells where it is.
+      port: the port to listen on; 0 takes any free one.
+      browser: open a browser.
+      show: is given the line with the address.
 
     Returns:
       The episodes; printed, the share of successes, failures by cause, and what an episode costs.

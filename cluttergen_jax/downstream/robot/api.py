@@ -113,26 +113,25 @@ def robot_place(
     """Lets a simulated Franka Panda move the last object of scenes (`cluttergen robot place`).
 
     In `place` it picks the object from a stand beside the table, puts it down among the others, and leaves;
-    in `lift` it lifts it out of them. With `drop`, `guided` or `none` the true state is known to it. Any
-    other placer looks: then the arm, too, knows of the other objects only what its depth cameras see. The
-    same call continues an interrupted one, and each episode is made again by its seed.
+    in `lift` it lifts it out of them. With `drop`, `guided` or `none` it knows the true state; with any
+    other placer it knows of the other objects only what its depth cameras see. The same call resumes an
+    interrupted one, and each episode can be repeated from its seed.
 
     Args:
       out: the folder; rows are kept there.
-      bank: whose scenes; if not given, one is made in the folder.
+      bank: the scenes to use; if not given, a bank is generated in the folder.
       task: place or lift.
-      placer: of `place`: none, where the generator put the object; drop, guided or policy, which know the
-        whole scene and propose more places where that is not reached; or one that looks, which proposes them
-        all: geometry, geometry-occupied, random, scored, or the folder of a trained one.
-      noise: of the depth cameras of a placer that looks, so many times that of a usual one; 1 if not given, 0
-        for none.
-      num_episodes: how many; scenes are taken again where the bank has fewer.
-      pool, method, support, num_objects, region: of a bank that is made along, as `generate` takes them;
-        household, guided, the usual table, 8 and 0.5x0.5 if not given.
+      placer: for `place`: none, the object's own place in the scene; drop, guided or policy, which know the
+        whole scene and propose more places if that one cannot be reached; or one that uses depth images:
+        geometry, geometry-occupied, random, scored, or the folder of a trained one.
+      noise: factor of the simulated sensor noise of a usual depth camera; 1 if not given, 0 for none.
+      num_episodes: number of episodes; scenes repeat if the bank has fewer.
+      pool, method, support, num_objects, region: for a generated bank, as in `generate`; household, guided,
+        the usual table, 8 and 0.5x0.5 if not given.
       films: draw films of the first success and of the first failure of each kind, in the folder films beside
         the rows; those episodes are run again for it.
       film: "gif", or "mp4" (extra video).
-      seed: of all that is drawn.
+      seed: for everything random.
       num_threads: 0 takes every core.
 
     Returns:
@@ -140,7 +139,7 @@ def robot_place(
 
     Raises:
       ConfigError: a setting is out of range, or contradicts the bank.
-      BankError: the bank cannot be read or holds no scene that stands, the folder holds episodes of other
+      BankError: the bank cannot be read or holds no success, the folder holds episodes of other
         settings, grasps or weights, or an episode that is filmed does not end as it did.
       PoolError: there is no such pool or support.
       MissingExtraError: the extra `robot` is not installed.

@@ -25,7 +25,7 @@ class Settings:
 
 
 _TUNED = NetworkConfig(head="mixture", height_precision=20_000.0)
-"""What `python -m benchmarks.ablation` found best (benchmarks/README.md)."""
+"""What `python -m benchmarks.ablation` found best (reports/benchmarks.md)."""
 
 
 def _training_stability(stop_when_decided: bool) -> StabilityConfig:
@@ -117,7 +117,7 @@ def paper_code() -> Settings:
 
 
 def paper_cpu() -> Settings:
-    """`paper` as two cores can bear it; what each change does is in benchmarks/README.md.
+    """`paper` as two cores can bear it; what each change does is in reports/benchmarks.md.
 
     A PointNet on clouds of 512 points, every 12th row of the history, many environments, attempts that end as
     soon as they cannot succeed any more; no entropy bonus, and a learning rate that falls from 1e-3 to 0. The

@@ -1,11 +1,11 @@
-"""Writes docs/results.md from the JSON files in docs/results, and docs/missed.md below them.
+"""Writes reports/results.md from the JSON files in reports/results, and reports/missed.md below them.
 
-python docs/make_results.py                          from what is there
-python docs/make_results.py out/paper out/extended   after taking over what those suites made
-python docs/make_results.py --keep-rows out/paper    the same, and rows that were not made again stay
+python reports/make_results.py                          from what is there
+python reports/make_results.py out/paper out/extended   after taking over what those suites made
+python reports/make_results.py --keep-rows out/paper    the same, and rows that were not made again stay
 
-Of a suite that had episodes of the arm their rows come too, to docs/results/episodes: copied into the folder
-of `evaluate --out` as they lie there, that command takes them up again.
+Of a suite that had episodes of the arm their rows come too, to reports/results/episodes. Copied from there
+into the folder of `evaluate --out`, they are resumed by that command.
 """
 
 from __future__ import annotations
