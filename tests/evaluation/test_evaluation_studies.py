@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from cluttergen_jax.assets.support_file import list_supports
+from cluttergen_jax.downstream.suite import STUDIES as DOWNSTREAM
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.episodes import WITHIN
 from cluttergen_jax.evaluation.measures.survival import PEERS
