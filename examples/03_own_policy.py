@@ -41,3 +41,12 @@ print(f"success rate: {success(trained):.0%} with the policy, {success(chance):.
 #
 #     cluttergen generate --pool my_pool --support table-0.20x0.16 --num-objects 3 \
 #         --method policy --checkpoint runs/my_pool/policy --out my_scenes
+#
+# It ends with
+#
+#     random     0.484 [0.424, 0.545] in the same world (256 episodes): the policy is better by 0.448 to 0.572
+#     success rate: 99% with the policy, 43% at random
+#
+# and draws `runs/my_pool/curve.png`:
+#
+# ![Success, objects placed and entropy while training](../docs/images/tutorials/curve.png)
