@@ -37,6 +37,15 @@ chance = cg.make_sampler(**settings, method="random")
 print(f"success rate: {success(trained):.0%} with the policy, {success(chance):.0%} at random")
 
 # %% [markdown]
+# It ends with
+#
+#     random     0.484 [0.424, 0.545] in the same world (256 episodes): the policy is better by 0.448 to 0.572
+#     success rate: 99% with the policy, 43% at random
+#
+# and draws `runs/my_pool/curve.png`:
+#
+# ![Success, objects placed and entropy while training](../docs/images/tutorials/curve.png)
+#
 # From the command line:
 #
 #     cluttergen generate --pool my_pool --support table-0.20x0.16 --num-objects 3 \

@@ -69,3 +69,9 @@ for _ in range(16):
     rewards.append(reward)
 print(f"Gymnasium: reward {np.mean(rewards):.3f} an attempt, observations {observation.shape}")
 envs.close()
+
+# %% [markdown]
+# It prints:
+#
+#     Brax: reward 0.846 an attempt, 151 episodes
+#     Gymnasium: reward 0.206 an attempt, observations (32, 30)
