@@ -87,3 +87,10 @@ def test_the_stated_pose_is_off_by_as_much_as_is_said():
     turn = [np.degrees(np.arccos((np.trace(c.rotation @ CAMERA.rotation.T) - 1) / 2)) for c in cameras]
     assert np.sqrt(np.mean(np.square(turn)) / 3) == pytest.approx(0.3, rel=0.1)
     np.testing.assert_array_equal(drawn(FLAT, config)[0], FLAT)
+
+
+def test_a_ladder_of_noise_ends_at_none():
+    assert REALSENSE.scaled(1.0) == REALSENSE
+    assert REALSENSE.scaled(2.0).axial == pytest.approx(2 * REALSENSE.axial)
+    assert REALSENSE.scaled(9.0).bleeding == 1.0
+    assert NOISE_OFF.grazing == 90.0

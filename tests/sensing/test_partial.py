@@ -14,7 +14,7 @@ from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
 from cluttergen_jax.sensing.camera import Camera, free, overhead, side
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
-from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled, merged
+from cluttergen_jax.sensing.partial import Grid, PartialMap, _ranked, levelled, merged
 from cluttergen_jax.sensing.rays import RaySensor
 from tests.helpers.worlds import box, trio
 from tests.sensing.scenes import TABLE, model_of, random_boxes, standing, true_heights
@@ -121,6 +121,18 @@ def test_two_cameras_see_what_either_sees():
     on_top = within & (np.abs(x) < 0.01)
     np.testing.assert_allclose(both.height[on_top], 0.16, atol=1e-3)
     assert (both.ceiling[on_top] >= 0.16 - 1e-3).all()
+
+
+@pytest.mark.parametrize("rank", [1, 2, 3])
+def test_the_height_of_a_cell_is_that_which_so_many_points_reach(rank):
+    rng = np.random.default_rng(rank)
+    # Few heights, so that some are equal.
+    cells, z = rng.integers(0, 40, 150), rng.integers(0, 6, 150).astype(np.float32)
+    count = np.bincount(cells, minlength=50)
+    found = _ranked(cells, z, count, rank)
+    for cell in range(50):
+        here = sorted(z[cells == cell], reverse=True)
+        assert found[cell] == (here[min(rank, len(here)) - 1] if here else VOID)
 
 
 def test_the_known_top_mends_the_stated_pose():
