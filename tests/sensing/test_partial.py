@@ -14,7 +14,7 @@ from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
 from cluttergen_jax.sensing.camera import Camera, free, overhead, side
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
-from cluttergen_jax.sensing.partial import Grid, PartialMap, _ranked, levelled, merged
+from cluttergen_jax.sensing.partial import Grid, PartialMap, _height_of_rank, levelled, merged
 from cluttergen_jax.sensing.rays import RaySensor
 from tests.helpers.worlds import box, trio
 from tests.sensing.scenes import TABLE, model_of, random_boxes, standing, true_heights
@@ -129,7 +129,7 @@ def test_the_height_of_a_cell_is_that_which_so_many_points_reach(rank):
     # Few heights, so that some are equal.
     cells, z = rng.integers(0, 40, 150), rng.integers(0, 6, 150).astype(np.float32)
     count = np.bincount(cells, minlength=50)
-    found = _ranked(cells, z, count, rank)
+    found = _height_of_rank(cells, z, count, rank)
     for cell in range(50):
         here = sorted(z[cells == cell], reverse=True)
         assert found[cell] == (here[min(rank, len(here)) - 1] if here else VOID)
