@@ -116,7 +116,7 @@ def result_of(study: Study, found: Found, command: str, quick: bool) -> Result:
         "quick": quick,
         "size": study.size,
         "trials": sorted({_size(row) for row in found.rows}),
-        **origin(),  # type: ignore[typeddict-item]
+        **origin(),
         "records": found.rows,
         "measure": None,
         "pictures": [],

@@ -254,7 +254,7 @@ class ResolvedTrial:
             return None
         record = self.checkpoint.record
         network, placement, ppo = (record.get(name, {}) for name in ("network", "placement", "ppo"))
-        known = {name: record[name] for name in ("variant", "preset", "seed", "attempts") if name in record}
+        known: Any = {n: record[n] for n in ("variant", "preset", "seed", "attempts") if n in record}
         known |= {"max_attempts": placement["max_attempts"], "head": network.get("head")}
         if not ppo:
             return known

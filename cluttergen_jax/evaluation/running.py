@@ -155,7 +155,7 @@ def run_study(
         "quick": quick,
         "size": study.size,
         "trials": sorted({trial.trials for trial in trials}),
-        **latest,  # type: ignore[typeddict-item]
+        **latest,
         **({"also_made": others} if others else {}),
         "records": shown,
         "measure": findings,
