@@ -180,7 +180,7 @@ def read_results(folder: Path) -> list[Result]:
     Raises:
       ConfigError: a file is damaged, or is no study's result.
     """
-    results: list[Result] = []
+    results: list[Any] = []
     if not folder.is_dir():
         raise ConfigError(f"{folder} is not a folder", "one that `cluttergen evaluate --suite` made")
     for path in sorted(folder.glob("*.json")):

@@ -109,7 +109,7 @@ def mean_figures(rows: Sequence[Row]) -> Any:
     }
 
 
-def pool_shares(shares: Sequence[Mapping[str, Any]], queries: int) -> Mapping[str, Any]:
+def pool_shares(shares: Sequence[Mapping[str, Any]], queries: int) -> Any:
     """The mean of shares of the same queries, with the interval of a share of so many.
 
     Args:
