@@ -6,6 +6,5 @@ it is imported by itself, as Brax takes a second to load.
 
 from cluttergen_jax.generation.bank import BankArrays, load_bank, stream_bank
 from cluttergen_jax.generation.sampler import Sampler, make_sampler
-from cluttergen_jax.generation.sources.replay import setup_of
 
-__all__ = ["BankArrays", "Sampler", "load_bank", "make_sampler", "setup_of", "stream_bank"]
+__all__ = ["BankArrays", "Sampler", "load_bank", "make_sampler", "stream_bank"]

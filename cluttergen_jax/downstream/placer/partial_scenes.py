@@ -12,7 +12,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.samples import StableScenes
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.generation import setup_of
+from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.problem import Problem

@@ -19,7 +19,7 @@ from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.downstream.robot.cameras import above
 from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, OccupancyBoxes, occupancy_boxes
 from cluttergen_jax.downstream.transforms import matrix_of
-from cluttergen_jax.generation import setup_of
+from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.search import Candidates, lower_onto
 from cluttergen_jax.scene import Scene

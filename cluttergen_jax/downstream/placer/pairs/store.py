@@ -29,7 +29,7 @@ from cluttergen_jax.downstream.samples import (
     read_columns,
 )
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.generation import setup_of
+from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix
 from cluttergen_jax.placement.problem import Problem, Setup
 from cluttergen_jax.progress import Progress
