@@ -10,7 +10,7 @@ PYTEST = $(RUN)/pytest -n auto --maxprocesses 4 --dist loadfile
 # Most of a quick test's time is XLA's compiler; what runs once need not be optimised. test-all compiles as users do.
 QUICKLY = XLA_FLAGS="$$XLA_FLAGS --xla_backend_optimization_level=0"
 # Not the whole folder: what users make here (banks, with their cards) is not the project's.
-CODE = cluttergen_jax tests benchmarks docs examples reports scenes $(wildcard *.py *.md)
+CODE = cluttergen_jax tests benchmarks docs examples scenes $(wildcard reports) $(wildcard *.py *.md)
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help

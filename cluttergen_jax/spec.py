@@ -9,9 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args
 
-from cluttergen_jax.assets.pool import find_pool, join_pool_names
-from cluttergen_jax.assets.support import Rectangle, parse_boxes, parse_region, recorded_rectangle
-from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import (
     HAND,
     METHODS,
@@ -199,7 +196,7 @@ class SceneSpec:
     num_threads: int = 0
 
     def __post_init__(self) -> None:
-        from cluttergen_jax.assets.support import Rectangle
+        from cluttergen_jax.assets.support import Rectangle, parse_boxes
 
         for name in ("num_objects", "max_attempts", "ruin_after", "budget"):
             check_whole(**{name: getattr(self, name)})
@@ -238,6 +235,8 @@ class SceneSpec:
         Raises:
           KeyError, TypeError, ValueError: it does not say it whole, as of banks of early versions.
         """
+
+        from cluttergen_jax.assets.support import recorded_rectangle
 
         rules, stability = recipe["placement"], recipe["stability"]
         is_native = recipe["engine"] == "native"
@@ -331,10 +330,13 @@ class SceneSpec:
     def pool_text(self) -> str:
         """The text that names the pool without what is left out of it."""
 
+        from cluttergen_jax.assets.pool import join_pool_names
+
         return join_pool_names(self.pool, self.exclude)
 
     def boxes(self) -> list[Rectangle]:
         """The keep-out boxes."""
+        from cluttergen_jax.assets.support import parse_boxes
 
         return parse_boxes(self.keep_out, "keep_out")
 
@@ -348,6 +350,9 @@ class SceneSpec:
           ConfigError: more objects are asked for than there are, or there is no such engine.
           PoolError: there is no such pool or support.
         """
+        from cluttergen_jax.assets.pool import find_pool
+        from cluttergen_jax.assets.support import parse_region
+        from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
         from cluttergen_jax.placement.problem import ProblemConfig, check_number
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
@@ -122,7 +122,7 @@ def train(
     if variant == "guided":
         from cluttergen_jax.learning.training.guided import train_guided
 
-        _check_guided(config, paper or coordinator is not None)
+        _check_guided(config, {"paper": paper or None, "coordinator": coordinator})
         return train_guided(num_attempts, seed, out, show)
     join(coordinator, num_processes, process_id)
     if paper:
@@ -133,15 +133,14 @@ def train(
 _OF_GUIDED = ("variant", "seed", "num_attempts", "out")
 
 
-def _check_guided(config: TrainConfig, is_more: bool) -> None:
-    """Refuses what "guided" does not take: fields not at their defaults, and more (`is_more`) besides."""
-    others = [each for each in fields(config) if each.name not in _OF_GUIDED]
-    given = [
-        f"{each.name} = {value!r}" for each in others if (value := getattr(config, each.name)) != each.default
-    ]
-    if given or is_more:
+def _check_guided(config: TrainConfig, more: Mapping[str, object]) -> None:
+    """Refuses what "guided" does not take: fields not at their defaults, and what of `more` is not None."""
+    values = {each.name: getattr(config, each.name) for each in fields(config) if each.name not in _OF_GUIDED}
+    usual = {each.name: each.default for each in fields(config)}
+    given = [f"{name} = {value!r}" for name, value in {**values, **more}.items() if value != usual.get(name)]
+    if given:
         raise ConfigError(
-            f"{given[0] if given else 'paper, or several processes,'} with variant 'guided'",
+            f"{given[0]} with variant 'guided'",
             "seed, num_attempts and out: one network learns from shapes of the modeller, for every pool",
             "leaving it out",
         )

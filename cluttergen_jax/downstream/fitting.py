@@ -23,7 +23,8 @@ from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo import checkpoint
-from cluttergen_jax.learning.training import Interrupt, MetricsLog
+from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.training.metrics_log import MetricsLog
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.progress import COMPILING, Progress, time_text
 from cluttergen_jax.types import Array
