@@ -420,7 +420,10 @@ def takes_spec(options: type, **defaults: Any) -> Callable[[F], F]:
             )
             for name in names
         ]
-        function.__signature__ = inspect.Signature([*own, *shown])  # type: ignore[attr-defined]
+        # In help what is asked for comes before how it is made.
+        own_keywords = [each for each in own if each.kind is inspect.Parameter.KEYWORD_ONLY]
+        first = [each for each in own if each not in own_keywords]
+        function.__signature__ = inspect.Signature([*first, *shown, *own_keywords])  # type: ignore[attr-defined]
         function.spec_fields = tuple(names)  # type: ignore[attr-defined]
         function.spec_defaults = defaults  # type: ignore[attr-defined]
         return function
