@@ -235,7 +235,6 @@ class SceneSpec:
         Raises:
           KeyError, TypeError, ValueError: it does not say it whole, as of banks of early versions.
         """
-
         from cluttergen_jax.assets.support import recorded_rectangle
 
         rules, stability = recipe["placement"], recipe["stability"]
@@ -291,11 +290,11 @@ class SceneSpec:
         """The request with those of these fields in place of its own that are not None."""
         return replace(
             self,
-            pool=pool or self.pool,
-            method=method or self.method,
-            support=support or self.support,
+            pool=self.pool if pool is None else pool,
+            method=self.method if method is None else method,
+            support=self.support if support is None else support,
             num_objects=self.num_objects if num_objects is None else num_objects,
-            region=region or self.region,
+            region=self.region if region is None else region,
         )
 
     def with_rules(self, method: str | None) -> SceneSpec:
@@ -306,11 +305,12 @@ class SceneSpec:
         """
         is_default = self.setting == "default"
         is_trusted = is_default and method in TRUSTED_METHODS
+        order: Order = "weighted" if is_trusted else "random"
         ruin_after = min(RUIN_AFTER, self.max_attempts) if is_trusted else 0
         min_margin = MIN_MARGIN if is_default else 0.0
         return replace(
             self,
-            order=self.order or ("weighted" if is_trusted else "random"),
+            order=order if self.order is None else self.order,
             ruin_after=ruin_after if self.ruin_after is None else self.ruin_after,
             min_margin=min_margin if self.min_margin is None else self.min_margin,
         )
@@ -322,14 +322,12 @@ class SceneSpec:
             raise ConfigError(given, "height='rest'", "method='random'")
         wanted = [name for name in ("clutter", "natural", "tidy") if getattr(self, name)]
         if wanted and method not in TRUSTED_METHODS:
-            allowed = [name for name in TRUSTED_METHODS if name in METHODS]
             given = f"`{wanted[0]}` with method {method!r}"
-            raise ConfigError(given, f"with {' or '.join(allowed)}", f"method={allowed[0]!r}")
+            raise ConfigError(given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}")
 
     @property
     def pool_text(self) -> str:
         """The text that names the pool without what is left out of it."""
-
         from cluttergen_jax.assets.pool import join_pool_names
 
         return join_pool_names(self.pool, self.exclude)
@@ -383,7 +381,7 @@ class SceneSpec:
             num_objects=num_objects,
             max_attempts=self.max_attempts,
             containment=self.containment,
-            order=self.order or "random",
+            order="random" if self.order is None else self.order,
             min_margin=0.0 if self.min_margin is None else self.min_margin,
             ruin_after=self.ruin_after or 0,
             budget=self.budget,

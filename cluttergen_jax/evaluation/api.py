@@ -105,7 +105,8 @@ def evaluate(
     if not supports:
         raise ConfigError("supports = ()", "one name or more")
     asked = spec_of(evaluate, spec, options, also=("pool", "support", "method"))
-    if tuple(supports) == _SUPPORTS:
+    # Not given, where it is the default itself: a table that is named stays.
+    if supports is _SUPPORTS:
         supports = (str(asked.support),)
     if not methods and asked.method is not None:
         methods = (asked.method,)

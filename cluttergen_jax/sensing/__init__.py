@@ -2,7 +2,7 @@
 
 from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, Camera, find_preset, free, intrinsics, overhead
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
-from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled, merged
+from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera, merge_maps
 from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT, DepthImage, RaySensor, cast_rays, sensed_model
 
 __all__ = [
@@ -21,8 +21,8 @@ __all__ = [
     "find_preset",
     "free",
     "intrinsics",
-    "levelled",
-    "merged",
+    "level_camera",
+    "merge_maps",
     "noisy",
     "overhead",
     "sensed_model",

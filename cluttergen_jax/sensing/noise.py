@@ -64,7 +64,7 @@ class NoiseConfig:
                 f"noise {numbers}", "shares up to 1, `grazing` up to 90 degrees, `jump` above 0"
             )
 
-    def scaled(self, factor: float) -> NoiseConfig:
+    def scale(self, factor: float) -> NoiseConfig:
         """The same noise, every error and every share `factor` times as large; shares end at 1.
 
         `axial_reference`, `jump` and `quantum` stay as they are; by a factor of 0 no depth is rounded either.
@@ -79,7 +79,7 @@ class NoiseConfig:
 
 REALSENSE = NoiseConfig()
 """Of the size that a depth camera of the RealSense kind has at arm's length."""
-NOISE_OFF = REALSENSE.scaled(0.0)
+NOISE_OFF = REALSENSE.scale(0.0)
 """No noise at all."""
 
 

@@ -154,7 +154,7 @@ class PartialMap:
         return self.ceiling - self.height <= SEEN_WITHIN
 
 
-def merged(maps: Sequence[PartialMap]) -> PartialMap:
+def merge_maps(maps: Sequence[PartialMap]) -> PartialMap:
     """One map of several views of the same scene over the same grid."""
     height = np.max([one.height for one in maps], axis=0)
     ceiling = np.maximum(np.min([one.ceiling for one in maps], axis=0), height)
@@ -162,7 +162,7 @@ def merged(maps: Sequence[PartialMap]) -> PartialMap:
     return replace(maps[0], height=height, ceiling=ceiling, count=count)
 
 
-def levelled(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
+def level_camera(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
     """The camera moved a little in height, pitch and roll, so that the bare top that it sees lies level at 0.
 
     The top is known, so most of the error of a camera's stated pose can be computed from it (least squares

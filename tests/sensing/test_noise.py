@@ -90,7 +90,7 @@ def test_the_stated_pose_is_off_by_as_much_as_is_said():
 
 
 def test_a_ladder_of_noise_ends_at_none():
-    assert REALSENSE.scaled(1.0) == REALSENSE
-    assert REALSENSE.scaled(2.0).axial == pytest.approx(2 * REALSENSE.axial)
-    assert REALSENSE.scaled(9.0).bleeding == 1.0
+    assert REALSENSE.scale(1.0) == REALSENSE
+    assert REALSENSE.scale(2.0).axial == pytest.approx(2 * REALSENSE.axial)
+    assert REALSENSE.scale(9.0).bleeding == 1.0
     assert NOISE_OFF.grazing == 90.0

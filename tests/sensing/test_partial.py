@@ -14,7 +14,7 @@ from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
 from cluttergen_jax.sensing.camera import Camera, free, overhead, side
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
-from cluttergen_jax.sensing.partial import Grid, PartialMap, _height_of_rank, levelled, merged
+from cluttergen_jax.sensing.partial import Grid, PartialMap, _height_of_rank, level_camera, merge_maps
 from cluttergen_jax.sensing.rays import RaySensor
 from tests.helpers.worlds import box, trio
 from tests.sensing.scenes import TABLE, model_of, random_boxes, standing, true_heights
@@ -106,7 +106,7 @@ def test_two_cameras_see_what_either_sees():
     wall = [box("wall", (0.02, 0.3, 0.08))], standing(0, 0, 0.08)[None]
     cameras = [Camera.looking([x, 0, 1.35], [0.0, 0.0, 0.7], 320, 240, 300.0) for x in (-0.7, 0.7)]
     maps = [PartialMap.of(seen(*wall, camera), camera, GRID) for camera in cameras]
-    both = merged(maps)
+    both = merge_maps(maps)
     x, y = GRID.columns[..., 0], GRID.columns[..., 1]
     within = (np.abs(y) < 0.2) & (np.abs(x) < 0.25)
     sides = within & (x > 0.05), within & (x < -0.05)
@@ -145,7 +145,7 @@ def test_the_known_top_mends_the_stated_pose():
         is_bare = maximum_filter(true_heights(GRID, boxes), 5) == 0
         is_bare[[0, -1]], is_bare[:, [0, -1]] = False, False
         errors.append([])
-        for used in (stated, levelled(depth, stated, GRID)):
+        for used in (stated, level_camera(depth, stated, GRID)):
             # Without the bare top as a lower bound, so that what is too low is seen too.
             grid = replace(GRID, bare=np.where(GRID.bare > VOID, -0.02, VOID).astype(np.float32))
             found = PartialMap.of(depth, used, grid, median=3)

@@ -245,7 +245,7 @@ def _judge_all(
     moments = islice(_moments(views, split, cameras, total), len(rows), None)
 
     def judge(_: int) -> JudgedMoment:
-        return judge_moment(next(moments), finder, models, REALSENSE.scaled(factor), seed, true_masks)
+        return judge_moment(next(moments), finder, models, REALSENSE.scale(factor), seed, true_masks)
 
     return file.complete(rows, total, judge, title, "moment")
 

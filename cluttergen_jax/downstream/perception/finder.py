@@ -35,7 +35,7 @@ from cluttergen_jax.downstream.perception.types import (
 )
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing import Camera, Grid, levelled
+from cluttergen_jax.sensing import Camera, Grid, level_camera
 
 _AGREED = 0.5
 """Certainty from which on a pose tells where a camera is."""
@@ -257,13 +257,13 @@ def upright_at_its_place(depth: np.ndarray, camera: Camera, grid: Grid) -> Camer
     """The camera turned and raised so that the table that it sees lies level, its place in plan as stated.
 
     What a wrong orientation does to far points is centimetres, what a wrong position does is not: so the
-    tilt that is seen is taken for an error of orientation alone (`sensing.partial.levelled` turns about the
+    tilt that is seen is taken for an error of orientation alone (`level_camera` of sensing turns about the
     table instead).
 
     Args:
       depth: f32[H, W], metres, nan where nothing was measured.
     """
-    found = levelled(depth, camera, grid)
+    found = level_camera(depth, camera, grid)
     T = found.T_world_camera.copy()
     T[:2, 3] = camera.eye[:2]
     return replace(found, T_world_camera=T)

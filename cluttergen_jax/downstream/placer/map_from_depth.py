@@ -12,7 +12,16 @@ from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.search import UnderSide
-from cluttergen_jax.sensing import NOISE_OFF, Camera, Grid, NoiseConfig, PartialMap, levelled, merged, noisy
+from cluttergen_jax.sensing import (
+    NOISE_OFF,
+    Camera,
+    Grid,
+    NoiseConfig,
+    PartialMap,
+    level_camera,
+    merge_maps,
+    noisy,
+)
 
 _LOWEST = -0.005
 _HIGHEST = 0.6
@@ -79,7 +88,7 @@ class QueryMaker:
     ) -> SceneMaps:
         """What a depth image shows, f32[H, W] in metres along the optical axis, inf where nothing is.
 
-        With noise, the top, which is known, corrects the camera's stated pose (`sensing.partial.levelled`).
+        With noise, the top, which is known, corrects the camera's stated pose (`level_camera` of sensing).
         """
         return self.see_all([(depth, camera)], noise, rng)
 
@@ -89,7 +98,7 @@ class QueryMaker:
         """What several cameras show of the same scene, each with noise of its own.
 
         `heights` is the highest that any of them saw, `ceilings` the lowest from which on one of them sees
-        that all is empty (`sensing.partial.merged`); points are drawn from all of them.
+        that all is empty (`sensing.partial.merge_maps`); points are drawn from all of them.
         """
         believed = [self.measure(depth, camera, noise, rng) for depth, camera in views]
         return self.fuse(believed, noise, rng)
@@ -101,7 +110,7 @@ class QueryMaker:
         if noise == NOISE_OFF:
             return DepthView(depth, camera)
         depth, camera = noisy(depth, camera, noise, rng)
-        return DepthView(depth, levelled(depth, camera, self.grid))
+        return DepthView(depth, level_camera(depth, camera, self.grid))
 
     def partial(
         self, depth: np.ndarray, camera: Camera, noise: NoiseConfig, grid: Grid | None = None
@@ -116,7 +125,7 @@ class QueryMaker:
         self, views: Sequence[tuple[np.ndarray, Camera]], noise: NoiseConfig, rng: np.random.Generator
     ) -> SceneMaps:
         """As `see_all`, of images as they were measured."""
-        found = merged([self.partial(depth, camera, noise) for depth, camera in views])
+        found = merge_maps([self.partial(depth, camera, noise) for depth, camera in views])
         cloud = _sample_points(np.concatenate([self._points(depth, camera) for depth, camera in views]), rng)
         return SceneMaps(found.height, found.ceiling, *cloud, self._unseen(found))
 

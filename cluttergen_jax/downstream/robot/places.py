@@ -24,7 +24,7 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.search import Candidates, lower_onto
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank import Bank
-from cluttergen_jax.sensing import REALSENSE, Camera, merged
+from cluttergen_jax.sensing import REALSENSE, Camera, merge_maps
 from cluttergen_jax.types import Array, Verdict
 
 
@@ -80,7 +80,7 @@ class CameraPlacer:
     def __init__(self, bank: Bank, placer: Placer, name: str | Path, noise: float) -> None:
         problem = setup_of(bank, engine="native", num_threads=1).problem
         support, region = problem.world.support, problem.region
-        self.name, self._noise = str(name), REALSENSE.scaled(noise)
+        self.name, self._noise = str(name), REALSENSE.scale(noise)
         self._names = problem.world.names
         self._maker = QueryMaker(problem)
         self._grid = self._maker.grid_of(CELL)
@@ -99,7 +99,7 @@ class CameraPlacer:
     def columns(self, views: Sequence[DepthView]) -> OccupancyBoxes:
         """What the arm has to avoid."""
         return occupancy_boxes(
-            merged([self._maker.partial(*view, self._noise, self._grid) for view in views])
+            merge_maps([self._maker.partial(*view, self._noise, self._grid) for view in views])
         )
 
     def propose(

@@ -273,4 +273,4 @@ def compare_placers(
 
 def noise_of(factor: float) -> NoiseConfig:
     """So many times the noise of a depth camera; 0 for none."""
-    return REALSENSE.scaled(factor) if factor else NOISE_OFF
+    return REALSENSE.scale(factor) if factor else NOISE_OFF

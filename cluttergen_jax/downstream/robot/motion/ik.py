@@ -32,7 +32,7 @@ _TURN_METRES = 0.15
 """Metres that count as much as a radian in this."""
 
 
-def need(module: str, purpose: str) -> Any:
+def import_extra(module: str, purpose: str) -> Any:
     """A module of the extra `robot`. Raises MissingExtraError: it is not installed."""
     try:
         return importlib.import_module(module)
@@ -44,7 +44,7 @@ class ArmKinematics:
     """The arm alone, its base where it stands; base: f64[7], T_world_base."""
 
     def __init__(self, base: np.ndarray) -> None:
-        mink = need("mink", "inverse kinematics")
+        mink = import_extra("mink", "inverse kinematics")
         model, arm = _arm()
         self._solve_ik: Any = mink.solve_ik
         self._SE3: Any = mink.SE3

@@ -8,7 +8,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.robot.grasping.grips import Grip
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
-from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics, need
+from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics, import_extra
 
 MOST_CHECKS = 15_000
 """Collision queries after which a search is given up; time would depend on the machine."""
@@ -48,9 +48,9 @@ class Planner:
     """Finds paths for the arm in one world; world: what stands there; kinematics: of the arm."""
 
     def __init__(self, world: PlanningWorld, kinematics: ArmKinematics) -> None:
-        self._ob: Any = need("ompl.base", "motion planning")
-        self._og: Any = need("ompl.geometric", "motion planning")
-        self._util: Any = need("ompl.util", "motion planning")
+        self._ob: Any = import_extra("ompl.base", "motion planning")
+        self._og: Any = import_extra("ompl.geometric", "motion planning")
+        self._util: Any = import_extra("ompl.util", "motion planning")
         # It prints what it does, and it warns of each new seed.
         self._util.setLogLevel(self._util.LogLevel.LOG_NONE)
         self.world, self.kinematics = world, kinematics
@@ -147,9 +147,9 @@ def time_path(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory
     Raises:
       MissingExtraError: the extra `robot` is not installed.
     """
-    toppra = need("toppra", "time laws of motions")
-    algorithm = need("toppra.algorithm", "time laws of motions")
-    constraint = need("toppra.constraint", "time laws of motions")
+    toppra = import_extra("toppra", "time laws of motions")
+    algorithm = import_extra("toppra.algorithm", "time laws of motions")
+    constraint = import_extra("toppra.constraint", "time laws of motions")
     toppra.setup_logging("ERROR")
     if np.abs(np.ptp(path, axis=0)).max() < _STILL:
         return Trajectory(np.asarray(path)[-1:], np.zeros((1, 7)))
