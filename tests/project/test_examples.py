@@ -33,7 +33,7 @@ SMALLER = {
     "04_bank": {
         "num_scenes, num_objects = 200, 10": "num_scenes, num_objects = 6, 2",
         "    max_files=20,": "    render=False, max_files=20,",
-        'cg.render("bank"': 'print("bank"',
+        'cg.render("bank", "pictures", scenes="0-5", picture=False, sheet=True, columns=3)': "print()",
     },
     "05_reset_from_a_bank": {
         "num_attempts=80_000": "num_envs=4, num_steps=4, num_attempts=32",
