@@ -14,7 +14,7 @@ from cluttergen_jax.rendering.sensors import palette
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
-from cluttergen_jax.sensing.partial import Grid, PartialMap, levelled
+from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera
 from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 
 HERE = Path(__file__).parent / "images"
@@ -52,7 +52,7 @@ def main() -> None:
     image = sensor.sense(data, camera)
     depth, stated = noisy(image.depth, camera, REALSENSE, np.random.default_rng(0))
     grid = Grid.of(scene.support, 0.15)
-    seen = PartialMap.of(depth, levelled(depth, stated, grid), grid, median=3)
+    seen = PartialMap.of(depth, level_camera(depth, stated, grid), grid, median=3)
     picture = PictureConfig(width=WIDTH, height=HEIGHT)
     points = close_points(scene.objects, scene.poses, scene.support)
     with scene_renderer(scene.objects, scene.support, points, picture) as renderer:
