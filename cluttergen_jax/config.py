@@ -44,6 +44,7 @@ Engine = Literal["auto", "native", "warp", "jax"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 Order = Literal["random", "fixed", "largest", "weighted"]
 Setting = Literal["default", "paper"]
+Balance = Literal["objects", "label", "licence", "source"]
 Containment = Literal["center", "footprint"]
 Overhang = Literal["any", "half", "none"]
 Height = Literal["rest", "free"]

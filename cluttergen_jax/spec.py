@@ -14,6 +14,7 @@ from cluttergen_jax.config import (
     METHODS,
     ROBUST_TILT,
     TRUSTED_METHODS,
+    Balance,
     Containment,
     Engine,
     Height,
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.placement.problem import ProblemConfig
 
-SETTINGS = get_args(Setting)
+SHELF, MOST_ON_SHELF = 64, 200
+SETTINGS, BALANCES = get_args(Setting), get_args(Balance)
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -74,6 +76,9 @@ class EnvOptions(TrainOptions, total=False):
 class SceneOptions(EnvOptions, total=False):
     """The fields of a `SceneSpec`, as keywords of `generate`, `make_sampler` and `placer_data`."""
 
+    shelf: int | None
+    weights: str | Mapping[str, float]
+    balance: Balance
     method: Method | None
     checkpoint: str | Path | None
     clutter: str | Mapping[str, float] | None
@@ -122,10 +127,20 @@ class SceneSpec:
 
     Attributes:
       pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
-      objects: names of the pool's objects to use; all of them if empty.
+      objects: the pool's objects to use; all of them if empty. Names, patterns and conditions: "mug*",
+        "mug* and volume<0.001", "label=*book* and height>=0.1"; one that any of them means is used. There
+        are name, label, licence, source; volume (m^3), mass (kg), x, y, height, width, depth (m), parts,
+        flagged.
       exclude: names of the pool's objects to leave out; exclude=("mug",) is the same as pool="dining~mug".
       num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
       repeat: allow duplicates: an object may be placed more than once.
+      shelf: of a pool with very many objects each block of 256 scenes draws so many for its own, and each
+        of its scenes some of those; 1 to 200. If not given: no such drawing from up to 200 objects, 64 of
+        more.
+      weights: by which a shelf is drawn, "mug*=3; label=*book*=0.5": conditions as those of `objects`, and
+        what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping.
+      balance: "objects", each is as likely to be on a shelf; or "label", "licence" or "source": of each of
+        their values a shelf has as many, while there are some.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
         In Python also a `Rectangle`.
@@ -173,6 +188,9 @@ class SceneSpec:
     exclude: Sequence[str] = ()
     num_objects: int | None = None
     repeat: bool = False
+    shelf: int | None = None
+    weights: str | Mapping[str, float] = ""
+    balance: Balance = "objects"
     support: str | Path = "table"
     region: Rectangle | str | None = None
     keep_out: Sequence[Rectangle | str] = ()
@@ -198,7 +216,7 @@ class SceneSpec:
     def __post_init__(self) -> None:
         from cluttergen_jax.assets.support import Rectangle, parse_boxes
 
-        for name in ("num_objects", "max_attempts", "ruin_after", "budget"):
+        for name in ("num_objects", "shelf", "max_attempts", "ruin_after", "budget"):
             check_whole(**{name: getattr(self, name)})
         check_workers("num_threads", self.num_threads)
         check_engine(self.engine)
@@ -213,6 +231,13 @@ class SceneSpec:
         if self.setting not in SETTINGS:
             meant = closest(self.setting, SETTINGS)
             raise ConfigError(f"setting = {self.setting!r}", ", ".join(SETTINGS), "setting='paper'", meant)
+        if self.balance not in BALANCES:
+            meant = closest(self.balance, BALANCES)
+            raise ConfigError(f"balance = {self.balance!r}", ", ".join(BALANCES), "balance='label'", meant)
+        if isinstance(self.weights, Mapping):
+            pairs = ((str(name), float(weight)) for name, weight in self.weights.items())
+            object.__setattr__(self, "weights", "; ".join(f"{name}={weight!r}" for name, weight in pairs))
+        self._weights()
         if self.method is not None and self.method not in METHODS:
             raise no_such("method", self.method, METHODS)
         # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
@@ -242,6 +267,9 @@ class SceneSpec:
         return cls(
             pool=recipe["pool"],
             objects=recipe["objects"],
+            shelf=recipe.get("shelf"),
+            weights=dict(recipe.get("weights", ())),
+            balance=recipe.get("balance", cls.balance),
             num_objects=rules["num_objects"],
             repeat=recipe["repeat"],
             support=recipe["support"],
@@ -355,7 +383,17 @@ class SceneSpec:
         from cluttergen_jax.placement.problem import ProblemConfig, check_number
 
         pool = self.pool_text
-        available = len(self.objects) or len(find_pool(pool))
+        chosen = self._chosen(pool)
+        available = len(chosen) or len(find_pool(pool))
+        weights = self._weights()
+        is_drawn = self.shelf is not None or weights or self.balance != "objects" or available > MOST_ON_SHELF
+        shelf = 0
+        if is_drawn:
+            shelf = min(SHELF, available) if self.shelf is None else self.shelf
+            if not 1 <= shelf <= min(available, MOST_ON_SHELF):
+                allowed = f"1 to {min(available, MOST_ON_SHELF)} of the {available} objects of pool {pool!r}"
+                raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={min(SHELF, available)}")
+            available = shelf
         num_objects = min(available, MAX_SLOTS) if self.num_objects is None else self.num_objects
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
@@ -365,8 +403,11 @@ class SceneSpec:
         has_two_detectors = engine_of(self.engine, stability) == "native"
         return ProblemConfig(
             pool=pool,
-            objects=tuple(self.objects),
+            objects=chosen,
             repeat=self.repeat,
+            shelf=shelf,
+            weights=weights,
+            balance="" if self.balance == "objects" else self.balance,
             support=str(self.support),
             region=region,
             engine=self.engine,
@@ -374,6 +415,22 @@ class SceneSpec:
             placement=self.with_rules(method)._placement(num_objects),
             stability=replace(stability, both_detectors=has_two_detectors and self.setting != "paper"),
         )
+
+    def _weights(self) -> tuple[tuple[str, float], ...]:
+        if not self.weights:
+            return ()
+        from cluttergen_jax.assets.facts import parse_weights
+
+        return parse_weights(str(self.weights))
+
+    def _chosen(self, pool: str) -> tuple[str, ...]:
+        """The names of the objects that are chosen; none for all of the pool's."""
+        from cluttergen_jax.assets.facts import chosen_names, is_plain_name
+        from cluttergen_jax.assets.pool import find_pool
+
+        if all(map(is_plain_name, self.objects)):
+            return tuple(self.objects)
+        return chosen_names(find_pool(pool).facts, self.objects, pool)
 
     def _placement(self, num_objects: int) -> PlacementConfig:
         """The rules of an episode; those that are not decided yet are the paper's."""

@@ -67,7 +67,7 @@ def generate(
     """
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.generation.generate import recipe_of, write_bank
-    from cluttergen_jax.generation.sampler import set_up
+    from cluttergen_jax.generation.sampler import set_up_bank
 
     asked = spec_of(generate, spec, options)
     check_range("num_scenes", num_scenes, 1, MAX_SCENES, 20)
@@ -75,13 +75,14 @@ def generate(
     if max_files < 0:
         raise ConfigError(f"max_files = {max_files}", "0 or more", "max_files=0 for none")
     place = cluster_of(cluster, workers)
-    method, setup = set_up(asked)
-    recipe = recipe_of(setup.problem, method) | {
+    method, setup, shelves = set_up_bank(asked, seed)
+    drawn_from = None if shelves is None else shelves.pool.names
+    recipe = recipe_of(setup.problem, method, drawn_from) | {
         "start": asked.start,
         "keep_out": [box if isinstance(box, str) else dataclasses.asdict(box) for box in asked.keep_out],
         "checkpoint": None if asked.checkpoint is None else str(asked.checkpoint),
         "seed": seed,
     }
     return write_bank(
-        out, setup, method, recipe, num_scenes, render, max_files, overwrite, place, allow_other_bits
+        out, setup, method, recipe, num_scenes, render, max_files, overwrite, place, allow_other_bits, shelves
     )

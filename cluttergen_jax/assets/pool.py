@@ -12,14 +12,16 @@ import hashlib
 import importlib.resources
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, overload
 
 import msgspec
 
+from cluttergen_jax.assets.facts import ObjectFacts
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
@@ -30,6 +32,55 @@ EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
 _INDEX = "pool.json"
 _AND, _WITHOUT = "+", "~"
+MOST_READ = 200
+"""Of a larger pool each object is read when it is asked for."""
+_KEPT, _MOST_NAMED = 256, 60
+
+
+class StoredObjects(Sequence[ObjectAsset]):
+    """Objects of which each is read when it is asked for; the latest few hundred are kept.
+
+    Args:
+      readers: by the objects' names, in order.
+      known: what is told of some of them, by name.
+    """
+
+    def __init__(
+        self,
+        readers: Mapping[str, Callable[[], ObjectAsset]],
+        known: Mapping[str, ObjectFacts] | None = None,
+    ) -> None:
+        self.readers, self.known = dict(readers), dict(known or {})
+        self.names = tuple(self.readers)
+        self._read = lru_cache(_KEPT)(lambda name: self.readers[name]())
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @overload
+    def __getitem__(self, index: int) -> ObjectAsset: ...
+    @overload
+    def __getitem__(self, index: slice) -> StoredObjects: ...
+    def __getitem__(self, index: int | slice) -> ObjectAsset | StoredObjects:
+        if isinstance(index, slice):
+            return self.select(self.names[index])
+        return self._read(self.names[index])
+
+    def select(self, names: Iterable[str]) -> StoredObjects:
+        """Those of these names, in this order."""
+        return StoredObjects({name: self.readers[name] for name in names}, self.known)
+
+    def facts_of(self, name: str) -> ObjectFacts:
+        """What is told of an object, which is read where nothing tells it."""
+        return self.known[name] if name in self.known else ObjectFacts.of(self._read(name))
+
+
+def _read_called(folder: Path, name: str) -> ObjectAsset:
+    """The object in a folder that is named after it, under another name."""
+    asset = read_object(folder)
+    if asset.name != folder.name:
+        raise PoolError(f"{folder} holds an object called {asset.name!r}", "one of that name")
+    return asset if name == asset.name else replace(asset, name=name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,21 +89,21 @@ class Pool:
 
     Attributes:
       name: `[a-z0-9_-]+`.
-      objects: at least one.
+      objects: at least one; those of a pool of more than `MOST_READ` are read as they are asked for.
       tier: "standard" or "light", the same for all objects.
       licence: the terms on which the whole may be passed on.
     """
 
     name: str
-    objects: tuple[ObjectAsset, ...]
+    objects: Sequence[ObjectAsset]
     tier: str = "standard"
     licence: str = ""
 
     def __post_init__(self) -> None:
         if not NAME_PATTERN.fullmatch(self.name):
             raise PoolError(f"a pool called {self.name!r}", "names of a-z, 0-9, '_' and '-'")
-        names = [asset.name for asset in self.objects]
-        twice = sorted({name for name in names if names.count(name) > 1})
+        names = self.names
+        twice = sorted(name for name, number in Counter(names).items() if number > 1)
         if not names or twice:
             raise PoolError(
                 f"pool {self.name!r} with {len(names)} objects, twice: {twice}",
@@ -65,10 +116,26 @@ class Pool:
         digests = [self.tier, *(object_hash(asset) for asset in self.objects)]
         return hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """The objects' names, in order."""
+        if isinstance(self.objects, StoredObjects):
+            return self.objects.names
         return tuple(asset.name for asset in self.objects)
+
+    @cached_property
+    def facts(self) -> tuple[ObjectFacts, ...]:
+        """What is told of each object, in order."""
+        if isinstance(self.objects, StoredObjects):
+            return tuple(map(self.objects.facts_of, self.objects.names))
+        return tuple(map(ObjectFacts.of, self.objects))
+
+    def select(self, names: Iterable[str]) -> Pool:
+        """The pool with the objects of these names alone, in this order (PoolError: there is none of one)."""
+        names = tuple(names)
+        if isinstance(self.objects, StoredObjects) and len(names) > MOST_READ and set(names) <= set(self.names):
+            return replace(self, objects=self.objects.select(names))
+        return replace(self, objects=tuple(self[name] for name in names))
 
     def __len__(self) -> int:
         return len(self.objects)
@@ -79,14 +146,18 @@ class Pool:
 
     def __getitem__(self, name: str) -> ObjectAsset:
         """The object called `name`; PoolError names the others if there is none."""
-        for asset in self.objects:
-            if asset.name == name:
-                return asset
-        raise PoolError(
-            f"no object {name!r} in pool {self.name!r}",
-            ", ".join(self.names),
-            meant=closest(name, self.names),
-        )
+        if name not in self._places:
+            more = f" and {len(self) - _MOST_NAMED} more" if len(self) > _MOST_NAMED else ""
+            raise PoolError(
+                f"no object {name!r} in pool {self.name!r}",
+                ", ".join(self.names[:_MOST_NAMED]) + more,
+                meant=closest(name, self.names),
+            )
+        return self.objects[self._places[name]]
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: place for place, name in enumerate(self.names)}
 
 
 def write_pool(path: str | Path, pool: Pool, *, overwrite: bool = False) -> Path:
@@ -114,6 +185,7 @@ def _index(pool: Pool) -> dict[str, Any]:
         "name": pool.name,
         "tier": pool.tier,
         "objects": list(pool.names),
+        "facts": [msgspec.to_builtins(each) for each in pool.facts],
         "licence": pool.licence,
         "created_by": "cluttergen_jax",
     }
@@ -138,12 +210,14 @@ def read_pool(path: str | Path, names: Sequence[str] = ()) -> Pool:
         raise PoolError(f"{index_path} is damaged: {error}", hint=_AGAIN) from error
     wanted = index.objects
     if names and set(names) <= set(wanted):
-        wanted = [each for each in wanted if each in names]
-    objects = tuple(read_object(inside(path, each)) for each in wanted)
-    for each, asset in zip(wanted, objects, strict=True):
-        if asset.name != each:
-            raise PoolError(f"{Path(path) / each} holds an object called {asset.name!r}", "one of that name")
-    return Pool(index.name, objects, index.tier, index.licence)
+        chosen = set(names)
+        wanted = [each for each in wanted if each in chosen]
+    readers = {each: partial(_read_called, inside(path, each), each) for each in wanted}
+    if len(readers) < len(wanted):
+        raise PoolError(f"{index_path} names an object twice", hint=_AGAIN)
+    objects = StoredObjects(readers, {each.name: each for each in index.facts})
+    kept = objects if len(objects) > MOST_READ else tuple(objects)
+    return Pool(index.name, kept, index.tier, index.licence)
 
 
 _AGAIN = "importing or building the pool again"
@@ -156,6 +230,7 @@ class _Index(msgspec.Struct):
     objects: list[Annotated[str, msgspec.Meta(pattern=f"^{NAME_PATTERN.pattern}$")]]
     tier: str
     licence: str
+    facts: list[ObjectFacts] = []
 
 
 def embedded_root() -> Path:
@@ -219,7 +294,7 @@ def find_pool(name_or_path: str | Path, exclude: Sequence[str] = (), names: Sequ
         pool[name]  # Raises where there is none.
     if not set(pool.names) - set(without):
         raise PoolError(f"pool {text!r} has no object left", "leaving fewer of them out")
-    return replace(pool, objects=tuple(each for each in pool.objects if each.name not in without))
+    return pool.select(each for each in pool.names if each not in without) if without else pool
 
 
 def join_pool_names(name_or_path: str | Path, exclude: Sequence[str] = ()) -> str:
@@ -299,11 +374,17 @@ def _union(name: str, pools: list[Pool]) -> Pool:
     if len({pool.name for pool in pools}) < len(pools) or len({pool.tier for pool in pools}) > 1:
         listed = ", ".join(f"{pool.name} (tier {pool.tier})" for pool in pools)
         raise PoolError(f"the union of pools {listed}", "pools of different names and of one tier")
-    names = [each for pool in pools for each in pool.names]
-    objects = tuple(
-        replace(asset, name=f"{pool.name}-{asset.name}") if names.count(asset.name) > 1 else asset
-        for pool in pools
-        for asset in pool.objects
-    )
+    number = Counter(each for pool in pools for each in pool.names)
+    called = [
+        (f"{pool.name}-{name}" if number[name] > 1 else name, pool, name) for pool in pools for name in pool.names
+    ]
     licences = dict.fromkeys(pool.licence or "not stated" for pool in pools)
-    return Pool(name, objects, pools[0].tier, "; ".join(licences))
+    readers = {own: partial(_renamed, pool, name, own) for own, pool, name in called}
+    objects = StoredObjects(readers)
+    kept = objects if len(objects) > MOST_READ else tuple(objects)
+    return Pool(name, kept, pools[0].tier, "; ".join(licences))
+
+
+def _renamed(pool: Pool, name: str, own: str) -> ObjectAsset:
+    asset = pool[name]
+    return asset if name == own else replace(asset, name=own)

@@ -43,6 +43,7 @@ from cluttergen_jax.placement.rollout import (
     sample_blocks,
 )
 from cluttergen_jax.placement.scenes import SceneBatch
+from cluttergen_jax.placement.shelves import Shelves, ShelfWorlds, shelf_key
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
@@ -50,7 +51,7 @@ from cluttergen_jax.scene.bank.record import differences
 from cluttergen_jax.scene.bank.remote import publish_all, url_of
 from cluttergen_jax.scene.bank.table import table_of
 from cluttergen_jax.scene.bank.totals import ClutterTally, Totals
-from cluttergen_jax.scene.bank.writer import names_of
+from cluttergen_jax.scene.bank.writer import Objects, names_of
 from cluttergen_jax.schema import Record
 
 Block = tuple[int, int]
@@ -72,20 +73,40 @@ def blocks_on(
     blocks: Sequence[Block],
     seed: int,
     bits: dict[str, str] | None = None,
+    shelves: Shelves | None = None,
 ) -> Iterator[tuple[int, pa.Table]]:
     """Likewise, as the workers of a cluster make them.
 
     Args:
+      shelves: what blocks draw their objects from, if they do.
       bits: what workers have to compute by (`numerics.bits_of_here`); None for anything.
     """
     maker = replace(BlockMaker.of(setup, method, seed), bits=bits)
-    made = each_on(cluster, maker, blocks, "block", maker.config.num_threads, int(_is_on_gpu(setup)))
+    items: Sequence[Any] = blocks if shelves is None else _ShelvedBlocks(shelves, blocks, seed)
+    made = each_on(cluster, maker, items, "block", maker.config.num_threads, int(_is_on_gpu(setup)))
     with Progress("placing", sum(rows for _, rows in blocks), "scene") as progress, closing(made):
         if blocks:
             progress.say("workers start, and each compiles: about 30 s until the first scenes")
         for place, table in made:
             yield blocks[place][0], table
             progress.update(table.num_rows, f"{progress.rate(table.num_rows):.1f} scenes/s")
+
+
+def shelved_blocks_here(
+    shelves: Shelves, method: Method, blocks: Sequence[Block], seed: int
+) -> Iterator[tuple[int, pa.Table]]:
+    """`blocks_here`, each of objects of its own."""
+    rollout = Rollout()
+    with Progress("compiling", sum(rows for _, rows in blocks), "scene") as progress:
+
+        def count(number: int, _: Any) -> None:
+            progress.rename("placing")
+            progress.update(number)
+
+        for block, rows in blocks:
+            setup = shelves.block(seed, block)
+            made = sample_block(rollout, sampler_of(setup, method), block, rows, seed, count)
+            yield block, _rows(setup.problem, *made)
 
 
 def _rows(problem: Problem, indices: np.ndarray, scenes: SceneBatch) -> pa.Table:
@@ -103,13 +124,30 @@ def _give_back_memory() -> None:
         trim(0)
 
 
+class _ShelvedBlocks(Sequence[tuple[Block, tuple[ObjectAsset, ...]]]):
+    """Blocks with the objects of their shelves, which are read when a worker is free for one."""
+
+    def __init__(self, shelves: Shelves, blocks: Sequence[Block], seed: int) -> None:
+        self._shelves, self._blocks, self._seed = shelves, blocks, seed
+
+    def __len__(self) -> int:
+        return len(self._blocks)
+
+    def __getitem__(self, place: Any) -> Any:
+        block = self._blocks[place]
+        names = self._shelves.draw(shelf_key(self._seed, block[0]))
+        return block, tuple(self._shelves.pool[name] for name in names)
+
+
 @dataclass(frozen=True, eq=False)
 class BlockMaker:
     """What makes the blocks of a bank in another process, assets and weights included: it reads no files.
 
     Attributes:
       config: of the problem, with as many threads as a worker has cores, and this process's engine.
-      objects, standing: those that are placed, and those that stand there when an episode begins.
+      objects, standing: those that are placed, and those that stand there when an episode begins. Where
+        blocks draw objects of their own, they come with each block, and here are those of one.
+      radius: metres, see `placement.problem.WorldSizes`; None where all blocks have the same objects.
       keep_out, start: of `Setup`, as NumPy arrays.
       weights: the files of the method's checkpoint by name; None for a baseline.
       bits: what a worker has to compute by; None for anything.
@@ -124,6 +162,7 @@ class BlockMaker:
     method: str
     weights: dict[str, bytes] | None
     seed: int
+    radius: float | None = None
     bits: dict[str, str] | None = None
 
     @classmethod
@@ -145,27 +184,47 @@ class BlockMaker:
             method=method.name,
             weights=None if method.checkpoint is None else method.checkpoint.files(),
             seed=seed,
+            radius=setup.problem.rules.map_radius,
         )
 
     @with_own_settings
-    def __call__(self) -> Callable[[Block], pa.Table]:
+    def __call__(self) -> Callable[[Any], pa.Table]:
         """The function that makes a block's rows; see `check_worker`."""
         check_worker(self.bits)
-        problem = compose(self.objects, self.support, self.config, self.standing)
         keep_out, start = jax.tree.map(jnp.asarray, (self.keep_out, self.start))
-        setup = Setup(problem, keep_out, start)
+        if self.radius is None:
+            problem = compose(self.objects, self.support, self.config, self.standing)
+            sampler = self._sampler(Setup(problem, keep_out, start))
+            rollout = Rollout(is_constant=True)
+
+            @with_own_settings
+            def make(block: Block) -> pa.Table:
+                return _rows(problem, *sample_block(rollout, sampler, *block, self.seed))
+
+            return make
+        standing = self.standing, np.asarray(start.poses)[len(self.objects) :]
+        worlds = ShelfWorlds(self.config, self.support, self.radius, keep_out, standing, _not_at_hand)
+        shared = Rollout()
+
+        @with_own_settings
+        def make_shelved(item: tuple[Block, tuple[ObjectAsset, ...]]) -> pa.Table:
+            (block, rows), objects = item
+            setup = worlds.setup(objects)
+            made = sample_block(shared, self._sampler(setup), block, rows, self.seed)
+            return _rows(setup.problem, *made)
+
+        return make_shelved
+
+    def _sampler(self, setup: Setup) -> BlockSampler:
         with tempfile.TemporaryDirectory() as folder:
             for name, data in (self.weights or {}).items():
                 Path(folder, name).write_bytes(data)
             checkpoint = None if self.weights is None else read_checkpoint(Path(folder))
-            sampler = sampler_of(setup, Method(self.method, checkpoint))
-        rollout = Rollout(is_constant=True)
+            return sampler_of(setup, Method(self.method, checkpoint))
 
-        @with_own_settings
-        def make(block: Block) -> pa.Table:
-            return _rows(problem, *sample_block(rollout, sampler, *block, self.seed))
 
-        return make
+def _not_at_hand(name: str) -> ObjectAsset:
+    raise AssertionError(f"{name} is of a block that is made already")
 
 
 def bits_of(setup: Setup, cluster: Cluster | None) -> dict[str, str]:
@@ -226,16 +285,25 @@ def write_bank(
     overwrite: bool,
     cluster: Cluster | None = None,
     allow_other_bits: bool = False,
+    shelves: Shelves | None = None,
 ) -> GeneratedBank:
-    """The bank of a recipe in a folder, begun or continued; see `cluttergen_jax.generate`."""
+    """The bank of a recipe in a folder, begun or continued; see `cluttergen_jax.generate`.
+
+    Args:
+      setup: the problem; of the first block, where blocks draw their objects from `shelves`.
+    """
     problem, sampler, bits = setup.problem, sampler_of(setup, method), bits_of(setup, cluster)
 
     def make_tables(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
-        if cluster is None:
-            return blocks_here(sampler, problem, blocks, recipe["seed"])
-        return blocks_on(cluster, setup, method, blocks, recipe["seed"], None if allow_other_bits else bits)
+        if cluster is not None:
+            wanted = None if allow_other_bits else bits
+            return blocks_on(cluster, setup, method, blocks, recipe["seed"], wanted, shelves)
+        if shelves is not None:
+            return shelved_blocks_here(shelves, method, blocks, recipe["seed"])
+        return blocks_here(sampler, problem, blocks, recipe["seed"])
 
-    names, notes = names_of(problem.world.objects), tuple(_notes(problem))
+    names: Objects = names_of(problem.world.objects) if shelves is None else shelves.pool.__getitem__
+    notes = tuple(_notes(problem))
     with BankWriter(
         out,
         recipe,
@@ -278,12 +346,20 @@ def write_bank(
     )
 
 
-def recipe_of(problem: Problem, method: Method) -> Record:
-    """What decides the scenes of a bank; two equal recipes make equal scenes on one machine."""
+def recipe_of(problem: Problem, method: Method, names: Sequence[str] | None = None) -> Record:
+    """What decides the scenes of a bank; two equal recipes make equal scenes on one machine.
+
+    Args:
+      names: of all objects, where the problem is of some that were drawn from them.
+    """
     config = dataclasses.asdict(problem.config)
     # Neither decides a scene: threads do not, and every scene of a bank has the same region.
     for name in ("num_threads", "change"):
         config.pop(name)
+    # Nor is anything drawn where there is no shelf, as in banks of before there were any.
+    for name in ("shelf", "weights", "balance"):
+        if not config[name]:
+            config.pop(name)
     return {
         **config,
         # The engine that "auto" stands for: engines make different scenes.
@@ -294,7 +370,7 @@ def recipe_of(problem: Problem, method: Method) -> Record:
         "method": method.name,
         "checkpoint_hash": method.checkpoint and method.checkpoint.hash,
         "block_size": BLOCK_SIZE,
-        "names": problem.world.names,
+        "names": problem.world.names if names is None else names,
         "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
     }
 

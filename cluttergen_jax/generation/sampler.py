@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,11 +22,12 @@ from cluttergen_jax.generation.arguments import check_call, check_key, is_known,
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of, with_history_of
 from cluttergen_jax.numerics import as_float32, with_own_settings
 from cluttergen_jax.placement.observation import ObservationConfig, observe
-from cluttergen_jax.placement.problem import Problem, Setup, make_setup
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, Standing, make_setup
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.run import varying_alike
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
+from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.scene.bank.reference import read_start
@@ -47,6 +49,12 @@ class _Drawing(struct.PyTreeNode):
 class Sampler:
     """Samples one scene from a key; see `make_sampler`. Map it with `jax.vmap`, compile it with `jax.jit`.
 
+    It is a pytree. Of a pool of which it has a shelf, it is an argument of what is compiled, which then serves
+    every shelf:
+
+        many = jax.jit(lambda sample, keys: jax.vmap(sample)(keys))
+        scenes = many(sample.reshelve(key), keys)
+
     It is pickled as the arguments of `make_sampler`, which is called with them where it is read: pools,
     supports, checkpoints and banks that they name have to be there. A copy is the sampler itself.
 
@@ -58,6 +66,8 @@ class Sampler:
       max_retries: how often a scene that fails is drawn again.
       num_scene_points: points of the scene's cloud; 0 for none.
       recipe: the call that made it; None if it was made by hand.
+      shelves: what `reshelve` draws from, and by which method scenes are made; None where all objects of the
+        pool are in one world.
     """
 
     problem: Problem
@@ -67,6 +77,44 @@ class Sampler:
     max_retries: int
     num_scene_points: int
     recipe: partial[Sampler] | None = None
+    shelves: tuple[Shelves, Method] | None = None
+
+    def reshelve(self, key: Array) -> Sampler:
+        """The same sampler with other objects of its pool, drawn with a key. Nothing is compiled anew.
+
+        It takes about a second: their meshes are read, and MuJoCo makes a model of them.
+
+        Raises:
+          ConfigError: the sampler has no shelf, or `key` is not one key.
+        """
+        check_key(key, "reshelve")
+        return self._with_shelf(lambda shelves: shelves.setup(shelves.draw(key)))
+
+    def for_block(self, seed: int, block: int) -> Sampler:
+        """The same sampler with the objects of a bank's block: of its scenes 256 `block` to 256 `block` + 255.
+
+        Raises:
+          ConfigError: the sampler has no shelf.
+        """
+        return self._with_shelf(lambda shelves: shelves.block(seed, block))
+
+    def _with_shelf(self, draw: Callable[[Shelves], Setup]) -> Sampler:
+        if self.shelves is None:
+            raise ConfigError(
+                "another shelf of a sampler that has all its objects in one world",
+                "a sampler with a shelf",
+                "make_sampler(shelf=64)",
+            )
+        shelves, method = self.shelves
+        setup = draw(shelves)
+        recipe = None if self.recipe is None else partial(_put_on_shelf, self.recipe, self._names_of(setup))
+        return replace(
+            self, problem=setup.problem, steps=sampler_of(setup, method), start=setup.start, recipe=recipe
+        )
+
+    def _names_of(self, setup: Setup) -> tuple[str, ...]:
+        world, rules = setup.problem.world, setup.problem.rules
+        return world.names[: world.num_objects - rules.num_started]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return required_recipe(self.recipe, "make_sampler"), ()
@@ -108,7 +156,7 @@ class Sampler:
         check_key(key)
         check_call(region, keep_out, start)
         region, keep_out, start = as_float32((region, keep_out, start))
-        rules, support = self.steps.rules, self.problem.world.support
+        rules, support = self.steps.rules, self._support
         fits = jnp.bool_(True) if region is None else _fits(region, rules.region, support)
         if start is not None:
             fits &= _has_room(start, rules.num_started)
@@ -145,9 +193,14 @@ class Sampler:
         """f32[N, 3], world frame, and bool[N]; None for no points."""
         if not self.num_scene_points:
             return None, None
-        seen = observe(self.problem.rules, episode, ObservationConfig(num_scene_points=self.num_scene_points))
+        seen = observe(self.steps.rules, episode, ObservationConfig(num_scene_points=self.num_scene_points))
         cloud = jax.vmap(episode.region.T_world_region.apply)(jnp.asarray(seen["scene_cloud"]))
         return cloud, jnp.asarray(seen["scene_mask"])
+
+    @property
+    def _support(self) -> SupportAsset:
+        problem: Any = self.problem
+        return problem.support if isinstance(problem, _InCompiledCode) else problem.world.support
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -188,6 +241,36 @@ class Sampler:
                 drift=float(sampled.drift),
             ),
         )
+
+
+def _put_on_shelf(make: partial[Sampler], names: tuple[str, ...]) -> Sampler:
+    """A sampler made by a call, with the objects of these names."""
+    return make()._with_shelf(lambda shelves: shelves.setup(names))
+
+
+class _InCompiledCode:
+    """The problem of a sampler that is an argument of what is compiled: only its support is known there."""
+
+    def __init__(self, support: SupportAsset) -> None:
+        self.support = support
+
+    def __getattr__(self, name: str) -> Any:
+        raise ConfigError(f"{name!r} of a sampler in compiled code", "calls of it", "the sampler outside")
+
+
+def _flatten_sampler(sampler: Sampler) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    static = sampler._support, sampler.max_retries, sampler.num_scene_points
+    return (sampler.steps, sampler.keep_out, sampler.start), static
+
+
+def _unflatten_sampler(static: tuple[Any, ...], parts: tuple[Any, ...]) -> Sampler:
+    support, max_retries, num_scene_points = static
+    problem: Any = _InCompiledCode(support)
+    steps, keep_out, start = parts
+    return Sampler(problem, steps, keep_out, start, max_retries, num_scene_points)
+
+
+jax.tree_util.register_pytree_node(Sampler, _flatten_sampler, _unflatten_sampler)
 
 
 def _fits(region: Region, usual: Region, support: SupportAsset) -> Array:
@@ -261,7 +344,7 @@ def make_sampler(
     check_range("max_retries", max_retries, 0, MAX_RETRIES, 5)
     check_whole(num_scene_points=num_scene_points)
     ObservationConfig(num_scene_points=num_scene_points)
-    method, setup = set_up(asked)
+    method, setup, shelves = set_up_bank(asked, 0)
     return Sampler(
         problem=setup.problem,
         steps=sampler_of(setup, method),
@@ -269,6 +352,7 @@ def make_sampler(
         start=setup.start,
         max_retries=max_retries,
         num_scene_points=num_scene_points,
+        shelves=None if shelves is None else (shelves, method),
         recipe=partial(
             make_sampler,
             **asked.overrides(),
@@ -280,9 +364,25 @@ def make_sampler(
 
 def set_up(spec: SceneSpec) -> tuple[Method, Setup]:
     """A method, and the problem compiled for it, with its rules and history; errors: `make_sampler`."""
+    method, config = _decide(spec)
+    return method, make_setup(config, spec.boxes(), _standing(spec))
+
+
+def set_up_bank(spec: SceneSpec, seed: int) -> tuple[Method, Setup, Shelves | None]:
+    """Likewise; and what blocks draw their objects from, if they do: then the setup is that of block 0."""
+    method, config = _decide(spec)
+    if not config.shelf:
+        return method, make_setup(config, spec.boxes(), _standing(spec)), None
+    shelves = Shelves.of(config, spec.boxes(), _standing(spec))
+    return method, shelves.block(seed, 0), shelves
+
+
+def _decide(spec: SceneSpec) -> tuple[Method, ProblemConfig]:
     method = choose_method(spec.method, spec.pool_text, spec.checkpoint)
     spec.check_method(method.name)
     config = spec.problem_config(method.name)
-    config = replace(config, placement=with_history_of(config.placement, method.checkpoint))
-    standing = None if spec.start is None else read_start(spec.start)
-    return method, make_setup(config, spec.boxes(), standing)
+    return method, replace(config, placement=with_history_of(config.placement, method.checkpoint))
+
+
+def _standing(spec: SceneSpec) -> Standing | None:
+    return None if spec.start is None else read_start(spec.start)

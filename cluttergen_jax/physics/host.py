@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 import jax
@@ -157,6 +159,72 @@ class SwappablePhysics(HostPhysics):
     def stand_batch(self, *arrays: np.ndarray) -> Standing:
         """See `BatchEngine`."""
         return self.engine.stand_batch(*arrays)
+
+
+class NumberedEngines:
+    """Engines of worlds of one size, each known by a number; the one that was asked last is at hand.
+
+    What is compiled around `numbered` serves all of them: the number may be traced.
+
+    Args:
+      num_objects: K of every world; config: when an object stands still.
+      make: the engine of a number.
+    """
+
+    def __init__(
+        self, num_objects: int, config: StabilityConfig, make: Callable[[int], BatchEngine]
+    ) -> None:
+        self.config, self._make = config, make
+        self._lock = threading.RLock()
+        self._at_hand: tuple[int, BatchEngine] | None = None
+        settling = jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config))
+        standing = jax.eval_shape(lambda: empty_standing(jnp, (), num_objects))
+        self.settle_one = host_function(partial(self._batch, "settle_batch"), settling)
+        self.stand_one = host_function(partial(self._batch, "stand_batch"), standing)
+
+    def numbered(self, number: Array) -> HostPhysics:
+        """The physics of the world of a number, i32."""
+        return _Numbered(self, number)
+
+    def engine(self, number: int) -> BatchEngine:
+        """The engine of a number; what the one before held is given back."""
+        with self._lock:
+            if self._at_hand is None or self._at_hand[0] != number:
+                if self._at_hand is not None:
+                    self._at_hand[1].free()
+                self._at_hand = number, self._make(number)
+            return self._at_hand[1]
+
+    def _batch(self, what: str, number: np.ndarray, *arrays: np.ndarray) -> Any:
+        """One call for each number among N scenes."""
+        numbers = np.unique(number)
+        with self._lock:
+            if len(numbers) == 1:
+                return getattr(self.engine(int(numbers[0])), what)(*arrays)
+            rows = [np.flatnonzero(number == each) for each in numbers]
+            parts = [
+                getattr(self.engine(int(each)), what)(*(array[at] for array in arrays))
+                for each, at in zip(numbers, rows, strict=True)
+            ]
+        order = np.argsort(np.concatenate(rows))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
+
+
+class _Numbered(HostPhysics):
+    """`protocol.Physics` of one number."""
+
+    def __init__(self, engines: NumberedEngines, number: Array) -> None:
+        self._engines, self._number = engines, number
+        settle, stand = (partial(each, number) for each in (engines.settle_one, engines.stand_one))
+        OneScenePhysics.__init__(self, engines.config, settle, stand)
+
+    def settle_batch(self, *arrays: np.ndarray) -> Settling:
+        """See `BatchEngine`."""
+        return self._engines.engine(int(self._number)).settle_batch(*arrays)
+
+    def stand_batch(self, *arrays: np.ndarray) -> Standing:
+        """See `BatchEngine`."""
+        return self._engines.engine(int(self._number)).stand_batch(*arrays)
 
 
 def host_function(function: HostFunction, shapes: Any) -> HostFunction:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -19,13 +20,15 @@ from cluttergen_jax.assets.support_map import check_keep_out, check_region
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
+from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.margin import support_margin
+from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.support_map import SupportMap
 from cluttergen_jax.placement.types import Geometry, Start
-from cluttergen_jax.placement.world import World, make_world, repeat_objects
+from cluttergen_jax.placement.world import NUM_COLUMN_SAMPLES, World, columns_of, make_world, repeat_objects
 
 SMALLEST_REGION = 0.02
 MOST_CROWDED = 8.0
@@ -45,6 +48,10 @@ class ProblemConfig:
       repeat: allow duplicates when there are fewer than `placement.num_objects`.
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
       region: the queried region; None takes the support's own.
+      shelf: each block of scenes draws so many of these objects for its own; 0 takes all of them for all
+        scenes.
+      weights: by which they are drawn: conditions and numbers (`assets.facts.weights_of`).
+      balance: "label", "licence" or "source", of whose values each comes as often; "" for none.
       change: how it is changed at random in every episode, a name of `changes.REGION_CHANGES`; what is
         drawn stays within the support's own.
       engine: "auto", "native", "warp" or "jax".
@@ -56,6 +63,9 @@ class ProblemConfig:
     repeat: bool = False
     support: str = "table"
     region: Rectangle | None = None
+    shelf: int = 0
+    weights: tuple[tuple[str, float], ...] = ()
+    balance: str = ""
     change: str = "none"
     engine: str = "auto"
     num_threads: int = 0
@@ -85,21 +95,47 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
       PoolError: a pool, an object or a support cannot be found.
       ConfigError: more objects are asked for than there are, or the region is not on the support.
     """
+    if config.shelf:
+        raise ConfigError(
+            f"a shelf of {config.shelf} objects, or a pool of so many that one is needed",
+            "1 to 200 objects here; `generate` and `make_sampler` take any number",
+            "fewer `objects`",
+        )
     pool = find_pool(config.pool, names=config.objects)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
     support = find_support(config.support)
     region = config.region or support.region
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
-    if (crowded := crowding(chosen, config.placement.num_objects, region)) > MOST_CROWDED:
+    check_crowding(chosen, config.placement.num_objects, region)
+    return compose(chosen, support, config, standing)
+
+
+@dataclass(frozen=True)
+class WorldSizes:
+    """What worlds have in common that share what is compiled.
+
+    Attributes:
+      physics: their engines.
+      radius: metres, that of the largest object of any of them, seen from above.
+      cut: makes an asset's columns.
+    """
+
+    physics: NumberedEngines
+    radius: float
+    cut: Callable[[ObjectAsset], HeightProfile]
+
+
+def check_crowding(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle) -> None:
+    """Refuses more objects than can be hoped to find room in a region (ConfigError)."""
+    if (crowded := crowding(objects, num_objects, region)) > MOST_CROWDED:
         x, y = region.half_extents
         raise ConfigError(
-            f"{config.placement.num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
+            f"{num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
             f"smallest ones' footprints cover {crowded:.1f} times its area",
             f"{MOST_CROWDED:g} times at most; beyond about once, scenes begin to fail",
             "fewer objects or a larger region",
         )
-    return compose(chosen, support, config, standing)
 
 
 def compose(
@@ -107,11 +143,13 @@ def compose(
     support: SupportAsset,
     config: ProblemConfig,
     standing: Sequence[ObjectAsset] = (),
+    sizes: WorldSizes | None = None,
 ) -> Problem:
     """`make_problem` for assets that have been read already; the region may reach beyond the support.
 
     Args:
       standing: objects that stand there when an episode begins; they are the last ones of the world.
+      sizes: of worlds that share what is compiled; whose engine it is then has to be entered in the rules.
     """
     wanted = config.placement.num_objects
     check_number(wanted, len(objects), config.pool, config.repeat)
@@ -122,21 +160,34 @@ def compose(
     region = config.region or support.region
     if min(region.half_extents) * 2 < SMALLEST_REGION:
         raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`")
-    world = make_world([*objects, *standing], support, config.stability, config.contact)
-    physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
+    cut = columns_of if sizes is None else sizes.cut
+    world = make_world([*objects, *standing], support, config.stability, config.contact, cut)
+    physics: Physics | NumberedEngines
     geometry = geometry_of(world)
+    if sizes is None:
+        physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
+    else:
+        physics = sizes.physics
+        geometry = pad_geometry(geometry, NUM_COLUMN_SAMPLES, _round_up(len(geometry.surface)))
     rules = Rules(
         config=config.placement,
         physics=physics,
         geometry=geometry,
         region=region_of(_largest_region(region, config.change, support), support),
         num_started=len(standing),
+        map_radius=None if sizes is None else sizes.radius,
         draw_region=None
         if config.change == "none"
         else ChangedRegion(find_change(config.change), region, support.region, support.top),
         support_map=None if config.placement.overhang == "any" else SupportMap.of(geometry),
     )
     return Problem(config, world, rules, region)
+
+
+def _round_up(number: int) -> int:
+    """The next power of two, or one and a half times one: few sizes for many numbers."""
+    power = 1 << (number - 1).bit_length()
+    return power * 3 // 4 if number <= power * 3 // 4 else power
 
 
 def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -> None:
@@ -217,6 +268,26 @@ def geometry_of(world: World) -> Geometry:
     return on_device(found)
 
 
+def pad_geometry(geometry: Geometry, num_columns: int, num_runs: int) -> Geometry:
+    """The same objects in longer arrays: columns that are none, and runs of surface that come again.
+
+    Raises:
+      ValueError: they are longer already.
+    """
+    columns = num_columns - geometry.is_column.shape[1]
+    runs = num_runs - len(geometry.surface)
+    if min(columns, runs) < 0:
+        raise ValueError(f"{-columns} columns or {-runs} runs of surface too many")
+    again = jnp.minimum(jnp.arange(num_runs), len(geometry.surface) - 1)
+    return geometry.replace(
+        column_xy=jnp.pad(geometry.column_xy, ((0, 0), (0, columns), (0, 0))),
+        column_bottom=jnp.pad(geometry.column_bottom, ((0, 0), (0, columns))),
+        is_column=jnp.pad(geometry.is_column, ((0, 0), (0, columns))),
+        surface=geometry.surface[again],
+        surface_owner=geometry.surface_owner[again],
+    )
+
+
 def _own_margin(asset: ObjectAsset) -> float:
     """Metres: the support margin of an object that stands in its own frame on a flat table."""
     vertices = np.concatenate([part.vertices for part in asset.parts])
@@ -272,10 +343,10 @@ def make_setup(
     objects, poses = standing or ((), np.zeros((0, 7), np.float32))
     problem = compose(*assets, config, objects) if assets else make_problem(config, objects)
     check_keep_out(keep_out, problem.region)
-    return Setup(problem, keep_out_of(keep_out), _start_of(problem.world, poses))
+    return Setup(problem, keep_out_of(keep_out), start_of(problem.world, poses))
 
 
-def _start_of(world: World, poses: np.ndarray) -> Start:
+def start_of(world: World, poses: np.ndarray) -> Start:
     """The start of episodes in a world whose last N objects stand at `poses` f32[N, 7]."""
     is_placed = np.arange(world.num_objects) >= world.num_objects - len(poses)
     everyone = np.tile(np.eye(7)[3], (world.num_objects, 1))

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.region import (
@@ -57,7 +58,7 @@ class Rules(struct.PyTreeNode, eq=False):
 
     Attributes:
       config: what is asked of an episode.
-      physics: the simulator.
+      physics: the simulator, or several of which `engine` says which (`simulator` is the one).
       geometry: the world's objects.
       region: the queried region of every episode that is not given another; the largest of drawn ones.
       num_started: the most objects that may stand there already when an episode begins.
@@ -65,16 +66,28 @@ class Rules(struct.PyTreeNode, eq=False):
       support_map: the support alone, where overhang is limited (`PlacementConfig.overhang`).
       history_steps: of an attempt that took longer the history tells so many steps, as if it had been cut
         off then; None tells them all. A policy reads histories of the length that it was trained with.
+      engine: i32, the number of this world's engine where there are several.
+      map_radius: metres, that of the largest object that height maps are made for; its own if None.
     """
 
     config: PlacementConfig = struct.field(pytree_node=False)
-    physics: Physics = struct.field(pytree_node=False)
+    physics: Physics | NumberedEngines = struct.field(pytree_node=False)
     geometry: Geometry
     region: Region
     num_started: int = struct.field(pytree_node=False, default=0)
     draw_region: RegionDraw | None = struct.field(pytree_node=False, default=None)
     history_steps: int | None = struct.field(pytree_node=False, default=None)
     support_map: SupportMap | None = None
+    engine: Array | None = None
+    map_radius: float | None = struct.field(pytree_node=False, default=None)
+
+    @property
+    def simulator(self) -> Physics:
+        """The simulator of this world."""
+        if isinstance(self.physics, NumberedEngines):
+            assert self.engine is not None
+            return self.physics.numbered(self.engine)
+        return self.physics
 
     def begin(
         self,
@@ -192,9 +205,10 @@ class Rules(struct.PyTreeNode, eq=False):
         Returns:
           The episode after the attempt, and what came of it.
         """
-        settling = self.physics.settle(*self.release(episode, action))
+        simulator = self.simulator
+        settling = simulator.settle(*self.release(episode, action))
         after, transition, is_filled = self.judge(episode, action, settling)
-        standing = self.physics.stand(after.poses, after.is_placed, is_filled)
+        standing = simulator.stand(after.poses, after.is_placed, is_filled)
         return self.conclude(after, standing, is_filled), transition
 
     def release(self, episode: Episode, action: Array) -> tuple[Array, Array, Array, Array]:

@@ -157,7 +157,7 @@ class ProposalJudge:
         chosen = _take(episodes, scene)
         asked = [np.asarray(each) for each in self._release(self.rules, chosen, pose)]
         is_active = np.arange(len(scene)) < num
-        physics: Any = self.rules.physics
+        physics: Any = self.rules.simulator
         settling = physics.settle_batch(*asked, is_active)
         verdict, has_margin = self._verdict(self.rules, chosen, settling.replace(trajectory=None))
         found = JudgedProposals(np.asarray(verdict), np.asarray(has_margin), settling.poses, asked[1])
@@ -165,7 +165,7 @@ class ProposalJudge:
 
     def stand(self, judged: JudgedProposals) -> np.ndarray:
         """bool[P]: stable proposals whose partial scene also stands as a whole, everything awake."""
-        physics: Any = self.rules.physics
+        physics: Any = self.rules.simulator
         is_active = judged.verdict == int(Verdict.STABLE)
         standing = physics.stand_batch(judged.poses, judged.is_placed, is_active)
         return np.asarray(standing.verdict) == int(Verdict.STABLE)

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.support import recorded_rectangle
+from cluttergen_jax.assets.pool import StoredObjects, find_pool
+from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
 from cluttergen_jax.config import HAND, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.problem import ProblemConfig, Setup, make_setup
+from cluttergen_jax.placement.problem import ProblemConfig, Setup, Standing, make_setup
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.placement.rollout.record import Recorder
 from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import Recipe
@@ -33,11 +36,11 @@ class ReplayContext:
     """A problem ready to be worked on by any method.
 
     Attributes:
-      setup: the compiled world, and how episodes begin.
+      setup: the compiled world, and how episodes begin; or shelves, of which each block of scenes has one.
       checkpoints: of trained methods, by the method's name.
     """
 
-    setup: Setup
+    setup: Setup | Shelves
     checkpoints: dict[str, Checkpoint] = field(default_factory=dict)
     _made: dict[tuple[str, int], Recorder] = field(default_factory=dict)
 
@@ -54,10 +57,15 @@ class ReplayContext:
         self, method: str, seed: int, index: int, title: str, width: int = 1, num_proposals: int = 0
     ) -> Replay:
         """Scene number `index` of `seed`, with its attempts; see `Recorder.record`."""
-        if (method, width) not in self._made:
-            sampler = sampler_of(self.setup, Method(method, self.checkpoints.get(method)))
-            self._made[method, width] = Recorder(sampler, self.setup.problem.world, width)
-        return self._made[method, width].record(seed, index, title, num_proposals)
+        known, asked = self._made.get((method, width)), Method(method, self.checkpoints.get(method))
+        if isinstance(self.setup, Shelves):
+            setup = self.setup.block(seed, index // BLOCK_SIZE)
+            rollouts = {} if known is None else known.rollouts
+            known = Recorder(sampler_of(setup, asked), setup.problem.world, width, False, rollouts)
+        elif known is None:
+            known = Recorder(sampler_of(self.setup, asked), self.setup.problem.world, width)
+        self._made[method, width] = known
+        return known.record(seed, index, title, num_proposals)
 
 
 def replay_context_of(bank: Bank) -> ReplayContext:
@@ -68,7 +76,7 @@ def replay_context_of(bank: Bank) -> ReplayContext:
       PoolError: its checkpoint is gone.
       ConfigError: its method was removed since.
     """
-    setup, recipe = setup_of(bank), bank.recipe
+    setup, recipe = shelves_of(bank) if bank.recipe.get("shelf") else setup_of(bank), bank.recipe
     try:
         method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
     except KeyError as error:
@@ -86,18 +94,39 @@ def setup_of(bank: Bank, **changes: Any) -> Setup:
     Raises:
       BankError: the bank does not say how it was made, or the bank that it started from is gone.
     """
+    names, config, keep_out, standing = _asked(bank)
+    num_placed = len(names) - (len(standing[0]) if standing else 0)
+    objects = [bank.object(base_name(name)) for name in names[:num_placed]]
+    return make_setup(replace(config, **changes), keep_out, standing, (objects, bank.support))
+
+
+def shelves_of(bank: Bank) -> Shelves:
+    """What the blocks of a bank drew their objects from. Those that no scene has are not in the bank.
+
+    Raises:
+      BankError: the bank does not say how it was made.
+      PoolError: its pool is gone, or has lost objects that could be drawn.
+    """
+    names, config, keep_out, standing = _asked(bank)
+    pool = find_pool(config.pool).select(names)
+    readers = {
+        name: partial(bank.object, name) if name in bank.assets["objects"] else partial(pool.__getitem__, name)
+        for name in names
+    }
+    known = {each.name: each for each in pool.facts}
+    return Shelves(replace(pool, objects=StoredObjects(readers, known)), config, bank.support, keep_out, standing)
+
+
+def _asked(bank: Bank) -> tuple[Sequence[str], ProblemConfig, list[Rectangle], Standing | None]:
+    """Of a bank: names of the objects, the problem, boxes to keep out of, and what stands there already."""
     recipe = bank.recipe
     try:
         names: Sequence[str] = recipe["names"]
-        config = replace(_problem_config(bank, recipe), **changes)
-        boxes = recipe.get("keep_out", ())
+        config = _problem_config(bank, recipe)
+        keep_out = [recorded_rectangle(entry) for entry in recipe.get("keep_out", ())]
     except (KeyError, TypeError, ValueError) as error:
         raise _not_recorded(bank, error) from error
-    standing = read_start(recipe.get("start"))
-    num_placed = len(names) - (len(standing[0]) if standing else 0)
-    objects = [bank.object(base_name(name)) for name in names[:num_placed]]
-    keep_out = [recorded_rectangle(entry) for entry in boxes]
-    return make_setup(config, keep_out, standing, (objects, bank.support))
+    return names, config, keep_out, read_start(recipe.get("start"))
 
 
 def _not_recorded(bank: Bank, error: Exception) -> BankError:
@@ -141,6 +170,9 @@ def _problem_config(bank: Bank, recipe: Recipe) -> ProblemConfig:
     return ProblemConfig(
         pool=recipe["pool"],
         repeat=True,
+        shelf=recipe.get("shelf", 0),
+        weights=tuple((str(name), float(weight)) for name, weight in recipe.get("weights", ())),
+        balance=recipe.get("balance", ""),
         region=recorded_rectangle(recipe["region"]),
         engine=recipe.get("engine", "auto"),
         placement=config_of(PlacementConfig, recipe["placement"], bank.path),

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
-import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
@@ -18,9 +17,8 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine, SwappablePhysics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
-from cluttergen_jax.placement.problem import check_number, geometry_of, num_runs_of, region_of
+from cluttergen_jax.placement.problem import check_number, geometry_of, num_runs_of, pad_geometry, region_of
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.placement.world import NUM_COLUMN_SAMPLES, World, columns_of, make_world
 from cluttergen_jax.progress import track
 
@@ -138,26 +136,6 @@ class WorldMaker:
         return TrainingWorld(
             setting, world, rules, HeightMapper.of(rules.geometry, rules.region, self.radius)
         )
-
-
-def pad_geometry(geometry: Geometry, num_columns: int, num_runs: int) -> Geometry:
-    """The same objects in longer arrays: columns that are none, and runs of surface that come again.
-
-    Raises:
-      ValueError: they are longer already.
-    """
-    columns = num_columns - geometry.is_column.shape[1]
-    runs = num_runs - len(geometry.surface)
-    if min(columns, runs) < 0:
-        raise ValueError(f"{-columns} columns or {-runs} runs of surface too many")
-    again = jnp.minimum(jnp.arange(num_runs), len(geometry.surface) - 1)
-    return geometry.replace(
-        column_xy=jnp.pad(geometry.column_xy, ((0, 0), (0, columns), (0, 0))),
-        column_bottom=jnp.pad(geometry.column_bottom, ((0, 0), (0, columns))),
-        is_column=jnp.pad(geometry.is_column, ((0, 0), (0, columns))),
-        surface=geometry.surface[again],
-        surface_owner=geometry.surface_owner[again],
-    )
 
 
 def object_sets(

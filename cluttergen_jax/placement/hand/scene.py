@@ -247,7 +247,7 @@ class HandScene:
         held, before = self.held, self._episode
         position = jnp.array([held.x, held.y, held.z])
         action, asked = _release(self._rules, before, position, jnp.float32(held.yaw))
-        settling = self._rules.physics.settle(*asked)
+        settling = self._rules.simulator.settle(*asked)
         after, transition, _ = _judge(self._rules, before, action, settling)
         verdict = Verdict(int(transition.verdict))
         # A person may go on for as long as they like.
@@ -294,7 +294,7 @@ class HandScene:
             )
         self.touch()
         episode = self._episode
-        standing = self._rules.physics.stand(episode.poses, episode.is_placed, jnp.bool_(True))
+        standing = self._rules.simulator.stand(episode.poses, episode.is_placed, jnp.bool_(True))
         self._episode = _conclude(self._rules, episode, standing).replace(is_over=jnp.bool_(False))
         verdict = Verdict(int(standing.verdict))
         if verdict != Verdict.STABLE:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +13,7 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.numerics import new_key, with_own_settings
 from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
-from cluttergen_jax.placement.rollout.run import BlockSampler, Rollout
+from cluttergen_jax.placement.rollout.run import BlockSampler, Look, Rollout
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.placement.world import World
@@ -32,11 +32,15 @@ class Recorder:
       world: what its rules are about.
       width: the block's width. A network's sums differ by width, so scenes of a bank are made again at the
         width that made them; for scenes that nobody made before, 1 is the quickest.
+      is_constant: see `Rollout`; as the scenes were made.
+      rollouts: what is compiled, to be shared by recorders of samplers of equal sizes that are not constant.
     """
 
     sampler: BlockSampler
     world: World
     width: int = BLOCK_SIZE
+    is_constant: bool = True
+    rollouts: dict[Look, Rollout] = field(default_factory=dict)
 
     @with_own_settings
     def record(self, seed: int, index: int, title: str = "", num_proposals: int = 0) -> Replay:
@@ -48,8 +52,8 @@ class Recorder:
         row = index % self.width
         places = index - row + np.arange(self.width)
         steps: list[tuple[Any, Any, Any]] = []
-        rollout = self._rollout_with_history if num_proposals else self._rollout
-        rollout.run(
+        look = _all_parts if num_proposals else _picture_parts
+        self.rollouts.setdefault(look, Rollout(look, self.is_constant)).run(
             self.sampler,
             new_key(seed),
             places,
@@ -91,14 +95,6 @@ class Recorder:
             return jax.lax.map(lambda key: propose(key, episode), keys, batch_size=_AT_ONCE)
 
         return jax.jit(draw)
-
-    @cached_property
-    def _rollout(self) -> Rollout:
-        return Rollout(_picture_parts, is_constant=True)
-
-    @cached_property
-    def _rollout_with_history(self) -> Rollout:
-        return Rollout(_all_parts, is_constant=True)
 
 
 def _all_parts(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:

@@ -188,7 +188,7 @@ class Rollout:
         An engine on the host is called between compiled pieces. As one program with calls back into Python
         it could not be kept on disk by JAX, and each process would compile it anew.
         """
-        physics = sampler.rules.physics
+        physics = sampler.rules.simulator
         if not isinstance(physics, HostPhysics):
             return self._step(sampler, episodes)
         episodes, action, *asked = self._propose(sampler, episodes)
@@ -328,7 +328,7 @@ def sample_blocks(
         progress.update(number)
 
     with Progress("compiling", sum(rows for _, rows in blocks), "scene") as progress:
-        progress.say(sampler.rules.physics.compiling)
+        progress.say(sampler.rules.simulator.compiling)
         for block, rows in blocks:
             yield block, *sample_block(rollout, sampler, block, rows, seed, count)
 

@@ -32,6 +32,9 @@ class Recipe(TypedDict, total=False):
     pool: str
     objects: list[str]
     repeat: bool
+    shelf: int
+    weights: list[tuple[str, float]]
+    balance: str
     support: str
     region: Mapping[str, Any]
     keep_out: list[Mapping[str, Any]]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from cluttergen_jax.assets.obj import write_parts
 from cluttergen_jax.assets.object import ObjectAsset
@@ -20,6 +21,7 @@ from cluttergen_jax.files import check_utf8, folder_whole, inside, remove, remov
 from cluttergen_jax.kept_folder import KeptFolder, check_recipe, check_unlocked
 from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import block_numbers, read_bank, recover_record
 from cluttergen_jax.scene.bank.blocks import (
     SHARD_BLOCKS,
@@ -32,9 +34,13 @@ from cluttergen_jax.scene.bank.blocks import (
 from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.hubs import is_of_a_bank
 from cluttergen_jax.scene.bank.index import BankIndex
-from cluttergen_jax.scene.bank.record import FORMAT, INDEX, Bits, NewerBankError, Record, check_bits
+from cluttergen_jax.scene.bank.record import FORMAT, INDEX, NO_ASSETS, Bits, NewerBankError, Record, check_bits
 from cluttergen_jax.scene.bank.remote import MARK, fetch_mirror, is_url, publish_all, remote_of
 from cluttergen_jax.scene.bank.table import with_columns_of
+
+
+Objects = Mapping[str, ObjectAsset] | Callable[[str], ObjectAsset]
+"""All objects of a bank by name; or what gives one when a block of scenes has it."""
 
 
 class BankWriter:
@@ -46,7 +52,8 @@ class BankWriter:
       path: the bank's folder, or a URL.
       recipe: JSON values that decide what the scenes are: two banks of equal recipes hold equal scenes.
       num_scenes: how many; a bank may be continued to a larger number.
-      objects, support: stored once; damaged copies in the bank are mended.
+      objects, support: stored once; damaged copies in the bank are mended. Of objects that are given by a
+        function those are stored that blocks have.
       overwrite: begin anew if the folder holds another bank; the same one is continued.
       shard_blocks: how many blocks go into one file once all of them are there.
       bits: by what scenes that are missing will be computed (`numerics.bits_of_here`); None where that
@@ -64,7 +71,7 @@ class BankWriter:
         path: str | Path,
         recipe: Mapping[str, Any],
         num_scenes: int,
-        objects: dict[str, ObjectAsset],
+        objects: Objects,
         support: SupportAsset,
         overwrite: bool = False,
         shard_blocks: int = SHARD_BLOCKS,
@@ -74,8 +81,10 @@ class BankWriter:
         self.path = fetch_mirror(str(path)) if is_url(path) else Path(path)
         check_utf8(self.path)
         self._shard_blocks, self._bits, self._allows_other_bits = shard_blocks, bits, allow_other_bits
+        self._find = objects if callable(objects) else None
+        self._assets: dict[str, ObjectAsset] = {} if callable(objects) else dict(objects)
         hashes = {
-            "objects": {name: object_hash(asset) for name, asset in objects.items()},
+            "objects": {name: object_hash(asset) for name, asset in self._assets.items()},
             "support": support_hash(support),
         }
         self._record: Record = json.loads(json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes}))
@@ -84,7 +93,7 @@ class BankWriter:
         try:
             with writing(self.path):
                 self._begin(num_scenes, overwrite)
-                self._store_assets(objects, support)
+                self._store_assets(support)
                 self._index.write()
                 publish_all(self.path, is_begun=True)
         except BaseException:
@@ -124,6 +133,7 @@ class BankWriter:
         Raises:
           BankError: it cannot be written, for instance because the disk is full.
         """
+        self._store_objects_of(table)
         if block in self._sound or (block in self._stored.places and not self._is_edited(block)):
             with suppress(BankError):
                 table = with_columns_of(StoredBlocks.of(self.path).read(block), table)
@@ -201,6 +211,9 @@ class BankWriter:
         except NewerBankError as error:
             hint = f"{error.hint}, another `out`, or `overwrite` to begin anew"
             raise BankError(error.given, hint=hint) from error
+        if theirs and self._find is not None:
+            # What earlier blocks have is known by its digest.
+            self._record["assets"]["objects"] = dict(theirs.get("assets", NO_ASSETS)["objects"])
         # By what the scenes are made, where that is known of all of them.
         known = theirs.get("bits") if theirs else []
         if self._bits and (not theirs or self._brings_other_bits(theirs, num_scenes)):
@@ -266,15 +279,11 @@ class BankWriter:
                 ) from error
             return {}
 
-    def _store_assets(self, objects: dict[str, ObjectAsset], support: SupportAsset) -> None:
+    def _store_assets(self, support: SupportAsset) -> None:
         """Writes what is missing, damaged, or of no known digest; the index then tells what is there."""
-        hashes, images = self._record["assets"], inside(self.path, "assets/textures")
-        for name, asset in objects.items():
-            folder, digest = f"assets/objects/{name}", hashes["objects"][name]
-            if not self._is_as_written(folder, digest, lambda path: object_hash(read_object(path, images))):
-                with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
-                    write_parts(fresh, asset)
-                    write_object(fresh, asset, images)
+        hashes = self._record["assets"]
+        for name in hashes["objects"]:
+            self._store_object(name)
         folder, known = "assets/support", hashes["support"]
         if not self._is_as_written(folder, known, lambda path: support_hash(read_support(path))):
             with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
@@ -287,6 +296,44 @@ class BankWriter:
         }
         self._index.files = kept | digests_in(self.path, "assets")
 
+    def _store_object(self, name: str) -> None:
+        """Writes an object's files, unless they are there as they were written."""
+        images, digest = inside(self.path, "assets/textures"), self._record["assets"]["objects"][name]
+        folder = f"assets/objects/{name}"
+        if self._is_as_written(folder, digest, lambda path: object_hash(read_object(path, images))):
+            return
+        asset = self._asset(name)
+        if object_hash(asset) != digest:
+            raise _other_assets(self.path, [name])
+        with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
+            write_parts(fresh, asset)
+            write_object(fresh, asset, images)
+
+    def _asset(self, name: str) -> ObjectAsset:
+        if name in self._assets or self._find is None:
+            return self._assets[name]
+        return self._find(name)
+
+    def _store_objects_of(self, table: pa.Table) -> None:
+        """Writes the objects of a block's scenes that the bank does not have yet.
+
+        Raises:
+          BankError: one is not what it was when an earlier block was made.
+        """
+        if self._find is None:
+            return
+        hashes, files = self._record["assets"]["objects"], self._index.files
+        names = sorted({base_name(each) for each in pc.unique(pc.list_flatten(table["objects"])).to_pylist()})
+        with writing(self.path):
+            for name in names:
+                digest = object_hash(self._find(name))
+                if hashes.setdefault(name, digest) != digest:
+                    raise _other_assets(self.path, [name])
+                if not any(each.startswith(f"assets/objects/{name}/") for each in files):
+                    self._store_object(name)
+                    self._index.files |= digests_in(self.path, f"assets/objects/{name}")
+            self._index.files |= digests_in(self.path, "assets/textures")
+
     def _is_as_written(self, folder: str, wanted: str | None, hash_of: Callable[[Path], str]) -> bool:
         """Whether the bank's copy of an asset is what its digests say, if there are any, and the asset."""
         known = {name: digest for name, digest in self._index.files.items() if name.startswith(f"{folder}/")}
@@ -294,6 +341,9 @@ class BankWriter:
             is_kept = bool(known) and digests_in(self.path, folder) == known
             return is_kept and hash_of(self.path / folder) == wanted
         return False
+
+
+_ELSEWHERE = "another `out`, or `overwrite` to begin anew"
 
 
 def _is_bank(path: Path) -> bool:
@@ -309,17 +359,20 @@ def _is_json(path: Path) -> bool:
 
 def _check_same(path: Path, ours: Record, theirs: Record) -> None:
     """Refuses to continue a bank of another recipe, or of other assets."""
-    hint = "another `out`, or `overwrite` to begin anew"
-    check_recipe(path, "a bank made", ours["recipe"], theirs["recipe"], hint)
+    check_recipe(path, "a bank made", ours["recipe"], theirs["recipe"], _ELSEWHERE)
     known = theirs.get("assets", ours["assets"])
     other = sorted(n for n, digest in ours["assets"]["objects"].items() if known["objects"].get(n) != digest)
     other += ["its support"] * (known["support"] != ours["assets"]["support"])
     if other:
-        raise BankError(
-            f"{path} holds a bank made with other assets of the same name: {', '.join(other)}",
-            "the assets that it was made with",
-            f"{hint}; the bank's own copies are in its folder `assets`",
-        )
+        raise _other_assets(path, other)
+
+
+def _other_assets(path: Path, names: Sequence[str]) -> BankError:
+    return BankError(
+        f"{path} holds a bank made with other assets of the same name: {', '.join(names)}",
+        "the assets that it was made with",
+        f"{_ELSEWHERE}; the bank's own copies are in its folder `assets`",
+    )
 
 
 def _remove_bank(path: Path) -> None:

@@ -120,9 +120,10 @@ class Bench:
 
     def stands_alone(self) -> np.ndarray:
         """bool[P]: whether the partial scene stands as it is, without the object."""
-        episodes, physics = self._episodes, self._rules.physics
+        episodes = self._episodes
+        physics: Any = self._rules.simulator
         state = (np.asarray(episodes.poses), np.asarray(episodes.is_placed))
-        standing: Any = physics.stand_batch(*state, np.ones(len(state[0]), bool))  # type: ignore[attr-defined]
+        standing: Any = physics.stand_batch(*state, np.ones(len(state[0]), bool))
         return np.asarray(standing.verdict) == int(Verdict.STABLE)
 
 

@@ -76,7 +76,7 @@ class Chains:
                 alive[rows] = is_good
                 progress.update(self.num_chains)
         is_whole = placed == (order >= 0).sum(1)
-        physics: Any = self._scenes.rules.physics
+        physics: Any = self._scenes.rules.simulator
         state = np.asarray(episodes.poses), np.asarray(episodes.is_placed)
         stands = physics.stand_batch(*state, is_whole).verdict == int(Verdict.STABLE)
         return {"success": proportion(stands), "placed": float(placed.mean()), "by_slot": by_slot}

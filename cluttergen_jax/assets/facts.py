@@ -1,0 +1,186 @@
+"""What is told of an object without reading its meshes, and choosing objects of a pool by it."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable, Iterable, Sequence
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+
+from cluttergen_jax.errors import ConfigError, closest
+
+
+if TYPE_CHECKING:
+    from cluttergen_jax.assets.object import ObjectAsset
+
+
+class ObjectFacts(msgspec.Struct, frozen=True):
+    """An object of a pool in numbers and words.
+
+    Attributes:
+      name: of the object.
+      label: what people call it.
+      size: metres, the sides of its box, x, y, z.
+      volume: cubic metres, of its convex parts.
+      mass: kilograms.
+      licence, source: of its file.
+      parts: number of convex parts.
+      flagged: something was found that a user should look at.
+    """
+
+    name: str
+    label: str
+    size: tuple[float, float, float]
+    volume: float
+    mass: float
+    licence: str
+    source: str
+    parts: int
+    flagged: bool
+
+    @staticmethod
+    def of(asset: ObjectAsset) -> ObjectFacts:
+        """Those of an object at hand."""
+        x, y, z = np.round(2 * asset.half_extents, 6).tolist()
+        return ObjectFacts(
+            name=asset.name,
+            label=asset.label,
+            size=(x, y, z),
+            volume=float(f"{sum(part.volume for part in asset.parts):.4g}"),
+            mass=float(asset.mass),
+            licence=asset.provenance.licence,
+            source=asset.provenance.source,
+            parts=len(asset.parts),
+            flagged=bool(asset.flags),
+        )
+
+
+_TEXTS: dict[str, Callable[[ObjectFacts], str]] = {
+    "name": lambda each: each.name,
+    "label": lambda each: each.label,
+    "licence": lambda each: each.licence,
+    "source": lambda each: each.source,
+}
+_NUMBERS: dict[str, Callable[[ObjectFacts], float]] = {
+    "volume": lambda each: each.volume,
+    "mass": lambda each: each.mass,
+    "x": lambda each: each.size[0],
+    "y": lambda each: each.size[1],
+    "height": lambda each: each.size[2],
+    "width": lambda each: max(each.size[:2]),
+    "depth": lambda each: min(each.size[:2]),
+    "parts": lambda each: each.parts,
+    "flagged": lambda each: each.flagged,
+}
+_SIGNS: dict[str, Callable[[float, float], bool]] = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "<": operator.lt,
+    ">": operator.gt,
+    "=": operator.eq,
+}
+_TERM = re.compile(r"\s*([a-z]+)\s*(<=|>=|<|>|=)\s*(.+?)\s*")
+_HINT = "'mug* and volume<0.001', or 'label=*book* and height>=0.1'"
+Test = Callable[[ObjectFacts], bool]
+
+
+def parse_condition(text: str) -> Test:
+    """What tells whether an object is meant by a text such as "mug* and volume<0.001".
+
+    Terms are joined by "and". A term is a pattern of a name, in which * stands for any letters; a pattern of
+    a text, such as label=*book*; or a comparison of a number, in metres, cubic metres or kilograms.
+
+    Raises:
+      ConfigError: a term is none; the message names what can be compared.
+    """
+    tests = [_parse_term(term) for term in re.split(r"\s+and\s+", text.strip())]
+    return lambda each: all(test(each) for test in tests)
+
+
+def _parse_term(term: str) -> Test:
+    match = _TERM.fullmatch(term)
+    if match is None:
+        if not term or re.search(r"[<>=\s]", term):
+            raise _no_term(term)
+        return lambda each: fnmatchcase(each.name, term)
+    field, sign, value = match.groups()
+    if field in _TEXTS:
+        if sign != "=":
+            raise ConfigError(f"{term!r}", f"{field}=PATTERN", _HINT)
+        pattern = value.lower()
+        return lambda each: fnmatchcase(_TEXTS[field](each).lower(), pattern)
+    if field not in _NUMBERS:
+        raise _no_term(term, closest(field, [*_TEXTS, *_NUMBERS]))
+    try:
+        number = float(value)
+    except ValueError:
+        raise ConfigError(f"{value!r} in {term!r}", "a number", _HINT) from None
+    return lambda each: _SIGNS[sign](_NUMBERS[field](each), number)
+
+
+def _no_term(term: str, meant: str = "") -> ConfigError:
+    allowed = f"a name, a pattern such as mug*, or a comparison of {', '.join([*_TEXTS, *_NUMBERS])}"
+    return ConfigError(f"{term!r} in a choice of objects", allowed, _HINT, meant)
+
+
+def is_plain_name(text: str) -> bool:
+    """Whether a text is an object's name, and no pattern or condition."""
+    return re.fullmatch(r"[a-z0-9_-]+", text) is not None
+
+
+def chosen_names(facts: Sequence[ObjectFacts], chosen: Iterable[str], pool: str) -> tuple[str, ...]:
+    """Names of a pool's objects that texts choose: names as they are, then all others in the pool's order.
+
+    Args:
+      chosen: names, patterns and conditions (`parse_condition`); an object is meant if one of them means it.
+
+    Raises:
+      ConfigError: a text chooses nothing, or is not understood.
+    """
+    names: dict[str, None] = {}
+    for text in chosen:
+        if is_plain_name(text):
+            names[text] = None
+            continue
+        test = parse_condition(text)
+        found = [each.name for each in facts if test(each)]
+        if not found:
+            raise ConfigError(f"{text!r} chooses no object of pool {pool!r}", f"one of {len(facts)}", _HINT)
+        names |= dict.fromkeys(found)
+    return tuple(names)
+
+
+def parse_weights(text: str) -> tuple[tuple[str, float], ...]:
+    """Conditions and weights of a text such as "mug*=3; label=*book*=0.5"."""
+    found = []
+    for term in text.split(";"):
+        condition, _, number = term.rpartition("=")
+        try:
+            weight = float(number)
+        except ValueError:
+            weight = -1.0
+        if not condition.strip() or not 0 <= weight < float("inf"):
+            raise ConfigError(f"weight {term!r}", "CONDITION=NUMBER, 0 or more, joined by ';'", "'mug*=3'")
+        parse_condition(condition)
+        found.append((condition.strip(), weight))
+    return tuple(found)
+
+
+def weights_of(facts: Sequence[ObjectFacts], weights: Sequence[tuple[str, float]]) -> np.ndarray:
+    """f64[N]: by which objects are drawn: the product of the weights whose condition they fulfil, else 1.
+
+    Raises:
+      ConfigError: a condition fits nothing.
+    """
+    result = np.ones(len(facts))
+    for condition, weight in weights:
+        test = parse_condition(condition)
+        is_meant = np.array([test(each) for each in facts])
+        if not is_meant.any():
+            raise ConfigError(f"weight of {condition!r}, which no object fulfils", f"one of {len(facts)}", _HINT)
+        result[is_meant] *= weight
+    return result

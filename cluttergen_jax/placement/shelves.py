@@ -1,0 +1,227 @@
+"""Worlds of a pool that is too large for one: each holds some objects that are drawn from it, a shelf.
+
+All of them have arrays of one size, or of one of a few sizes, so that what is compiled for one shelf serves
+the others.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cluttergen_jax.assets.facts import weights_of
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import Pool, find_pool
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.assets.support_map import check_keep_out, check_region
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.numerics import new_key
+from cluttergen_jax.physics import engine_of
+from cluttergen_jax.physics.host import BatchEngine, NumberedEngines
+from cluttergen_jax.physics.native import NativePhysics
+from cluttergen_jax.placement.problem import (
+    Problem,
+    ProblemConfig,
+    Setup,
+    Standing,
+    WorldSizes,
+    check_crowding,
+    check_number,
+    compose,
+    keep_out_of,
+    start_of,
+)
+from cluttergen_jax.placement.region import KeepOut
+from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.placement.world import World, columns_of
+from cluttergen_jax.types import Array
+
+_KEPT_WORLDS, _KEPT_COLUMNS = 2, 512
+_SHELF = 3
+"""Folded into the key of a block's first scene, for the block's shelf; 0 to 2 serve the scene itself."""
+
+
+def shelf_key(seed: int, block: int) -> Array:
+    """The key of the shelf of a bank's block: `draw_shelf` of it gives the objects of the block's scenes."""
+    return jax.random.fold_in(jax.random.fold_in(new_key(seed), block * BLOCK_SIZE), _SHELF)
+
+
+def draw_shelf(
+    key: Array, size: int, weights: np.ndarray, groups: Sequence[str] | None = None
+) -> tuple[int, ...]:
+    """Different objects of a pool, by their numbers, in the pool's order.
+
+    Args:
+      key: one PRNG key, consumed.
+      size: how many.
+      weights: f64[N], 0 or more, by object: they are drawn one after another, each with a chance in
+        proportion (Plackett-Luce).
+      groups: of each object. Where it is given, each group has as many objects as any other, while it has
+        some.
+
+    Raises:
+      ConfigError: fewer objects have a weight above 0.
+    """
+    allowed = np.flatnonzero(weights > 0)
+    if size > len(allowed):
+        raise ConfigError(f"a shelf of {size} of {len(allowed)} objects", f"1 to {len(allowed)}", "a smaller one")
+    noise = np.asarray(jax.random.gumbel(key, (len(weights),)), np.float64)
+    with np.errstate(divide="ignore"):
+        rank = np.where(weights > 0, np.log(weights) + noise, -np.inf)
+    order = np.argsort(-rank, kind="stable")[: len(allowed)]
+    if groups is not None:
+        # The rounds in which objects come: the first of each group, then the second of each, and so on.
+        seen: dict[str, int] = {}
+        rounds = []
+        for index in order.tolist():
+            rounds.append(seen.get(groups[index], 0))
+            seen[groups[index]] = rounds[-1] + 1
+        order = order[np.argsort(rounds, kind="stable")]
+    return tuple(sorted(order[:size].tolist()))
+
+
+class ShelfWorlds:
+    """Problems of as many objects each, which share what is compiled.
+
+    Args:
+      config: of each; `config.shelf` is the number of objects.
+      support: the table.
+      radius: metres, of the largest object seen from above.
+      keep_out: where no object may come to lie.
+      standing: what stands there already.
+      read: gives an object again by its name, for a world that is compiled once more.
+
+    Raises:
+      ConfigError: the engine is not native.
+    """
+
+    def __init__(
+        self,
+        config: ProblemConfig,
+        support: SupportAsset,
+        radius: float,
+        keep_out: KeepOut,
+        standing: Standing,
+        read: Callable[[str], ObjectAsset],
+    ) -> None:
+        if (engine := engine_of(config.engine, config.stability)) != "native":
+            raise ConfigError(
+                f"engine {engine!r} with a shelf of objects, each of which it would compile anew",
+                "the native engine",
+                "engine='native', or up to 200 `objects` and no `shelf`",
+            )
+        self.config, self.support, self.keep_out, self.standing = config, support, keep_out, standing
+        self._read = read
+        engines = NumberedEngines(config.shelf + len(standing[0]), config.stability, self._make_engine)
+        self._sizes = WorldSizes(engines, radius, lru_cache(_KEPT_COLUMNS)(columns_of))
+        self._names: list[tuple[str, ...]] = []
+        self._worlds: OrderedDict[int, World] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def setup(self, objects: Sequence[ObjectAsset]) -> Setup:
+        """The problem of these objects, as many as a shelf has."""
+        problem = self._compose(objects)
+        with self._lock:
+            number = len(self._names)
+            self._names.append(tuple(asset.name for asset in objects))
+        self._keep(number, problem.world)
+        problem = replace(problem, rules=problem.rules.replace(engine=jnp.int32(number)))
+        return Setup(problem, self.keep_out, start_of(problem.world, self.standing[1]))
+
+    def _compose(self, objects: Sequence[ObjectAsset]) -> Problem:
+        return compose(objects, self.support, self.config, self.standing[0], self._sizes)
+
+    def _keep(self, number: int, world: World) -> None:
+        with self._lock:
+            self._worlds[number] = world
+            while len(self._worlds) > _KEPT_WORLDS:
+                self._worlds.popitem(last=False)
+
+    def _make_engine(self, number: int) -> BatchEngine:
+        """The engine of a problem, whose world is compiled again if it is no longer at hand."""
+        world = self._worlds.get(number)
+        if world is None:
+            world = self._compose([self._read(name) for name in self._names[number]]).world
+            self._keep(number, world)
+        return cast(
+            BatchEngine, NativePhysics(world.layout, self.config.stability, self.config.num_threads)
+        )
+
+
+class Shelves:
+    """Problems of objects that are drawn from a pool.
+
+    Args:
+      pool: the objects.
+      config: of the problems; `config.shelf`, `weights` and `balance` say how objects are drawn.
+      support: the table.
+      keep_out, standing: see `placement.problem.make_setup`.
+
+    Raises:
+      ConfigError: the engine is not native, the pool is smaller than a shelf, the smallest objects of all
+        cover the region many times, or a condition of a weight fits nothing.
+    """
+
+    def __init__(
+        self,
+        pool: Pool,
+        config: ProblemConfig,
+        support: SupportAsset,
+        keep_out: Sequence[Rectangle] = (),
+        standing: Standing | None = None,
+    ) -> None:
+        standing = standing or ((), np.zeros((0, 7), np.float32))
+        self.pool, self.config = pool, config
+        self._weights = weights_of(pool.facts, config.weights)
+        self._groups = [getattr(each, config.balance) for each in pool.facts] if config.balance else None
+        most = int((self._weights > 0).sum())
+        if not 1 <= config.shelf <= most:
+            raise ConfigError(f"shelf = {config.shelf} with {most} objects to draw", f"1 to {most}")
+        region = config.region or support.region
+        check_region(region, support)
+        check_keep_out(keep_out, region)
+        check_number(config.placement.num_objects, config.shelf, config.pool, config.repeat)
+        sizes = [0.5 * float(np.hypot(*each.size[:2])) for each in pool.facts]
+        sizes += [float(np.linalg.norm(asset.half_extents[:2])) for asset in standing[0]]
+        self._worlds = ShelfWorlds(
+            config, support, max(sizes), keep_out_of(keep_out), standing, pool.__getitem__
+        )
+        self._latest: tuple[tuple[str, ...], Setup] | None = None
+
+    @classmethod
+    def of(
+        cls, config: ProblemConfig, keep_out: Sequence[Rectangle] = (), standing: Standing | None = None
+    ) -> Shelves:
+        """Those of the pool, objects and support that a config names (PoolError: there is none)."""
+        pool = find_pool(config.pool, names=config.objects)
+        if config.objects:
+            pool = pool.select(config.objects)
+        return cls(pool, config, find_support(config.support), keep_out, standing)
+
+    def draw(self, key: Array) -> tuple[str, ...]:
+        """The names of the objects of a shelf, drawn with a key."""
+        chosen = draw_shelf(key, self.config.shelf, self._weights, self._groups)
+        return tuple(self.pool.names[index] for index in chosen)
+
+    def block(self, seed: int, block: int) -> Setup:
+        """The problem of the scenes of a bank's block."""
+        return self.setup(self.draw(shelf_key(seed, block)))
+
+    def setup(self, names: tuple[str, ...]) -> Setup:
+        """The problem of these objects, as many as a shelf has (PoolError: one is damaged)."""
+        if self._latest is None or self._latest[0] != names:
+            objects = [self.pool[name] for name in names]
+            if self._latest is None:
+                region = self.config.region or self._worlds.support.region
+                check_crowding(objects, self.config.placement.num_objects, region)
+            self._latest = names, self._worlds.setup(objects)
+        return self._latest[1]
