@@ -394,6 +394,11 @@ class SceneSpec:
                 allowed = f"1 to {min(available, MOST_ON_SHELF)} of the {available} objects of pool {pool!r}"
                 raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={min(SHELF, available)}")
             available = shelf
+            if self.repeat:
+                given = "`repeat` with a shelf of objects that each block draws"
+                raise ConfigError(
+                    given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
+                )
         num_objects = min(available, MAX_SLOTS) if self.num_objects is None else self.num_objects
         check_number(num_objects, available, pool, self.repeat)
         region = self.region

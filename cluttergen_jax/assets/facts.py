@@ -13,7 +13,6 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError, closest
 
-
 if TYPE_CHECKING:
     from cluttergen_jax.assets.object import ObjectAsset
 
@@ -181,6 +180,8 @@ def weights_of(facts: Sequence[ObjectFacts], weights: Sequence[tuple[str, float]
         test = parse_condition(condition)
         is_meant = np.array([test(each) for each in facts])
         if not is_meant.any():
-            raise ConfigError(f"weight of {condition!r}, which no object fulfils", f"one of {len(facts)}", _HINT)
+            raise ConfigError(
+                f"weight of {condition!r}, which no object fulfils", f"one of {len(facts)}", _HINT
+            )
         result[is_meant] *= weight
     return result

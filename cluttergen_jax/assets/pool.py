@@ -133,7 +133,11 @@ class Pool:
     def select(self, names: Iterable[str]) -> Pool:
         """The pool with the objects of these names alone, in this order (PoolError: there is none of one)."""
         names = tuple(names)
-        if isinstance(self.objects, StoredObjects) and len(names) > MOST_READ and set(names) <= set(self.names):
+        if (
+            isinstance(self.objects, StoredObjects)
+            and len(names) > MOST_READ
+            and set(names) <= set(self.names)
+        ):
             return replace(self, objects=self.objects.select(names))
         return replace(self, objects=tuple(self[name] for name in names))
 
@@ -376,7 +380,9 @@ def _union(name: str, pools: list[Pool]) -> Pool:
         raise PoolError(f"the union of pools {listed}", "pools of different names and of one tier")
     number = Counter(each for pool in pools for each in pool.names)
     called = [
-        (f"{pool.name}-{name}" if number[name] > 1 else name, pool, name) for pool in pools for name in pool.names
+        (f"{pool.name}-{name}" if number[name] > 1 else name, pool, name)
+        for pool in pools
+        for name in pool.names
     ]
     licences = dict.fromkeys(pool.licence or "not stated" for pool in pools)
     readers = {own: partial(_renamed, pool, name, own) for own, pool, name in called}

@@ -6,11 +6,13 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
@@ -26,7 +28,7 @@ from cluttergen_jax.files import writing
 from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.index import BankIndex
@@ -118,11 +120,13 @@ class Certifier:
     """Makes what measures blocks, here or in another process: plain models of the bank's own assets.
 
     Attributes:
-      objects: of the bank's world, in order; support, stability, contact: likewise.
+      objects: of the bank's world, in order; support, stability, contact: likewise. None where blocks drew
+        objects of their own: then those of a block come from the bank at `path`.
       seconds, jobs: of `cluttergen_jax.certify`.
     """
 
-    objects: tuple[ObjectAsset, ...]
+    path: Path
+    objects: tuple[ObjectAsset, ...] | None
     support: SupportAsset
     stability: StabilityConfig
     contact: ContactConfig
@@ -141,7 +145,8 @@ class Certifier:
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
             raise BankError(f"{bank.path}: its record does not name the objects of its world")
         return cls(
-            objects=tuple(asset_of(base_name(name)) for name in names),
+            path=bank.path,
+            objects=None if recipe.get("shelf") else tuple(asset_of(base_name(name)) for name in names),
             support=bank.support,
             stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
             contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
@@ -151,45 +156,73 @@ class Certifier:
 
     def __call__(self) -> Callable[[pa.Table], pa.Table]:
         """The function that is given a block and returns it with its certificate."""
-        world = make_world(self.objects, self.support, self.stability, self.contact)
-        models = SceneModels(world, self.stability, self.contact)
-        return partial(add_certificates, models=models, seconds=self.seconds, jobs=self.jobs)
+        if self.objects is not None:
+            models = self._models(self.objects)
+            return partial(add_certificates, models=models, seconds=self.seconds, jobs=self.jobs)
+        bank = read_bank(self.path)
+
+        def certify_drawn(rows: pa.Table) -> pa.Table:
+            used = np.unique(pc.list_flatten(rows["object_index"]).to_numpy())
+            models = self._models([bank.object(bank.recipe["names"][number]) for number in used])
+            return add_certificates(rows, models, self.seconds, self.jobs, used)
+
+        return certify_drawn
+
+    def _models(self, objects: Sequence[ObjectAsset]) -> SceneModels:
+        world = make_world(objects, self.support, self.stability, self.contact)
+        return SceneModels(world, self.stability, self.contact)
 
 
-def add_certificates(rows: pa.Table, models: SceneModels, seconds: float, jobs: int) -> pa.Table:
-    """The rows with the columns of `CERTIFICATE`."""
+def add_certificates(
+    rows: pa.Table, models: SceneModels, seconds: float, jobs: int, numbers: np.ndarray | None = None
+) -> pa.Table:
+    """The rows with the columns of `CERTIFICATE`.
+
+    Args:
+      numbers: i[K], of the models' objects in the rows, rising; 0 to K - 1 if None.
+    """
+    numbers = np.arange(models.world.num_objects) if numbers is None else numbers
+    local = {int(number): place for place, number in enumerate(numbers)}
     rows = rows.select([name for name in schema_of(rows).names if name not in CERTIFICATE.names])
     scenes = rows.select(["is_success", "object_index", "is_placed", "poses"]).to_pylist()
     results: list[dict[str, Any]] = [dict.fromkeys(CERTIFICATE.names) for _ in scenes]
     good = [place for place, scene in enumerate(scenes) if scene["is_success"]]
     if good:
-        poses, is_placed = _by_object([scenes[place] for place in good], models.world.num_objects)
+        poses, is_placed = _by_object([scenes[place] for place in good], local)
         found = certificates(models, poses, is_placed, seconds, num_threads=jobs)
         for place, each in zip(good, found, strict=True):
-            margins = [each["margins"][k] for k in scenes[place]["object_index"]]
+            margins = [each["margins"][local[k]] for k in scenes[place]["object_index"]]
             results[place] = {_RENAMED.get(name, name): value for name, value in each.items()}
             results[place]["margins"] = margins
+            results[place]["rests_on"] = [
+                (int(numbers[i]), -1 if j < 0 else int(numbers[j])) for i, j in each["rests_on"]
+            ]
     extra = pa.Table.from_pylist(results, schema=CERTIFICATE)
     for field in CERTIFICATE:
         rows = rows.append_column(field, extra[field.name])
     return rows
 
 
-def _by_object(scenes: list[dict[str, Any]], num_objects: int) -> tuple[np.ndarray, np.ndarray]:
-    """f64[N, K, 7] and bool[N, K] of rows whose slots may be of different numbers."""
+def _by_object(scenes: list[dict[str, Any]], local: dict[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """f64[N, K, 7] and bool[N, K] of rows whose slots may be of different numbers.
+
+    Args:
+      local: the number of an object in the models, by its number in the rows.
+    """
     most = max(len(scene["object_index"]) for scene in scenes)
     index = np.full((len(scenes), most), -1)
     placed = np.zeros((len(scenes), most), bool)
     poses = np.tile(np.eye(7)[3], (len(scenes), most, 1))
     for row, scene in enumerate(scenes):
         count = len(scene["object_index"])
-        index[row, :count], placed[row, :count] = scene["object_index"], scene["is_placed"]
+        if not set(scene["object_index"]) <= local.keys():
+            raise BankError(
+                "a scene names an object that the bank's record does not", hint="the bank's own bank.json"
+            )
+        index[row, :count] = [local[each] for each in scene["object_index"]]
+        placed[row, :count] = scene["is_placed"]
         poses[row, :count] = np.array(scene["poses"]).reshape(-1, 7)
-    if index.max() >= num_objects:
-        raise BankError(
-            "a scene names an object that the bank's record does not", hint="the bank's own bank.json"
-        )
-    return by_object(index, placed, poses, num_objects)[:2]
+    return by_object(index, placed, poses, len(local))[:2]
 
 
 def certificates(

@@ -43,7 +43,7 @@ from cluttergen_jax.placement.rollout import (
     sample_blocks,
 )
 from cluttergen_jax.placement.scenes import SceneBatch
-from cluttergen_jax.placement.shelves import Shelves, ShelfWorlds, shelf_key
+from cluttergen_jax.placement.shelves import ShelfWorlds, Shelves, shelf_key
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
@@ -106,12 +106,20 @@ def shelved_blocks_here(
         for block, rows in blocks:
             setup = shelves.block(seed, block)
             made = sample_block(rollout, sampler_of(setup, method), block, rows, seed, count)
-            yield block, _rows(setup.problem, *made)
+            yield block, _rows(setup.problem, *made, shelves.numbers(setup.problem.world.names))
 
 
-def _rows(problem: Problem, indices: np.ndarray, scenes: SceneBatch) -> pa.Table:
+def _rows(
+    problem: Problem, indices: np.ndarray, scenes: SceneBatch, numbers: np.ndarray | None = None
+) -> pa.Table:
+    """Rows of scenes.
+
+    Args:
+      numbers: i32[K], of the world's objects among those that the bank's record names; as there if None.
+    """
     _give_back_memory()
-    return table_of(indices, scenes, problem.world.names, np.asarray(problem.rules.geometry.half_extents))
+    half_extents = np.asarray(problem.rules.geometry.half_extents)
+    return table_of(indices, scenes, problem.world.names, half_extents, numbers)
 
 
 def _give_back_memory() -> None:
@@ -124,7 +132,7 @@ def _give_back_memory() -> None:
         trim(0)
 
 
-class _ShelvedBlocks(Sequence[tuple[Block, tuple[ObjectAsset, ...]]]):
+class _ShelvedBlocks(Sequence[tuple[Block, tuple[ObjectAsset, ...], np.ndarray]]):
     """Blocks with the objects of their shelves, which are read when a worker is free for one."""
 
     def __init__(self, shelves: Shelves, blocks: Sequence[Block], seed: int) -> None:
@@ -136,7 +144,7 @@ class _ShelvedBlocks(Sequence[tuple[Block, tuple[ObjectAsset, ...]]]):
     def __getitem__(self, place: Any) -> Any:
         block = self._blocks[place]
         names = self._shelves.draw(shelf_key(self._seed, block[0]))
-        return block, tuple(self._shelves.pool[name] for name in names)
+        return block, tuple(self._shelves.pool[name] for name in names), self._shelves.numbers(names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,16 +210,15 @@ class BlockMaker:
                 return _rows(problem, *sample_block(rollout, sampler, *block, self.seed))
 
             return make
-        standing = self.standing, np.asarray(start.poses)[len(self.objects) :]
-        worlds = ShelfWorlds(self.config, self.support, self.radius, keep_out, standing, _not_at_hand)
+        worlds = ShelfWorlds(self.config, self.support, self.radius, keep_out, _not_at_hand)
         shared = Rollout()
 
         @with_own_settings
-        def make_shelved(item: tuple[Block, tuple[ObjectAsset, ...]]) -> pa.Table:
-            (block, rows), objects = item
+        def make_shelved(item: tuple[Block, tuple[ObjectAsset, ...], np.ndarray]) -> pa.Table:
+            (block, rows), objects, numbers = item
             setup = worlds.setup(objects)
             made = sample_block(shared, self._sampler(setup), block, rows, self.seed)
-            return _rows(setup.problem, *made)
+            return _rows(setup.problem, *made, numbers)
 
         return make_shelved
 

@@ -49,8 +49,8 @@ class _Drawing(struct.PyTreeNode):
 class Sampler:
     """Samples one scene from a key; see `make_sampler`. Map it with `jax.vmap`, compile it with `jax.jit`.
 
-    It is a pytree. Of a pool of which it has a shelf, it is an argument of what is compiled, which then serves
-    every shelf:
+    It is a pytree: with a shelf of a pool it can be an argument of what is compiled, which then serves every
+    shelf:
 
         many = jax.jit(lambda sample, keys: jax.vmap(sample)(keys))
         scenes = many(sample.reshelve(key), keys)
@@ -91,7 +91,7 @@ class Sampler:
         return self._with_shelf(lambda shelves: shelves.setup(shelves.draw(key)))
 
     def for_block(self, seed: int, block: int) -> Sampler:
-        """The same sampler with the objects of a bank's block: of its scenes 256 `block` to 256 `block` + 255.
+        """The same sampler with the objects of a bank's block: of scenes 256 `block` to 256 `block` + 255.
 
         Raises:
           ConfigError: the sampler has no shelf.
@@ -107,14 +107,11 @@ class Sampler:
             )
         shelves, method = self.shelves
         setup = draw(shelves)
-        recipe = None if self.recipe is None else partial(_put_on_shelf, self.recipe, self._names_of(setup))
+        names = setup.problem.world.names
+        recipe = None if self.recipe is None else partial(_put_on_shelf, self.recipe, names)
         return replace(
             self, problem=setup.problem, steps=sampler_of(setup, method), start=setup.start, recipe=recipe
         )
-
-    def _names_of(self, setup: Setup) -> tuple[str, ...]:
-        world, rules = setup.problem.world, setup.problem.rules
-        return world.names[: world.num_objects - rules.num_started]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return required_recipe(self.recipe, "make_sampler"), ()
@@ -373,7 +370,13 @@ def set_up_bank(spec: SceneSpec, seed: int) -> tuple[Method, Setup, Shelves | No
     method, config = _decide(spec)
     if not config.shelf:
         return method, make_setup(config, spec.boxes(), _standing(spec)), None
-    shelves = Shelves.of(config, spec.boxes(), _standing(spec))
+    if spec.start is not None:
+        raise ConfigError(
+            "`start` with a shelf of objects that each block draws",
+            "no start",
+            "fewer `objects`, without a shelf",
+        )
+    shelves = Shelves.of(config, spec.boxes())
     return method, shelves.block(seed, 0), shelves
 
 

@@ -171,9 +171,7 @@ class NumberedEngines:
       make: the engine of a number.
     """
 
-    def __init__(
-        self, num_objects: int, config: StabilityConfig, make: Callable[[int], BatchEngine]
-    ) -> None:
+    def __init__(self, num_objects: int, config: StabilityConfig, make: Callable[[int], BatchEngine]) -> None:
         self.config, self._make = config, make
         self._lock = threading.RLock()
         self._at_hand: tuple[int, BatchEngine] | None = None

@@ -32,15 +32,14 @@ from cluttergen_jax.placement.problem import (
     Problem,
     ProblemConfig,
     Setup,
-    Standing,
     WorldSizes,
     check_crowding,
     check_number,
     compose,
     keep_out_of,
-    start_of,
 )
 from cluttergen_jax.placement.region import KeepOut
+from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.world import World, columns_of
 from cluttergen_jax.types import Array
@@ -73,7 +72,9 @@ def draw_shelf(
     """
     allowed = np.flatnonzero(weights > 0)
     if size > len(allowed):
-        raise ConfigError(f"a shelf of {size} of {len(allowed)} objects", f"1 to {len(allowed)}", "a smaller one")
+        raise ConfigError(
+            f"a shelf of {size} of {len(allowed)} objects", f"1 to {len(allowed)}", "a smaller one"
+        )
     noise = np.asarray(jax.random.gumbel(key, (len(weights),)), np.float64)
     with np.errstate(divide="ignore"):
         rank = np.where(weights > 0, np.log(weights) + noise, -np.inf)
@@ -97,7 +98,6 @@ class ShelfWorlds:
       support: the table.
       radius: metres, of the largest object seen from above.
       keep_out: where no object may come to lie.
-      standing: what stands there already.
       read: gives an object again by its name, for a world that is compiled once more.
 
     Raises:
@@ -110,7 +110,6 @@ class ShelfWorlds:
         support: SupportAsset,
         radius: float,
         keep_out: KeepOut,
-        standing: Standing,
         read: Callable[[str], ObjectAsset],
     ) -> None:
         if (engine := engine_of(config.engine, config.stability)) != "native":
@@ -119,9 +118,8 @@ class ShelfWorlds:
                 "the native engine",
                 "engine='native', or up to 200 `objects` and no `shelf`",
             )
-        self.config, self.support, self.keep_out, self.standing = config, support, keep_out, standing
-        self._read = read
-        engines = NumberedEngines(config.shelf + len(standing[0]), config.stability, self._make_engine)
+        self.config, self.support, self.keep_out, self._read = config, support, keep_out, read
+        engines = NumberedEngines(config.shelf, config.stability, self._make_engine)
         self._sizes = WorldSizes(engines, radius, lru_cache(_KEPT_COLUMNS)(columns_of))
         self._names: list[tuple[str, ...]] = []
         self._worlds: OrderedDict[int, World] = OrderedDict()
@@ -135,10 +133,10 @@ class ShelfWorlds:
             self._names.append(tuple(asset.name for asset in objects))
         self._keep(number, problem.world)
         problem = replace(problem, rules=problem.rules.replace(engine=jnp.int32(number)))
-        return Setup(problem, self.keep_out, start_of(problem.world, self.standing[1]))
+        return Setup(problem, self.keep_out, empty_start(self.config.shelf))
 
     def _compose(self, objects: Sequence[ObjectAsset]) -> Problem:
-        return compose(objects, self.support, self.config, self.standing[0], self._sizes)
+        return compose(objects, self.support, self.config, sizes=self._sizes)
 
     def _keep(self, number: int, world: World) -> None:
         with self._lock:
@@ -152,9 +150,7 @@ class ShelfWorlds:
         if world is None:
             world = self._compose([self._read(name) for name in self._names[number]]).world
             self._keep(number, world)
-        return cast(
-            BatchEngine, NativePhysics(world.layout, self.config.stability, self.config.num_threads)
-        )
+        return cast(BatchEngine, NativePhysics(world.layout, self.config.stability, self.config.num_threads))
 
 
 class Shelves:
@@ -164,7 +160,7 @@ class Shelves:
       pool: the objects.
       config: of the problems; `config.shelf`, `weights` and `balance` say how objects are drawn.
       support: the table.
-      keep_out, standing: see `placement.problem.make_setup`.
+      keep_out: see `placement.problem.make_setup`.
 
     Raises:
       ConfigError: the engine is not native, the pool is smaller than a shelf, the smallest objects of all
@@ -177,9 +173,7 @@ class Shelves:
         config: ProblemConfig,
         support: SupportAsset,
         keep_out: Sequence[Rectangle] = (),
-        standing: Standing | None = None,
     ) -> None:
-        standing = standing or ((), np.zeros((0, 7), np.float32))
         self.pool, self.config = pool, config
         self._weights = weights_of(pool.facts, config.weights)
         self._groups = [getattr(each, config.balance) for each in pool.facts] if config.balance else None
@@ -189,28 +183,28 @@ class Shelves:
         region = config.region or support.region
         check_region(region, support)
         check_keep_out(keep_out, region)
-        check_number(config.placement.num_objects, config.shelf, config.pool, config.repeat)
+        check_number(config.placement.num_objects, config.shelf, config.pool)
         sizes = [0.5 * float(np.hypot(*each.size[:2])) for each in pool.facts]
-        sizes += [float(np.linalg.norm(asset.half_extents[:2])) for asset in standing[0]]
-        self._worlds = ShelfWorlds(
-            config, support, max(sizes), keep_out_of(keep_out), standing, pool.__getitem__
-        )
+        self._worlds = ShelfWorlds(config, support, max(sizes), keep_out_of(keep_out), pool.__getitem__)
+        self._numbers = {name: number for number, name in enumerate(pool.names)}
         self._latest: tuple[tuple[str, ...], Setup] | None = None
 
     @classmethod
-    def of(
-        cls, config: ProblemConfig, keep_out: Sequence[Rectangle] = (), standing: Standing | None = None
-    ) -> Shelves:
+    def of(cls, config: ProblemConfig, keep_out: Sequence[Rectangle] = ()) -> Shelves:
         """Those of the pool, objects and support that a config names (PoolError: there is none)."""
         pool = find_pool(config.pool, names=config.objects)
         if config.objects:
             pool = pool.select(config.objects)
-        return cls(pool, config, find_support(config.support), keep_out, standing)
+        return cls(pool, config, find_support(config.support), keep_out)
 
     def draw(self, key: Array) -> tuple[str, ...]:
         """The names of the objects of a shelf, drawn with a key."""
         chosen = draw_shelf(key, self.config.shelf, self._weights, self._groups)
         return tuple(self.pool.names[index] for index in chosen)
+
+    def numbers(self, names: Sequence[str]) -> np.ndarray:
+        """i32[N]: objects of the pool by their numbers in it."""
+        return np.array([self._numbers[name] for name in names], np.int32)
 
     def block(self, seed: int, block: int) -> Setup:
         """The problem of the scenes of a bank's block."""

@@ -49,6 +49,10 @@ class PartialScenes:
         stable = StableScenes.read(bank)
         self.number, self.object_index = stable.number.astype(np.int32), stable.objects.astype(np.int32)
         self.poses = stable.poses.astype(np.float32)
+        if names := bank.recipe.get("names") if bank.recipe.get("shelf") else None:
+            number = {name: place for place, name in enumerate(setup.problem.world.names)}
+            local = np.array([*(number.get(name, -1) for name in names), -1], np.int32)
+            self.object_index = local[self.object_index]
         num_slots, most = self.object_index.shape[1], self.object_index.max()
         if num_slots != self.rules.num_slots or most >= self.rules.geometry.num_objects:
             raise BankError(f"{bank.path}: its scenes are not of the objects that its record names")

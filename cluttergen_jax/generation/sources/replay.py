@@ -95,6 +95,9 @@ def setup_of(bank: Bank, **changes: Any) -> Setup:
       BankError: the bank does not say how it was made, or the bank that it started from is gone.
     """
     names, config, keep_out, standing = _asked(bank)
+    if config.shelf:
+        # All objects that its scenes have, in one world.
+        names, config = bank.object_names, replace(config, shelf=0, weights=(), balance="")
     num_placed = len(names) - (len(standing[0]) if standing else 0)
     objects = [bank.object(base_name(name)) for name in names[:num_placed]]
     return make_setup(replace(config, **changes), keep_out, standing, (objects, bank.support))
@@ -107,14 +110,16 @@ def shelves_of(bank: Bank) -> Shelves:
       BankError: the bank does not say how it was made.
       PoolError: its pool is gone, or has lost objects that could be drawn.
     """
-    names, config, keep_out, standing = _asked(bank)
+    names, config, keep_out, _ = _asked(bank)
     pool = find_pool(config.pool).select(names)
     readers = {
-        name: partial(bank.object, name) if name in bank.assets["objects"] else partial(pool.__getitem__, name)
+        name: partial(bank.object, name)
+        if name in bank.assets["objects"]
+        else partial(pool.__getitem__, name)
         for name in names
     }
     known = {each.name: each for each in pool.facts}
-    return Shelves(replace(pool, objects=StoredObjects(readers, known)), config, bank.support, keep_out, standing)
+    return Shelves(replace(pool, objects=StoredObjects(readers, known)), config, bank.support, keep_out)
 
 
 def _asked(bank: Bank) -> tuple[Sequence[str], ProblemConfig, list[Rectangle], Standing | None]:

@@ -118,7 +118,9 @@ class Search(struct.PyTreeNode, eq=False):
     def __post_init__(self) -> None:
         if self.mapper is None:
             rules = self.rules
-            object.__setattr__(self, "mapper", HeightMapper.of(rules.geometry, rules.region, rules.map_radius))
+            object.__setattr__(
+                self, "mapper", HeightMapper.of(rules.geometry, rules.region, rules.map_radius)
+            )
 
     def cost(self, scores: CandidateScores) -> Array:
         """f32[N]: what to keep low. Among equals the first is taken, which is a random one."""

@@ -136,6 +136,14 @@ class Bank:
                 found.update({row.index: row for row in rows_of(kept)})
         return found
 
+    @cached_property
+    def object_names(self) -> tuple[str, ...]:
+        """The objects that its scenes were made of: where blocks drew them, all that scenes have."""
+        names = self.recipe.get("names", [])
+        if self.recipe.get("shelf"):
+            names = [name for name in names if name in self.assets["objects"]]
+        return tuple(names)
+
     def object(self, name: str) -> ObjectAsset:
         """The asset called `name`, from the bank's own copy.
 

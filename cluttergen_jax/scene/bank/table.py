@@ -189,17 +189,23 @@ def _is_known(rows: pa.Table, name: str) -> bool:
 
 
 def table_of(
-    indices: np.ndarray, scenes: SceneBatch, names: Sequence[str], half_extents: np.ndarray
+    indices: np.ndarray,
+    scenes: SceneBatch,
+    names: Sequence[str],
+    half_extents: np.ndarray,
+    numbers: np.ndarray | None = None,
 ) -> pa.Table:
     """The rows of a block of scenes with one leading axis.
 
     Args:
       names: of the world's K objects; half_extents: f32[K, 3] of their boxes, metres.
+      numbers: i32[K], of these objects among those that the bank's record names; as they come if None.
     """
+    numbers = np.arange(len(names)) if numbers is None else numbers
     half = half_extents[np.maximum(scenes.object_index, 0)]
     near, hidden = jax.device_get(_spacing(half, scenes.poses, scenes.is_placed))
     rows = [
-        _row(int(index), scenes, place, names)
+        _row(int(index), scenes, place, names, numbers)
         | {"near": float(near[place]), "occlusion": float(hidden[place])}
         for place, index in enumerate(indices)
     ]
@@ -209,7 +215,9 @@ def table_of(
 _spacing = jax.jit(jax.vmap(spacing_of))
 
 
-def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> dict[str, object]:
+def _row(
+    index: int, scenes: SceneBatch, place: int, names: Sequence[str], numbers: np.ndarray
+) -> dict[str, object]:
     slots = np.flatnonzero(scenes.object_index[place] >= 0)
     object_index = scenes.object_index[place][slots]
     counts = scenes.counts.verdicts[place]
@@ -220,7 +228,7 @@ def _row(index: int, scenes: SceneBatch, place: int, names: Sequence[str]) -> di
         "verdict": Verdict(int(scenes.verdict[place])).label,
         "drift": float(scenes.drift[place]),
         "num_placed": int(scenes.is_placed[place].sum()),
-        "object_index": object_index.tolist(),
+        "object_index": numbers[object_index].tolist(),
         "objects": [names[each] for each in object_index],
         "is_placed": scenes.is_placed[place][slots].tolist(),
         "poses": scenes.poses[place][slots].tolist(),

@@ -34,10 +34,17 @@ from cluttergen_jax.scene.bank.blocks import (
 from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.hubs import is_of_a_bank
 from cluttergen_jax.scene.bank.index import BankIndex
-from cluttergen_jax.scene.bank.record import FORMAT, INDEX, NO_ASSETS, Bits, NewerBankError, Record, check_bits
+from cluttergen_jax.scene.bank.record import (
+    FORMAT,
+    INDEX,
+    NO_ASSETS,
+    Bits,
+    NewerBankError,
+    Record,
+    check_bits,
+)
 from cluttergen_jax.scene.bank.remote import MARK, fetch_mirror, is_url, publish_all, remote_of
 from cluttergen_jax.scene.bank.table import with_columns_of
-
 
 Objects = Mapping[str, ObjectAsset] | Callable[[str], ObjectAsset]
 """All objects of a bank by name; or what gives one when a block of scenes has it."""
