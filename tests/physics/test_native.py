@@ -8,12 +8,15 @@ import textwrap
 import threading
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.physics import native
+from cluttergen_jax.physics.host import NumberedEngines, empty_settling
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.simulations import Simulations
 from cluttergen_jax.types import Verdict
@@ -408,3 +411,37 @@ def test_many_callbacks_with_large_arguments_do_not_deadlock(tmp_path):
     """
     done = run_python(code, tmp_path, timeout=120)
     assert done.stdout.split() == ["done", "done"], done.stderr
+
+
+def test_numbered_engines_are_each_asked_for_their_own_scenes():
+    made = []
+
+    class Engine:
+        config = StabilityConfig()
+
+        def __init__(self, number):
+            self.number = number
+            made.append(number)
+
+        def settle_batch(self, poses, is_placed, focus, is_active):
+            found = empty_settling(np, (len(poses),), 1, self.config)
+            return found.replace(num_steps=found.num_steps + self.number, poses=poses + self.number)
+
+        def free(self):
+            made.append(f"free {self.number}")
+
+    engines = NumberedEngines(1, StabilityConfig(), Engine)
+
+    def settle(number, poses):
+        return engines.numbered(number).settle(poses, jnp.ones(1, bool), 0, True)
+
+    poses = jnp.zeros((5, 1, 7))
+    numbers = jnp.array([4, 2, 4, 2, 2])
+    found = jax.jit(jax.vmap(settle))(numbers, poses)
+    np.testing.assert_array_equal(found.num_steps, numbers)
+    np.testing.assert_array_equal(found.poses[:, 0, 0], numbers)
+    alone = jax.jit(jax.vmap(settle, in_axes=(None, 0)))(jnp.int32(4), poses)
+    np.testing.assert_array_equal(alone.num_steps, np.full(5, 4))
+    assert made == [2, "free 2", 4]
+    at_once = engines.numbered(4).settle_batch(np.zeros((2, 1, 7)), np.ones((2, 1)), np.zeros(2), np.ones(2))
+    np.testing.assert_array_equal(at_once.num_steps, [4, 4])
