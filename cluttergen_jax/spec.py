@@ -31,7 +31,7 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, RUIN_AFTER, PlacementConfig
+from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, MOST_UNASKED, RUIN_AFTER, PlacementConfig
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ class SceneSpec:
         are name, label, licence, source; volume (m^3), mass (kg), x, y, height, width, depth (m), parts,
         flagged.
       exclude: names of the pool's objects to leave out; exclude=("mug",) is the same as pool="dining~mug".
-      num_objects: objects per scene, 1 to 40; all of the pool's (40 at most) if not given.
+      num_objects: objects per scene, 1 to 128; all of the pool's (40 at most) if not given.
       repeat: allow duplicates: an object may be placed more than once.
       shelf: of a pool with very many objects each block of 256 scenes draws so many for its own, and each
         of its scenes some of those; 1 to 200. If not given: no such drawing from up to 200 objects, 64 of
@@ -399,7 +399,7 @@ class SceneSpec:
                 raise ConfigError(
                     given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
                 )
-        num_objects = min(available, MAX_SLOTS) if self.num_objects is None else self.num_objects
+        num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
         if isinstance(region, str):

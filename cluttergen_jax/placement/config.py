@@ -13,7 +13,9 @@ from cluttergen_jax.placement.clutter import Clutter
 if TYPE_CHECKING:
     from cluttergen_jax.schema import Record
 
-MAX_SLOTS = 40
+MAX_SLOTS = 128
+MOST_UNASKED = 40
+"""Objects of a scene, at most, where no number is given."""
 MAX_ATTEMPTS = 10
 MAX_MARGIN = 0.1
 MIN_MARGIN = 0.003

@@ -77,7 +77,7 @@ def test_equal_requests_are_equal():
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ({"num_objects": 0}, "num_objects = 0.*1 to 40"),
+        ({"num_objects": 0}, "num_objects = 0.*1 to 128"),
         ({"num_objects": 2.5}, "a whole number"),
         ({"max_attempts": 11}, "1 to 10"),
         ({"budget": 3, "num_objects": 4}, "4 to 10000 attempts"),

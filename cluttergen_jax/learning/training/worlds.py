@@ -15,7 +15,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine, SwappablePhysics
-from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import check_number, geometry_of, num_runs_of, pad_geometry, region_of
 from cluttergen_jax.placement.rules import Rules
@@ -28,7 +28,7 @@ FURNITURE = ("tray_table", "shelf_desk", "bar_table")
 """Supports beside the cuboid tables: a rim, a riser behind the region, a round top of planks."""
 FILL = (0.3, 2.0)
 """Between which fills are drawn: the objects' footprints, as rectangles, over the region's area."""
-FEWEST_OBJECTS = 4
+FEWEST_OBJECTS, MOST_OBJECTS = 4, 40
 _SIDES = (0.25, 0.8)
 _MOST_DRAWS = 1000
 
@@ -204,7 +204,7 @@ def _cuboid_setting(rng: np.random.Generator, fill: float, footprint: float) -> 
             return setting
     raise ConfigError(
         f"tables filled {fill:.2f} times by objects of {footprint:.4f} m^2",
-        f"footprints such that {FEWEST_OBJECTS} to {MAX_SLOTS} objects do so",
+        f"footprints such that {FEWEST_OBJECTS} to {MOST_OBJECTS} objects do so",
         "objects of usual sizes, about 0.02 m^2",
     )
 
@@ -213,6 +213,6 @@ def _setting(support: str, fill: float, footprint: float) -> TrainingSetting | N
     """The support filled so far, or None where that takes too few or too many objects."""
     area = 4 * float(np.prod(find_support(support).region.half_extents))
     num_objects = round(fill * area / footprint)
-    if not FEWEST_OBJECTS <= num_objects <= MAX_SLOTS:
+    if not FEWEST_OBJECTS <= num_objects <= MOST_OBJECTS:
         return None
     return TrainingSetting(support, num_objects, num_objects * footprint / area)
