@@ -259,6 +259,15 @@ class StabilityConfig:
         return ROBUST_MARGIN if self.robust_tilt and self.both_detectors else 0.0
 
     @property
+    def file_timestep(self) -> float:
+        """Seconds of a step in files that choose libccd: half of what scenes are made with.
+
+        libccd names few contact points. With steps of 1/240 s flat, light things rock on them, now and then
+        and ever more: of 499 scenes of thirty objects 6 fell in MuJoCo 3.10, most after some seconds.
+        """
+        return self.timestep / 2 if self.both_detectors else self.timestep
+
+    @property
     def decision_step(self) -> int:
         """The last step at which an attempt can become stable."""
         return self.settle_steps + self.quiet_steps

@@ -143,7 +143,7 @@ class Scene:
             self.names,
             self.objects,
             self.support if support else None,
-            self.stability.timestep,
+            self.stability.file_timestep,
             self.contact,
             poses=self.poses,
             visual=True,
@@ -162,7 +162,7 @@ class Scene:
             spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
         if not prefix:
             return spec
-        outer = new_spec(self.stability.timestep, self.contact)
+        outer = new_spec(self.stability.file_timestep, self.contact)
         outer.option.disableflags = spec.option.disableflags
         outer.attach(spec, prefix=prefix, frame=outer.worldbody.add_frame())
         return outer

@@ -87,7 +87,7 @@ def _add_options(
     option = ET.SubElement(
         root,
         "option",
-        timestep=repr(stability.timestep),
+        timestep=repr(stability.file_timestep),
         gravity=_text([0, 0, -contact.gravity]),
         cone=contact.cone,
         impratio=_text([contact.impratio]),

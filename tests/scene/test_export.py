@@ -56,7 +56,7 @@ def test_folders_stand_by_themselves(folder_of, scene, format):
 def test_mjcf_comes_back_and_stands(folder_of, scene):
     path = folder_of("mjcf") / "scenes" / "000000.xml"
     model = mujoco.MjModel.from_xml_path(str(path))
-    assert model.opt.timestep == scene.stability.timestep
+    assert model.opt.timestep == scene.stability.file_timestep
     np.testing.assert_allclose(model.key("scene").qpos, scene.poses.ravel(), atol=CLOSE)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

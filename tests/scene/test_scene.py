@@ -44,7 +44,7 @@ def moved(model, data, bodies, seconds=2.0):
 @pytest.mark.parametrize("prefix", ["", "clutter/"])
 def test_alone_it_is_the_scene(scene, prefix):
     model = scene.to_mjspec(prefix).compile()
-    assert model.opt.timestep == scene.stability.timestep
+    assert model.opt.timestep == scene.stability.file_timestep
     np.testing.assert_allclose(model.key(prefix + "scene").qpos, scene.poses.ravel())
     np.testing.assert_allclose(model.qpos0, scene.poses.ravel())
     assert {model.body(i).name for i in model.jnt_bodyid} == {prefix + name for name in scene.names}
