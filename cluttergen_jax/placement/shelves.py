@@ -25,9 +25,8 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import check_keep_out, check_region
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.physics import engine_of
+from cluttergen_jax.physics import engine_of, make_physics
 from cluttergen_jax.physics.host import BatchEngine, NumberedEngines
-from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.problem import (
     Problem,
     ProblemConfig,
@@ -150,7 +149,9 @@ class ShelfWorlds:
         if world is None:
             world = self._compose([self._read(name) for name in self._names[number]]).world
             self._keep(number, world)
-        return cast(BatchEngine, NativePhysics(world.layout, self.config.stability, self.config.num_threads))
+        config = self.config
+        engine = make_physics(world.layout, config.stability, "native", config.num_threads)
+        return cast(BatchEngine, engine)
 
 
 class Shelves:

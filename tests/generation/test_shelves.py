@@ -1,4 +1,4 @@
-"""Pools of any size: each block of scenes draws some of the objects, and nothing is compiled anew for them."""
+"""Pools of any size: each block of scenes draws some of the objects, nothing is compiled anew for them."""
 
 import pickle
 from dataclasses import replace
@@ -120,7 +120,7 @@ def test_a_bank_goes_on_and_knows_its_objects(bank, twelve, tmp_path):
     pool = find_pool(twelve)
     heavier = tuple(replace(asset, mass=2 * asset.mass) for asset in pool.objects)
     write_pool(twelve_again := tmp_path / "twelve", Pool("twelve", heavier))
-    with pytest.raises(BankError, match="differ|other"):
+    with pytest.raises(BankError, match=r"differ|other"):
         cg.generate(out, str(twelve_again), num_scenes=2 * BLOCK_SIZE + 1, seed=5, **ASKED)
 
 
