@@ -13,6 +13,7 @@ Every command has a function with the same defaults:
     generate, verify, stats_of     scenes -> a bank on disk; which are stable; what it holds
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer
+    make_dataset                   what cameras see of thousands of scenes, in files for trainers
     placer_data, placer_eval       pairs for stable placement; success rates of placers
     placer_train                   pairs -> a placer for what one camera sees
     place_by_hand                  a person's scenes -> a bank
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
     from cluttergen_jax.downstream.api import evaluate_suite
+    from cluttergen_jax.downstream.dataset.api import make_dataset
     from cluttergen_jax.downstream.perception.api import perception_data, perception_eval, perception_train
     from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
     from cluttergen_jax.downstream.rearrange.api import rearrange
@@ -93,6 +95,7 @@ __all__ = [
     "load_bank",
     "load_pool",
     "load_support",
+    "make_dataset",
     "make_env",
     "make_gym_env",
     "make_region",
@@ -133,6 +136,7 @@ __all__ = [
 _MODULES = {
     "evaluation.api": ("certify", "evaluate"),
     "downstream.api": ("evaluate_suite",),
+    "downstream.dataset.api": ("make_dataset",),
     "downstream.perception.api": ("perception_data", "perception_eval", "perception_train"),
     "downstream.placer.api": ("placer_data", "placer_eval", "placer_train"),
     "downstream.rearrange.api": ("rearrange",),

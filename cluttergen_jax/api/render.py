@@ -11,7 +11,7 @@ from cluttergen_jax.config import FilmFormat, PixelOrigin, check_range
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
-from cluttergen_jax.rendering.config import CameraView, FilmConfig
+from cluttergen_jax.rendering.config import QUALITIES, CameraView, FilmConfig, Quality
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.sources.rendering import RenderReport
@@ -43,6 +43,8 @@ def render(
     view: CameraView | None = None,
     whole: bool = False,
     hulls: bool = False,
+    cameras: Sequence[str | Path] = (),
+    quality: Quality | None = None,
     samples: int | None = None,
     film: FilmFormat = "gif",
     pace: FilmConfig | None = None,
@@ -71,7 +73,7 @@ def render(
         masks, poses, models. Scenes are added to one that is there; those of a second bank get the next
         numbers, and the same call resumes.
       views: pictures of each of its scenes, by cameras at random places around it.
-      seed: for the camera positions; 0 to 4294967295.
+      seed: for places of cameras that are drawn; 0 to 4294967295.
       split: folder of its scenes: train, val or test, with a kind of images after it.
       pixel_origin: of its cam_K: "center", the first pixel's middle is (0, 0), as in OpenCV; "corner", its
         corner is, as in OpenGL and in the renderer of bop_toolkit.
@@ -80,7 +82,11 @@ def render(
       view: from which side the scene is seen; the defaults of `CameraView` if not given.
       whole: show the whole support instead of the objects and the region alone.
       hulls: draw the collision parts instead of the surfaces.
-      samples: pictures averaged into one, for soft light; 32, and 10 for films and bop, if not given.
+      cameras: that see each scene, for pictures, depth, segmentation and bop: "free:4", "overhead", "side",
+        or JSON files with cameras of your own (docs/guide/datasets.md); files are named after them.
+      quality: "draft" has sharp shadows, "fine" soft ones for some five times the time; fine, and draft for
+        films, bop and sheets of more than a dozen, if not given.
+      samples: pictures averaged into one, in place of the quality's.
       film: "gif", or "mp4" (extra video).
       pace: how fast films run; the defaults of `FilmConfig` if not given.
       columns: of the contact sheet.
@@ -115,22 +121,28 @@ def render(
     from cluttergen_jax.generation.sources.bop import BopConfig
     from cluttergen_jax.generation.sources.rendering import Rendering
     from cluttergen_jax.rendering.scene_renderer import PictureConfig
+    from cluttergen_jax.sensing.camera_plan import parse_cameras
 
     check_range("views", views, 1, _MOST_VIEWS, 4)
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if pixel_origin not in get_args(PixelOrigin):
         raise ConfigError(f"pixel_origin = {pixel_origin!r}", ", ".join(get_args(PixelOrigin)))
+    if quality is not None and quality not in QUALITIES:
+        raise ConfigError(f"quality = {quality!r}", ", ".join(QUALITIES), "quality='draft'")
+    plans = parse_cameras(cameras, size) if cameras else ()
     check_range("columns", columns, 1, _MOST_COLUMNS, 4)
     return Rendering(
         frozenset(name for name, is_asked in products.items() if is_asked),
         Path(out),
         size,
+        quality,
         samples,
         PictureConfig(view=view or CameraView(), whole=whole, hulls=hulls),
         film,
         pace or FilmConfig(),
         columns,
-        BopConfig(views, seed, split, pixel_origin),
+        BopConfig(views, seed, split, pixel_origin, plans or None),
+        plans,
     ).make(str(source), numbers)
 
 

@@ -19,6 +19,7 @@ COMMANDS = {
     "render": (
         "Draw scenes: pictures (PNG), films, contact sheets, and what a camera or a scanner would measure."
     ),
+    "dataset": "Make a dataset of views of banks: colour, depth, labels, masks, poses. Rerun to resume.",
     "train": "Train a placement policy with PPO. Rerun to resume.",
     "pretrain": "Pretrain a point encoder by classifying shapes. Rerun to resume.",
     "evaluate": "Compare methods on pools and supports, or make a suite of tables and figures (`--suite`).",

@@ -13,8 +13,9 @@ from cluttergen_jax.files import inside, write_atomically
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import track
-from cluttergen_jax.rendering.assets import render_scene
+from cluttergen_jax.rendering.config import QUALITIES
 from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, ScenePictures
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.scene.bank import Bank, BankRow
 from cluttergen_jax.scene.xml import scene_xml
@@ -23,8 +24,8 @@ from cluttergen_jax.schema import digest_of
 _OVERVIEW = 12
 _PNG_BEGINS, _PNG_ENDS = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _MANY = 100
-_FINE, _QUICK = 16, 8
-"""Pictures averaged into one: soft light for a few scenes, speed for many."""
+_AHEAD = 64
+"""Scenes whose objects are uploaded with those of one that is drawn."""
 
 
 def scene_path(bank: Bank, index: int, ending: str) -> Path:
@@ -82,15 +83,17 @@ def _is_whole_png(path: Path) -> bool:
 
 def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
     images: list[np.ndarray] = []
-    samples = _FINE if len(scenes) <= _MANY else _QUICK
-    for scene in track(scenes, "drawing", len(scenes), "picture"):
-        path = scene_path(bank, scene.index, "png")
-        if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):
-            continue
-        objects = [assets[base_name(name)] for name in scene.objects]
-        image = render_scene(objects, scene.poses, bank.support, close=True, samples=samples)
-        save_png(image, path)
-        images.append(image)
+    quality = QUALITIES["fine" if len(scenes) <= _MANY else "draft"]
+    objects = [[assets[base_name(name)] for name in scene.objects] for scene in scenes]
+    with ScenePictures(PictureConfig(samples=quality.samples, smoothing=quality.smoothing)) as pictures:
+        for place, scene in enumerate(track(scenes, "drawing", len(scenes), "picture")):
+            path = scene_path(bank, scene.index, "png")
+            if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):
+                continue
+            others = objects[place + 1 : place + 1 + _AHEAD]
+            image = pictures.draw(objects[place], scene.poses, bank.support, others=others)
+            save_png(image, path)
+            images.append(image)
     captions = [f"{scene.index:06d}" for scene in scenes[:_OVERVIEW]]
     overview = contact_sheet(images[:_OVERVIEW], captions, columns=4)
     return save_png(overview, bank.path / "overview.png")

@@ -77,6 +77,11 @@ class Renderer:
         self._lights = {i: model.light(i).name for i in range(model.nlight)}
         self._rect = mujoco.MjrRect(0, 0, width, height)
 
+    def set_size(self, width: int, height: int) -> None:
+        """The next pictures are of this size, no larger than the first one's."""
+        self.width, self.height = width, height
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+
     def average(
         self,
         data: mujoco.MjData,
@@ -153,6 +158,8 @@ class Renderer:
         return np.flipud(depth).copy(), np.flipud(geom_of[number]).copy()
 
     def _update(self, data: mujoco.MjData, camera: Camera | mujoco.MjvCamera) -> None:
+        # Another renderer may have drawn into a buffer of its own since.
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         seen = orbit_camera(camera) if isinstance(camera, Camera) else camera
         mujoco.mjv_updateScene(self.model, data, self._option, None, seen, _EVERYTHING, self._scene)
         if isinstance(camera, Camera):

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.assets import scene_spec
+from cluttergen_jax.rendering.assets import close_points, scene_spec
 from cluttergen_jax.rendering.camera import corners, drawn_points, fit_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.picture import DEFAULT_VIEW, prepare_model
@@ -24,6 +26,7 @@ from cluttergen_jax.rendering.renderer import (
     open_renderer,
     set_range,
 )
+from cluttergen_jax.rendering.variation import add_table_materials
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import FLOOR, DepthImage, labels_of
 
@@ -57,6 +60,8 @@ class PictureConfig:
       view: from which side.
       whole: show the whole support instead of the objects and the region alone.
       hulls: draw the collision parts instead of the surfaces.
+      smoothing: edges are drawn from so many places of each pixel, 0 for one; colours alone, no depth and
+        labels, can be drawn so.
     """
 
     width: int = 640
@@ -65,14 +70,20 @@ class PictureConfig:
     view: CameraView = DEFAULT_VIEW
     whole: bool = False
     hulls: bool = False
+    smoothing: int = 0
 
     def __post_init__(self) -> None:
         check_size(self.width, self.height, self.samples)
 
 
 class SceneRenderer:
-    """See `scene_renderer`. `content` f64[P, 3] is all that the whole view shows; `camera` may be any of the
-    pictures' size."""
+    """See `scene_renderer`.
+
+    Attributes:
+      content: f64[P, 3], all that the whole view shows.
+      camera: of the next picture, no larger than the first one's.
+      colours: f32[ngeom, 4], of all surfaces where no style tints them; they may be changed.
+    """
 
     def __init__(
         self,
@@ -87,10 +98,19 @@ class SceneRenderer:
         self.content = content
         self.camera = camera
         model = model_renderer.model
-        self._colours = model.geom_rgba.copy()
+        self.colours = model.geom_rgba.copy()
         self._label = labels_of(model)
         self._joint_body = model.jnt_bodyid.copy()
+        is_fixed = (model.geom_group == VISUAL_GROUP) & (model.body_weldid[model.geom_bodyid] == 0)
+        self._fixed = drawn_points(model, data, is_fixed)
         self._home = model.qpos0.reshape(-1, 7).copy()
+
+    def fit(self, points: np.ndarray) -> None:
+        """Fits light, shadows and camera to another scene, of which f64[P, 3] are all places of things."""
+        model, config = self.model_renderer.model, self.config
+        self.content = np.concatenate([self._fixed, points])
+        self.reach = set_range(model, self.content, config.view, config.width, config.height)
+        self.camera = _fit_camera(self.content, points, config)
 
     def aim(self, points: np.ndarray, view: CameraView) -> None:
         """Puts the camera as near as `points` f64[P, 3] allow."""
@@ -108,6 +128,12 @@ class SceneRenderer:
           ConfigError: not one style per object.
         """
         alpha = self._apply(styles)
+        if self.config.samples == 1:
+            # A single picture shows what is seen through by blending, in the order that OpenGL draws.
+            model = self.model_renderer.model
+            model.geom_rgba[:, 3] *= alpha[model.geom_bodyid]
+            alpha = np.where(alpha > 0, 1.0, 0.0)
+        self.model_renderer.set_size(self.camera.width, self.camera.height)
         return self.model_renderer.average(
             self.data, self.camera, self.config.samples, self.reach, alpha, tuple(trails), light_yaw
         )
@@ -115,6 +141,7 @@ class SceneRenderer:
     def measure(self, styles: Sequence[RenderStyle | None]) -> DepthImage:
         """Depth and labels as OpenGL draws them: see `Renderer.measure`."""
         alpha = self._apply(styles)
+        self.model_renderer.set_size(self.camera.width, self.camera.height)
         model = self.model_renderer.model
         groups = model.geom_group.copy()
         model.geom_group[:] = np.where(alpha[model.geom_bodyid] > 0, groups, HIDDEN_GROUP)
@@ -128,7 +155,7 @@ class SceneRenderer:
         if len(styles) != len(bodies):
             raise ConfigError(f"{len(styles)} styles for {len(bodies)} objects", f"{len(bodies)}")
         alpha = np.ones(model.nbody)
-        qpos, colours = self._home.copy(), self._colours.copy()
+        qpos, colours = self._home.copy(), self.colours.copy()
         for body, row, style in zip(bodies, qpos, styles, strict=True):
             alpha[body] = 0.0 if style is None else style.alpha
             if style is not None:
@@ -145,18 +172,24 @@ class SceneRenderer:
 
 @contextmanager
 def scene_renderer(
-    objects: Sequence[ObjectAsset], support: SupportAsset | None, points: np.ndarray, picture: PictureConfig
+    objects: Sequence[ObjectAsset],
+    support: SupportAsset | None,
+    points: np.ndarray,
+    picture: PictureConfig,
+    materials: bool = False,
 ) -> Iterator[SceneRenderer]:
     """A renderer of a scene, for as many pictures as are wanted.
 
     Args:
-      objects: the same asset may come several times.
+      objects: the same asset may come several times; of many scenes, all that any of them has.
+      materials: the model has those of `variation.Appearance`.
       points: f64[P, 3], all places that something will be drawn at; the camera is aimed at them.
 
     Raises:
       RendererError: nothing here can draw.
     """
-    model, data, content = _make_scene_model(objects, support, points, picture)
+    model, data, content = _make_scene_model(objects, support, points, picture, materials)
+    model.vis.quality.offsamples = picture.smoothing
     width, height = picture.width, picture.height
     reach = set_range(model, content, picture.view, width, height)
     with open_renderer(model, width, height) as model_renderer:
@@ -172,11 +205,17 @@ def scene_camera(
 
 
 def _make_scene_model(
-    objects: Sequence[ObjectAsset], support: SupportAsset | None, points: np.ndarray, picture: PictureConfig
+    objects: Sequence[ObjectAsset],
+    support: SupportAsset | None,
+    points: np.ndarray,
+    picture: PictureConfig,
+    materials: bool = False,
 ) -> tuple[mujoco.MjModel, mujoco.MjData, np.ndarray]:
     """The model with its objects at the origin, its data, and f64[P, 3], all that the whole view shows."""
     home = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(objects), 1))
     spec, _ = scene_spec(objects, home, support)
+    if materials:
+        add_table_materials(spec)
     model, is_drawn = prepare_model(spec.compile(), picture.hulls, None)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -197,3 +236,83 @@ def turntable_points(points: np.ndarray, num_turns: int = 36) -> np.ndarray:
     ring = center[:2] + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     heights = corners(points.min(0), points.max(0))[:, 2]
     return np.concatenate([np.column_stack([ring, np.full(num_turns, z)]) for z in np.unique(heights)])
+
+
+_MOST_TOGETHER = 300
+"""Objects of one model."""
+
+
+class ScenePictures:
+    """Pictures of many scenes on one support; what several of them have is uploaded once.
+
+    A context manager.
+
+    Args:
+      picture: of each; its view holds where a scene is given no camera.
+    """
+
+    def __init__(self, picture: PictureConfig) -> None:
+        self.config = picture
+        self._stack = ExitStack()
+        self._renderer: SceneRenderer | None = None
+        self._slots: dict[tuple[int, int], int] = {}
+
+    def __enter__(self) -> ScenePictures:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def draw(
+        self,
+        objects: Sequence[ObjectAsset],
+        poses: np.ndarray,
+        support: SupportAsset,
+        camera: Camera | None = None,
+        others: Sequence[Sequence[ObjectAsset]] = (),
+    ) -> np.ndarray:
+        """uint8[height, width, 3]: objects at poses f[N, 7].
+
+        Args:
+          camera: no larger than the pictures; the view, fitted to the scene, if None.
+          others: the objects of scenes that will be drawn next.
+
+        Raises:
+          RendererError: nothing here can draw.
+        """
+        keys, points = _keys_of(objects), close_points(objects, poses, support)
+        if self._renderer is None or not self._slots.keys() >= set(keys):
+            self._open([objects, *others], support, points)
+        assert self._renderer is not None
+        self._renderer.fit(points)
+        if camera is not None:
+            self._renderer.camera = camera
+        styles: list[RenderStyle | None] = [None] * len(self._slots)
+        for key, pose in zip(keys, poses, strict=True):
+            styles[self._slots[key]] = RenderStyle(pose)
+        return self._renderer.picture(styles)
+
+    def _open(
+        self, scenes: Sequence[Sequence[ObjectAsset]], support: SupportAsset, points: np.ndarray
+    ) -> None:
+        """A model of the first scene, and of those after it for as many objects as there is room for."""
+        self._stack.close()
+        together: dict[tuple[int, int], ObjectAsset] = {}
+        for objects in scenes:
+            more = dict(zip(_keys_of(objects), objects, strict=True))
+            if together and len(together | more) > _MOST_TOGETHER:
+                break
+            together |= more
+        self._slots = {key: place for place, key in enumerate(together)}
+        opened = scene_renderer(tuple(together.values()), support, points, self.config)
+        self._renderer = self._stack.enter_context(opened)
+
+
+def _keys_of(objects: Sequence[ObjectAsset]) -> list[tuple[int, int]]:
+    """Which asset each object is, and how many of it come before."""
+    seen: Counter[int] = Counter()
+    keys = []
+    for asset in objects:
+        keys.append((id(asset), seen[id(asset)]))
+        seen[id(asset)] += 1
+    return keys

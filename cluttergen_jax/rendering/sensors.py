@@ -53,11 +53,13 @@ def sense(
     support: SupportAsset,
     picture: PictureConfig | None = None,
     is_drawn: bool = True,
+    camera: Camera | None = None,
 ) -> Sensed:
     """Depth and segmentation of a scene from one place, by rays, and its colours.
 
     Args:
       is_drawn: draw the colours, which needs OpenGL; all else needs none.
+      camera: that sees it; the picture's view if None.
 
     Raises:
       RendererError: colours are wanted, and nothing here can draw.
@@ -65,9 +67,10 @@ def sense(
     picture = picture or PictureConfig()
     poses = np.asarray(poses, np.float64).reshape(-1, 7)
     points = close_points(objects, poses, support)
-    camera, rgb = scene_camera(objects, support, points, picture), None
+    camera, rgb = camera or scene_camera(objects, support, points, picture), None
     if is_drawn:
         with scene_renderer(objects, support, points, picture) as renderer:
+            renderer.camera = camera
             rgb = renderer.picture([RenderStyle(pose) for pose in poses])
     sensor = RaySensor(sensed_model(objects, support), surfaces=not picture.hulls)
     data = sensor.make_data()

@@ -1,9 +1,19 @@
 """What a camera sees of a scene: cameras, depth and labels by rays, noise, partial height maps; no JAX."""
 
 from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, Camera, find_preset, free, intrinsics, overhead
+from cluttergen_jax.sensing.camera_plan import CameraPlan, parse_cameras
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
 from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera, merge_maps
-from cluttergen_jax.sensing.rays import FIRST_OBJECT, SUPPORT, DepthImage, RaySensor, cast_rays, sensed_model
+from cluttergen_jax.sensing.rays import (
+    FIRST_OBJECT,
+    SUPPORT,
+    DepthImage,
+    Instance,
+    InstanceSensor,
+    RaySensor,
+    cast_rays,
+    sensed_model,
+)
 
 __all__ = [
     "FIRST_OBJECT",
@@ -12,8 +22,11 @@ __all__ = [
     "REALSENSE_FOCAL",
     "SUPPORT",
     "Camera",
+    "CameraPlan",
     "DepthImage",
     "Grid",
+    "Instance",
+    "InstanceSensor",
     "NoiseConfig",
     "PartialMap",
     "RaySensor",
@@ -25,5 +38,6 @@ __all__ = [
     "merge_maps",
     "noisy",
     "overhead",
+    "parse_cameras",
     "sensed_model",
 ]

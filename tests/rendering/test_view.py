@@ -1,10 +1,13 @@
 """Where scenes to look at come from, what is said of them, and how the viewer refuses what cannot be."""
 
+import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from cluttergen_jax.api.render import render
 from cluttergen_jax.cli.main import main
@@ -110,3 +113,32 @@ def test_render_writes_what_is_asked_for(bank, source, tmp_path):
     assert main(["render", str(other), "--sheet", *quick]) == 0
     sheets = {each.name for each in tmp_path.glob("*sheet.png")}
     assert sheets == {f"{bank.name}-sheet.png", "other-bank-sheet.png"}
+
+
+@needs_gl
+def test_cameras_and_qualities_of_pictures(bank, source, tmp_path):
+    number = int(source.successes[0])
+    asked = {"scenes": [number], "depth": True, "cameras": ("overhead", "free"), "size": "80x60", "seed": 2}
+
+    def drawn(quality):
+        out = tmp_path / quality
+        report = render(bank, out, quality=quality, **asked)
+        assert not report.failures
+        stems = {name: out / f"{number:06d}-{name}" for name in ("overhead", "free")}
+        ends = (".png", "-depth.png", "-camera.json", "-sensors.npz")
+        assert {str(path) for path in report.paths} == {
+            f"{stem}{end}" for stem in stems.values() for end in ends
+        }
+        told = [json.loads(Path(f"{stem}-camera.json").read_text()) for stem in stems.values()]
+        assert told[0]["T_world_camera"] != told[1]["T_world_camera"]
+        picture = np.array(Image.open(f"{stems['free']}.png")).astype(int)
+        with np.load(f"{stems['free']}-sensors.npz") as sensors:
+            # The same camera saw both.
+            assert np.abs(sensors["rgb"] - picture).mean() < 8
+        return picture
+
+    draft, fine = drawn("draft"), drawn("fine")
+    assert draft.shape == fine.shape == (60, 80, 3)
+    assert 0 < np.abs(draft - fine).mean() < 20
+    with pytest.raises(ConfigError, match="quality = 'best'"):
+        render(bank, tmp_path / "none", quality="best")

@@ -23,6 +23,7 @@ from cluttergen_jax.rendering.bop import CAMERA, BopDataset
 from cluttergen_jax.rendering.bop_split import SPLIT, BopSplit, Place, SceneOrigin
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, REALSENSE_SIZE, Camera, free
+from cluttergen_jax.sensing.camera_plan import CameraPlan
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,14 @@ class BopConfig:
       views: cameras that look at each scene; seed: of where they stand.
       split: the folder of the scenes in the dataset.
       pixel_origin: see `BopDataset`.
+      cameras: those that look at each scene; None for `views` of them at places that are drawn.
     """
 
     views: int = 4
     seed: int = 0
     split: str = SPLIT
     pixel_origin: PixelOrigin = "center"
+    cameras: tuple[CameraPlan, ...] | None = None
 
 
 class BopScenes:
@@ -119,6 +122,8 @@ class BopScenes:
         focal = REALSENSE_FOCAL * width / REALSENSE_SIZE[0]
         rng = np.random.default_rng([self._config.seed, number])
         support = replace(recording.support, region=recording.region)
+        if self._config.cameras is not None:
+            return [plan.draw(support, rng) for plan in self._config.cameras]
         return [free(support, rng, width, height, focal) for _ in range(self._config.views)]
 
     def _origin(self, recording: Replay, number: int) -> SceneOrigin:
@@ -144,8 +149,15 @@ class BopScenes:
 
     def _check_camera(self) -> None:
         """One dataset, one camera: its camera.json says which."""
-        path = self._dataset.folder / CAMERA
-        if not path.is_file():
+        path, cameras = self._dataset.folder / CAMERA, self._config.cameras
+        if cameras is not None and len({plan.size for plan in cameras}) > 1:
+            raise ConfigError(
+                "cameras of different sizes in a BOP dataset",
+                "pictures of one size",
+                "`size` for all of them",
+            )
+        # Cameras of one's own may differ in what they see; each view's intrinsics are beside it.
+        if cameras is not None or not path.is_file():
             return
         width, height = self._picture.width, self._picture.height
         focal = REALSENSE_FOCAL * width / REALSENSE_SIZE[0]

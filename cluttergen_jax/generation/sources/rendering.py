@@ -6,36 +6,38 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from cluttergen_jax.assets.cloud import ply_of, scene_points
+from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.sources import BankSource, FileSource, open_source
 from cluttergen_jax.generation.sources.bop import BopConfig, BopScenes
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.progress import track
-from cluttergen_jax.rendering.assets import render_scene
-from cluttergen_jax.rendering.config import FilmConfig
+from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, Quality
 from cluttergen_jax.rendering.density import NUM_PROPOSALS, density_figure
 from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
 from cluttergen_jax.rendering.gl import RendererError, find_backend
-from cluttergen_jax.rendering.scene_renderer import PictureConfig
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, ScenePictures
 from cluttergen_jax.rendering.sensors import camera_json, depth_png, npz_of, segmentation_png, sense
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.rendering.video import check_format, save_film
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank.reference import missing_text
-from cluttergen_jax.sensing.camera import REALSENSE_SIZE
+from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera
+from cluttergen_jax.sensing.camera_plan import CameraPlan
 
 _DRAWN = frozenset({"picture", "sheet", "turntable", "replay", "figure", "density"})
 """What is made of colours. Depth, labels and masks come from rays, point clouds from surfaces."""
-_SHEET = 12
-_FINE, _QUICK = 32, 10
+_SHEET, _AHEAD = 12, 64
+"""Scenes of a sheet; scenes whose objects are uploaded with those of one that is drawn."""
 _LARGE, _SMALL, _CELL = (1280, 960), (640, 480), (480, 360)
 _Make = Callable[[Path], Iterable[Path]]
 _Failure = tuple[str, ClutterGenError]
@@ -64,29 +66,32 @@ class Rendering:
       products: which of the arguments of `cluttergen_jax.render` that ask for something are set.
       out: the folder for it.
       size: width and height in pixels; each product's own if None.
-      samples: pictures averaged into one; each product's own if None.
+      quality: of pictures; each product's own if None. samples: pictures averaged into one, in its place.
       look: what is seen, and from where; its size and samples do not count.
       film: a format of films.
       pace: how fast films run.
       columns: of the contact sheet.
       bop: of a BOP dataset.
+      cameras: that see each scene, in place of the look's view.
     """
 
     products: frozenset[str]
     out: Path
     size: tuple[int, int] | None
+    quality: Quality | None
     samples: int | None
     look: PictureConfig
     film: str
     pace: FilmConfig
     columns: int
     bop: BopConfig
+    cameras: tuple[CameraPlan, ...] = ()
 
     def make(self, source: str, scenes: Sequence[int] | Literal["all"] | None) -> RenderReport:
         """Makes everything that is asked for of scenes of a source; see `chosen_numbers`."""
         if self._makes("turntable", "replay"):
             check_format(self.film)
-        sizes = {size: self._picture(size, _QUICK) for size in (_LARGE, _SMALL, _CELL)}
+        sizes = {size: self._picture(size, "draft") for size in (_LARGE, _SMALL, _CELL)}
         opened, own = open_source(source)
         numbers = chosen_numbers(opened, own, scenes, _SHEET if self._makes("sheet") else 1)
         is_drawn, notes = self._can_draw()
@@ -96,15 +101,19 @@ class Rendering:
         made: list[Path] = []
         failures: list[_Failure] = []
         with ExitStack() as stack:
-            work = _Work(opened, singles, sizes[_SMALL], is_drawn)
+            largest = np.max([plan.size for plan in self.cameras] or [_LARGE], axis=0).tolist()
+            drawn = stack.enter_context(ScenePictures(self._picture(tuple(largest), "fine")))
+            work = _Work(opened, singles, sizes[_SMALL], is_drawn, drawn)
             if self._makes("bop"):
-                picture = self._picture(REALSENSE_SIZE, _QUICK)
+                size = self.cameras[0].size if self.cameras else REALSENSE_SIZE
+                picture = self._picture(size, "draft")
                 dataset = BopScenes(self.out / "bop", opened.name, self.bop, picture, is_drawn)
                 work.dataset = stack.enter_context(dataset)
                 work.plan(numbers)
                 notes += dataset.notes
             shown = track(numbers, "bop", len(numbers), "scene") if self._makes("bop") else numbers
-            for number in shown:
+            for place, number in enumerate(shown):
+                work.coming = tuple(numbers[place + 1 : place + 1 + _AHEAD]) if singles else ()
                 failures += self._make(work, number, made)
         if self._makes("sheet"):
             # Called after its source: those of several lie in one folder.
@@ -132,10 +141,13 @@ class Rendering:
         """Whether one of them is asked for."""
         return not self.products.isdisjoint(products)
 
-    def _picture(self, size: tuple[int, int], samples: int) -> PictureConfig:
+    def _picture(self, size: tuple[int, int], usual: Quality) -> PictureConfig:
         width, height = self.size or size
-        samples = samples if self.samples is None else self.samples
-        return replace(self.look, width=width, height=height, samples=samples)
+        quality = QUALITIES[self.quality or usual]
+        samples, smoothing = quality.samples, quality.smoothing
+        if self.samples is not None:
+            samples, smoothing = self.samples, 0
+        return replace(self.look, width=width, height=height, samples=samples, smoothing=smoothing)
 
     def _make(self, work: _Work, number: int, made: list[Path]) -> Iterator[_Failure]:
         """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
@@ -162,15 +174,20 @@ class Rendering:
         self, work: _Work, recording: Replay, number: int, has_attempts: bool
     ) -> Iterator[tuple[str, _Make]]:
         """The endings of the files that are asked for, and how each is made."""
-        large, small, dataset = self._picture(_LARGE, _FINE), work.small, work.dataset
-        if work.singles:
-            yield ".png", lambda path: [save_png(draw_scene(recording, large), path)]
+        large, small, dataset = self._picture(_LARGE, "fine"), work.small, work.dataset
+        cameras: dict[str, Camera | None] = {
+            f"-{plan.name}": self._camera(plan, recording, number) for plan in self.cameras
+        } or {"": None}
+        for ending, camera in cameras.items() if work.singles else ():
+            yield f"{ending}.png", partial(self._write_picture, work, recording, camera)
         if self._makes("figure") and has_attempts:
             yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, picture=large), path)]
         if self._makes("density") and has_attempts:
             yield "-density.png", lambda path: [save_png(density_figure(recording, picture=large), path)]
-        if self._makes("depth", "segmentation"):
-            yield "-sensors.npz", lambda path: self._write_sensors(recording, path, large, work.is_drawn)
+        for ending, camera in cameras.items() if self._makes("depth", "segmentation") else ():
+            picture = large if camera is None else replace(large, width=camera.width, height=camera.height)
+            sensed = partial(self._write_sensors, recording, picture=picture, is_drawn=work.is_drawn)
+            yield f"{ending}-sensors.npz", partial(sensed, camera=camera)
         if dataset is not None:
             yield "-bop", lambda path: dataset.add(recording, number)
         if self._makes("points"):
@@ -184,13 +201,24 @@ class Rendering:
             length = len(replay_frames(recording, self.pace))
             yield f"-replay.{self.film}", lambda path: [self._write_film(steps, length, path)]
 
+    def _camera(self, plan: CameraPlan, recording: Replay, number: int) -> Camera:
+        """Where a camera is for a scene, drawn for its number."""
+        support = replace(recording.support, region=recording.region)
+        rng = np.random.default_rng([self.bop.seed, number, self.cameras.index(plan)])
+        return plan.draw(support, rng)
+
+    def _write_picture(
+        self, work: _Work, recording: Replay, camera: Camera | None, path: Path
+    ) -> Iterator[Path]:
+        yield save_png(work.draw(recording, camera), path)
+
     def _write_sensors(
-        self, recording: Replay, path: Path, picture: PictureConfig, is_drawn: bool
+        self, recording: Replay, path: Path, picture: PictureConfig, is_drawn: bool, camera: Camera | None
     ) -> Iterator[Path]:
         placed = recording.placed
         names = [recording.names[index] for index in placed]
         poses, support = recording.poses[placed], recording.support
-        sensed = sense(_placed_objects(recording), names, poses, support, picture, is_drawn)
+        sensed = sense(_placed_objects(recording), names, poses, support, picture, is_drawn, camera)
         stem = path.with_name(path.name.removesuffix("-sensors.npz"))
         if self._makes("depth"):
             yield _write(_path_with(stem, "-depth.png"), depth_png(sensed.depth))
@@ -204,10 +232,13 @@ class Rendering:
         return save_film(shown, path, self.pace.fps)
 
     def _sheet(self, source: SceneSource, numbers: list[int], title: str) -> np.ndarray:
-        picture = self._picture(_CELL, _QUICK if len(numbers) > _SHEET else _FINE)
+        picture = self._picture(_CELL, "draft" if len(numbers) > _SHEET else "fine")
         recordings = [source.still(number) for number in numbers]
-        shown = track(recordings, title, len(recordings), "picture")
-        images = [draw_scene(recording, picture) for recording in shown]
+        images = []
+        with ScenePictures(picture) as pictures:
+            for place, each in enumerate(track(recordings, title, len(recordings), "picture")):
+                others = [_placed_objects(other) for other in recordings[place + 1 : place + 1 + _AHEAD]]
+                images.append(_draw(pictures, each, None, others))
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")
             for number, recording in zip(numbers, recordings, strict=True)
@@ -224,6 +255,7 @@ class _Work:
       singles: draw a picture of each.
       small: the picture of films.
       is_drawn: there is an OpenGL.
+      pictures: draws them. coming: numbers of the scenes that are drawn next.
       dataset: BOP, which the scenes are added to, if it is asked for.
     """
 
@@ -231,8 +263,18 @@ class _Work:
     singles: bool
     small: PictureConfig
     is_drawn: bool
+    pictures: ScenePictures
+    coming: tuple[int, ...] = ()
     dataset: BopScenes | None = None
     _stills: dict[int, Replay] = field(default_factory=dict)
+
+    def draw(self, recording: Replay, camera: Camera | None) -> np.ndarray:
+        """uint8[height, width, 3]: the finished scene; None sees it as the pictures' view."""
+        others = []
+        for number in self.coming:
+            with suppress(ClutterGenError):
+                others.append(_placed_objects(self.still(number)))
+        return _draw(self.pictures, recording, camera, others)
 
     def plan(self, numbers: Sequence[int]) -> None:
         """Gives the scenes their numbers in the dataset; ConfigError where one is there, seen otherwise."""
@@ -275,22 +317,17 @@ def chosen_numbers(
     return list(good if asked == "all" else good[:count])
 
 
-def draw_scene(recording: Replay, picture: PictureConfig) -> np.ndarray:
-    """uint8[height, width, 3]: the finished scene."""
-    return render_scene(
-        _placed_objects(recording),
-        recording.poses[recording.placed],
-        recording.support,
-        camera=picture.view,
-        close=not picture.whole,
-        width=picture.width,
-        height=picture.height,
-        hulls=picture.hulls,
-        samples=picture.samples,
-    )
+def _draw(
+    pictures: ScenePictures,
+    recording: Replay,
+    camera: Camera | None,
+    others: Sequence[Sequence[ObjectAsset]],
+) -> np.ndarray:
+    poses = recording.poses[recording.placed]
+    return pictures.draw(_placed_objects(recording), poses, recording.support, camera, others)
 
 
-def _placed_objects(recording: Replay) -> list:
+def _placed_objects(recording: Replay) -> list[ObjectAsset]:
     return [recording.objects[index] for index in recording.placed]
 
 

@@ -11,20 +11,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from cluttergen_jax.downstream.perception.views.stage import (
-    TEXTURES_OF,
-    Kind,
-    Stage,
-    draw_camera,
-    draw_light,
-    jitter_colours,
-    open_stage,
-)
+from cluttergen_jax.downstream.perception.views.stage import Kind, Stage, draw_camera, open_stage
 from cluttergen_jax.downstream.perception.views.store import SCHEMA, VIEWS, StoredView, ViewSet, row_of
 from cluttergen_jax.downstream.robot.cameras import SIZE
 from cluttergen_jax.downstream.samples import StableScenes
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
+from cluttergen_jax.rendering.variation import TEXTURES_OF, draw_light
 from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.sensing import Camera
 
@@ -57,7 +50,7 @@ class ViewMaker:
     """Makes views of scenes; view i is the same however many are made.
 
     Args:
-      scenes: of each bank; all of the same objects and support. stage, materials: see `open_stage`.
+      scenes: of each bank; all of the same objects and support. stage: see `open_stage`.
       split: whose textures are drawn.
     """
 
@@ -65,7 +58,6 @@ class ViewMaker:
         self,
         scenes: Sequence[StableScenes],
         stage: Stage,
-        materials: Sequence[str],
         config: ViewConfig,
         split: str,
         support: Any,
@@ -73,7 +65,6 @@ class ViewMaker:
     ) -> None:
         self._scenes, self._stage, self._config = tuple(scenes), stage, config
         self._textures = TEXTURES_OF[split]
-        self._materials = [stage.material(name) for name in materials]
         self._support, self._num_objects = support, num_objects
 
     def view(self, number: int) -> dict[str, object]:
@@ -104,12 +95,11 @@ class ViewMaker:
 
     def _dress(self, rng: np.random.Generator) -> tuple[int, float]:
         """Draws colours, texture and light; the texture's number and the lamps' turn."""
-        stage = self._stage
+        look = self._stage.appearance
         texture, light = int(rng.choice(self._textures)), draw_light(rng)
-        rgba = stage.rgba
-        rgba[stage.object_geoms] = jitter_colours(rgba[stage.object_geoms], rng)
-        rgba[stage.floor, :3] = rng.uniform(0.1, 0.9) + rng.normal(0, 0.03, 3)
-        stage.dress(np.clip(rgba, 0, 1), self._materials[texture], light)
+        self._stage.model.geom_rgba[:] = look.draw_colours(rng)
+        look.set_texture(texture)
+        look.set_light(light)
         return texture, light.yaw
 
     def _camera(
@@ -154,9 +144,9 @@ def write_views(
         views, total = ViewSet(path, record), record["splits"][split][VIEWS.number]
         with (
             Progress(f"views of {split}", total, "view", total - sum(missing.values())) as progress,
-            open_stage(views.objects, views.support, config.arm > 0) as (stage, materials),
+            open_stage(views.objects, views.support, config.arm > 0) as stage,
         ):
-            maker = ViewMaker(scenes, stage, materials, config, split, views.support, len(views.objects))
+            maker = ViewMaker(scenes, stage, config, split, views.support, len(views.objects))
             for block, number in missing.items():
                 rows = []
                 for view in range(block * VIEWS.block_size, block * VIEWS.block_size + number):

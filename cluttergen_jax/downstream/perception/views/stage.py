@@ -1,4 +1,4 @@
-"""The stage of views: objects, a table and the arm before one GL context; what is drawn for each view."""
+"""The stage of views: objects, a table and the arm before one GL context; cameras of views."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
@@ -20,87 +19,11 @@ from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, above, wrist_ca
 from cluttergen_jax.downstream.robot.model import Panda, home_pose, with_panda
 from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.lighting import FLOOR, KEY_LIGHT, SKY_LIGHT, add_lighting
+from cluttergen_jax.rendering.lighting import add_lighting
 from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, Renderer, open_renderer, set_range
+from cluttergen_jax.rendering.variation import Appearance, add_table_materials
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.sensing import Camera, free
-
-NUM_TEXTURES = 20
-TEXTURES_OF = {"train": range(16), "val": range(16, 18), "test": range(18, NUM_TEXTURES)}
-"""By split: what is chosen on the split `val` is judged on textures that are in no other."""
-_SIDE = 128
-_DARKEST, _BRIGHTEST = 0.15, 0.9
-
-
-def table_texture(number: int) -> np.ndarray:
-    """u8[128, 128, 3]: a table's texture, the same for the same number.
-
-    In turns: plain with specks, boards along one side, marble, checks, and cloth.
-    """
-    rng = np.random.default_rng((number, 17))
-    base, other = rng.uniform(_DARKEST, _BRIGHTEST, (2, 3))
-    other = base + rng.uniform(0.15, 0.6) * (other - base)
-    x, y = np.meshgrid(np.arange(_SIDE), np.arange(_SIDE))
-    noise = rng.normal(size=(_SIDE, _SIDE))
-    soft = gaussian_filter(noise, 6, mode="wrap")
-    soft /= soft.std()
-    patterns = (
-        lambda: (gaussian_filter(noise, 0.7, mode="wrap") > 0.9) * 1.0,
-        lambda: 0.5 + 0.5 * np.sin(x / 3.0 + 2 * gaussian_filter(noise, (20, 2), mode="wrap") / 0.06),
-        lambda: np.abs(np.sin(2.5 * soft)),
-        lambda: ((x // 16 + y // 16) % 2) * 1.0,
-        lambda: 0.5 + 0.25 * (np.sin(x * np.pi / 2) + np.sin(y * np.pi / 2)),
-    )
-    share = np.clip(patterns[number % len(patterns)](), 0, 1)[..., None]
-    return np.round(255 * np.clip(base + share * (other - base), 0, 1)).astype(np.uint8)
-
-
-def add_table_materials(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Adds a material for each table texture; their names."""
-    names = []
-    for number in range(NUM_TEXTURES):
-        name, pixels = f"table-{number:02d}", table_texture(number)
-        image = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
-        image.width, image.height, image.nchannel = _SIDE, _SIDE, 3
-        image.data = pixels.tobytes()
-        material = spec.add_material(name=name, specular=0.1, shininess=0.2, texrepeat=(2, 2))
-        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-        names.append(name)
-    return tuple(names)
-
-
-@dataclass(frozen=True, eq=False)
-class Light:
-    """How a view is lit.
-
-    Attributes:
-      ambient, diffuse: of the camera's own light, each in [0, 1].
-      lamps: factor of the lamps; 0 puts them out, as they are in episodes of the robot.
-      yaw: radians by which the lamps are turned about the vertical.
-    """
-
-    ambient: float
-    diffuse: float
-    lamps: float
-    yaw: float
-
-
-def draw_light(rng: np.random.Generator) -> Light:
-    """In a third of the draws there is the camera's own light alone."""
-    ambient, diffuse, lamps = rng.uniform([0.1, 0.1, 0.4], [0.35, 0.5, 1.2])
-    is_off = rng.uniform() < 1 / 3
-    diffuse = rng.uniform(0.35, 0.9) if is_off else diffuse
-    return Light(float(ambient), float(diffuse), 0.0 if is_off else float(lamps), rng.uniform(0, 2 * np.pi))
-
-
-def jitter_colours(rgba: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """f[N, 4]: colours f[N, 4] of surfaces, each a little brighter or darker, paler, of another tint."""
-    number = len(rgba)
-    grey = rgba[:, :3].mean(1, keepdims=True)
-    strength, gain = rng.uniform(0.7, 1.2, (number, 1)), rng.uniform(0.75, 1.2, (number, 1))
-    tint = rng.normal(0, 0.04, (number, 3))
-    colour = np.clip((grey + strength * (rgba[:, :3] - grey) + tint) * gain, 0, 1)
-    return np.concatenate([colour, rgba[:, 3:]], axis=1)
 
 
 def expose(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -176,7 +99,7 @@ class RgbdImage:
 
 
 class Stage:
-    """See `open_stage`. `model` may be told of colours and materials between pictures."""
+    """See `open_stage`. `appearance` may be changed between pictures."""
 
     def __init__(
         self, model: mujoco.MjModel, renderer: Renderer, names: Sequence[str], has_arm: bool
@@ -185,15 +108,11 @@ class Stage:
         self._data = mujoco.MjData(model)
         self._qpos = [int(model.joint(name).qposadr[0]) for name in names]
         self._arm = Panda.of(model) if has_arm else None
-        self._rgba = model.geom_rgba.copy()
         self._label = self._labels(names)
         body = model.geom_bodyid
         is_seen = model.geom_group == VISUAL_GROUP
         self._arm_geoms = is_seen & self._arm.is_arm[body] if self._arm else np.zeros(model.ngeom, bool)
-        self._table = np.flatnonzero(is_seen & (body == model.body("support").id))
-        self.object_geoms = np.flatnonzero(is_seen & (self._label >= FIRST_OBJECT))
-        self.floor = model.geom(FLOOR).id
-        self._lamps = {name: model.light(name).diffuse.copy() for name in (KEY_LIGHT, SKY_LIGHT)}
+        self.appearance = Appearance(model, is_seen & (self._label >= FIRST_OBJECT))
 
     def _labels(self, names: Sequence[str]) -> np.ndarray:
         label = np.full(self.model.nbody, BACKGROUND, np.uint8)
@@ -201,11 +120,6 @@ class Stage:
         if self._arm is not None:
             label[self._arm.is_arm] = ARM
         return label[self.model.geom_bodyid]
-
-    @property
-    def rgba(self) -> np.ndarray:
-        """f32[ngeom, 4]: the colours that all had at first."""
-        return self._rgba.copy()
 
     def place(self, poses: np.ndarray, is_placed: np.ndarray) -> None:
         """Puts the objects where they stand.
@@ -239,21 +153,6 @@ class Stage:
                 break
         return self._arm.tool(self._data)
 
-    def dress(self, rgba: np.ndarray, material: int, light: Light) -> None:
-        """Colours f[ngeom, 4], the number of the table's material, and light."""
-        model = self.model
-        model.geom_rgba[:] = rgba
-        model.geom_matid[self._table] = material
-        headlight = model.vis.headlight
-        headlight.ambient[:], headlight.diffuse[:] = light.ambient, light.diffuse
-        for name, diffuse in self._lamps.items():
-            model.light(name).diffuse[:] = light.lamps * diffuse
-            model.light(name).active[:] = light.lamps > 0
-
-    def material(self, name: str) -> int:
-        """The number of a material."""
-        return int(self.model.material(name).id)
-
     def picture(self, camera: Camera, light_yaw: float = 0.0) -> RgbdImage:
         """What a camera of `cameras.SIZE` sees now."""
         rgb = self._renderer.average(self._data, camera, 1, _REACH, light_yaw=light_yaw)
@@ -263,10 +162,8 @@ class Stage:
 
 
 @contextmanager
-def open_stage(
-    objects: Sequence[ObjectAsset], support: SupportAsset, has_arm: bool
-) -> Iterator[tuple[Stage, tuple[str, ...]]]:
-    """A stage, and the names of its table materials.
+def open_stage(objects: Sequence[ObjectAsset], support: SupportAsset, has_arm: bool) -> Iterator[Stage]:
+    """A stage.
 
     Args:
       has_arm: the arm can be shown.
@@ -280,9 +177,9 @@ def open_stage(
     poses[:, 0] = _PARKED + np.arange(len(names))
     scene = Scene(names, tuple(objects), poses, support)
     spec = with_panda(scene) if has_arm else scene.to_mjspec()
-    materials = add_table_materials(spec)
+    add_table_materials(spec)
     add_lighting(spec).visual.quality.shadowsize = _SHADOWS
     model = spec.compile()
     set_range(model, _REACH * np.array([[-1, -1, 0], [1, 1, 1]]), CameraView(), *SIZE)
     with open_renderer(model, *SIZE) as renderer:
-        yield Stage(model, renderer, names, has_arm), materials
+        yield Stage(model, renderer, names, has_arm)

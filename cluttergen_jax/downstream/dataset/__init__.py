@@ -1,0 +1,1 @@
+"""Datasets of views: what cameras see of the scenes of banks, in files for trainers."""

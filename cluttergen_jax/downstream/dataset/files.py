@@ -1,0 +1,139 @@
+"""Datasets of views on disk: shards that are whole or not there, and a record of how they were made.
+
+    dataset.json                     how it was made, how many views each split has
+    train-00-000003.parquet (.tar)   the views of a split of 64 scenes of bank 0
+
+A shard holds the scenes of a split among 64 of a bank, perhaps none.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.downstream.dataset.views import View
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.files import write_atomically
+from cluttergen_jax.kept_folder import KeptFolder, check_recipe
+from cluttergen_jax.schema import SchemaError, checked_record, with_checksum
+
+ShardForm = Literal["parquet", "webdataset"]
+ENDINGS: dict[ShardForm, str] = {"parquet": "parquet", "webdataset": "tar"}
+INDEX = "dataset.json"
+_IMAGES = ("rgb", "depth", "label", "amodal")
+SCENES_PER_SHARD = 64
+
+_BOX = pa.list_(pa.list_(pa.int32(), 4))
+SCHEMA = pa.schema(
+    [
+        ("bank", pa.string()),
+        ("scene", pa.int32()),
+        ("camera", pa.string()),
+        ("width", pa.int32()),
+        ("height", pa.int32()),
+        ("K", pa.list_(pa.float64(), 9)),
+        ("T_world_camera", pa.list_(pa.float64(), 16)),
+        ("names", pa.list_(pa.string())),
+        ("labels", pa.list_(pa.string())),
+        ("poses", pa.list_(pa.list_(pa.float64(), 7))),
+        ("visible", pa.list_(pa.float32())),
+        ("box_visible", _BOX),
+        ("box_amodal", _BOX),
+        ("rgb", pa.binary()),
+        ("depth", pa.binary()),
+        ("label", pa.binary()),
+        ("amodal", pa.list_(pa.binary())),
+    ]
+)
+"""A row for each view. K and T_world_camera row by row; poses T_world_object, metres, wxyz; boxes column,
+row, width, height in pixels; `depth` a PNG file in millimetres along the optical axis, `label` one of 0 floor
+or nothing, 1 support, 2 + k object k; `amodal` a PNG file of each object's whole silhouette."""
+
+
+def shard_name(split: str, bank: int, shard: int, form: ShardForm) -> str:
+    """The file of a split's views of a shard of scenes."""
+    return f"{split}-{bank:02d}-{shard:06d}.{ENDINGS[form]}"
+
+
+def encode_views(views: Sequence[View], bank: str, form: ShardForm) -> bytes:
+    """The views of one shard as a file."""
+    rows = [{"bank": bank, **view.row()} for view in views]
+    if form == "parquet":
+        buffer = io.BytesIO()
+        table = pa.Table.from_pylist(rows, schema=SCHEMA)
+        # Images are compressed already.
+        pq.write_table(table, buffer, compression="none", write_page_checksum=True, row_group_size=16)
+        return buffer.getvalue()
+    return _tar(rows)
+
+
+def _tar(rows: Sequence[dict[str, Any]]) -> bytes:
+    """A tar file as the library WebDataset reads it: files of one view share all before the first dot."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+
+        def add(name: str, data: bytes) -> None:
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            tar.addfile(info, io.BytesIO(data))
+
+        for row in rows:
+            key = f"{row['bank']}-{row['scene']:06d}-{row['camera']}".replace(".", "_")
+            images = {name: row[name] for name in ("rgb", "depth", "label") if row[name] is not None}
+            images |= {f"amodal-{place:03d}": mask for place, mask in enumerate(row["amodal"])}
+            rest = {name: value for name, value in row.items() if name not in _IMAGES}
+            for name, data in images.items():
+                add(f"{key}.{name}.png", data)
+            add(f"{key}.json", json.dumps(rest).encode())
+    return buffer.getvalue()
+
+
+def is_whole_shard(path: Path, form: ShardForm, num_views: int) -> bool:
+    """Whether a shard is there and holds so many views."""
+    try:
+        if form == "parquet":
+            return pq.read_metadata(path).num_rows == num_views
+        with tarfile.open(path) as tar:
+            return sum(name.endswith(".json") for name in tar.getnames()) == num_views
+    except (OSError, pa.ArrowException, tarfile.TarError):
+        return False
+
+
+def dataset_folder(path: Path) -> KeptFolder:
+    """The folder of a dataset, which may not exist yet."""
+    return KeptFolder(
+        path,
+        is_whole=lambda folder: (folder / INDEX).is_file(),
+        refusal="{path} exists and holds no dataset of views",
+        is_begun=lambda each: False,
+    )
+
+
+def begin_record(path: Path, recipe: dict[str, Any]) -> None:
+    """Writes how a dataset is made, or holds it against what is there.
+
+    Raises:
+      BankError: it was made otherwise, or its record is damaged.
+    """
+    file = path / INDEX
+    if file.exists():
+        try:
+            known = checked_record(file.read_bytes())["recipe"]
+        except (OSError, SchemaError, KeyError) as error:
+            raise BankError(f"{file} cannot be read ({error})", hint="another `out`") from error
+        check_recipe(path, "views made", recipe, known)
+        return
+    write_record(path, {"recipe": recipe})
+
+
+def write_record(path: Path, record: dict[str, Any]) -> None:
+    """Stores the record of a dataset."""
+    text = json.dumps(with_checksum({"format": 1, "kind": "views of scenes", **record}), indent=1) + "\n"
+    write_atomically(path / INDEX, text.encode(), is_durable=True)

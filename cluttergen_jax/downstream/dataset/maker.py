@@ -1,0 +1,230 @@
+"""Making a dataset of views: which scenes go where, and shards made here or by workers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from cluttergen_jax.cluster import Cluster, each_on
+from cluttergen_jax.config import DatasetForm
+from cluttergen_jax.downstream.dataset.files import (
+    SCENES_PER_SHARD,
+    ShardForm,
+    begin_record,
+    dataset_folder,
+    encode_views,
+    is_whole_shard,
+    shard_name,
+    write_record,
+)
+from cluttergen_jax.downstream.dataset.views import View, ViewConfig, ViewMaker
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.files import remove_partial, write_atomically, writing
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.scene import read_scenes
+
+_SPLIT_DRAW = 11
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A dataset that is made.
+
+    Attributes:
+      path: its folder; form: of its files.
+      num_views: by split.
+    """
+
+    path: Path
+    form: str
+    num_views: dict[str, int]
+
+    def __str__(self) -> str:
+        lines = (f"{number} of {split}" for split, number in self.num_views.items())
+        return f"views      {', '.join(lines)} in {self.path} ({self.form})"
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Scenes of a bank that are made together.
+
+    Attributes:
+      bank: its place among the banks; number: of the shard in it.
+      scenes: by split, their numbers in the bank.
+    """
+
+    bank: int
+    number: int
+    scenes: dict[str, tuple[int, ...]]
+
+
+@dataclass(frozen=True)
+class DatasetPlan:
+    """Which scenes are seen, and how.
+
+    Attributes:
+      banks: their folders; shares: by split; num_scenes: the first so many of each, all if None.
+      shards: all of them.
+    """
+
+    banks: tuple[Path, ...]
+    shares: dict[str, float]
+    num_scenes: int | None
+    config: ViewConfig
+    shards: tuple[Shard, ...]
+
+    @classmethod
+    def of(
+        cls, banks: Sequence[Path], shares: dict[str, float], num_scenes: int | None, config: ViewConfig
+    ) -> DatasetPlan:
+        """Reads which scenes stand.
+
+        Raises:
+          BankError: there is no bank, or none of its scenes stands.
+        """
+        shards: list[Shard] = []
+        for place, path in enumerate(banks):
+            bank = read_bank(path)
+            rows = pa.concat_tables(bank.tables(["index", "is_success"]))
+            good = rows["index"].to_numpy()[rows["is_success"].to_numpy()][:num_scenes]
+            if not len(good):
+                raise BankError(f"{path}: none of its scenes stands", hint="more scenes")
+            names = _splits_of(good, place, shares, config.seed)
+            # By number, so that a bank that grew has its first scenes where they were.
+            number = good // SCENES_PER_SHARD
+            for each in np.unique(number):
+                own = {split: tuple(good[(number == each) & (names == split)].tolist()) for split in shares}
+                shards.append(Shard(place, int(each), {split: some for split, some in own.items() if some}))
+        return cls(tuple(banks), shares, num_scenes, config, tuple(shards))
+
+    def num_views(self) -> dict[str, int]:
+        """Of each split."""
+        total = Counter[str]()
+        for shard in self.shards:
+            total.update(
+                {split: len(some) * len(self.config.cameras) for split, some in shard.scenes.items()}
+            )
+        return {split: total[split] for split in self.shares}
+
+    def recipe(self) -> dict[str, Any]:
+        """What decides every view but which there are."""
+        config = self.config
+        return {
+            "banks": [{"name": path.resolve().name, "recipe": read_bank(path).recipe} for path in self.banks],
+            "cameras": [_plain(asdict(plan)) | {"stored": repr(plan.stored)} for plan in config.cameras],
+            "shares": self.shares,
+            "seed": config.seed,
+            "vary": list(config.vary),
+            "quality": config.quality,
+            "colour": config.colour,
+            "scenes_per_shard": SCENES_PER_SHARD,
+        }
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name != "stored"}
+
+
+def _splits_of(scenes: np.ndarray, bank: int, shares: dict[str, float], seed: int) -> np.ndarray:
+    """The split of each scene: by its number, whatever others there are."""
+    names, edges = list(shares), np.cumsum(list(shares.values()))
+    drawn = [np.random.default_rng([seed, bank, scene, _SPLIT_DRAW]).uniform() for scene in scenes.tolist()]
+    return np.array(names)[np.minimum(np.searchsorted(edges, drawn, side="right"), len(names) - 1)]
+
+
+@dataclass(frozen=True)
+class ShardMaker:
+    """Makes shards, here or in another process that sees the same files."""
+
+    banks: tuple[Path, ...]
+    config: ViewConfig
+    out: Path
+    form: ShardForm
+
+    def __call__(self) -> Callable[[Shard], int]:
+        """The function that makes a shard's files, and returns its number of views."""
+        return lambda shard: sum(1 for _ in self.views(shard))
+
+    def views(self, shard: Shard) -> Iterator[None]:
+        """Makes a shard; yields after each view."""
+        bank = read_bank(self.banks[shard.bank])
+        split_of = {number: split for split, some in shard.scenes.items() for number in some}
+        scenes = list(read_scenes(bank, sorted(split_of)))
+        made: dict[str, list[View]] = {split: [] for split in shard.scenes}
+        for view in ViewMaker(scenes, self.config, shard.bank, split_of).views():
+            made[split_of[view.scene]].append(view)
+            yield
+        for split, views in made.items():
+            data = encode_views(views, bank.path.resolve().name, self.form)
+            write_atomically(self.out / shard_name(split, shard.bank, shard.number, self.form), data)
+
+
+def make(plan: DatasetPlan, out: Path, form: DatasetForm, cluster: Cluster | None) -> Dataset:
+    """A dataset in a folder, begun or continued; see `cluttergen_jax.make_dataset`."""
+    number = plan.num_views()
+    if form == "bop":
+        _make_bop(plan, out)
+        return Dataset(out, form, number)
+    maker = ShardMaker(plan.banks, plan.config, out, form)
+    with dataset_folder(out).lock(), writing(out):
+        remove_partial(out)
+        recipe = plan.recipe() | {"form": form}
+        begin_record(out, recipe)
+        num_cameras = len(plan.config.cameras)
+        missing = [shard for shard in plan.shards if not _is_there(out, shard, form, num_cameras)]
+        total, left = sum(number.values()), num_cameras * sum(map(_num_scenes, missing))
+        with Progress("views", total, "view", total - left) as progress:
+            if cluster is None:
+                for shard in missing:
+                    for _ in maker.views(shard):
+                        progress.update(1)
+            else:
+                with closing(each_on(cluster, maker, missing, "shard")) as done:
+                    for _, views in done:
+                        progress.update(views)
+        write_record(out, {"recipe": recipe, "num_views": number})
+    return Dataset(out, form, number)
+
+
+def _num_scenes(shard: Shard) -> int:
+    return sum(map(len, shard.scenes.values()))
+
+
+def _is_there(out: Path, shard: Shard, form: ShardForm, num_cameras: int) -> bool:
+    return all(
+        is_whole_shard(out / shard_name(split, shard.bank, shard.number, form), form, len(some) * num_cameras)
+        for split, some in shard.scenes.items()
+    )
+
+
+def _make_bop(plan: DatasetPlan, out: Path) -> None:
+    """The scenes of each split as a folder of a BOP dataset."""
+    from cluttergen_jax.generation.sources import BankSource
+    from cluttergen_jax.generation.sources.bop import BopConfig, BopScenes
+    from cluttergen_jax.rendering.config import QUALITIES
+    from cluttergen_jax.rendering.scene_renderer import PictureConfig
+
+    config, quality = plan.config, QUALITIES[plan.config.quality]
+    for place, path in enumerate(plan.banks):
+        source = BankSource(path)
+        for split in plan.shares:
+            chosen = [n for shard in plan.shards if shard.bank == place for n in shard.scenes.get(split, ())]
+            if not chosen:
+                continue
+            width, height = config.cameras[0].size
+            picture = PictureConfig(width, height, quality.samples, smoothing=quality.smoothing)
+            asked = BopConfig(seed=config.seed, split=split, cameras=config.cameras)
+            with BopScenes(out, source.name, asked, picture, config.colour) as scenes:
+                scenes.plan((number, source.still(number)) for number in chosen)
+                with Progress(f"views of {split}", len(chosen), "scene") as progress:
+                    for number in chosen:
+                        scenes.add(source.still(number), number)
+                        progress.update(1)

@@ -1,0 +1,187 @@
+"""Datasets of views: what they hold is what cameras see, whoever makes them and in whatever order."""
+
+import io
+import json
+import tarfile
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+import cluttergen_jax as cg
+from cluttergen_jax.downstream.dataset.api import parse_splits
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.sensing.rays import InstanceSensor
+from tests.helpers.drawing import needs_gl
+from tests.helpers.placing import write_bank
+
+SIZE = (64, 48)
+PLAIN = {"cameras": ("free:2", "overhead"), "size": SIZE, "colour": False, "seed": 3}
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory):
+    return write_bank(tmp_path_factory.mktemp("bank") / "bank", 5)
+
+
+@pytest.fixture(scope="module")
+def plain(bank, tmp_path_factory):
+    return cg.make_dataset(bank.path, tmp_path_factory.mktemp("sets") / "plain", **PLAIN)
+
+
+def rows_of(dataset, split="train"):
+    files = sorted(dataset.path.glob(f"{split}-*.parquet"))
+    return [row for file in files for row in pq.read_table(file).to_pylist()]
+
+
+def image(data):
+    return np.array(Image.open(io.BytesIO(data)))
+
+
+def test_a_view_is_what_its_camera_sees(bank, plain):
+    assert plain.num_views == {"train": 15}
+    rows = rows_of(plain)
+    assert [(row["scene"], row["camera"]) for row in rows] == [
+        (scene, camera) for scene in range(5) for camera in ("free-0", "free-1", "overhead")
+    ]
+    scenes = {scene.origin.index: scene for scene in read_scenes(bank)}
+    for row in rows[::4]:
+        scene = scenes[row["scene"]]
+        camera = Camera(*SIZE, np.reshape(row["K"], (3, 3)), np.reshape(row["T_world_camera"], (4, 4)))
+        seen, instances = InstanceSensor(scene.objects, scene.support).sense(scene.poses, camera)
+        np.testing.assert_array_equal(image(row["label"]), seen.label)
+        depth = np.where(np.isfinite(seen.depth), np.round(1000 * seen.depth), 0)
+        np.testing.assert_array_equal(image(row["depth"]), depth)
+        assert row["names"] == list(scene.names)
+        np.testing.assert_allclose(row["poses"], scene.poses)
+        for place, each in enumerate(instances):
+            np.testing.assert_array_equal(image(row["amodal"][place]), each.mask)
+            assert row["visible"][place] == pytest.approx(each.visible_share)
+            left, top, width, height = row["box_visible"][place]
+            is_in_box = np.zeros(SIZE[::-1], bool)
+            is_in_box[top : top + height, left : left + width] = True
+            assert np.array_equal(is_in_box & (seen.label == 2 + place), seen.label == 2 + place)
+    fixed = {tuple(row["T_world_camera"]) for row in rows if row["camera"] == "overhead"}
+    drawn = {tuple(row["T_world_camera"]) for row in rows if row["camera"] != "overhead"}
+    assert (len(fixed), len(drawn)) == (1, 10)
+
+
+def test_what_is_missing_is_made_and_nothing_else(bank, plain, tmp_path):
+    out = tmp_path / "set"
+    cg.make_dataset(bank.path, out, num_scenes=2, **PLAIN)
+    again = cg.make_dataset(bank.path, out, **PLAIN)
+    assert rows_of(again) == rows_of(plain)
+    (file,) = out.glob("*.parquet")
+    before = file.stat().st_mtime_ns
+    cg.make_dataset(bank.path, out, **PLAIN)
+    assert file.stat().st_mtime_ns == before
+    file.write_bytes(file.read_bytes()[:-200])
+    assert rows_of(cg.make_dataset(bank.path, out, **PLAIN)) == rows_of(plain)
+    for changed in ({"seed": 4}, {"size": (32, 32)}, {"form": "webdataset"}, {"splits": "val"}):
+        with pytest.raises(BankError, match="holds views made with another"):
+            cg.make_dataset(bank.path, out, **(PLAIN | changed))
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").write_text("mine")
+    with pytest.raises(BankError, match="holds no dataset of views"):
+        cg.make_dataset(bank.path, tmp_path / "other", **PLAIN)
+
+
+def test_scenes_keep_their_split_and_none_is_in_two(bank, plain, tmp_path):
+    shares = "train=0.5, test=0.5"
+    part = cg.make_dataset(bank.path, tmp_path / "part", num_scenes=3, splits=shares, **PLAIN)
+    whole = cg.make_dataset(bank.path, tmp_path / "whole", splits=shares, **PLAIN)
+    by_split = [
+        {split: {row["scene"] for row in rows_of(each, split)} for split in ("train", "test")}
+        for each in (part, whole)
+    ]
+    assert by_split[1]["train"]
+    assert by_split[1]["test"]
+    assert by_split[1]["train"].isdisjoint(by_split[1]["test"])
+    for split in ("train", "test"):
+        assert by_split[0][split] == {scene for scene in by_split[1][split] if scene < 3}
+    made = rows_of(whole) + rows_of(whole, "test")
+    assert sorted(made, key=lambda row: row["scene"]) == rows_of(plain)
+
+
+def test_two_banks_are_two(bank, tmp_path):
+    other = write_bank(tmp_path / "other", 2, seed=1)
+    both = cg.make_dataset([bank.path, other.path], tmp_path / "both", **PLAIN)
+    assert both.num_views == {"train": 21}
+    assert {row["bank"] for row in rows_of(both)} == {"bank", "other"}
+    with pytest.raises(ConfigError, match="each bank once"):
+        cg.make_dataset([bank.path, bank.path], tmp_path / "twice", **PLAIN)
+
+
+def test_tar_files_have_what_rows_have(bank, plain, tmp_path):
+    tarred = cg.make_dataset(bank.path, tmp_path / "tars", form="webdataset", **PLAIN)
+    (file,) = tarred.path.glob("*.tar")
+    row = rows_of(plain)[1]
+    with tarfile.open(file) as tar:
+        names = tar.getnames()
+        key = "bank-000000-free-1"
+        own = [name.removeprefix(f"{key}.") for name in names if name.startswith(f"{key}.")]
+        assert own == ["depth.png", "label.png", *(f"amodal-{k:03d}.png" for k in range(3)), "json"]
+        assert tar.extractfile(f"{key}.depth.png").read() == row["depth"]
+        told = json.load(tar.extractfile(f"{key}.json"))
+    assert told == {name: value for name, value in row.items() if name in told}
+    # Files of one view follow each other, as the readers of such files need it.
+    keys = [name.split(".")[0] for name in names]
+    assert len([k for k, each in enumerate(keys) if k == 0 or keys[k - 1] != each]) == len(set(keys)) == 15
+
+
+def test_bop_has_the_cameras_that_are_asked_for(bank, tmp_path):
+    made = cg.make_dataset(bank.path, tmp_path / "bop", form="bop", num_scenes=2, **PLAIN)
+    assert made.num_views == {"train": 6}
+    told = json.loads((made.path / "train" / "000001" / "scene_camera.json").read_text())
+    assert len(told) == 3
+    assert (made.path / "train" / "000001" / "mask_visib" / "000002_000001.png").is_file()
+    each = {"eye": [1, 0, 1], "width": 64}
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(json.dumps({"cameras": [{"name": "a", **each}, {"name": "b", **each, "height": 64}]}))
+    with pytest.raises(ConfigError, match="cameras of different sizes"):
+        cg.make_dataset(bank.path, tmp_path / "sizes", form="bop", cameras=[cameras], colour=False)
+
+
+@needs_gl
+def test_colours_vary_as_asked_and_do_not_depend_on_other_scenes(bank, tmp_path):
+    asked = {"cameras": ("overhead",), "size": SIZE, "seed": 3}
+    plain, varied = (
+        [image(row["rgb"]) for row in rows_of(cg.make_dataset(bank.path, tmp_path / name, **asked, **more))]
+        for name, more in (("plain", {}), ("varied", {"vary": ("texture", "light", "colour")}))
+    )
+    assert all(each.shape == (48, 64, 3) for each in plain)
+    corner = np.array([each[0, 0] for each in plain]).astype(int)
+    assert np.ptp(corner, axis=0).max() <= 2
+    assert np.ptp(np.array([each[0, 0] for each in varied]).astype(int), axis=0).max() > 20
+    alone = cg.make_dataset(
+        bank.path, tmp_path / "alone", num_scenes=1, vary=("texture", "light", "colour"), **asked
+    )
+    np.testing.assert_array_equal(image(rows_of(alone)[0]["rgb"]), varied[0])
+
+
+@pytest.mark.parametrize(
+    "text", ["", "training", "train=0.5", "train=0.5,train=0.5", "train=0.5,test", "train=2,val=-1"]
+)
+def test_splits_that_are_none_are_refused(text):
+    with pytest.raises(ConfigError, match="splits ="):
+        parse_splits(text)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"form": "coco"}, "parquet, webdataset, bop"),
+        ({"quality": "best"}, "draft, fine"),
+        ({"vary": ("lights",)}, "texture, light, colour"),
+        ({"vary": ("light",)}, "without colours"),
+        ({"size": "9x9"}, "16 to 8192 pixels"),
+        ({"num_scenes": 0}, "num_scenes = 0"),
+    ],
+)
+def test_settings_that_are_none_are_refused(bank, tmp_path, changed, message):
+    with pytest.raises(ConfigError, match=message):
+        cg.make_dataset(bank.path, tmp_path / "set", **(PLAIN | changed))
+    assert not (tmp_path / "set").exists()
