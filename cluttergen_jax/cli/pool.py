@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.importing.poses import Pose
 
 _HEADER = ("object", "size mm", "scale", "mass kg", "friction", "licence", "what people call it")
+_PAGE = 100
 _POSES = ("pose", "mm tall", "degrees from now", "tips over at", "of random falls")
 
 
@@ -31,10 +32,14 @@ class Pool:
       action: list, show, pose or remove.
       names: of the pools. To show: names or folders, a+b for a union, a~mug for all but mug. For poses: the
         pool, the object, and the number of a pose to take.
+      objects: to show: only these, by names, patterns and conditions: "mug*", "label=*book* and mass<0.5".
+      page: to show: which hundred objects of each.
     """
 
     action: tyro.conf.Positional[Literal["list", "show", "pose", "remove"]]
     names: tyro.conf.Positional[tuple[str, ...]] = ()
+    objects: tuple[str, ...] = ()
+    page: int = 1
 
     def run(self) -> int:
         if bool(self.names) == (self.action == "list"):
@@ -48,10 +53,13 @@ class Pool:
         elif self.action == "pose":
             _pose(self.names)
         elif self.action == "show":
+            from cluttergen_jax.assets.facts import chosen_names
             from cluttergen_jax.assets.pool import find_pool
 
             for name in self.names:
-                _show(find_pool(name))
+                pool = find_pool(name)
+                chosen = chosen_names(pool.facts, self.objects, name) if self.objects else pool.names
+                _show(pool, chosen, self.page)
         else:
             _remove(self.names)
         return 0
@@ -66,20 +74,32 @@ def _list() -> None:
         except ClutterGenError as error:
             print(f"{name:16} damaged: {error}")
             continue
-        flagged = sum(bool(asset.flags) for asset in pool.objects)
+        flagged = sum(each.flagged for each in pool.facts)
         place = "embedded" if name in EMBEDDED else str(folder)
         print(f"{name:16} {len(pool):3} objects, {flagged} flagged, tier {pool.tier}, {place}")
         print(f"{'':16} licence: {pool.licence or 'not stated'}")
 
 
-def _show(pool: pools.Pool) -> None:
-    print(f"pool {pool.name}: {len(pool)} objects, tier {pool.tier}, content {pool.hash[:12]}")
-    rows = [_HEADER, *(_row(asset) for asset in pool.objects)]
+def _show(pool: pools.Pool, chosen: Sequence[str], page: int) -> None:
+    from cluttergen_jax.assets.pool import MOST_READ
+
+    pages = -(-len(chosen) // _PAGE)
+    if not 1 <= page <= pages:
+        raise ConfigError(f"page = {page}", f"1 to {pages}", "page=1")
+    objects = [pool[name] for name in chosen[(page - 1) * _PAGE : page * _PAGE]]
+    # Of very many objects the digest of all would have to be made by reading all.
+    content = f", content {pool.hash[:12]}" if len(pool) <= MOST_READ else ""
+    print(f"pool {pool.name}: {len(pool)} objects, tier {pool.tier}{content}")
+    if len(chosen) < len(pool):
+        print(f"{len(chosen)} of them are chosen")
+    rows = [_HEADER, *(_row(asset) for asset in objects)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADER))]
     for row in rows:
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-    for line in (*_flags(pool.objects), *_credits(pool.objects)):
+    for line in (*_flags(objects), *_credits(objects)):
         print(line)
+    if pages > 1:
+        print(f"page {page} of {pages}; another: --page N; some: --objects 'mug* and mass<0.5'")
 
 
 def _row(asset: ObjectAsset) -> tuple[str, ...]:

@@ -75,12 +75,25 @@ def test_adding_to_a_pool(tmp_path):
         import_sources([crate], "nowhere", ImportConfig(QUICK, 1, progress=False, add=True))
 
 
-def test_show_list_and_remove(capsys):
+def test_show_list_and_remove(capsys, monkeypatch):
     assert main(["pool", "show", "a+b~lid"]) == 0
     out = capsys.readouterr().out
     assert "a-mug" in out
     assert "60 x 40 x 82" in out
     assert "! pan: a flag" in out
+    assert main(["pool", "show", "a", "--objects", "m*"]) == 0
+    out = capsys.readouterr().out
+    assert "1 of them are chosen" in out
+    assert "! pan" not in out
+    assert main(["pool", "show", "a", "--objects", "mass>100"]) == 2
+    assert "chooses no object of pool 'a'" in capsys.readouterr().err
+    assert main(["pool", "show", "a", "--page", "2"]) == 2
+    assert "1 to 1" in capsys.readouterr().err
+    monkeypatch.setattr("cluttergen_jax.cli.pool._PAGE", 1)
+    assert main(["pool", "show", "a", "--page", "2"]) == 0
+    out = capsys.readouterr().out
+    assert "page 2 of 2" in out
+    assert "mug" not in out.split("another:")[0]
     assert main(["pool", "list"]) == 0
     assert str(user_root() / "a") in capsys.readouterr().out
     assert main(["pool", "remove", "a", "nothing"]) == 2
