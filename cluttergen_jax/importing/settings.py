@@ -15,15 +15,23 @@ name = "frying_pan"
 
 ["kitchen.xml#stove"]
 take = true               # or false: whether it is an object, whatever the import makes of it
+
+A CSV file says the same of many files, a row for each: its column `file` holds the pattern, the others have
+keys for names, and an empty cell says nothing.
+
+file,label,mass
+mug_012.glb,coffee mug,0.3
 """
 
 from __future__ import annotations
 
+import csv
 import difflib
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -47,29 +55,49 @@ class Settings:
     Attributes:
       path: the file.
       tables: keys and values by file pattern, in the file's order; `default` holds for all.
+      is_list: of many files, of which some may not be there.
     """
 
     path: Path
     tables: dict[str, dict[str, Any]]
+    is_list: bool = False
+
+    @cached_property
+    def _order(self) -> dict[str, int]:
+        return {pattern: place for place, pattern in enumerate(self.tables)}
+
+    @cached_property
+    def _globs(self) -> tuple[str, ...]:
+        """The patterns that can fit what they do not spell."""
+        return tuple(each for each in self.tables if each != DEFAULT and any(sign in each for sign in "*?["))
 
     def of(self, source: ObjectFile, root: Path) -> dict[str, Any]:
         """The keys and values for one source, found below the folder `root`."""
+        names = _names(source, root)
+        fitting = {each for each in self._globs if any(_fits(name, each) for name in names)}
+        fitting |= {name for name in names if name in self.tables and name != DEFAULT}
         values = dict(self.tables.get(DEFAULT, {}))
-        for pattern, table in self.tables.items():
-            if pattern != DEFAULT and any(_fits(name, pattern) for name in _names(source, root)):
-                values |= table
+        for pattern in sorted(fitting, key=self._order.__getitem__):
+            values |= self.tables[pattern]
         return values
 
     def check_used(self, groups: Sequence[tuple[Path, Found]]) -> None:
         """Refuses patterns that fit no object, so that a slip of the pen is not passed over.
+
+        Of a list some have to fit.
 
         Raises:
           ConfigError: it names the pattern, and what is spelt nearly like it.
         """
         known = [name for root, found in groups for source in found.sources for name in _names(source, root)]
         patterns = [pattern for pattern in self.tables if pattern != DEFAULT]
-        unused = [each for each in patterns if not any(_fits(name, each) for name in known)]
-        if not unused:
+        there = set(known)
+        unused = [
+            each
+            for each in patterns
+            if each not in there and not (each in self._globs and any(_fits(name, each) for name in known))
+        ]
+        if not unused or (self.is_list and len(unused) < len(patterns)):
             return
         skipped = {Path(each.name).name: each.reason for _, found in groups for each in found.skipped}
         wrong = unused[0]
@@ -93,15 +121,50 @@ def read_settings(path: Path) -> Settings:
     Raises:
       ConfigError: it cannot be read, or a key or a value is none; the message says which.
     """
+    is_list = path.suffix.lower() == ".csv"
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8-sig")
+        document = _rows_of(path, text) if is_list else tomllib.loads(text)
     except OSError as error:
         raise ConfigError(f"settings {path} cannot be read ({error.strerror})") from error
     except ValueError as error:
-        raise ConfigError(f"settings {path} are not TOML: {error}") from error
-    return Settings(
-        path, {pattern: _check_table(path, pattern, table) for pattern, table in document.items()}
-    )
+        kind = "a table of CSV" if is_list else "TOML"
+        raise ConfigError(f"settings {path} are not {kind}: {error}") from error
+    tables = {pattern: _check_table(path, pattern, table) for pattern, table in document.items()}
+    return Settings(path, tables, is_list)
+
+
+_FILE = "file"
+_WORDS = {"true": True, "false": False}
+
+
+def _rows_of(path: Path, text: str) -> dict[str, dict[str, Any]]:
+    """The rows of a CSV file, by pattern (ConfigError: a column or a row is missing, or comes twice)."""
+    rows = csv.DictReader(text.splitlines(), strict=True, restkey="")
+    columns = [column.strip() for column in rows.fieldnames or ()]
+    if _FILE not in columns or len(set(columns)) < len(columns) or len(columns) < 2:
+        raise ConfigError(
+            f"{path}: columns {', '.join(columns) or 'none'}", f"{_FILE}, and some of {', '.join(KEYS)}"
+        )
+    rows.fieldnames = columns
+    found: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        pattern = (row.pop(_FILE) or "").strip()
+        if not pattern or pattern in found or "" in row or None in row.values():
+            given = f"{path}, line {rows.line_num}: {pattern or 'no file'!r}"
+            raise ConfigError(given, f"each file once, and {len(columns)} cells in a row")
+        found[pattern] = {key: _cell(key, cell.strip()) for key, cell in row.items() if cell.strip()}
+    return found
+
+
+def _cell(key: str, text: str) -> Any:
+    """A number, a truth or a text."""
+    if key in ("licence", "license", "attribution", *_OF_NAMING):
+        return text
+    try:
+        return _WORDS[text.lower()] if text.lower() in _WORDS else float(text)
+    except ValueError:
+        return text
 
 
 def _check_table(path: Path, pattern: str, table: Any) -> dict[str, Any]:

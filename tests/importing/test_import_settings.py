@@ -103,3 +103,36 @@ def test_slips_of_the_pen(folder, text, message):
     with pytest.raises(ConfigError, match=message) as error:
         planned(folder, text)
     assert "objects.toml" in str(error.value) or "settings" in str(error.value)
+
+
+def test_a_table_of_a_whole_library(folder, tmp_path):
+    table = tmp_path / "labels.csv"
+    table.write_text(
+        "file, label ,mass,up\ncups/*.stl,a cup,0.25,\nlarge.stl,a large cup,,y\ngone.obj,gone,1,x\n"
+    )
+    plans = planned(folder, settings=table)
+    told = {name: (plan.source.label, plan.options.mass, plan.up.axis) for name, plan in plans.items()}
+    assert told["small"] == ("a cup", 0.25, "z")
+    assert told["large"] == ("a large cup", 0.25, "y")
+    assert told["crate"][:2] == ("crate", None)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name,label\nmug,cup\n", "columns name, label. Allowed: file, and some of scale"),
+        ("file\nmug.obj\n", "columns file"),
+        ("file,label\nslab.glb\n", "line 2: 'slab.glb'"),
+        ("file,label\nslab.glb,a,b\n", "line 2"),
+        ("file,label\nslab.glb,a\nslab.glb,b\n", "line 3: 'slab.glb'"),
+        ("file,label\n,a\n", "no file"),
+        ("file,labl\nslab.glb,a\n", "key 'labl'.*did you mean 'label'"),
+        ("file,mass\nslab.glb,heavy\n", "mass = 'heavy'"),
+        ("file,label\nother.glb,a\n", "'other.glb'] fits no object"),
+    ],
+)
+def test_slips_of_a_table(folder, tmp_path, text, message):
+    table = tmp_path / "labels.csv"
+    table.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        planned(folder, settings=table)
