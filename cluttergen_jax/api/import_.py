@@ -77,7 +77,7 @@ def import_pool(
       friction: sliding coefficient of every object, instead of 0.5 wherever it touches something.
       licence: on which terms the objects may be passed on, where their source does not say.
       attribution: whom to name, where the licence asks for it.
-      settings: a TOML file of settings per object, in place of the objects.toml in each folder.
+      settings: a TOML or CSV file of settings per object, in place of the objects.toml in each folder.
       set: the published set that the folders are of, such as "robosuite": which files are its models, and
         what they do not say; "auto" for what the folders show, "none" for no such knowledge.
       collision: "keep" takes collision shapes that lie beside a mesh (mug_col.obj, collision/mug_0.obj) as

@@ -16,8 +16,9 @@ class Inspect:
 
     Attributes:
       pool: a pool's name or folder, or several joined by +.
-      out: write a contact sheet to this PNG file.
-      objects: only these.
+      out: write a contact sheet to this PNG file; or to an HTML file a page to scroll through, flagged
+        objects first, with a picture of each and what was measured.
+      objects: only these, by names, patterns and conditions: "mug*", "label=*book* and mass<0.5".
       exclude: all but these.
       columns: objects in a row of the sheet.
       grasps: draw grasps of the Panda's hand about each object instead (extra `robot`); those that are not
@@ -32,20 +33,30 @@ class Inspect:
     grasps: bool = False
 
     def run(self) -> int:
+        from cluttergen_jax.assets.facts import chosen_names
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.cli.pool_table import pool_table
+        from cluttergen_jax.errors import ConfigError
         from cluttergen_jax.files import check_file
 
         check_file(self.out, "out", f"{self.pool}.png")
         pool = find_pool(self.pool, self.exclude)
-        objects = tuple(pool[name] for name in self.objects) or pool.objects
+        chosen = chosen_names(pool.facts, self.objects, self.pool) if self.objects else pool.names
+        objects = tuple(pool[name] for name in chosen)
+        is_page = self.out is not None and self.out.suffix == ".html"
+        if is_page and self.grasps:
+            raise ConfigError("--grasps with an HTML page", "a PNG file", f"--out {self.pool}.png")
         print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")
         print(pool_table(objects))
         if self.grasps:
             from cluttergen_jax.downstream.robot.api import robot_grasps
 
             print(sets := robot_grasps(self.pool, [asset.name for asset in objects]))
-        if self.out is not None:
+        if self.out is not None and is_page:
+            from cluttergen_jax.rendering.pool_report import write_pool_report
+
+            print(write_pool_report(self.out, pool, objects))
+        elif self.out is not None:
             from cluttergen_jax.rendering.sheet import save_png
 
             if self.grasps:
