@@ -7,6 +7,7 @@ from benchmarks import (
     engines,
     gpu,
     last_check,
+    library,
 )
 from benchmarks.bodies import box
 from cluttergen_jax.assets.pool import Pool, write_pool
@@ -60,3 +61,11 @@ def test_every_part_about_a_gpu_runs_in_miniature(part, tmp_path):
     if part == "scenes":
         assert {row["success"] for row in made.values()} == {1.0}
     assert part == "doctor" or f"### {part}" in gpu.body_of(rows)
+
+
+@pytest.mark.slow
+def test_library_runs(capsys):
+    library.main(library.Library(sizes=(3, 260), num_scenes=2))
+    out = capsys.readouterr().out
+    assert "| 3 | all |" in out
+    assert "| 260 | 64 |" in out
