@@ -140,6 +140,7 @@ class SceneRenderer:
 
     def measure(self, styles: Sequence[RenderStyle | None]) -> DepthImage:
         """Depth and labels as OpenGL draws them: see `Renderer.measure`."""
+        assert not self.config.smoothing, "smooth edges mix the numbers of what is on either side"
         alpha = self._apply(styles)
         self.model_renderer.set_size(self.camera.width, self.camera.height)
         model = self.model_renderer.model
