@@ -91,7 +91,7 @@ def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
             if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):
                 continue
             others = objects[place + 1 : place + 1 + _AHEAD]
-            image = pictures.draw(objects[place], scene.poses, bank.support, others=others)
+            image = pictures.draw(objects[place], scene.poses, bank.support, others=others.copy)
             save_png(image, path)
             images.append(image)
     captions = [f"{scene.index:06d}" for scene in scenes[:_OVERVIEW]]

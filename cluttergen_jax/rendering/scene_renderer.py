@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
@@ -270,20 +270,20 @@ class ScenePictures:
         poses: np.ndarray,
         support: SupportAsset,
         camera: Camera | None = None,
-        others: Sequence[Sequence[ObjectAsset]] = (),
+        others: Callable[[], Sequence[Sequence[ObjectAsset]]] = tuple,
     ) -> np.ndarray:
         """uint8[height, width, 3]: objects at poses f[N, 7].
 
         Args:
           camera: no larger than the pictures; the view, fitted to the scene, if None.
-          others: the objects of scenes that will be drawn next.
+          others: gives the objects of scenes that will be drawn next; asked where something is uploaded.
 
         Raises:
           RendererError: nothing here can draw.
         """
         keys, points = _keys_of(objects), close_points(objects, poses, support)
         if self._renderer is None or not self._slots.keys() >= set(keys):
-            self._open([objects, *others], support, points)
+            self._open([objects, *others()], support, points)
         assert self._renderer is not None
         self._renderer.fit(points)
         if camera is not None:

@@ -237,8 +237,8 @@ class Rendering:
         images = []
         with ScenePictures(picture) as pictures:
             for place, each in enumerate(track(recordings, title, len(recordings), "picture")):
-                others = [_placed_objects(other) for other in recordings[place + 1 : place + 1 + _AHEAD]]
-                images.append(_draw(pictures, each, None, others))
+                coming = recordings[place + 1 : place + 1 + _AHEAD]
+                images.append(_draw(pictures, each, None, partial(_objects_of, coming)))
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")
             for number, recording in zip(numbers, recordings, strict=True)
@@ -270,11 +270,14 @@ class _Work:
 
     def draw(self, recording: Replay, camera: Camera | None) -> np.ndarray:
         """uint8[height, width, 3]: the finished scene; None sees it as the pictures' view."""
-        others = []
+        return _draw(self.pictures, recording, camera, self._objects_coming)
+
+    def _objects_coming(self) -> list[list[ObjectAsset]]:
+        found = []
         for number in self.coming:
             with suppress(ClutterGenError):
-                others.append(_placed_objects(self.still(number)))
-        return _draw(self.pictures, recording, camera, others)
+                found.append(self.still(number))
+        return _objects_of(found)
 
     def plan(self, numbers: Sequence[int]) -> None:
         """Gives the scenes their numbers in the dataset; ConfigError where one is there, seen otherwise."""
@@ -321,10 +324,14 @@ def _draw(
     pictures: ScenePictures,
     recording: Replay,
     camera: Camera | None,
-    others: Sequence[Sequence[ObjectAsset]],
+    others: Callable[[], Sequence[Sequence[ObjectAsset]]],
 ) -> np.ndarray:
     poses = recording.poses[recording.placed]
     return pictures.draw(_placed_objects(recording), poses, recording.support, camera, others)
+
+
+def _objects_of(recordings: Sequence[Replay]) -> list[list[ObjectAsset]]:
+    return [_placed_objects(each) for each in recordings]
 
 
 def _placed_objects(recording: Replay) -> list[ObjectAsset]:
