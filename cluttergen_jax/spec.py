@@ -131,7 +131,8 @@ class SceneSpec:
         "mug* and volume<0.001", "label=*book* and height>=0.1"; one that any of them means is used. There
         are name, label, licence, source; volume (m^3), mass (kg), x, y, height, width, depth (m), parts,
         flagged.
-      exclude: names of the pool's objects to leave out; exclude=("mug",) is the same as pool="dining~mug".
+      exclude: the pool's objects to leave out, told in the same ways; exclude=("mug",) is the same as
+        pool="dining~mug".
       num_objects: objects per scene, 1 to 128; all of the pool's (40 at most) if not given.
       repeat: allow duplicates: an object may be placed more than once.
       shelf: of a pool with very many objects each block of 256 scenes draws so many for its own, and each
@@ -376,6 +377,7 @@ class SceneSpec:
           ConfigError: more objects are asked for than there are, or there is no such engine.
           PoolError: there is no such pool or support.
         """
+        from cluttergen_jax.assets.facts import weights_of
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.assets.support import parse_region
         from cluttergen_jax.assets.support_file import find_support
@@ -389,11 +391,20 @@ class SceneSpec:
         is_drawn = self.shelf is not None or weights or self.balance != "objects" or available > MOST_ON_SHELF
         shelf = 0
         if is_drawn:
+            if weights:
+                facts = find_pool(pool).facts
+                names = set(chosen) or {each.name for each in facts}
+                kept = [each for each in facts if each.name in names]
+                available = int((weights_of(kept, weights) > 0).sum())
             shelf = min(SHELF, available) if self.shelf is None else self.shelf
             if not 1 <= shelf <= min(available, MOST_ON_SHELF):
                 allowed = f"1 to {min(available, MOST_ON_SHELF)} of the {available} objects of pool {pool!r}"
                 raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={min(SHELF, available)}")
             available = shelf
+            if (self.num_objects or 0) > shelf:
+                most = min(len(chosen) or len(find_pool(pool)), MOST_ON_SHELF)
+                given = f"{self.num_objects} objects of a shelf of {shelf}"
+                raise ConfigError(given, f"1 to {shelf}", f"shelf={min(most, 2 * (self.num_objects or 0))}")
             if self.repeat:
                 given = "`repeat` with a shelf of objects that each block draws"
                 raise ConfigError(

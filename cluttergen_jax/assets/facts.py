@@ -156,7 +156,7 @@ def chosen_names(facts: Sequence[ObjectFacts], chosen: Iterable[str], pool: str)
 def parse_weights(text: str) -> tuple[tuple[str, float], ...]:
     """Conditions and weights of a text such as "mug*=3; label=*book*=0.5"."""
     found = []
-    for term in text.split(";"):
+    for term in filter(str.strip, text.split(";")):
         condition, _, number = term.rpartition("=")
         try:
             weight = float(number)

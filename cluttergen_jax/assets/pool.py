@@ -21,7 +21,7 @@ from typing import Annotated, Any, overload
 
 import msgspec
 
-from cluttergen_jax.assets.facts import ObjectFacts
+from cluttergen_jax.assets.facts import ObjectFacts, chosen_names, is_plain_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
@@ -280,7 +280,7 @@ def find_pool(name_or_path: str | Path, exclude: Sequence[str] = (), names: Sequ
     Args:
       name_or_path: one pool, or several joined by `+`: their union, in which a name that occurs in more than
         one of them is prefixed with its pool's. Objects named after it, each after a `~`, are left out.
-      exclude: more names of objects to leave out.
+      exclude: more objects to leave out: names, patterns and conditions (`assets.facts`).
       names: objects that are wanted: of a single pool that has them the others are not read.
 
     Raises:
@@ -294,6 +294,10 @@ def find_pool(name_or_path: str | Path, exclude: Sequence[str] = (), names: Sequ
     terms = [union] if _folders(union) else union.split(_AND)
     pools = [_read(term) for term in terms]
     pool = pools[0] if len(pools) == 1 else _union("-".join(each.name for each in pools), pools)
+    patterns = [each for each in without if not is_plain_name(each)]
+    if patterns:
+        plain = [each for each in without if is_plain_name(each)]
+        without = [*plain, *chosen_names(pool.facts, patterns, union)]
     for name in without:
         pool[name]  # Raises where there is none.
     if not set(pool.names) - set(without):

@@ -32,7 +32,9 @@ def check_key(key: Any, call: str = "sample") -> None:
         raise ConfigError(
             f"{call}(key) with a {type(key).__name__} of type {dtype} and shape {shape}",
             "one key, as jax.random.key(0)",
-            f"jax.vmap({call})(jax.random.split(jax.random.key(0), 256)) for many scenes",
+            f"jax.vmap({call})(jax.random.split(jax.random.key(0), 256)) for many scenes"
+            if call != "reshelve"
+            else "one of several, as keys[0]",
         )
 
 

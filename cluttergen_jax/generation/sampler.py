@@ -26,7 +26,7 @@ from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, Stan
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.run import varying_alike
-from cluttergen_jax.placement.scenes import SceneBatch, scene_of
+from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch, scene_of
 from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.scene import Origin, Scene
@@ -53,7 +53,8 @@ class Sampler:
     shelf:
 
         many = jax.jit(lambda sample, keys: jax.vmap(sample)(keys))
-        scenes = many(sample.reshelve(key), keys)
+        sample = sample.reshelve(key)
+        scenes = many(sample, keys)
 
     It is pickled as the arguments of `make_sampler`, which is called with them where it is read: pools,
     supports, checkpoints and banks that they name have to be there. A copy is the sampler itself.
@@ -85,17 +86,22 @@ class Sampler:
         It takes about a second: their meshes are read, and MuJoCo makes a model of them.
 
         Raises:
-          ConfigError: the sampler has no shelf, or `key` is not one key.
+          ConfigError: the sampler has no shelf, `key` is not one key, or it is traced.
         """
         check_key(key, "reshelve")
+        if not is_known(key):
+            hint = "the new sampler as an argument of that code"
+            raise ConfigError("reshelve(key) in compiled code", "a key that is known", hint)
         return self._with_shelf(lambda shelves: shelves.setup(shelves.draw(key)))
 
     def for_block(self, seed: int, block: int) -> Sampler:
         """The same sampler with the objects of a bank's block: of scenes 256 `block` to 256 `block` + 255.
 
         Raises:
-          ConfigError: the sampler has no shelf.
+          ConfigError: the sampler has no shelf, or a number is out of range.
         """
+        check_range("seed", seed, 0, 2**32 - 1, 0)
+        check_range("block", block, 0, (2**32 - 1) // BLOCK_SIZE, 0)
         return self._with_shelf(lambda shelves: shelves.block(seed, block))
 
     def _with_shelf(self, draw: Callable[[Shelves], Setup]) -> Sampler:
@@ -184,6 +190,7 @@ class Sampler:
             num_draws=last.num_draws,
             cloud=cloud,
             cloud_mask=mask,
+            shelf=rules.engine,
         )
 
     def _cloud(self, episode: Episode) -> tuple[Array, Array] | tuple[None, None]:
@@ -212,7 +219,7 @@ class Sampler:
           sampled: a scene without leading axes, or a batch with one, of which number `index` is taken.
 
         Raises:
-          ConfigError: the batch has no such scene, or more than one leading axis.
+          ConfigError: the batch has no such scene, or more than one leading axis; or it is of another shelf.
         """
         shape = np.shape(sampled.is_success)
         if len(shape) > 1 or not 0 <= index < (shape[0] if shape else 1):
@@ -220,7 +227,13 @@ class Sampler:
             raise ConfigError(f"scene {index} of scenes of shape {shape}", allowed)
         if shape:
             sampled = jax.tree.map(lambda leaf: leaf[index], sampled)
-        world, config = self.problem.world, self.problem.config
+        world, config, own = self.problem.world, self.problem.config, self.steps.rules.engine
+        if own is not None and sampled.shelf is not None and int(sampled.shelf) != int(own):
+            raise ConfigError(
+                "scenes of another shelf than this sampler's",
+                "scenes that it made itself",
+                "the sampler that `reshelve` gave, kept in a variable",
+            )
         placed = np.asarray(sampled.is_placed)
         chosen = [int(each) for each in np.asarray(sampled.object_index)[placed]]
         return Scene(

@@ -35,6 +35,7 @@ class SceneBatch(struct.PyTreeNode):
       level: i32[S], how many objects are below each slot's, one upon the other; -1 where not placed. This and
         the next are None where the episode does not keep what carries what.
       num_touching: i32, pairs of objects that touch.
+      shelf: i32, the number of the sampler's shelf that `object_index` is about; None where there is none.
     """
 
     object_index: Array
@@ -51,6 +52,7 @@ class SceneBatch(struct.PyTreeNode):
     cloud_mask: Array | None = None
     level: Array | None = None
     num_touching: Array | None = None
+    shelf: Array | None = None
 
     def __repr__(self) -> str:
         # Arrays may be traced, or hold anything while a pytree is taken apart.

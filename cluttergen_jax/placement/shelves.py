@@ -180,7 +180,16 @@ class Shelves:
         self._groups = [getattr(each, config.balance) for each in pool.facts] if config.balance else None
         most = int((self._weights > 0).sum())
         if not 1 <= config.shelf <= most:
-            raise ConfigError(f"shelf = {config.shelf} with {most} objects to draw", f"1 to {most}")
+            raise ConfigError(
+                f"shelf = {config.shelf} with {most} objects to draw", f"1 to {most}", "fewer weights of 0"
+            )
+        is_uneven = len(np.unique(self._weights[self._weights > 0])) > 1 or self._groups is not None
+        if config.shelf == most and is_uneven:
+            raise ConfigError(
+                f"`weights` or `balance` with a shelf of all {most} objects, which no draw changes",
+                f"a shelf of 1 to {most - 1}",
+                f"shelf={max(config.placement.num_objects, most // 2)}",
+            )
         region = config.region or support.region
         check_region(region, support)
         check_keep_out(keep_out, region)

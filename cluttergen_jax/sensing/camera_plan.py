@@ -146,8 +146,16 @@ def _read_file(path: Path, size: Size | None) -> list[CameraPlan]:
         raise ConfigError(
             f"{path} is no file of cameras: {error}", '{"cameras": [{"name": ...}]}', _HINT
         ) from error
+    if not found.cameras:
+        raise ConfigError(f"{path} has no camera", "one or more", _HINT)
     for each in found.cameras:
         _check(path, each)
+        if size is not None and each.K is not None and size[0] * each.height != size[1] * each.width:
+            raise ConfigError(
+                f"{path}: camera {each.name!r} at {size[0]} x {size[1]}, K of {each.width} x {each.height}",
+                "a size of the same shape",
+                "`width` and `height` of K in the file, and no `size`",
+            )
     return [CameraPlan(each.name, size or (each.width, each.height), stored=each) for each in found.cameras]
 
 
@@ -165,6 +173,9 @@ def _check(path: Path, each: _Stored) -> None:
         )
     if each.fovy is not None and not 1 <= each.fovy <= 170:
         raise ConfigError(f"{path}: camera {each.name!r} with fovy = {each.fovy}", "1 to 170 degrees")
+    if each.K is not None and (each.K[0][1] or each.K[1][0] or each.K[2] != (0.0, 0.0, 1.0)):
+        allowed = "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]], without skew"
+        raise ConfigError(f"{path}: camera {each.name!r} with K = {each.K}", allowed)
     for name in ("azimuth", "elevation", "distance"):
         low, high = getattr(each, name) or (0.0, 0.0)
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):

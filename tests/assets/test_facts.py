@@ -55,7 +55,7 @@ def test_a_choice_that_is_none_is_refused(text, message):
 
 
 def test_weights_multiply():
-    weights = parse_weights("mug*=3; label=*book*=0; mass>0.35=2")
+    weights = parse_weights("mug*=3; label=*book*=0; mass>0.35=2;")
     assert weights == (("mug*", 3.0), ("label=*book*", 0.0), ("mass>0.35", 2.0))
     np.testing.assert_array_equal(weights_of(SHELF, weights), [3.0, 6.0, 0.0])
     with pytest.raises(ConfigError, match="which no object fulfils"):
@@ -83,6 +83,7 @@ def test_of_a_large_pool_objects_are_read_when_they_are_asked_for(tmp_path, monk
     assert pool.objects[1] is pool[name]
     assert read == [name]
     assert find_pool(f"{path}~{pool.names[0]}").names == pool.names[1:]
+    assert find_pool(path, exclude=[f"{pool.names[0][:-1]}*"]).names == pool.names[1:]
     (path / pool.names[2] / "cloud.npy").unlink()
     with pytest.raises(PoolError, match=r"cloud\.npy"):
         pool[pool.names[2]]

@@ -78,9 +78,23 @@ def test_what_is_missing_is_made_and_nothing_else(bank, plain, tmp_path):
     before = file.stat().st_mtime_ns
     cg.make_dataset(bank.path, out, **PLAIN)
     assert file.stat().st_mtime_ns == before
-    file.write_bytes(file.read_bytes()[:-200])
-    assert rows_of(cg.make_dataset(bank.path, out, **PLAIN)) == rows_of(plain)
-    for changed in ({"seed": 4}, {"size": (32, 32)}, {"form": "webdataset"}, {"splits": "val"}):
+    whole = file.read_bytes()
+    for damaged in (whole[:-200], whole[:5000] + bytes(8) + whole[5008:]):
+        file.write_bytes(damaged)
+        assert rows_of(cg.make_dataset(bank.path, out, **PLAIN)) == rows_of(plain)
+    # Nothing goes where fewer are asked for.
+    fewer = cg.make_dataset(bank.path, out, num_scenes=1, **PLAIN)
+    assert fewer.num_views == {"train": 15}
+    assert file.read_bytes() == whole
+    with pytest.raises(BankError, match=r"2 of its scenes stand\. Allowed: at least the 5"):
+        cg.make_dataset(write_bank(tmp_path / "bank", 2).path, out, **PLAIN)
+    for changed in (
+        {"seed": 4},
+        {"size": (32, 32)},
+        {"form": "webdataset"},
+        {"form": "bop"},
+        {"splits": "val"},
+    ):
         with pytest.raises(BankError, match="holds views made with another"):
             cg.make_dataset(bank.path, out, **(PLAIN | changed))
     (tmp_path / "other").mkdir()
@@ -111,6 +125,9 @@ def test_two_banks_are_two(bank, tmp_path):
     both = cg.make_dataset([bank.path, other.path], tmp_path / "both", **PLAIN)
     assert both.num_views == {"train": 21}
     assert {row["bank"] for row in rows_of(both)} == {"bank", "other"}
+    twin = write_bank(tmp_path / "twin" / "bank", 2)
+    with pytest.raises(ConfigError, match="no two folders of one name"):
+        cg.make_dataset([bank.path, twin.path], tmp_path / "twins", **PLAIN)
     with pytest.raises(ConfigError, match="each bank once"):
         cg.make_dataset([bank.path, bank.path], tmp_path / "twice", **PLAIN)
 
@@ -177,6 +194,7 @@ def test_splits_that_are_none_are_refused(text):
         ({"quality": "best"}, "draft, fine"),
         ({"vary": ("lights",)}, "texture, light, colour"),
         ({"vary": ("light",)}, "without colours"),
+        ({"vary": "light"}, "a sequence of words"),
         ({"size": "9x9"}, "16 to 8192 pixels"),
         ({"num_scenes": 0}, "num_scenes = 0"),
     ],

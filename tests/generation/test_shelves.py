@@ -93,8 +93,18 @@ def test_another_shelf_and_the_first_one_again(sample):
     assert jax.device_get(many(other, keys)).is_success.all()
     again = jax.device_get(many(sample, keys))
     np.testing.assert_array_equal(first.poses, again.poses)
-    scene = other.scene(jax.device_get(many(other, keys)), 0)
-    assert set(scene.names) <= set(other.names)
+    scenes = jax.device_get(many(other, keys))
+    assert set(other.scene(scenes, 0).names) <= set(other.names)
+    with pytest.raises(ConfigError, match="scenes of another shelf"):
+        sample.scene(scenes, 0)
+    for call, message in (
+        (lambda: jax.vmap(other.reshelve)(keys), "in compiled code"),
+        (lambda: other.reshelve(keys), r"keys\[0\]"),
+        (lambda: other.for_block(0, -1), "block = -1"),
+        (lambda: other.for_block(-1, 0), "seed = -1"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            call()
     copied = pickle.loads(pickle.dumps(other))
     assert copied.names == other.names
     with pytest.raises(ConfigError, match="a sampler with a shelf"):
@@ -145,11 +155,13 @@ def test_everything_takes_such_a_bank(bank, tmp_path):
     [
         ({"shelf": 13}, "shelf = 13. Allowed: 1 to 12"),
         ({"shelf": 0}, "shelf = 0. Allowed: 1 to 12"),
-        ({"shelf": 4, "num_objects": 5}, "5 objects asked for, 4"),
+        ({"shelf": 4, "num_objects": 5}, "5 objects of a shelf of 4. Allowed: 1 to 4. Try: shelf=10"),
         ({"shelf": 4, "repeat": True}, "`repeat` with a shelf"),
         ({"shelf": 4, "engine": "jax"}, "engine 'jax' with a shelf"),
-        ({"shelf": 9, "weights": "mug*=0"}, "shelf = 9 with 8 objects to draw"),
+        ({"shelf": 9, "weights": "mug*=0"}, "shelf = 9. Allowed: 1 to 8"),
         ({"shelf": 4, "balance": "labels"}, "Did you mean 'label'"),
+        ({"balance": "label"}, "with a shelf of all 12 objects.*shelf=6"),
+        ({"weights": "mug*=2"}, "with a shelf of all 12 objects"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(twelve, asked, message):
@@ -163,5 +175,7 @@ def test_of_very_many_objects_there_is_a_shelf_unasked(twelve, monkeypatch):
     assert len(cg.make_sampler(twelve, num_objects=2, method="clear").names) == 5
     with pytest.raises(ConfigError, match="1 to 200 objects here; `generate` and `make_sampler` take any"):
         cg.make_env(twelve, num_objects=2)
+    left = cg.make_sampler(twelve, exclude=["mug*", "bowl-0"], num_objects=2, method="clear")
+    assert {name.split("-")[0] for name in left.names} == {"bowl", "dinner_plate"}
     chosen = cg.make_sampler(twelve, objects=["mug*", "height<0.05"], num_objects=2, method="clear")
     assert {name.split("-")[0] for name in chosen.names} == {"mug", "dinner_plate"}

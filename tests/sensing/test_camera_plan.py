@@ -82,6 +82,14 @@ def test_what_is_no_camera_is_refused(asked, message):
         parse_cameras(asked)
 
 
+def test_a_size_of_another_shape_is_none_for_a_given_lens(tmp_path):
+    lens = {"name": "a", "eye": [1, 0, 1], "K": [[300, 0, 320], [0, 300, 240], [0, 0, 1]]}
+    with pytest.raises(ConfigError, match="at 320 x 320, K of 640 x 480"):
+        parse_cameras([stored(tmp_path, lens)], (320, 320))
+    with pytest.raises(ConfigError, match="has no camera"):
+        parse_cameras([stored(tmp_path)])
+
+
 @pytest.mark.parametrize(
     ("camera", "message"),
     [
@@ -94,6 +102,7 @@ def test_what_is_no_camera_is_refused(asked, message):
         ({"name": "a", "azimuth": [9, 1]}, "a range, low first"),
         ({"name": "a", "azimuth": [0, 1], "distance": [0, 1]}, "metres above 0"),
         ({"name": "a", "eye": [1, 0, 1], "fov": 4}, "fov"),
+        ({"name": "a", "eye": [1, 0, 1], "K": [[300, 9, 160], [0, 300, 120], [0, 0, 1]]}, "without skew"),
     ],
 )
 def test_a_file_that_says_too_little_or_too_much_is_refused(tmp_path, camera, message):

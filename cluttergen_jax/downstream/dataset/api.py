@@ -72,12 +72,15 @@ def make_dataset(
     """
     from cluttergen_jax.api.text import parse_size
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.downstream.dataset.maker import DatasetPlan, make
+    from cluttergen_jax.downstream.dataset.maker import make
     from cluttergen_jax.downstream.dataset.views import ViewConfig
     from cluttergen_jax.rendering.gl import find_backend
     from cluttergen_jax.rendering.renderer import check_size
     from cluttergen_jax.sensing import parse_cameras
 
+    cameras = (cameras,) if isinstance(cameras, str | Path) else cameras
+    if isinstance(vary, str):
+        raise ConfigError(f"vary = {vary!r}", "a sequence of words", f"vary=({vary!r},)")
     check_folder(out)
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_scenes is not None:
@@ -100,12 +103,13 @@ def make_dataset(
     chosen = [banks] if isinstance(banks, str | Path) else list(banks)
     if not chosen:
         raise ConfigError("no bank", "one or more")
-    if len({Path(each).resolve() for each in chosen}) < len(chosen):
-        raise ConfigError(f"banks = {[str(each) for each in chosen]}", "each bank once")
+    if len({Path(each).resolve().name for each in chosen}) < len(chosen):
+        told = f"banks = {[str(each) for each in chosen]}"
+        raise ConfigError(told, "each bank once, and no two folders of one name", "another name of a folder")
     place = cluster_of(cluster, workers)
     config = ViewConfig(seen_by, seed, tuple(vary), quality, colour)
-    plan = DatasetPlan.of([Path(each) for each in chosen], parse_splits(splits), num_scenes, config)
-    return make(plan, Path(out), form, place)
+    folders = [Path(each) for each in chosen]
+    return make(folders, parse_splits(splits), num_scenes, config, Path(out), form, place)
 
 
 def parse_splits(text: str) -> dict[str, float]:

@@ -22,7 +22,7 @@ from cluttergen_jax.downstream.dataset.views import View
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.kept_folder import KeptFolder, check_recipe
-from cluttergen_jax.schema import SchemaError, checked_record, with_checksum
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, with_checksum
 
 ShardForm = Literal["parquet", "webdataset"]
 ENDINGS: dict[ShardForm, str] = {"parquet": "parquet", "webdataset": "tar"}
@@ -95,9 +95,15 @@ def _tar(rows: Sequence[dict[str, Any]]) -> bytes:
     return buffer.getvalue()
 
 
-def is_whole_shard(path: Path, form: ShardForm, num_views: int) -> bool:
-    """Whether a shard is there and holds so many views."""
+def is_whole_shard(path: Path, form: ShardForm, num_views: int, digest: str | None) -> bool:
+    """Whether a shard is there as it was written, with so many views.
+
+    Args:
+      digest: of the file, where it is known.
+    """
     try:
+        if digest is not None and digest_of(path.read_bytes()) != digest:
+            return False
         if form == "parquet":
             return pq.read_metadata(path).num_rows == num_views
         with tarfile.open(path) as tar:
@@ -116,21 +122,23 @@ def dataset_folder(path: Path) -> KeptFolder:
     )
 
 
-def begin_record(path: Path, recipe: dict[str, Any]) -> None:
-    """Writes how a dataset is made, or holds it against what is there.
+def begin_record(path: Path, recipe: dict[str, Any]) -> dict[str, Any]:
+    """What is known of a dataset; empty where it is begun now, and then it says how it is made.
 
     Raises:
       BankError: it was made otherwise, or its record is damaged.
     """
     file = path / INDEX
-    if file.exists():
-        try:
-            known = checked_record(file.read_bytes())["recipe"]
-        except (OSError, SchemaError, KeyError) as error:
-            raise BankError(f"{file} cannot be read ({error})", hint="another `out`") from error
-        check_recipe(path, "views made", recipe, known)
-        return
-    write_record(path, {"recipe": recipe})
+    if not file.exists():
+        write_record(path, {"recipe": recipe})
+        return {}
+    try:
+        known = checked_record(file.read_bytes())
+        theirs = known["recipe"]
+    except (OSError, SchemaError, KeyError) as error:
+        raise BankError(f"{file} cannot be read ({error})", hint="another `out`") from error
+    check_recipe(path, "views made", recipe, theirs)
+    return known
 
 
 def write_record(path: Path, record: dict[str, Any]) -> None:

@@ -30,6 +30,7 @@ from cluttergen_jax.files import remove_partial, write_atomically, writing
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.schema import digest_of
 
 _SPLIT_DRAW = 11
 
@@ -52,7 +53,7 @@ class Dataset:
         return f"views      {', '.join(lines)} in {self.path} ({self.form})"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shard:
     """Scenes of a bank that are made together.
 
@@ -71,39 +72,54 @@ class DatasetPlan:
     """Which scenes are seen, and how.
 
     Attributes:
-      banks: their folders; shares: by split; num_scenes: the first so many of each, all if None.
+      banks: their folders; shares: by split; num_scenes: how many of each, the first that stand.
       shards: all of them.
     """
 
     banks: tuple[Path, ...]
     shares: dict[str, float]
-    num_scenes: int | None
+    num_scenes: tuple[int, ...]
     config: ViewConfig
     shards: tuple[Shard, ...]
 
     @classmethod
     def of(
-        cls, banks: Sequence[Path], shares: dict[str, float], num_scenes: int | None, config: ViewConfig
+        cls,
+        banks: Sequence[Path],
+        shares: dict[str, float],
+        num_scenes: int | None,
+        config: ViewConfig,
+        least: Sequence[int] = (),
     ) -> DatasetPlan:
         """Reads which scenes stand.
 
+        Args:
+          num_scenes: the first so many of each bank; all if None.
+          least: of each bank, how many are in the dataset already.
+
         Raises:
-          BankError: there is no bank, or none of its scenes stands.
+          BankError: there is no bank, none of its scenes stands, or it has fewer than are in the dataset.
         """
         shards: list[Shard] = []
+        numbers: list[int] = []
         for place, path in enumerate(banks):
             bank = read_bank(path)
             rows = pa.concat_tables(bank.tables(["index", "is_success"]))
-            good = rows["index"].to_numpy()[rows["is_success"].to_numpy()][:num_scenes]
-            if not len(good):
-                raise BankError(f"{path}: none of its scenes stands", hint="more scenes")
+            good = rows["index"].to_numpy()[rows["is_success"].to_numpy()]
+            there = least[place] if least else 0
+            if not len(good) or len(good) < there:
+                given = f"{path}: {len(good)} of its scenes stand"
+                allowed = f"at least the {there} that the dataset has" if there else ""
+                raise BankError(given, allowed, "more scenes")
+            good = good[: None if num_scenes is None else max(num_scenes, there)]
+            numbers.append(len(good))
             names = _splits_of(good, place, shares, config.seed)
             # By number, so that a bank that grew has its first scenes where they were.
             number = good // SCENES_PER_SHARD
             for each in np.unique(number):
                 own = {split: tuple(good[(number == each) & (names == split)].tolist()) for split in shares}
                 shards.append(Shard(place, int(each), {split: some for split, some in own.items() if some}))
-        return cls(tuple(banks), shares, num_scenes, config, tuple(shards))
+        return cls(tuple(banks), shares, tuple(numbers), config, tuple(shards))
 
     def num_views(self) -> dict[str, int]:
         """Of each split."""
@@ -167,42 +183,67 @@ class ShardMaker:
             write_atomically(self.out / shard_name(split, shard.bank, shard.number, self.form), data)
 
 
-def make(plan: DatasetPlan, out: Path, form: DatasetForm, cluster: Cluster | None) -> Dataset:
+def make(
+    banks: Sequence[Path],
+    shares: dict[str, float],
+    num_scenes: int | None,
+    config: ViewConfig,
+    out: Path,
+    form: DatasetForm,
+    cluster: Cluster | None,
+) -> Dataset:
     """A dataset in a folder, begun or continued; see `cluttergen_jax.make_dataset`."""
-    number = plan.num_views()
-    if form == "bop":
-        _make_bop(plan, out)
-        return Dataset(out, form, number)
-    maker = ShardMaker(plan.banks, plan.config, out, form)
+    recipe = DatasetPlan.of(banks, shares, num_scenes, config).recipe() | {"form": form}
     with dataset_folder(out).lock(), writing(out):
         remove_partial(out)
-        recipe = plan.recipe() | {"form": form}
-        begin_record(out, recipe)
-        num_cameras = len(plan.config.cameras)
-        missing = [shard for shard in plan.shards if not _is_there(out, shard, form, num_cameras)]
-        total, left = sum(number.values()), num_cameras * sum(map(_num_scenes, missing))
-        with Progress("views", total, "view", total - left) as progress:
-            if cluster is None:
-                for shard in missing:
-                    for _ in maker.views(shard):
-                        progress.update(1)
-            else:
-                with closing(each_on(cluster, maker, missing, "shard")) as done:
-                    for _, views in done:
-                        progress.update(views)
-        write_record(out, {"recipe": recipe, "num_views": number})
-    return Dataset(out, form, number)
+        known = begin_record(out, recipe)
+        plan = DatasetPlan.of(banks, shares, num_scenes, config, known.get("num_scenes", ()))
+        told = {"recipe": recipe, "num_scenes": list(plan.num_scenes), "num_views": plan.num_views()}
+        if form == "bop":
+            write_record(out, told)
+        else:
+            shards = _make_shards(plan, out, form, cluster, known.get("shards", {}))
+            write_record(out, told | {"shards": shards})
+    if form == "bop":
+        # It is held by those who add to it.
+        _make_bop(plan, out)
+    return Dataset(out, form, plan.num_views())
+
+
+def _make_shards(
+    plan: DatasetPlan, out: Path, form: ShardForm, cluster: Cluster | None, digests: dict[str, str]
+) -> dict[str, str]:
+    """Makes those that are missing or damaged; the digest of each by its name."""
+    maker, num_cameras = ShardMaker(plan.banks, plan.config, out, form), len(plan.config.cameras)
+    names = {
+        (shard, split): shard_name(split, shard.bank, shard.number, form)
+        for shard in plan.shards
+        for split in shard.scenes
+    }
+
+    def is_there(shard: Shard) -> bool:
+        return all(
+            is_whole_shard(out / name, form, len(some) * num_cameras, digests.get(name))
+            for split, some in shard.scenes.items()
+            for name in (names[shard, split],)
+        )
+
+    missing = [shard for shard in plan.shards if not is_there(shard)]
+    total, left = sum(plan.num_views().values()), num_cameras * sum(map(_num_scenes, missing))
+    with Progress("views", total, "view", total - left) as progress:
+        if cluster is None:
+            for shard in missing:
+                for _ in maker.views(shard):
+                    progress.update(1)
+        else:
+            with closing(each_on(cluster, maker, missing, "shard")) as done:
+                for _, views in done:
+                    progress.update(views)
+    return {name: digest_of((out / name).read_bytes()) for name in sorted(names.values())}
 
 
 def _num_scenes(shard: Shard) -> int:
     return sum(map(len, shard.scenes.values()))
-
-
-def _is_there(out: Path, shard: Shard, form: ShardForm, num_cameras: int) -> bool:
-    return all(
-        is_whole_shard(out / shard_name(split, shard.bank, shard.number, form), form, len(some) * num_cameras)
-        for split, some in shard.scenes.items()
-    )
 
 
 def _make_bop(plan: DatasetPlan, out: Path) -> None:
