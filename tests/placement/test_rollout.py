@@ -102,7 +102,7 @@ def test_scenes_that_take_the_places_of_others_are_those_of_blocks(method):
 @pytest.mark.parametrize("method", ["guided", "policy"])
 def test_native_scenes_are_the_same_to_the_bit_in_any_place(method):
     """What banks and evaluations are made of; ten objects, some of whose scenes take longer than others."""
-    steps = make_sampler("dining", "table-0.40x0.50", method=method, engine="native").steps
+    steps = make_sampler("dining", support="table-0.40x0.50", method=method, engine="native").steps
     rollout, key, place = Rollout(), jax.random.key(0), np.arange(16)
     blocks = [rollout.run(steps, key, first + place, place < 16) for first in (0, 16, 32)]
     theirs = jax.tree.map(lambda *leaves: np.concatenate(leaves), *blocks)
