@@ -385,7 +385,7 @@ class SceneSpec:
         from cluttergen_jax.placement.problem import ProblemConfig, check_number
 
         pool = self.pool_text
-        chosen = self._chosen(pool)
+        chosen = self._choose_objects(pool)
         available = len(chosen) or len(find_pool(pool))
         weights = self._weights()
         is_drawn = self.shelf is not None or weights or self.balance != "objects" or available > MOST_ON_SHELF
@@ -439,7 +439,7 @@ class SceneSpec:
 
         return parse_weights(str(self.weights))
 
-    def _chosen(self, pool: str) -> tuple[str, ...]:
+    def _choose_objects(self, pool: str) -> tuple[str, ...]:
         """The names of the objects that are chosen; none for all of the pool's."""
         from cluttergen_jax.assets.facts import chosen_names, is_plain_name
         from cluttergen_jax.assets.pool import find_pool

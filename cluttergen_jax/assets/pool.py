@@ -389,12 +389,12 @@ def _union(name: str, pools: list[Pool]) -> Pool:
         for name in pool.names
     ]
     licences = dict.fromkeys(pool.licence or "not stated" for pool in pools)
-    readers = {own: partial(_renamed, pool, name, own) for own, pool, name in called}
+    readers = {own: partial(_rename_object, pool, name, own) for own, pool, name in called}
     objects = StoredObjects(readers)
     kept = objects if len(objects) > MOST_READ else tuple(objects)
     return Pool(name, kept, pools[0].tier, "; ".join(licences))
 
 
-def _renamed(pool: Pool, name: str, own: str) -> ObjectAsset:
+def _rename_object(pool: Pool, name: str, own: str) -> ObjectAsset:
     asset = pool[name]
     return asset if name == own else replace(asset, name=own)

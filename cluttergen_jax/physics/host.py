@@ -164,7 +164,7 @@ class SwappablePhysics(HostPhysics):
 class NumberedEngines:
     """Engines of worlds of one size, each known by a number; the one that was asked last is at hand.
 
-    What is compiled around `numbered` serves all of them: the number may be traced.
+    What is compiled around `with_number` serves all of them: the number may be traced.
 
     Args:
       num_objects: K of every world; config: when an object stands still.
@@ -180,7 +180,7 @@ class NumberedEngines:
         self.settle_one = host_function(partial(self._batch, "settle_batch"), settling)
         self.stand_one = host_function(partial(self._batch, "stand_batch"), standing)
 
-    def numbered(self, number: Array) -> HostPhysics:
+    def with_number(self, number: Array) -> HostPhysics:
         """The physics of the world of a number, i32."""
         return _Numbered(self, number)
 

@@ -86,7 +86,7 @@ class Rules(struct.PyTreeNode, eq=False):
         """The simulator of this world."""
         if isinstance(self.physics, NumberedEngines):
             assert self.engine is not None
-            return self.physics.numbered(self.engine)
+            return self.physics.with_number(self.engine)
         return self.physics
 
     def begin(

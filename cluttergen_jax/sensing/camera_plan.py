@@ -82,7 +82,7 @@ class CameraPlan:
         """
         width, height = self.size
         if self.stored is not None:
-            return _placed(self.stored, self.size, support, rng)
+            return _place_camera(self.stored, self.size, support, rng)
         focal = REALSENSE_FOCAL * width / REALSENSE_SIZE[0]
         if self.kind == "free":
             return free(support, rng, width, height, focal)
@@ -108,7 +108,7 @@ def parse_cameras(asked: Sequence[str | Path], size: Size | None = None) -> tupl
         raise ConfigError(f"cameras = {asked!r}", "one camera or more", _HINT)
     plans: list[CameraPlan] = []
     for text in map(str, asked):
-        plans += _read_file(Path(text), size) if text.endswith(".json") else _named(text, size)
+        plans += _read_file(Path(text), size) if text.endswith(".json") else _plans_by_name(text, size)
     names = [plan.name for plan in plans]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -118,7 +118,7 @@ def parse_cameras(asked: Sequence[str | Path], size: Size | None = None) -> tupl
     return tuple(plans)
 
 
-def _named(text: str, size: Size | None) -> list[CameraPlan]:
+def _plans_by_name(text: str, size: Size | None) -> list[CameraPlan]:
     match = re.fullmatch(r"([a-z]+)(?::(\d+))?", text)
     if match is None or match[1] not in _NAMED:
         raise ConfigError(
@@ -189,7 +189,7 @@ def _check(path: Path, each: _Stored) -> None:
         )
 
 
-def _placed(stored: _Stored, size: Size, support: SupportAsset, rng: np.random.Generator) -> Camera:
+def _place_camera(stored: _Stored, size: Size, support: SupportAsset, rng: np.random.Generator) -> Camera:
     width, height = size
     middle = np.array([*support.region.center, support.top])
     origin = middle if stored.frame == "region" else np.zeros(3)

@@ -433,7 +433,7 @@ def test_numbered_engines_are_each_asked_for_their_own_scenes():
     engines = NumberedEngines(1, StabilityConfig(), Engine)
 
     def settle(number, poses):
-        return engines.numbered(number).settle(poses, jnp.ones(1, bool), 0, True)
+        return engines.with_number(number).settle(poses, jnp.ones(1, bool), 0, True)
 
     poses = jnp.zeros((5, 1, 7))
     numbers = jnp.array([4, 2, 4, 2, 2])
@@ -443,5 +443,7 @@ def test_numbered_engines_are_each_asked_for_their_own_scenes():
     alone = jax.jit(jax.vmap(settle, in_axes=(None, 0)))(jnp.int32(4), poses)
     np.testing.assert_array_equal(alone.num_steps, np.full(5, 4))
     assert made == [2, "free 2", 4]
-    at_once = engines.numbered(4).settle_batch(np.zeros((2, 1, 7)), np.ones((2, 1)), np.zeros(2), np.ones(2))
+    at_once = engines.with_number(4).settle_batch(
+        np.zeros((2, 1, 7)), np.ones((2, 1)), np.zeros(2), np.ones(2)
+    )
     np.testing.assert_array_equal(at_once.num_steps, [4, 4])

@@ -94,7 +94,7 @@ def setup_of(bank: Bank, **changes: Any) -> Setup:
     Raises:
       BankError: the bank does not say how it was made, or the bank that it started from is gone.
     """
-    names, config, keep_out, standing = _asked(bank)
+    names, config, keep_out, standing = _read_request(bank)
     if config.shelf:
         # All objects that its scenes have, in one world.
         names, config = bank.object_names, replace(config, shelf=0, weights=(), balance="")
@@ -110,7 +110,7 @@ def shelves_of(bank: Bank) -> Shelves:
       BankError: the bank does not say how it was made.
       PoolError: its pool is gone, or has lost objects that could be drawn.
     """
-    names, config, keep_out, _ = _asked(bank)
+    names, config, keep_out, _ = _read_request(bank)
     pool = find_pool(config.pool).select(names)
     readers = {
         name: partial(bank.object, name)
@@ -122,7 +122,7 @@ def shelves_of(bank: Bank) -> Shelves:
     return Shelves(replace(pool, objects=StoredObjects(readers, known)), config, bank.support, keep_out)
 
 
-def _asked(bank: Bank) -> tuple[Sequence[str], ProblemConfig, list[Rectangle], Standing | None]:
+def _read_request(bank: Bank) -> tuple[Sequence[str], ProblemConfig, list[Rectangle], Standing | None]:
     """Of a bank: names of the objects, the problem, boxes to keep out of, and what stands there already."""
     recipe = bank.recipe
     try:
