@@ -126,7 +126,7 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
     if shape.is_pose_free and (turn := _usual_turn(solid, mass)) is not None:
         rotation, note = turn
         shape = replace(shape.rotate(rotation), notes=(*shape.notes, note))
-        solid, mass = _rotate_solid(solid, rotation), mass.transform(rotation, np.zeros(3))
+        solid, mass = solid.rotate(rotation), mass.transform(rotation, np.zeros(3))
     best: _Candidate | None = None
     first: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
@@ -217,7 +217,7 @@ def _candidate(
     corners: int = MAX_BASE_CORNERS,
 ) -> _Candidate:
     parts, rotation = _at_rest(raw, mass, corners)
-    turned = _rotate_solid(solid, rotation)
+    turned = solid.rotate(rotation)
     if shape.cavity is not None:
         hollow: Hollow | None = known_hollow(shape.cavity).transform(rotation, np.zeros(3))
     elif shape.parts is not None and not shape.is_from_file:
@@ -271,13 +271,6 @@ def _draft(parts: list[np.ndarray], mass: MassProperties) -> ObjectAsset:
         cloud=np.zeros((CLOUD_SIZE, 3), np.float32),
         resting=(RestingPose((1.0, 0.0, 0.0, 0.0), 0.0, 1.0),),
         provenance=_NOWHERE,
-    )
-
-
-def _rotate_solid(solid: Solid, rotation: np.ndarray) -> Solid:
-    still = np.zeros(3)
-    return Solid(
-        solid.mesh.transform(rotation, still), solid.is_exact, solid.surface.transform(rotation, still)
     )
 
 

@@ -11,7 +11,7 @@ import manifold3d
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.cloud import sample_solid, sample_surface
+from cluttergen_jax.assets.cloud import sample_exposed, sample_solid
 from cluttergen_jax.assets.config import ALARM_FACTOR
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of, sound_points
@@ -29,9 +29,7 @@ def sample_parts(parts: Sequence[np.ndarray], count: int, seed: int) -> np.ndarr
 
     Faces along which parts touch, or nearly so, are no surface of the object: nothing can get there.
     """
-    mesh = surface_of(parts)
-    points = sample_surface(mesh, 3 * count, seed)
-    return points[Voxels.of(mesh).is_exposed(points)][:count]
+    return sample_exposed(surface_of(parts), count, seed, is_convex=len(parts) == 1)
 
 
 def surface_of(parts: Sequence[np.ndarray]) -> Mesh:
@@ -60,13 +58,18 @@ def deviation(parts: Sequence[np.ndarray], solid: Solid, seed: int = 0) -> float
     """
     dense = NUM_SAMPLES * _DENSITY
     on_solid, on_parts = sample_solid(solid, dense, seed), sample_parts(parts, dense, seed + 1000)
-    there = cKDTree(on_parts).query(on_solid[:NUM_SAMPLES])[0]
-    back = cKDTree(on_solid).query(on_parts[:NUM_SAMPLES])[0].max()
+    there = _tree(on_parts).query(on_solid[:NUM_SAMPLES])[0]
+    back = _tree(on_solid).query(on_parts[:NUM_SAMPLES])[0].max()
     if solid.is_exact and there.max() > back:
         # Pieces that only touch are united with a gap between them, which nothing can enter.
         is_outer = Voxels.of(solid.mesh, _FINE).is_exposed(on_solid[:NUM_SAMPLES])
         there = there[is_outer]
     return float(max(there.max(initial=0.0), back) / solid.diagonal)
+
+
+def _tree(points: np.ndarray) -> cKDTree:
+    """Asked so little, a tree that is made quickly is the quicker one."""
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
 def size_alarm(surface: np.ndarray, colliding: np.ndarray) -> str:
