@@ -224,7 +224,7 @@ def _candidate(
         # A modelled object without a cavity has none.
         hollow = None
     else:
-        hollow = find_hollow(turned)
+        hollow = None if solid.is_convex else find_hollow(turned)
     is_judged = hollow is not None and config.tier == "standard"
     return _Candidate(
         raw=raw,
