@@ -286,6 +286,7 @@ def _asset(
         _draft([], mass),
         name=shape.name,
         label=shape.label,
+        synset=shape.synset,
         pieces=orient_faces(surfaces, solid),
         cloud=surface_cloud(solid, config.seed),
         provenance=shape.provenance,
