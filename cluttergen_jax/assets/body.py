@@ -30,6 +30,7 @@ _FLAT = np.radians(0.5)
 # Scans are drawn with fewer triangles than they have; below this share it is said.
 _MUCH_FEWER = 0.5
 _FEWER_CORNERS = (8, 6, 5, 4)
+_FOOT_LOSS = 0.015
 # How flags begin that hold for the pose alone.
 NOT_STABLE = "placed alone it is stable in"
 _OF_POSE = ("does not stand as authored", "its parts ", "a 10 mm ball", NOT_STABLE)
@@ -92,8 +93,9 @@ def make_object(shape: Shape, config: BodyConfig | None = None) -> ObjectAsset:
     """The body of a shape: parts, mass, resting frame, cloud and what was measured about them.
 
     The author's own parts are taken if they are sound: nowhere farther than 5 % of the diagonal from the
-    mesh, any cavity open, and upright by themselves. Else CoACD's, and if those are not, a finer
-    decomposition; the best of them is kept and its faults are flagged.
+    mesh, any cavity open, and upright by themselves. Else parts that follow from its shape (`exact_parts`), else
+    CoACD's, and if those are not sound, a finer decomposition's; the best of them is kept and its faults are
+    flagged.
 
     Raises:
       AssetError: nothing with a volume can be made of the surfaces.
@@ -216,7 +218,8 @@ def _candidate(
     config: BodyConfig,
     corners: int = MAX_BASE_CORNERS,
 ) -> _Candidate:
-    parts, rotation = _at_rest(raw, mass, corners)
+    # Who models an object knows what its feet need.
+    parts, rotation = _at_rest(raw, mass, corners, _FOOT_LOSS if shape.is_from_file else np.inf)
     turned = solid.rotate(rotation)
     if shape.cavity is not None:
         hollow: Hollow | None = known_hollow(shape.cavity).transform(rotation, np.zeros(3))
@@ -238,7 +241,7 @@ def _candidate(
 
 
 def _at_rest(
-    raw: list[np.ndarray], mass: MassProperties, corners: int
+    raw: list[np.ndarray], mass: MassProperties, corners: int, foot_loss: float
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Finished parts in the orientation in which they come to rest, and the turn from the authored one.
 
@@ -247,15 +250,15 @@ def _at_rest(
     """
     rotation = settled_turn(_draft(finish_parts(raw, None), mass))
     if tilt_of(rotation) > MAX_TILT:
-        kept = settled_turn(_draft(finish_parts(raw, corners), mass))
+        kept = settled_turn(_draft(finish_parts(raw, corners, foot_loss=foot_loss), mass))
         rotation = kept if tilt_of(kept) < tilt_of(rotation) else rotation
     for _ in range(4):
-        parts = finish_parts([points @ rotation.T for points in raw], corners)
+        parts = finish_parts([points @ rotation.T for points in raw], corners, foot_loss=foot_loss)
         more = settled_turn(_draft(parts, mass.transform(rotation, np.zeros(3))))
         if tilt_of(more) < _FLAT:
             return parts, rotation
         rotation = more @ rotation
-    return finish_parts([points @ rotation.T for points in raw], corners), rotation
+    return finish_parts([points @ rotation.T for points in raw], corners, foot_loss=foot_loss), rotation
 
 
 def _draft(parts: list[np.ndarray], mass: MassProperties) -> ObjectAsset:

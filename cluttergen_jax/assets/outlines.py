@@ -13,6 +13,8 @@ _FACTORS = (1.0, 0.5, 0.2)
 _FAR = 10.0
 """Metres: farther than any object reaches."""
 _STRAIGHT, _NOTHING = 1e-6, 1e-6
+_MOST_CUT = 64
+"""Pieces: of areas with more, cuts cost too much."""
 
 
 def signed_area(ring: np.ndarray) -> float:
@@ -96,7 +98,7 @@ def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 def convex_pieces(rings: list[np.ndarray]) -> list[np.ndarray]:
     """Convex polygons, f64[N, 2] each, that fill the area inside of outlines, by the better of two ways."""
     joined = _joined_triangles(rings)
-    return _cut_along_edges(rings, len(joined)) or joined
+    return _cut_along_edges(rings, min(len(joined), _MOST_CUT)) or joined
 
 
 def _cut_along_edges(rings: list[np.ndarray], most: int) -> list[np.ndarray]:

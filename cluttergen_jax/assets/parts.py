@@ -14,11 +14,9 @@ from cluttergen_jax.assets.mesh import Mesh
 BOTTOM_REACH = 0.003
 _THIN_SHARE = 0.15
 _MIN_THICKNESS = 0.0004
-# A wide base keeps its outline; of a small foot four corners are enough, and MuJoCo has nothing to choose. It
-# has more where it would lose so much, over the size of the object.
+# A wide base keeps its outline; of a small foot four corners are enough, and MuJoCo has nothing to choose.
 MAX_BASE_CORNERS = 12
 _FOOT_CORNERS = (4, 6, 8)
-_FOOT_LOSS = 0.03
 _FOOT_SHARE = 0.5
 _OUTLINE_TOLERANCE = 0.04
 
@@ -156,11 +154,18 @@ def _corners(outline: np.ndarray, count: int) -> list[int]:
 
 
 def finish_parts(
-    parts: Sequence[np.ndarray], base_corners: int | None, count: int = MAX_PART_VERTICES
+    parts: Sequence[np.ndarray],
+    base_corners: int | None,
+    count: int = MAX_PART_VERTICES,
+    foot_loss: float = np.inf,
 ) -> list[np.ndarray]:
     """Parts of at most `count` vertices each; their common bottom flat, with at most `base_corners`.
 
     With `base_corners` None bottoms are left as they are.
+
+    Args:
+      foot_loss: over the size of all, how far a small foot may lie inside of what it was; else it keeps more
+        than four corners.
     """
     if base_corners is None:
         return [reduce_vertices(points, None, count) for points in parts]
@@ -169,7 +174,7 @@ def finish_parts(
     hulls = [sound_points(points) for points in parts]
     feet = [points[points[:, 2] < bottom + 1e-6] for points in hulls]
     wide = _FOOT_SHARE * _width(np.concatenate(feet))
-    lost = _FOOT_LOSS * float(np.linalg.norm(np.ptp(np.concatenate(hulls), axis=0)))
+    lost = foot_loss * float(np.linalg.norm(np.ptp(np.concatenate(hulls), axis=0)))
     plain = [
         with_plain_bottom(points, bottom, base_corners)
         if _width(foot) >= wide

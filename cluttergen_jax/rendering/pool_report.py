@@ -91,7 +91,8 @@ def _card(asset: ObjectAsset) -> str:
     if quality.solo_rate is not None:
         measured.append(f"stands alone {100 * quality.solo_rate:.0f} %")
     kind = " class=flagged" if asset.flags else ""
-    told = "".join(f"<p>{html.escape(line)}</p>" for line in (asset.label, "; ".join(measured)))
+    label = f"{asset.label} ({asset.synset})" if asset.synset else asset.label
+    told = "".join(f"<p>{html.escape(line)}</p>" for line in (label, "; ".join(measured)))
     origin = f"{provenance.source}; {provenance.licence or 'licence not stated'}"
     return (
         f'<article{kind}><img loading="lazy" alt="" src="data:image/jpeg;base64,{picture}"><div>'
