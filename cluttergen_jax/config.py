@@ -30,6 +30,8 @@ Method = Literal[
 METHODS: tuple[Method, ...] = get_args(Method)
 TRUSTED_METHODS = ("spread", "guided")
 """Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
+GEOMETRIC_METHODS = ("random", "clear", "drop", *TRUSTED_METHODS)
+"""Those that see no clouds: objects may be released in any pose."""
 HAND = "hand"
 """The method of banks that people made; it proposes nothing by itself."""
 Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
@@ -51,6 +53,7 @@ Balance = Literal["objects", "label", "licence", "source"]
 Containment = Literal["center", "footprint"]
 Overhang = Literal["any", "half", "none"]
 Height = Literal["rest", "free"]
+Poses = Literal["upright", "resting", "any"]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args
 
 from cluttergen_jax.config import (
+    GEOMETRIC_METHODS,
     HAND,
     METHODS,
     ROBUST_TILT,
@@ -21,6 +22,7 @@ from cluttergen_jax.config import (
     Method,
     Order,
     Overhang,
+    Poses,
     Setting,
     StabilityConfig,
     check_engine,
@@ -85,6 +87,7 @@ class SceneOptions(EnvOptions, total=False):
     natural: bool
     tidy: bool
     height: Height
+    poses: Poses
 
 
 class PlaceOptions(TypedDict, total=False):
@@ -172,6 +175,9 @@ class SceneSpec:
         "guided", "spread").
       height: from which `random` releases an object: "rest", 1 mm above its resting height on the bare top;
         or "free", anywhere in the region's range of heights.
+      poses: how objects are released, but for a turn about the vertical: "upright"; "resting", in one of
+        their resting poses, as often as they end in it when they are thrown; or "any", in any orientation,
+        from which they settle (methods "random", "clear", "drop", "spread", "guided").
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
         the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
         embedded. If not given: the checkpoint's own, else "guided" ("spread" where no checkpoint of it is
@@ -209,6 +215,7 @@ class SceneSpec:
     natural: bool = False
     tidy: bool = False
     height: Height = "rest"
+    poses: Poses = "upright"
     method: Method | None = None
     checkpoint: str | Path | None = None
     engine: Engine = "auto"
@@ -291,6 +298,7 @@ class SceneSpec:
             natural=rules.get("natural", cls.natural),
             tidy=rules.get("tidy", cls.tidy),
             height=rules.get("height", cls.height),
+            poses=rules.get("poses", cls.poses),
             method=None if recipe["method"] == HAND else recipe["method"],
             checkpoint=recipe.get("checkpoint"),
             engine=recipe["engine"],
@@ -349,6 +357,9 @@ class SceneSpec:
         if self.height != "rest" and method != "random":
             given = f"height = {self.height!r} with method {method!r}"
             raise ConfigError(given, "height='rest'", "method='random'")
+        if self.poses != "upright" and method not in GEOMETRIC_METHODS:
+            given, allowed = f"poses = {self.poses!r} with method {method!r}", ", ".join(GEOMETRIC_METHODS)
+            raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
         wanted = [name for name in ("clutter", "natural", "tidy") if getattr(self, name)]
         if wanted and method not in TRUSTED_METHODS:
             given = f"`{wanted[0]}` with method {method!r}"
@@ -463,6 +474,7 @@ class SceneSpec:
             natural=self.natural,
             tidy=self.tidy,
             height=self.height,
+            poses=self.poses,
         )
 
 

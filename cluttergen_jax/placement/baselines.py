@@ -71,11 +71,11 @@ class Random(struct.PyTreeNode, eq=False):
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.rules.Proposer`."""
         key_position, key_turn = jax.random.split(key)
-        region, focus = episode.region, self.rules.focus(episode)
+        region = episode.region
         xy = jax.random.uniform(key_position, (2,), minval=-1.0) * region.half_extents
         yaw = jax.random.uniform(key_turn, maxval=2 * jnp.pi)
         height, height_range = (
-            self.rules.geometry.half_extents[focus, 2] + CLEARANCE,
+            self.rules.body(episode).height + CLEARANCE,
             self.rules.height_range(episode),
         )
         if self.rules.config.height == "free":

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, get_args
 
-from cluttergen_jax.config import Containment, Height, Order, Overhang, Reward
+from cluttergen_jax.config import Containment, Height, Order, Overhang, Poses, Reward
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
 
@@ -29,7 +29,7 @@ _ALWAYS_RECORDED = 8
 """So many fields come first in every record; the others where they are not at their defaults."""
 CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
 OVERHANGS = get_args(Overhang)
-HEIGHTS = get_args(Height)
+HEIGHTS, POSES = get_args(Height), get_args(Poses)
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,8 @@ class PlacementConfig:
         the cost of `drop`, instead of drawing uniformly.
       height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;
         or "free", anywhere in the region's range of heights.
+      poses: in which objects are released, but for a turn about z: "upright"; "resting", a resting pose drawn
+        anew for each attempt; or "any" (`placement.orientations`).
     """
 
     num_objects: int = 10
@@ -83,6 +85,7 @@ class PlacementConfig:
     natural: bool = False
     tidy: bool = False
     height: str = "rest"
+    poses: str = "upright"
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
@@ -116,6 +119,7 @@ class PlacementConfig:
             ("reward", self.reward, REWARDS),
             ("overhang", self.overhang, OVERHANGS),
             ("height", self.height, HEIGHTS),
+            ("poses", self.poses, POSES),
         ):
             if value not in allowed:
                 raise ConfigError(

@@ -78,7 +78,8 @@ class HeightMapper(struct.PyTreeNode):
             that are given the same one have maps of the same size.
         """
         if radius is None:
-            radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
+            found = geometry if geometry.orientations is None else geometry.orientations
+            radius = np.linalg.norm(np.asarray(found.half_extents)[..., :2], axis=-1).max()
         half = np.asarray(region.half_extents, np.float64)
         inverse = np.asarray(region.T_world_region.inverse().as_matrix())
         cell, shape = map_cells(
@@ -96,25 +97,26 @@ class HeightMapper(struct.PyTreeNode):
         # Poses of objects that are not placed may be anything.
         T_world_object = from_pose(jnp.where(is_placed[:, None], poses, jnp.eye(7)[3]))
         T_region_object = region.T_world_region.inverse() @ T_world_object
-        turn = T_region_object.rotation().as_matrix()[self.geometry.surface_owner]
-        shift = T_region_object.translation()[self.geometry.surface_owner]
-        points = jnp.moveaxis(self.geometry.surface, -1, 0)
+        surface, owner = self.geometry.surfaces_at(poses)
+        turn = T_region_object.rotation().as_matrix()[owner]
+        shift = T_region_object.translation()[owner]
+        points = jnp.moveaxis(surface, -1, 0)
         x, y, z = (
             sum(turn[:, axis, k, None] * points[k] for k in range(3)) + shift[:, axis, None]
             for axis in range(3)
         )
         index = bare.index_of(x, y)
-        height = jnp.where(is_placed[self.geometry.surface_owner][:, None], z, VOID)
+        height = jnp.where(is_placed[owner][:, None], z, VOID)
         if with_owner:
-            return self._with_owner(bare, index, height)
+            return self._with_owner(bare, index, height, owner)
         raised = bare.height.reshape(-1).at[index.reshape(-1)].max(height.reshape(-1), mode="drop")
         return bare.replace(height=_with_void_border(raised.reshape(self.shape)))
 
-    def _with_owner(self, bare: HeightMap, index: Array, height: Array) -> HeightMap:
+    def _with_owner(self, bare: HeightMap, index: Array, height: Array, owner: Array) -> HeightMap:
         """Height and owner packed into one whole number, so that one pass finds both."""
         nobody = self.geometry.num_objects
         packed = _pack(bare.height, jnp.int32(nobody)).reshape(-1)
-        points = _pack(height, self.geometry.surface_owner[:, None])
+        points = _pack(height, owner[:, None])
         packed = packed.at[index.reshape(-1)].max(points.reshape(-1), mode="drop").reshape(self.shape)
         micrometres, owner = packed >> _OWNER_BITS, packed & (2**_OWNER_BITS - 1)
         height = jnp.where(micrometres <= -_DEEPEST, VOID, micrometres * 1e-6)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -21,21 +18,20 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines
-from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.support_map import SupportMap
-from cluttergen_jax.placement.types import Geometry, Start
+from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import NUM_COLUMN_SAMPLES, World, columns_of, make_world, repeat_objects
+from cluttergen_jax.placement.world_geometry import geometry_of, on_device, pad_geometry
 
 SMALLEST_REGION = 0.02
 MOST_CROWDED = 8.0
 """Footprints over the region's area from which a request is refused. Objects overhang and stand on others:
 `drop` fills 2 of 16 tables with ten of dining at 1.7, none at 4.2; only a stack of plates gets farther."""
-_RUN = 64
-_TOUCHING = 1e-4
 
 
 @dataclass(frozen=True)
@@ -163,12 +159,16 @@ def compose(
     cut = columns_of if sizes is None else sizes.cut
     world = make_world([*objects, *standing], support, config.stability, config.contact, cut)
     physics: Physics | NumberedEngines
-    geometry = geometry_of(world)
+    orientations = None
+    if (kind := config.placement.poses) != "upright":
+        orientations = make_orientations(world.objects, world.layout, config.stability, kind, cut)
+    geometry = geometry_of(world, orientations)
     if sizes is None:
         physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
     else:
         physics = sizes.physics
-        geometry = pad_geometry(geometry, NUM_COLUMN_SAMPLES, _round_up(len(geometry.surface)))
+        runs = geometry.surface if orientations is None else orientations.surface
+        geometry = pad_geometry(geometry, NUM_COLUMN_SAMPLES, _round_up(len(runs)))
     rules = Rules(
         config=config.placement,
         physics=physics,
@@ -231,79 +231,6 @@ def keep_out_of(boxes: Sequence[Rectangle]) -> KeepOut:
             yaw=np.array([box.yaw for box in boxes]),
         )
     )
-
-
-def on_device(arrays: Any) -> Any:
-    """A pytree of NumPy arrays as JAX's, f64 as f32.
-
-    They are moved as they are: `jnp.asarray` would compile a program for each shape.
-    """
-    narrowed = jax.tree.map(lambda a: a.astype(np.float32) if a.dtype == np.float64 else a, arrays)
-    return jax.device_put(narrowed)
-
-
-def geometry_of(world: World) -> Geometry:
-    """The world's objects as arrays, columns padded to the longest."""
-    most = max(len(columns.sample) for columns in world.columns)
-
-    def pad(arrays: list[np.ndarray]) -> np.ndarray:
-        return np.stack([np.pad(a, [(0, most - len(a))] + [(0, 0)] * (a.ndim - 1)) for a in arrays])
-
-    runs = [_surface_runs(columns) for columns in world.columns]
-    owner = np.repeat(np.arange(len(runs), dtype=np.int32), [len(run) for run in runs])
-    boxes = [(*box.center, *box.half_extents, box.yaw) for box in world.support.boxes]
-    found = Geometry(
-        half_extents=np.stack([asset.half_extents for asset in world.objects]),
-        center_of_mass=world.layout.center_of_mass,
-        own_margin=np.array([_own_margin(asset) for asset in world.objects]),
-        cloud=np.stack([asset.cloud for asset in world.objects]),
-        column_xy=pad([columns.xy[columns.sample] for columns in world.columns]),
-        column_bottom=pad([columns.bottom[columns.sample] for columns in world.columns]),
-        is_column=pad([np.ones(len(columns.sample), bool) for columns in world.columns]),
-        surface=np.concatenate(runs),
-        surface_owner=owner,
-        boxes=np.array(boxes),
-        top=np.array(world.support.top),
-    )
-    return on_device(found)
-
-
-def pad_geometry(geometry: Geometry, num_columns: int, num_runs: int) -> Geometry:
-    """The same objects in longer arrays: columns that are none, and runs of surface that come again.
-
-    Raises:
-      ValueError: they are longer already.
-    """
-    columns = num_columns - geometry.is_column.shape[1]
-    runs = num_runs - len(geometry.surface)
-    if min(columns, runs) < 0:
-        raise ValueError(f"{-columns} columns or {-runs} runs of surface too many")
-    again = jnp.minimum(jnp.arange(num_runs), len(geometry.surface) - 1)
-    return geometry.replace(
-        column_xy=jnp.pad(geometry.column_xy, ((0, 0), (0, columns), (0, 0))),
-        column_bottom=jnp.pad(geometry.column_bottom, ((0, 0), (0, columns))),
-        is_column=jnp.pad(geometry.is_column, ((0, 0), (0, columns))),
-        surface=geometry.surface[again],
-        surface_owner=geometry.surface_owner[again],
-    )
-
-
-def _own_margin(asset: ObjectAsset) -> float:
-    """Metres: the support margin of an object that stands in its own frame on a flat table."""
-    vertices = np.concatenate([part.vertices for part in asset.parts])
-    bottom = vertices[vertices[:, 2] < vertices[:, 2].min() + _TOUCHING]
-    return support_margin(bottom[:, :2] - asset.center_of_mass[:2])
-
-
-def num_runs_of(columns: HeightProfile) -> int:
-    """In how many runs an object's upper surface stands in `Geometry.surface`."""
-    return -(-len(columns.surface) // _RUN)
-
-
-def _surface_runs(columns: HeightProfile) -> np.ndarray:
-    """f64[M, 64, 3]: an object's grown upper surface, padded with its first point."""
-    padding = np.repeat(columns.surface[:1], -len(columns.surface) % _RUN, axis=0)
-    return np.concatenate([columns.surface, padding]).reshape(-1, _RUN, 3)
 
 
 Standing = tuple[Sequence[ObjectAsset], np.ndarray]

@@ -84,13 +84,19 @@ def action_scale(region: Region, height_range: Array) -> tuple[Array, Array]:
     return lower, jnp.append(2 * region.half_extents, height_range)
 
 
-def pose_of_action(action: Array, region: Region, height_range: Array) -> Array:
-    """The world pose f32[7] that an action in (0,1)^4 proposes for the object's origin (docs/contract.md)."""
+def pose_of_action(
+    action: Array, region: Region, height_range: Array, quaternion: Array | None = None
+) -> Array:
+    """The world pose f32[7] that an action in (0,1)^4 proposes for the object's origin (docs/contract.md).
+
+    Args:
+      quaternion: f32[4], wxyz, the orientation that is turned about z; None for upright.
+    """
     lower, size = action_scale(region, height_range)
-    yaw = 2 * jnp.pi * action[3]
-    T_region_object = jaxlie.SE3.from_rotation_and_translation(
-        jaxlie.SO3.from_z_radians(yaw), lower + action[:3] * size
-    )
+    rotation = jaxlie.SO3.from_z_radians(2 * jnp.pi * action[3])
+    if quaternion is not None:
+        rotation = rotation @ jaxlie.SO3(quaternion)
+    T_region_object = jaxlie.SE3.from_rotation_and_translation(rotation, lower + action[:3] * size)
     return to_pose(region.T_world_region @ T_region_object)
 
 

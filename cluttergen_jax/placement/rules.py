@@ -27,7 +27,7 @@ from cluttergen_jax.placement.support_graph import (
     supported_by,
 )
 from cluttergen_jax.placement.support_map import SupportMap, most_beyond, shares_beyond
-from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start, Transition
+from cluttergen_jax.placement.types import Body, Counts, Episode, Geometry, History, Start, Transition
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 _OWN_SHARE = 1 / 3
@@ -111,7 +111,7 @@ class Rules(struct.PyTreeNode, eq=False):
         if region is None and self.draw_region is not None:
             # Orders are those of unchanged regions; `fold_in` of 0 or 1 would be a key of the split again.
             region = self.draw_region(jax.random.fold_in(key, 2))
-        return Episode(
+        episode = Episode(
             key=key_episode,
             region=self.region if region is None else region,
             keep_out=no_keep_out() if keep_out is None else keep_out,
@@ -136,6 +136,7 @@ class Rules(struct.PyTreeNode, eq=False):
             drift=jnp.float32(0),
             support_graph=empty_graph(self.geometry),
         )
+        return self._with_orientation(episode, jax.random.fold_in(key, 3))
 
     @property
     def _num_counted(self) -> int:
@@ -187,6 +188,16 @@ class Rules(struct.PyTreeNode, eq=False):
         """i32: the current object (of a finished episode: some object)."""
         return jnp.maximum(episode.object_index[self._slot(episode)], 0)
 
+    def body(self, episode: Episode) -> Body:
+        """The current object as it is released next (of a finished episode: some object)."""
+        return Body.of(self.geometry, self.focus(episode), episode.orientation)
+
+    def _with_orientation(self, episode: Episode, key: Array) -> Episode:
+        """The episode with an orientation drawn for its current object, where not all are upright."""
+        if self.geometry.orientations is None:
+            return episode
+        return episode.replace(orientation=self.geometry.orientations.draw(key, self.focus(episode)))
+
     def _slot(self, episode: Episode) -> Array:
         """i32: the current slot (of a finished episode: some slot)."""
         return jnp.minimum(episode.slot, self.num_slots - 1)
@@ -194,6 +205,8 @@ class Rules(struct.PyTreeNode, eq=False):
     def height_range(self, episode: Episode) -> Array:
         """f32, metres: the tallest placed object's height plus that of the current object."""
         heights = 2 * self.geometry.half_extents[:, 2]
+        if self.geometry.orientations is not None:
+            heights = jnp.max(2 * self.geometry.orientations.half_extents[..., 2], axis=1)
         return jnp.max(jnp.where(episode.is_placed, heights, 0.0)) + heights[self.focus(episode)]
 
     def attempt(self, episode: Episode, action: Array) -> tuple[Episode, Transition]:
@@ -214,7 +227,8 @@ class Rules(struct.PyTreeNode, eq=False):
     def release(self, episode: Episode, action: Array) -> tuple[Array, Array, Array, Array]:
         """What `Physics.settle` is asked in an attempt: its four arguments, in their order."""
         focus = self.focus(episode)
-        proposed = pose_of_action(action, episode.region, self.height_range(episode))
+        quaternion = self.body(episode).quaternion
+        proposed = pose_of_action(action, episode.region, self.height_range(episode), quaternion)
         poses, is_placed = episode.poses.at[focus].set(proposed), episode.is_placed.at[focus].set(True)
         return poses, is_placed, focus, ~episode.is_over
 
@@ -236,6 +250,9 @@ class Rules(struct.PyTreeNode, eq=False):
         after = self._commit(after, focus, settling, is_stable)
         after = self._count(after, episode.slot, settling, verdict, reward)
         after = self._take_apart(after)
+        # Those who step an episode by themselves need not change its key.
+        key = jax.random.fold_in(jax.random.fold_in(episode.key, 3), after.counts.attempts.sum())
+        after = self._with_orientation(after, key)
         after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, episode)
         transition = Transition(
             slot=self._slot(episode),
@@ -274,7 +291,8 @@ class Rules(struct.PyTreeNode, eq=False):
         """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
-        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * self.geometry.own_margin)
+        own = self.geometry.own_margins_at(settling.poses)
+        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * own)
         return ~jnp.any(is_judged & (settling.margin < asked))
 
     def _push(self, episode: Episode, action: Array, height_range: Array, settling: Settling) -> Episode:

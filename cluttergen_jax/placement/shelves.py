@@ -194,7 +194,8 @@ class Shelves:
         check_region(region, support)
         check_keep_out(keep_out, region)
         check_number(config.placement.num_objects, config.shelf, config.pool)
-        sizes = [0.5 * float(np.hypot(*each.size[:2])) for each in pool.facts]
+        sides = 2 if config.placement.poses == "upright" else 3
+        sizes = [0.5 * float(np.linalg.norm(each.size[:sides])) for each in pool.facts]
         self._worlds = ShelfWorlds(config, support, max(sizes), keep_out_of(keep_out), pool.__getitem__)
         self._numbers = {name: number for number, name in enumerate(pool.names)}
         self._latest: tuple[tuple[str, ...], Setup] | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import jaxlie
 import numpy as np
 from flax import struct
 
@@ -68,11 +69,25 @@ def shares_beyond(support_map: SupportMap, geometry: Geometry, poses: Array) -> 
     The footprint is a sample: its columns, twice as dense along its outline, as in the object's own frame.
     The edge is known to half a cell of `SupportMap`.
     """
-    points = jnp.concatenate([geometry.column_xy, geometry.column_bottom[..., None]], axis=-1)
+    points, is_point = _footprints(geometry, poses)
     T_world_object = from_pose(poses)
     turn, shift = T_world_object.rotation().as_matrix()[:, :2], T_world_object.translation()[:, None, :2]
     xy = jnp.einsum("kab,kpb->kpa", turn, points) + shift
-    return share_beyond(support_map, xy, geometry.is_column)
+    return share_beyond(support_map, xy, is_point)
+
+
+def _footprints(geometry: Geometry, poses: Array) -> tuple[Array, Array]:
+    """f32[K, C, 3], object frames, and bool[K, C]: the under-sides of objects as they lie at world poses."""
+    found = geometry.orientations
+    if found is None:
+        points = jnp.concatenate([geometry.column_xy, geometry.column_bottom[..., None]], axis=-1)
+        return points, geometry.is_column
+    rows, which = jnp.arange(geometry.num_objects), geometry.orientations_at(poses)
+    points = jnp.concatenate(
+        [found.column_xy[rows, which], found.column_bottom[rows, which][..., None]], axis=-1
+    )
+    turn = jaxlie.SO3(found.quaternion[rows, which]).as_matrix()
+    return jnp.einsum("kpa,kab->kpb", points, turn), found.is_column[rows, which]
 
 
 def top_boxes_of(geometry: Geometry) -> np.ndarray:

@@ -2,10 +2,61 @@
 
 from __future__ import annotations
 
+import jax
+import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.types import Array, Settling
+
+
+class Orientations(struct.PyTreeNode):
+    """K objects in P orientations each; a turn about z follows. The first one is upright.
+
+    The frame of an orientation has the object's origin, and its z axis points up.
+
+    Attributes:
+      is_one: bool[K, P], False for those that fill the arrays up.
+      log_weight: f32[K, P], with which one is drawn; -inf for those in which nothing is released.
+      quaternion: f32[K, P, 4], wxyz, from the object frame to the orientation's.
+      half_extents: f32[K, P, 3], of the box around the object along the orientation's axes, metres.
+      height: f32[K, P], metres, of the origin above the lowest point.
+      center_of_mass: f32[K, P, 3], the orientation's frame, metres.
+      own_margin: f32[K, P], metres, see `Geometry`.
+      column_xy: f32[K, P, C, 2]; column_bottom: f32[K, P, C]; is_column: bool[K, P, C]: the under-side in the
+        orientation's frame, see `Geometry`.
+      surface: f32[M, P, 64, 3]; surface_owner: i32[M]: the upper surface in each orientation, in the object
+        frame, see `Geometry`.
+    """
+
+    is_one: Array
+    log_weight: Array
+    quaternion: Array
+    half_extents: Array
+    height: Array
+    center_of_mass: Array
+    own_margin: Array
+    column_xy: Array
+    column_bottom: Array
+    is_column: Array
+    surface: Array
+    surface_owner: Array
+
+    def draw(self, key: Array, index: Array) -> Array:
+        """i32: an orientation of object `index`, i32."""
+        return jax.random.categorical(key, self.log_weight[index]).astype(jnp.int32)
+
+    def nearest(self, quaternions: Array) -> Array:
+        """i32[K]: the orientation that is nearest to how each object lies, world wxyz f32[K, 4]."""
+        up = _up_in_object(quaternions)
+        likeness = jnp.sum(_up_in_object(self.quaternion) * up[:, None], axis=-1)
+        return jnp.argmax(jnp.where(self.is_one, likeness, -2.0), axis=1).astype(jnp.int32)
+
+
+def _up_in_object(quaternion: Array) -> Array:
+    """f32[..., 3]: which direction of the object points up."""
+    w, x, y, z = (quaternion[..., axis] for axis in range(4))
+    return jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
 class Geometry(struct.PyTreeNode):
@@ -22,6 +73,7 @@ class Geometry(struct.PyTreeNode):
         object frame, metres, in runs of one object each; a run that is not full repeats a point.
       boxes: f32[B, 7]: the support's boxes: centre, half extents, yaw; world, metres, radians.
       top: f32, height of the support's top, metres.
+      orientations: in which the objects are released; None where all are released upright.
     """
 
     half_extents: Array
@@ -35,11 +87,81 @@ class Geometry(struct.PyTreeNode):
     surface_owner: Array
     boxes: Array
     top: Array
+    orientations: Orientations | None = None
 
     @property
     def num_objects(self) -> int:
         """K."""
         return self.half_extents.shape[0]
+
+    def orientations_at(self, poses: Array) -> Array:
+        """i32[K]: the orientation that is nearest to how each object lies at world poses f32[K, 7]."""
+        assert self.orientations is not None
+        return self.orientations.nearest(poses[:, 3:])
+
+    def own_margins_at(self, poses: Array) -> Array:
+        """f32[K], metres: `own_margin` of the objects as they lie at world poses f32[K, 7]."""
+        if self.orientations is None:
+            return self.own_margin
+        rows = jnp.arange(self.num_objects)
+        return self.orientations.own_margin[rows, self.orientations_at(poses)]
+
+    def surfaces_at(self, poses: Array) -> tuple[Array, Array]:
+        """`surface` and `surface_owner` of the objects as they lie at world poses f32[K, 7]."""
+        found = self.orientations
+        if found is None:
+            return self.surface, self.surface_owner
+        which = self.orientations_at(poses)[found.surface_owner]
+        return found.surface[jnp.arange(len(which)), which], found.surface_owner
+
+
+class Body(struct.PyTreeNode):
+    """One object as it is released, but for its turn about z: in the frame of its orientation.
+
+    Attributes:
+      quaternion: f32[4], wxyz, from the object frame; None where it is upright.
+      half_extents: f32[3], of its box, metres.
+      height: f32, metres, of its origin above its lowest point.
+      center_of_mass: f32[3], metres.
+      own_margin: f32, metres.
+      column_xy: f32[C, 2]; column_bottom: f32[C]; is_column: bool[C]: its under-side.
+    """
+
+    quaternion: Array | None
+    half_extents: Array
+    height: Array
+    center_of_mass: Array
+    own_margin: Array
+    column_xy: Array
+    column_bottom: Array
+    is_column: Array
+
+    @staticmethod
+    def of(geometry: Geometry, index: Array, orientation: Array | None) -> Body:
+        """Object `index`, i32, in an orientation, i32; None where all are upright."""
+        found = geometry.orientations
+        if found is None:
+            half = geometry.half_extents[index]
+            return Body(
+                quaternion=None,
+                half_extents=half,
+                height=half[2],
+                center_of_mass=geometry.center_of_mass[index],
+                own_margin=geometry.own_margin[index],
+                column_xy=geometry.column_xy[index],
+                column_bottom=geometry.column_bottom[index],
+                is_column=geometry.is_column[index],
+            )
+        return Body(
+            quaternion=found.quaternion[index, orientation],
+            half_extents=found.half_extents[index, orientation],
+            height=found.height[index, orientation],
+            center_of_mass=found.center_of_mass[index, orientation],
+            own_margin=found.own_margin[index, orientation],
+            column_xy=found.column_xy[index, orientation],
+            column_bottom=found.column_bottom[index, orientation],
+            is_column=found.is_column[index, orientation],
+        )
 
 
 class Start(struct.PyTreeNode):
@@ -130,6 +252,8 @@ class Episode(struct.PyTreeNode):
       verdict: i32, the latest attempt's verdict; once all slots are filled, the last check's.
       drift: f32, metres, the largest movement in the last check.
       support_graph: what carries what.
+      orientation: i32, of `Geometry.orientations`, that in which the current object is released next; None
+        where all are released upright.
     """
 
     key: Array
@@ -148,6 +272,7 @@ class Episode(struct.PyTreeNode):
     verdict: Array
     drift: Array
     support_graph: SupportGraph
+    orientation: Array | None = None
 
     @property
     def num_slots(self) -> Array:

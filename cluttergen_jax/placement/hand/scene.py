@@ -372,7 +372,7 @@ def _begin(rules: Rules, key: Array, keep_out: Any, start: Any) -> Episode:
 @jax.jit
 def _lower(rules: Rules, mapper: HeightMapper, episode: Episode, candidates: Candidates) -> Any:
     heights = mapper(episode.region, episode.poses, episode.is_placed)
-    return lower_onto(under_side(rules, rules.focus(episode)), heights, candidates)
+    return lower_onto(under_side(rules.body(episode)), heights, candidates)
 
 
 @jax.jit

@@ -130,7 +130,10 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         if rules.config.clutter is None:
             return logits, asked
         rest = found.scores.fit.rest
-        at = Placing.of(episode, rules.geometry, focus, found.candidates, rest, candidates.supporters)
+        quaternion = rules.body(episode).quaternion
+        at = Placing.of(
+            episode, rules.geometry, focus, quaternion, found.candidates, rest, candidates.supporters
+        )
         remaining, added = remaining_and_added(rules.config.clutter, at)
         least = self.config.least_trust
         missed, missed_by_all = (shortfall(remaining, added, trust >= level) for level in (asked, least))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import jaxlie
 from flax import struct
 
 from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, nearest_gaps, seen_shares
@@ -40,11 +41,17 @@ class Placing(struct.PyTreeNode):
         episode: Episode,
         geometry: Geometry,
         focus: Array,
+        quaternion: Array | None,
         candidates: Candidates,
         rest: Array,
         supporters: Supporters,
     ) -> Placing:
-        """Args: focus: i32, the current object; rest: f32[N], from `lower_onto`, metres."""
+        """See the attributes.
+
+        Args:
+          focus: i32, the current object; quaternion: its orientation (`Body`).
+          rest: f32[N], from `lower_onto`, metres.
+        """
         T_world_region = episode.region.T_world_region
         turn, shift = T_world_region.rotation().as_matrix(), T_world_region.translation()
         cos, sin = jnp.cos(candidates.yaw), jnp.sin(candidates.yaw)
@@ -57,6 +64,8 @@ class Placing(struct.PyTreeNode):
             ],
             axis=1,
         )
+        if quaternion is not None:
+            axes = jaxlie.SO3(quaternion).as_matrix().T @ axes
         center = jnp.concatenate([candidates.xy, rest[:, None]], axis=1)
         return Placing(
             episode=episode,
