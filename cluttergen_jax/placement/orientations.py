@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,8 +14,9 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import product, rotation_matrix, yaw_quaternion
+from cluttergen_jax.physics import make_physics
+from cluttergen_jax.physics.host import BatchEngine
 from cluttergen_jax.physics.layout import Layout
-from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.types import Orientations
 from cluttergen_jax.placement.world_geometry import own_margin_of, surface_runs
 from cluttergen_jax.types import Verdict
@@ -47,8 +49,8 @@ def make_orientations(
         spread evenly over the sphere, of which any may point up.
       cut: makes columns.
     """
-    engine = NativePhysics(layout, replace(stability, robust_tilt=0.0))
-    lying = _verified([_recorded(asset) for asset in objects], objects, engine)
+    engine = cast(BatchEngine, make_physics(layout, replace(stability, robust_tilt=0.0), "native"))
+    lying = _verified([_recorded(asset) for asset in objects], objects, layout, engine)
     engine.free()
     number = MAX_RESTING
     if kind == "any":
@@ -88,12 +90,12 @@ def _recorded(asset: ObjectAsset) -> list[_Pose]:
 
 
 def _verified(
-    recorded: list[list[_Pose]], objects: Sequence[ObjectAsset], engine: NativePhysics
+    recorded: list[list[_Pose]], objects: Sequence[ObjectAsset], layout: Layout, engine: BatchEngine
 ) -> list[list[_Pose]]:
     """Those resting poses that are stable, each as the object lies after it has settled; upright always."""
-    settled = _settled(recorded, objects, engine, _NEAR)
+    settled = _settled(recorded, objects, layout, engine, _NEAR)
     result = []
-    for index, poses in enumerate(_settled(settled, objects, engine, _SAME)):
+    for index, poses in enumerate(_settled(settled, objects, layout, engine, _SAME)):
         kept = [recorded[index][0]]
         for before, pose in list(zip(settled[index], poses, strict=True))[1:]:
             is_new = max(float(pose.up @ other.up) for other in kept) < _SAME
@@ -104,14 +106,17 @@ def _verified(
 
 
 def _settled(
-    poses: list[list[_Pose]], objects: Sequence[ObjectAsset], engine: NativePhysics, likeness: float
+    poses: list[list[_Pose]],
+    objects: Sequence[ObjectAsset],
+    layout: Layout,
+    engine: BatchEngine,
+    likeness: float,
 ) -> list[list[_Pose]]:
     """How each object lies after it has settled alone from each of its poses, without a turn about z.
 
     Stable are those that stand, by the rule of attempts, in every turn, with an up that is as near as
     `likeness`, a cosine, to what it was.
     """
-    layout = engine.layout
     which = [(k, p) for k, each in enumerate(poses) for p in range(len(each))]
     focus = np.repeat([k for k, _ in which], _TRIALS)
     rows = np.arange(len(focus))
