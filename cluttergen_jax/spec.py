@@ -34,6 +34,7 @@ from cluttergen_jax.config import (
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, MOST_UNASKED, RUIN_AFTER, PlacementConfig
+from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
@@ -88,6 +89,8 @@ class SceneOptions(EnvOptions, total=False):
     tidy: bool
     height: Height
     poses: Poses
+    relations: Sequence[str]
+    roles: str | Mapping[str, str]
 
 
 class PlaceOptions(TypedDict, total=False):
@@ -178,6 +181,12 @@ class SceneSpec:
       poses: how objects are released, but for a turn about the vertical: "upright"; "resting", in one of
         their resting poses, as often as they end in it when they are thrown; or "any", in any orientation,
         from which they settle (methods "random", "clear", "drop", "spread", "guided").
+      relations: what must hold in every scene (methods "guided", "spread"): "mug on book", "apple in bowl",
+        "fork left_of plate", "cup next_to bottle:0.05", "knife aligned fork". There are on, under, in,
+        next_to, far_from, left_of, right_of, in_front_of, behind (with metres of gap if wanted) and aligned.
+        A name is an object's, a role's or "any"; the same name is the same object.
+      roles: names in relations and the condition of the objects that each may stand for, as those of
+        `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
         the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
         embedded. If not given: the checkpoint's own, else "guided" ("spread" where no checkpoint of it is
@@ -216,6 +225,8 @@ class SceneSpec:
     tidy: bool = False
     height: Height = "rest"
     poses: Poses = "upright"
+    relations: Sequence[str] = ()
+    roles: str | Mapping[str, str] = ""
     method: Method | None = None
     checkpoint: str | Path | None = None
     engine: Engine = "auto"
@@ -246,17 +257,22 @@ class SceneSpec:
             pairs = ((str(name), float(weight)) for name, weight in self.weights.items())
             object.__setattr__(self, "weights", "; ".join(f"{name}={weight!r}" for name, weight in pairs))
         self._weights()
+        if isinstance(self.roles, Mapping):
+            named = "; ".join(f"{name}={condition}" for name, condition in self.roles.items())
+            object.__setattr__(self, "roles", named)
+        check_names(self.relations, "relations")
         if self.method is not None and self.method not in METHODS:
             raise no_such("method", self.method, METHODS)
         # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
-        for name in ("objects", "exclude", "keep_out"):
+        for name in ("objects", "exclude", "keep_out", "relations"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         for name in ("pool", "support"):
             object.__setattr__(self, name, str(getattr(self, name)))
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
         # With no number of objects yet, a budget for one is enough; of too many, the pool says what it has.
-        self._placement(1 if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
+        least = max(1, len(conditions_of(parse_roles(self.roles), parse_relations(self.relations))))
+        self._placement(least if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
 
     @classmethod
     def from_recipe(cls, recipe: Mapping[str, Any]) -> SceneSpec:
@@ -299,6 +315,8 @@ class SceneSpec:
             tidy=rules.get("tidy", cls.tidy),
             height=rules.get("height", cls.height),
             poses=rules.get("poses", cls.poses),
+            relations=tuple(rules.get("relations", ())),
+            roles=dict(rules.get("roles", ())),
             method=None if recipe["method"] == HAND else recipe["method"],
             checkpoint=recipe.get("checkpoint"),
             engine=recipe["engine"],
@@ -360,7 +378,9 @@ class SceneSpec:
         if self.poses != "upright" and method not in GEOMETRIC_METHODS:
             given, allowed = f"poses = {self.poses!r} with method {method!r}", ", ".join(GEOMETRIC_METHODS)
             raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
-        wanted = [name for name in ("clutter", "natural", "tidy") if getattr(self, name)]
+        wanted = [
+            name for name in ("clutter", "natural", "tidy", "relations", "roles") if getattr(self, name)
+        ]
         if wanted and method not in TRUSTED_METHODS:
             given = f"`{wanted[0]}` with method {method!r}"
             raise ConfigError(given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}")
@@ -475,6 +495,8 @@ class SceneSpec:
             tidy=self.tidy,
             height=self.height,
             poses=self.poses,
+            relations=tuple(self.relations),
+            roles=parse_roles(self.roles),
         )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from cluttergen_jax.assets.facts import ObjectFacts
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
@@ -22,10 +23,19 @@ from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
+from cluttergen_jax.placement.related import RelatedObjects
+from cluttergen_jax.placement.relations import can_be_filled, candidates_of, conditions_of, parse_relations
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.support_map import SupportMap
 from cluttergen_jax.placement.types import Start
-from cluttergen_jax.placement.world import NUM_COLUMN_SAMPLES, World, columns_of, make_world, repeat_objects
+from cluttergen_jax.placement.world import (
+    MAX_OBJECTS,
+    NUM_COLUMN_SAMPLES,
+    World,
+    columns_of,
+    make_world,
+    repeat_objects,
+)
 from cluttergen_jax.placement.world_geometry import geometry_of, on_device, pad_geometry
 
 SMALLEST_REGION = 0.02
@@ -153,6 +163,7 @@ def compose(
         clutter.check(wanted + len(standing))
     if wanted > len(objects):
         objects = repeat_objects(objects, wanted)
+    objects, related = _relate(config, objects)
     region = config.region or support.region
     if min(region.half_extents) * 2 < SMALLEST_REGION:
         raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`")
@@ -180,8 +191,28 @@ def compose(
         if config.change == "none"
         else ChangedRegion(find_change(config.change), region, support.region, support.top),
         support_map=None if config.placement.overhang == "any" else SupportMap.of(geometry),
+        related=related,
     )
     return Problem(config, world, rules, region)
+
+
+def _relate(
+    config: ProblemConfig, objects: Sequence[ObjectAsset]
+) -> tuple[Sequence[ObjectAsset], RelatedObjects | None]:
+    """What is related, and the objects, repeated until each role has its own if they may be."""
+    relations, roles = parse_relations(config.placement.relations), config.placement.roles
+    if not relations and not roles:
+        return objects, None
+    conditions = conditions_of(roles, relations)
+    copies = 1
+    while config.repeat and not can_be_filled(
+        candidates_of(conditions, [ObjectFacts.of(each) for each in (*objects,) * copies])
+    ):
+        copies += 1
+        if copies * len(objects) > MAX_OBJECTS:
+            break
+    objects = (*objects,) * copies
+    return objects, RelatedObjects.of(relations, roles, [ObjectFacts.of(each) for each in objects])
 
 
 def _round_up(number: int) -> int:
