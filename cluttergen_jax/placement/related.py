@@ -268,7 +268,7 @@ def allowed_at(
 def leaves_room(
     related: RelatedObjects, objects: Array, focus: Array, xy: Array, half_extents: Array, region: Region
 ) -> Array:
-    """bool[N]: whether the region goes on where those would be that are placed beside the current object later.
+    """bool[N]: whether the region goes on where things would be that come beside the current object later.
 
     Args:
       objects: i32[Q]; focus: i32; xy: f32[N, 2], candidates in the region frame; half_extents: f32[K, 3].
