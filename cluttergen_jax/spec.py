@@ -263,6 +263,9 @@ class SceneSpec:
         check_names(self.relations, "relations")
         if self.method is not None and self.method not in METHODS:
             raise no_such("method", self.method, METHODS)
+        if self.start is not None and (self.relations or self.roles):
+            given = "`relations` with a scene to start from"
+            raise ConfigError(given, "one or the other", "leaving out `start`")
         # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
         for name in ("objects", "exclude", "keep_out", "relations"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
@@ -436,6 +439,9 @@ class SceneSpec:
                 most = min(len(chosen) or len(find_pool(pool)), MOST_ON_SHELF)
                 given = f"{self.num_objects} objects of a shelf of {shelf}"
                 raise ConfigError(given, f"1 to {shelf}", f"shelf={min(most, 2 * (self.num_objects or 0))}")
+            if self.relations or self.roles:
+                given = "`relations` with a shelf of objects that each block draws"
+                raise ConfigError(given, "one or the other", "fewer `objects` and no `shelf`")
             if self.repeat:
                 given = "`repeat` with a shelf of objects that each block draws"
                 raise ConfigError(
