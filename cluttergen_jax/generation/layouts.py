@@ -30,8 +30,8 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     objects: dict[str, str]
     title: str = ""
     relations: list[str] = []
-    pool: str = SceneSpec.pool
-    support: str = SceneSpec.support
+    pool: str = str(SceneSpec.pool)
+    support: str = str(SceneSpec.support)
     region: str | None = None
     others: int = 0
 

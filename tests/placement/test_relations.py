@@ -16,7 +16,7 @@ from cluttergen_jax.generation.layouts import list_layouts, read_layout
 from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.placement.related import RelatedObjects, hold
-from cluttergen_jax.placement.relations import KINDS, Relation, order_of, parse_relations, parse_roles
+from cluttergen_jax.placement.relations import Relation, order_of, parse_relations, parse_roles
 from cluttergen_jax.scene.bank import read_scenes
 from cluttergen_jax.spec import SceneSpec
 
@@ -66,7 +66,7 @@ def test_every_role_has_its_own_object_that_fits():
         parse_roles("a=mug*; b=any_of*; c=*"),
         facts("mug", "mug_2", "any_of_1", "other"),
     )
-    drawn = np.array([related.draw(jax.random.key(seed)) for seed in range(40)])
+    drawn = np.asarray(jax.jit(jax.vmap(related.draw))(jax.random.split(jax.random.key(0), 40)))
     fits = np.asarray(related.candidates)
     for objects in drawn:
         assert len(set(objects.tolist())) == 3
@@ -91,10 +91,10 @@ def boxes(center, yaw: float = 0.0, half=(0.02, 0.05, 0.03)) -> Boxes:
 @pytest.mark.parametrize(
     ("text", "place", "expected"),
     [
-        ("a right_of b", (0.2, 0.05, 0.0), True),
-        ("a right_of b", (0.2, 0.25, 0.0), False),
+        ("a right_of b", (0.18, 0.05, 0.0), True),
+        ("a right_of b", (0.18, 0.2, 0.0), False),
         ("a right_of b", (0.3, 0.0, 0.0), False),
-        ("a left_of b", (-0.2, 0.05, 0.0), True),
+        ("a left_of b", (-0.18, 0.05, 0.0), True),
         ("a behind b", (0.05, 0.2, 0.0), True),
         ("a in_front_of b", (0.05, -0.2, 0.0), True),
         ("a in_front_of b", (0.05, 0.2, 0.0), False),
@@ -191,6 +191,3 @@ def test_relations_hold_in_scenes_that_succeed(tmp_path):
         x, y, _ = (scene.poses[place["wine_glass"]] - scene.poses[place["dinner_plate"]])[:3]
         assert y > 0
         assert abs(x) <= y + 1e-5
-    assert set(KINDS) >= {
-        str(each).split()[1] for each in parse_relations(tuple(bank.recipe["placement"]["relations"]))
-    }
