@@ -171,6 +171,8 @@ def _files(added: Iterable[pa.Field]) -> str:
         "- `scenes-*.parquet`: a row per scene, failures included, in row groups of 256; "
         "a file each of those, or one of many in a large bank.",
         "- `assets/`: every object once (surfaces, images, convex parts, mass, inertia), and the support.",
+        "- `bank_reader.py`: reads the bank with NumPy and pyarrow alone, beside any MuJoCo from 2.3.7 on: "
+        "`from bank_reader import Bank`, or `python bank_reader.py`.",
         "- `scenes/`: if present, an MJCF file (and a picture) for each scene that stands; poses are in "
         "the bodies and in the keyframe `scene`.",
         "",
