@@ -36,6 +36,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+if int(pa.__version__.partition(".")[0]) < 15:
+    raise ImportError(f"bank_reader needs pyarrow 15 or newer, and this is {pa.__version__}")
 FORMAT = 1
 """Of banks; newer ones are refused."""
 _FORMATS = (1, 2)
@@ -47,6 +49,8 @@ _NAME, _IMAGE = re.compile(r"[a-z0-9_-]+(#\d+)?"), re.compile(r"[a-z0-9_-]+\.png
 _LISTS = ("objects", "is_placed", "poses")
 _COLUMNS = ("index", "is_success", "verdict", *_LISTS)
 _AGAIN = "the same `cluttergen generate` again, which mends a bank, or a copy that is whole"
+_WAIT = (50.0, 10.0, 0.1)
+"""Metres: from which x on and at which z objects wait that a scene lacks, and the gap between two."""
 _NEWEST = "3.17"
 """MuJoCo whose words are written where none is installed."""
 _TOUCH, _SOLVER = ("friction", "solref", "solimp", "condim"), ("impratio", "iterations", "noslip_iterations")
@@ -254,7 +258,11 @@ class Bank:
 
     def reset(self, rng: np.random.Generator | int) -> Scene:
         """A scene that succeeded, all equally likely, drawn with a generator of NumPy, or a seed."""
-        return self.scene(np.random.default_rng(rng).choice(self.arrays.index))
+        place = np.random.default_rng(rng).integers(len(self.arrays.index))
+        index, objects, is_placed, poses = (each[place] for each in self.arrays)
+        names = tuple(self.names[number] for number in objects[is_placed])
+        poses = poses[is_placed].astype(np.float64)
+        return Scene(int(index), True, "stable", names, objects[is_placed], poses, ())
 
     def reset_jax(self, key: Any) -> SceneArrays:
         """A scene that succeeded, all equally likely, drawn with a key of JAX; to be compiled and mapped.
@@ -263,6 +271,32 @@ class Bank:
         to a compiled `lambda arrays, key: arrays.reset(key)`.
         """
         return self._device_arrays.reset(key)
+
+    def state(self, scene: SceneArrays) -> tuple[Any, Any]:
+        """How a scene begins in the model of all objects, `model()`: one of `reset_jax`, or of `arrays`.
+
+        Returns:
+          f[7 K], its qpos; f[K, 6], newtons, for `xfrc_applied[2:]`: what holds the objects that it lacks.
+        """
+        used, waiting, weight = self._crowd
+        is_it = (scene.object_index[:, None] == used) & scene.is_placed[:, None]
+        is_there = is_it.any(0)[:, None]
+        poses = (is_it[..., None] * scene.poses[:, None]).sum(0)
+        return (is_there * poses + ~is_there * waiting).ravel(), ~is_there * weight
+
+    @cached_property
+    def _crowd(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Objects of scenes that stand, i32[K]; where they wait, f32[K, 7]; what holds them, f32[K, 6]."""
+        used = np.unique(self.arrays.object_index[self.arrays.is_placed])
+        assets = [self.asset(self.names[number]) for number in used]
+        poses, weight = np.zeros((len(used), 7), np.float32), np.zeros((len(used), 6), np.float32)
+        with _reading(self.path):
+            vertices = [np.concatenate([np.array(part) for part in each.record["parts"]]) for each in assets]
+            radius = np.array([np.linalg.norm(each, axis=1).max() for each in vertices])
+            weight[:, 2] = [asset.record["mass"] * self.recipe["contact"]["gravity"] for asset in assets]
+        poses[:, 0] = _WAIT[0] + np.cumsum(2 * radius + _WAIT[2]) - radius
+        poses[:, 2], poses[:, 3] = _WAIT[1], 1
+        return used, poses, weight
 
     @cached_property
     def _device_arrays(self) -> SceneArrays:
@@ -292,28 +326,38 @@ class Bank:
         """What the objects stand on (BankError: a file of it is missing or not what was written)."""
         return self._read_asset("support", "assets/support", "support.json", "assets/support")
 
-    def xml(self, index: int, *, version: str = "", assets: str = "") -> str:
+    def xml(self, index: int | None = None, *, version: str = "", assets: str = "") -> str:
         """MJCF of a scene: each object a free body, poses in the bodies and in the keyframe `scene`.
 
         Options, contacts and the detector of collisions are those of files that `cluttergen generate` writes.
 
         Args:
-          index: of a scene that succeeded.
+          index: of a scene that succeeded. Without it, the text is of all objects that such scenes have, in
+            the order of `names`; they wait in the air, where they touch nothing, for the `state` of a scene.
           version: of the MuJoCo that will read it, such as "3.5.0"; of the one installed if not given.
           assets: the folder `assets`, seen from where the text will lie; its absolute path if not given.
 
         Raises:
           BankError: there is no such scene, it failed, or an asset is damaged.
         """
-        scene = self.scene(index)
-        if not scene.is_success:
-            raise BankError(f"scene {index} of {self.path} failed ({scene.verdict})", "one of `successes()`")
+        if index is None:
+            names, poses = [self.names[number] for number in self._crowd[0]], self._crowd[1]
+        else:
+            scene = self.scene(index)
+            names, poses = list(scene.names), scene.poses
+            if not scene.is_success:
+                raise BankError(
+                    f"scene {index} of {self.path} failed ({scene.verdict})", "those that succeeded"
+                )
+        numbers = tuple(map(int, re.findall(r"\d+", version or _installed())[:3]))
+        if not numbers:
+            raise BankError(f"version {version!r} of MuJoCo", "numbers such as 3.5.0")
         folder = assets or (self.path / "assets").absolute().as_posix()
-        support, objects = self.support, [self.asset(name) for name in scene.names]
+        support, objects = self.support, [self.asset(name) for name in names]
         with _reading(self.path):
-            return _mjcf(self, scene, support, objects, version or _installed(), folder)
+            return _mjcf(self, names, objects, poses, support, numbers, folder)
 
-    def model(self, index: int) -> Any:
+    def model(self, index: int | None = None) -> Any:
         """`xml(index)`, compiled by the MuJoCo installed here (BankError: there is none, or it refuses)."""
         try:
             import mujoco
@@ -323,7 +367,7 @@ class Bank:
         try:
             return mujoco.MjModel.from_xml_string(text)
         except (ValueError, mujoco.FatalError) as error:
-            given = f"MuJoCo {mujoco.__version__} refuses scene {index} of {self.path} ({_line(error)})"
+            given = f"MuJoCo {mujoco.__version__} refuses a model of {self.path} ({_line(error)})"
             raise BankError(given, "2.3.7 or newer") from error
 
     @cached_property
@@ -423,20 +467,25 @@ class Bank:
         """A file of the bank that is what was written, as far as `bank.json` knows."""
         path, digest = self.path / name, self.record["files"].get(name)
         with _reading(path):
-            if not os.path.realpath(path).startswith(os.path.realpath(self.path) + os.sep):
-                raise ValueError("it leads out of the bank")
             if digest not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
                 raise ValueError("it is not what was written")
         return path
 
 
-def _mjcf(bank: Bank, scene: Scene, support: Asset, objects: list[Asset], version: str, folder: str) -> str:
-    """A scene's MJCF in the words of a version of MuJoCo; `folder` is where the bank's assets are."""
-    numbers = tuple(map(int, re.findall(r"\d+", version)[:3]))
+def _mjcf(
+    bank: Bank,
+    names: Sequence[str],
+    objects: Sequence[Asset],
+    poses: np.ndarray,
+    support: Asset,
+    version: tuple[int, ...],
+    folder: str,
+) -> str:
+    """MJCF in the words of a version of MuJoCo; `folder` is where the bank's assets are."""
     stability, contact = bank.recipe["stability"], bank.recipe["contact"]
     both = stability.get("both_detectors", False)
     # Flat surfaces need the word since MuJoCo 3.3, which those before refuse.
-    shell = ' inertia="shell"' if numbers >= (3, 3) else ""
+    shell = ' inertia="shell"' if version >= (3, 3) else ""
     files: dict[str, str] = {}
 
     def add_file(kind: str, name: str, file: Path, more: str) -> None:
@@ -465,7 +514,7 @@ def _mjcf(bank: Bank, scene: Scene, support: Asset, objects: list[Asset], versio
         place = _words(pos=box["center"], quat=turn, size=box["half_extents"], rgba=box["rgba"])
         bodies.append(f'<geom name="support.box-{number}" type="box" {place} {group}/>')
     bodies += [*geoms("support", support, f'{group} rgba="0.72 0.55 0.38 1"'), "</body>"]
-    for name, asset, pose in zip(scene.names, objects, scene.poses):
+    for name, asset, pose in zip(names, objects, poses):
         record, (x, y, z), part = asset.record, asset.record["inertia"], 'group="3"'
         if (friction := record.get("friction")) is not None:
             # It holds against all that has none of its own; of two such objects the more slippery decides.
@@ -483,11 +532,11 @@ def _mjcf(bank: Bank, scene: Scene, support: Asset, objects: list[Asset], versio
         cone=quoteattr(contact["cone"]),
         solver=_words(**{name: contact[name] for name in _SOLVER}),
         # The older detector, which before was the only one.
-        flag=' nativeccd="disable"' if both and numbers >= (3, 2, 3) else "",
+        flag=' nativeccd="disable"' if both and version >= (3, 2, 3) else "",
         touch=_words(**margin, **{name: contact[name] for name in _TOUCH}),
         files="\n".join(files.values()),
         bodies="\n".join(bodies),
-        qpos=_words(qpos=scene.poses),
+        qpos=_words(qpos=poses),
     )
 
 
