@@ -25,6 +25,7 @@ import re
 import sys
 from collections import Counter
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
@@ -88,7 +89,8 @@ class BankError(Exception):
         super().__init__(" ".join(f"{part}." for part in parts if part))
 
 
-class Scene(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Scene:
     """A scene of N placed objects, in the order of placement.
 
     Attributes:
@@ -158,7 +160,7 @@ class Asset(NamedTuple):
 class _Rows(NamedTuple):
     """S scenes as columns; the last three hold all their slots in a row, `num_slots` i64[S] of each."""
 
-    index: np.ndarray
+    number: np.ndarray
     is_success: np.ndarray
     verdict: np.ndarray
     num_slots: np.ndarray
@@ -245,7 +247,7 @@ class Bank:
         if not any(rows.is_success.any() for rows in parts):
             raise BankError(f"{self.path}: none of its {len(self)} scenes succeeded", "", "more scenes")
         rows = _Rows(*map(np.concatenate, zip(*parts)))
-        row = np.repeat(np.arange(len(rows.index)), rows.num_slots)
+        row = np.repeat(np.arange(len(rows.number)), rows.num_slots)
         is_kept = rows.is_placed & rows.is_success[row]
         scene = (np.cumsum(rows.is_success) - 1)[row[is_kept]]
         slot = np.arange(len(scene)) - np.searchsorted(scene, scene)
@@ -253,7 +255,7 @@ class Bank:
         object_index, poses = np.full(shape, -1, np.int32), np.zeros((*shape, 7), np.float32)
         poses[..., 3] = 1
         object_index[scene, slot], poses[scene, slot] = rows.object_index[is_kept], rows.poses[is_kept]
-        index = rows.index[rows.is_success].astype(np.int32)
+        index = rows.number[rows.is_success].astype(np.int32)
         return SceneArrays(index, object_index, object_index >= 0, poses)
 
     def reset(self, rng: np.random.Generator | int) -> Scene:
@@ -370,6 +372,31 @@ class Bank:
             given = f"MuJoCo {mujoco.__version__} refuses a model of {self.path} ({_line(error)})"
             raise BankError(given, "2.3.7 or newer") from error
 
+    def summary(self) -> str:
+        """What it holds, for people (BankError: it is damaged)."""
+        verdicts: Counter[str] = Counter()
+        used: set[str] = set()
+        number, half = 0, self.region["half_extents"]
+        for rows in self._read(self._convert, _COLUMNS):
+            verdicts.update(rows.verdict.tolist())
+            placed = np.unique(rows.object_index[rows.is_placed])
+            used.update(self.names[each].partition("#")[0] for each in placed)
+            number += int(rows.is_success.sum())
+        recipe, rest = self.recipe, f"; {_AGAIN.partition(',')[0]} makes the others"
+        made = (f"{name} {recipe.get(name)}" for name in ("pool", "support", "method", "seed"))
+        with _reading(self.path):
+            versions = [f"{name} {text}" for name, text in recipe.get("versions", {}).items()]
+        lines = {
+            "bank": ", ".join([str(self.path), *made]),
+            "versions": ", ".join(versions),
+            "scenes": f"{len(self)} of {self.num_asked} are there, {number} succeed",
+            "verdicts": ", ".join(f"{name} {count}" for name, count in verdicts.most_common()),
+            "objects": f"{len(used)}: {', '.join(sorted(used))}",
+            "region": f"{2 * half[0]:g} x {2 * half[1]:g} m",
+        }
+        lines["scenes"] += rest if len(self) < self.num_asked else ""
+        return "".join(f"{name:10} {text}\n" for name, text in lines.items())
+
     @cached_property
     def _places(self) -> dict[int, tuple[str, int]]:
         """By block, in order: its file, and its row group there."""
@@ -436,7 +463,7 @@ class Bank:
             slots = slice(end - int(rows.num_slots[place]), end)
             is_placed, objects = rows.is_placed[slots], rows.object_index[slots]
             yield Scene(
-                index=int(rows.index[place]),
+                index=int(rows.number[place]),
                 is_success=bool(rows.is_success[place]),
                 verdict=rows.verdict[place],
                 names=tuple(self.names[each] for each in objects[is_placed]),
@@ -558,8 +585,17 @@ def _line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-_CAUSES = (pa.ArrowException, ArithmeticError, AttributeError, LookupError, MemoryError, OSError)
-_CAUSES += (RecursionError, TypeError, ValueError)
+_CAUSES = (
+    pa.ArrowException,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
 
 
 @contextmanager
@@ -597,27 +633,6 @@ def _read_record(path: Path) -> dict[str, Any]:
     return record
 
 
-def summary(bank: Bank) -> str:
-    """What a bank holds, for people (BankError)."""
-    scenes, region = list(bank), bank.region
-    used = sorted({name.partition("#")[0] for scene in scenes for name in scene.names})
-    verdicts = Counter(scene.verdict for scene in scenes).most_common()
-    made = (f"{name} {bank.recipe.get(name)}" for name in ("pool", "support", "method", "seed"))
-    number = sum(scene.is_success for scene in scenes)
-    rest = f"; {_AGAIN.partition(',')[0]} makes the others" if len(scenes) < bank.num_asked else ""
-    lines = {
-        "bank": f"{bank.path}: {', '.join(made)}",
-        "versions": ", ".join(
-            f"{name} {number}" for name, number in dict(bank.recipe.get("versions", {})).items()
-        ),
-        "scenes": f"{len(scenes)} of {bank.num_asked} are there, {number} succeed{rest}",
-        "verdicts": ", ".join(f"{name} {number}" for name, number in verdicts),
-        "objects": f"{len(used)}: {', '.join(used)}",
-        "region": "{:g} x {:g} m".format(*(2 * half for half in region["half_extents"])),
-    }
-    return "".join(f"{name:10} {text}\n" for name, text in lines.items())
-
-
 def main(words: Sequence[str] | None = None) -> int:
     """The command line."""
     parser = argparse.ArgumentParser(description="What a bank of scenes holds, or one of its scenes as MJCF.")
@@ -626,10 +641,13 @@ def main(words: Sequence[str] | None = None) -> int:
     given = parser.parse_args(words)
     try:
         bank = Bank(given.folder)
-        print(summary(bank) if given.xml is None else bank.xml(given.xml), end="")
+        print(bank.summary() if given.xml is None else bank.xml(given.xml), end="", flush=True)
     except BankError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:
+        # Whoever read it has seen enough, `head` for instance.
+        os._exit(1)
     return 0
 
 

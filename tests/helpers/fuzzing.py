@@ -153,7 +153,7 @@ def _stand_alone(folder: Path) -> None:
     """With the reader that stands alone, whose error is its own."""
     try:
         bank = bank_reader.Bank(folder)
-        bank_reader.summary(bank)
+        bank.summary()
         _ = bank.arrays, bank.labels, bank.xml(0, version="3.17")
     except bank_reader.BankError as error:
         raise BankError(error.given) from error

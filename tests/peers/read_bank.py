@@ -12,7 +12,7 @@ import numpy as np
 sys.path.insert(0, sys.argv[1])
 from bank_reader import Bank
 
-SECONDS, MAX_SHIFT = 2.0, 0.005
+SECONDS, MAX_SHIFT, NUM_RESETS = 2.0, 0.005, 256
 
 
 def shift(model, qpos, applied=None):
@@ -38,21 +38,23 @@ arrays = bank.arrays
 one = type(arrays)(*(each[0] for each in arrays))
 shifts.append(shift(together, *bank.state(one)))
 assert max(shifts) < MAX_SHIFT, shifts
-words = [f"{len(shifts)} models of {len(bank)} scenes in MuJoCo {mujoco.__version__}"]
+words = [
+    f"{len(shifts)} models of {len(bank)} scenes moved by {1e3 * max(shifts):.2f} mm at most in {SECONDS:g} s"
+]
+words += [f"in MuJoCo {mujoco.__version__}"]
 if importlib.util.find_spec("jax"):
     import jax
 
-    keys = jax.random.split(jax.random.key(0), 64)
+    keys = jax.random.split(jax.random.key(0), NUM_RESETS)
     scenes = jax.jit(jax.vmap(bank.reset_jax))(keys)
     qpos, applied = jax.jit(jax.vmap(bank.state))(scenes)
-    assert qpos.shape == (64, together.nq)
-    assert applied.shape == (64, together.nbody - 2, 6)
-    assert set(np.asarray(scenes.index).tolist()) == set(arrays.index.tolist())
-    for place, index in enumerate(np.asarray(scenes.index).tolist()):
-        scene, is_placed = bank.scene(index), np.asarray(scenes.is_placed[place])
-        np.testing.assert_array_equal(
-            np.asarray(scenes.poses[place])[is_placed], scene.poses.astype(np.float32)
-        )
+    assert qpos.shape == (NUM_RESETS, together.nq)
+    assert applied.shape == (NUM_RESETS, together.nbody - 2, 6)
+    indices, places = np.unique(np.asarray(scenes.index), return_index=True)
+    assert indices.tolist() == arrays.index.tolist()
+    for index, place in zip(indices.tolist(), places.tolist()):  # noqa: B905, Python 3.8 has no `strict`
+        poses = np.asarray(scenes.poses[place])[np.asarray(scenes.is_placed[place])]
+        np.testing.assert_array_equal(poses, bank.scene(index).poses.astype(np.float32))
     assert shift(together, np.asarray(qpos[0]), np.asarray(applied[0])) < MAX_SHIFT
-    words.append(f"64 resets in JAX {jax.__version__}")
-print("; ".join(words))
+    words.append(f"{NUM_RESETS} resets in JAX {jax.__version__}")
+print(", ".join(words))

@@ -247,7 +247,7 @@ def test_shards_gaps_and_shelves_are_read(tmp_path):
     shutil.copy(tmp_path / "bank" / files[1], tmp_path / "kept")
     bank = bank_reader.Bank(tmp_path / "bank")
     assert (len(bank), bank.num_asked) == (3 * 256 + 7, 5 * 256)
-    assert "775 of 1280 are there" in bank_reader.summary(bank)
+    assert "775 of 1280 are there" in bank.summary()
     for index in (0, 300, 600, 1030):
         row = ours.rows([index])[index]
         assert bank.scene(index).names == row.objects
