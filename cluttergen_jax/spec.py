@@ -122,6 +122,7 @@ class EvaluateOptions(TypedDict, total=False):
     min_margin: float | None
     setting: Setting
     height: Height
+    poses: Poses
     checkpoint: str | Path | None
     engine: Engine
     num_threads: int
@@ -373,14 +374,18 @@ class SceneSpec:
             min_margin=min_margin if self.min_margin is None else self.min_margin,
         )
 
+    def check_poses(self, method: str) -> None:
+        """Refuses poses with a method that sees clouds of upright objects (ConfigError)."""
+        if self.poses != "upright" and method not in GEOMETRIC_METHODS:
+            given, allowed = f"poses = {self.poses!r} with method {method!r}", ", ".join(GEOMETRIC_METHODS)
+            raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
+
     def check_method(self, method: str) -> None:
         """Refuses what is asked of scenes that a method cannot bring about (ConfigError)."""
         if self.height != "rest" and method != "random":
             given = f"height = {self.height!r} with method {method!r}"
             raise ConfigError(given, "height='rest'", "method='random'")
-        if self.poses != "upright" and method not in GEOMETRIC_METHODS:
-            given, allowed = f"poses = {self.poses!r} with method {method!r}", ", ".join(GEOMETRIC_METHODS)
-            raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
+        self.check_poses(method)
         wanted = [
             name for name in ("clutter", "natural", "tidy", "relations", "roles") if getattr(self, name)
         ]

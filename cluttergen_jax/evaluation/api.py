@@ -131,6 +131,8 @@ def evaluate(
     ]
     if asked.height != "rest" and all(trial.method != "random" for trial in planned):
         raise ConfigError(f"height = {asked.height!r} without a row of 'random'", hint="methods=('random',)")
+    for trial in planned:
+        asked.check_poses(trial.method)
     folder = None if out is None else Path(out)
     runner = open_runner(
         folder, planned, asked.checkpoint, checkpoints, asked.engine, asked.num_threads, fresh
