@@ -14,7 +14,8 @@ BREAKFAST = """
 title: Breakfast for two
 pool: dining+kitchen
 support: table-1.00x0.70
-objects: {mine: dinner_plate, yours: dinner_plate, my_mug: mug, your_mug: mug, cereal: bowl, milk: milk_carton}
+objects:
+  {mine: dinner_plate, yours: dinner_plate, my_mug: mug, your_mug: mug, cereal: bowl, milk: milk_carton}
 relations:
   - yours right_of mine:0.30
   - my_mug behind mine
