@@ -36,3 +36,8 @@ if __name__ == "__main__":
     print(bank)
     cg.render("bank", "pictures", picture=False, sheet=True, columns=4)
     print(f"layouts that come with the package: {', '.join(cg.list_layouts())}")
+
+# %% [markdown]
+# ![Eight breakfasts for two](../docs/images/tutorials/breakfast.png)
+#
+# Rules and definitions: [poses, relations, layouts](../docs/guide/clutter.md).
