@@ -10,7 +10,8 @@ import numpy as np
 from scipy.ndimage import grey_closing
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.shading import collision_pieces
+from cluttergen_jax.assets.support import LEVEL, Rectangle, SupportAsset, Surface
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rectangle_corners, rotate_in_plane
 
@@ -97,7 +98,6 @@ def _corners(boxes: np.ndarray) -> np.ndarray:
 
 
 _OVERHANG = 0.01
-_LEVEL = 0.002
 _GRID = 41
 
 
@@ -112,7 +112,7 @@ class TopBounds(NamedTuple):
 def top_bounds_of(support: SupportAsset) -> TopBounds:
     """The smallest rectangle that holds all boxes of the support's top, and a centimetre more."""
     heights = [box.center[2] + box.half_extents[2] for box in support.boxes]
-    level = [box for box, z in zip(support.boxes, heights, strict=True) if abs(z - support.top) < _LEVEL]
+    level = [box for box, z in zip(support.boxes, heights, strict=True) if abs(z - support.top) < LEVEL]
     tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
     axes = rotate_in_plane(np.eye(2), -support.region.yaw)
     rim = np.concatenate([top.corners for top in tops]) @ axes
@@ -153,6 +153,77 @@ def check_keep_out(boxes: Sequence[Rectangle], region: Rectangle) -> None:
             "boxes that leave some of the queried region free",
             "smaller ones: X,Y,W,D are a centre and whole sides, in metres",
         )
+
+
+class SurfaceHeights(NamedTuple):
+    """What stands on a surface and what hangs over it, on a grid in the surface's frame.
+
+    Attributes:
+      ground: f64[W, H], metres above the surface's plane up to which a cell is filled; VOID where nothing
+        carries there; its border is VOID.
+      ceiling: f64[W, H], metres up to which the space above that is free; inf under the open sky.
+      origin: f64[2], where cell (0, 0) begins, metres; cell: its side, metres.
+    """
+
+    ground: np.ndarray
+    ceiling: np.ndarray
+    origin: np.ndarray
+    cell: float
+
+
+_AROUND = 0.4
+_TOUCH = 0.002
+
+
+def surface_heights(support: SupportAsset, surface: Surface) -> SurfaceHeights:
+    """A surface's surroundings, by the support's collision, 40 cm beyond its outline.
+
+    What reaches down to the surface, or to what stands on it, raises the ground; the rest hangs over it.
+    """
+    inverse = np.linalg.inv(surface.T_world_surface)
+    solids = [piece.mesh.transform(inverse[:3, :3], inverse[:3, 3]) for piece in collision_pieces(support)]
+    solids = [mesh for mesh in solids if mesh.bounds[1, 2] > _LOWEST]
+    corners = np.concatenate([mesh.vertices[:, :2] for mesh in solids])
+    low = np.maximum(corners.min(0), surface.polygon.min(0) - _AROUND)
+    high = np.minimum(corners.max(0), surface.polygon.max(0) + _AROUND)
+    cell = max(_CELL, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
+    shape = np.ceil((high - low) / cell - 1e-4).astype(int)
+    ground, ceiling = np.full(shape, VOID), np.full(shape, np.inf)
+    spans = [_span(mesh, low, cell, shape) for mesh in solids]
+    while True:
+        before = ground.copy()
+        for window, under, over in spans:
+            reaches = (under <= np.maximum(ground[window], 0.0) + _TOUCH) & (over > _LOWEST)
+            ground[window] = np.where(reaches, np.maximum(ground[window], over), ground[window])
+        if (ground == before).all():
+            break
+    for window, under, over in spans:
+        hangs = (under > np.maximum(ground[window], 0.0) + _TOUCH) & np.isfinite(over)
+        ceiling[window] = np.where(hangs, np.minimum(ceiling[window], under), ceiling[window])
+    width = int(_NARROW_GAP / cell) + 1
+    ground = grey_closing(np.pad(ground, width, constant_values=VOID), size=(width, width))
+    ceiling = np.pad(ceiling, width, constant_values=np.inf)
+    return SurfaceHeights(ground, ceiling, low - width * cell, cell)
+
+
+def _span(
+    mesh: Mesh, origin: np.ndarray, cell: float, shape: np.ndarray
+) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray]:
+    """Of a convex mesh the window of cells that it is over, and its lower and upper height in each."""
+    first = np.clip(np.floor((mesh.bounds[0, :2] - origin) / cell).astype(int), 0, shape - 1)
+    last = np.clip(np.ceil((mesh.bounds[1, :2] - origin) / cell).astype(int), first + 1, shape)
+    lower, upper = origin + cell * first, origin + cell * last
+    over = look_down(mesh, lower, upper, last - first).height
+    under = -look_down(mesh.transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3)), lower, upper, last - first).height
+    return (slice(first[0], last[0]), slice(first[1], last[1])), under, over
+
+
+def free_height(heights: SurfaceHeights, region: Rectangle) -> float:
+    """Metres from a surface up to the lowest thing over a region of it; inf under the open sky."""
+    x, y = (heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5) for k in (0, 1))
+    xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1) - region.center
+    is_over = (np.abs(rotate_in_plane(xy, -region.yaw)) <= region.half_extents).all(-1)
+    return float(heights.ceiling[is_over].min(initial=np.inf))
 
 
 # The steepest slope that still counts as level: 2 degrees.
