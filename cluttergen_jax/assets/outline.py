@@ -1,4 +1,4 @@
-"""Outlines of surfaces: rectangles and cells of a grid joined to polygons with holes, in the plane, metres."""
+"""Outlines of surfaces: rectangles and cells of a grid joined to polygons with holes; plane, metres."""
 
 from __future__ import annotations
 

@@ -278,7 +278,9 @@ def _faults_of_surfaces(surfaces: list[Surface], chosen: str) -> list[str]:
         if not NAME_PATTERN.fullmatch(surface.name):
             faults.append(f"a surface is called {surface.name!r}")
         if abs(math.hypot(*surface.quaternion) - 1) > 1e-5 or surface.tilt > _STEEPEST:
-            faults.append(f"surface {surface.name!r} is not within {math.degrees(_STEEPEST):.0f} degrees of level")
+            faults.append(
+                f"surface {surface.name!r} is not within {math.degrees(_STEEPEST):.0f} degrees of level"
+            )
         if min(map(len, (surface.outline, *surface.holes))) < 3 or not surface.free_height > 0:
             faults.append(f"surface {surface.name!r} has an outline of too few corners, or no room above it")
     return faults

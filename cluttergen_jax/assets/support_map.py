@@ -214,7 +214,9 @@ def _span(
     last = np.clip(np.ceil((mesh.bounds[1, :2] - origin) / cell).astype(int), first + 1, shape)
     lower, upper = origin + cell * first, origin + cell * last
     over = look_down(mesh, lower, upper, last - first).height
-    under = -look_down(mesh.transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3)), lower, upper, last - first).height
+    under = -look_down(
+        mesh.transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3)), lower, upper, last - first
+    ).height
     return (slice(first[0], last[0]), slice(first[1], last[1])), under, over
 
 

@@ -172,7 +172,9 @@ def _add_support(assets: ET._Element, world: ET._Element, support: SupportAsset)
     for index in range(len(support.parts)):
         name, group = f"support.part-{index}", COLLISION_GROUP if support.pieces else VISUAL_GROUP
         ET.SubElement(assets, "mesh", name=name, file=f"support/{part_name(index)}")
-        ET.SubElement(body, "geom", name=name, type="mesh", mesh=name, rgba=_text(PART_RGBA), group=str(group))
+        ET.SubElement(
+            body, "geom", name=name, type="mesh", mesh=name, rgba=_text(PART_RGBA), group=str(group)
+        )
     for index, piece in enumerate(support.pieces):
         mesh, file = f"support.visual-{index}", f"support/visual-{index}.obj"
         ET.SubElement(assets, "mesh", weightless(piece), name=mesh, file=file)

@@ -1,4 +1,4 @@
-"""All supports of the modeller: the paper's cuboid, ten tables, and furniture with several surfaces or a slope.
+"""All supports of the modeller: the paper's cuboid, tables, and furniture with several surfaces or a slope.
 
 The boxes of tops, rims, risers, shelves and benches are where the surfaces are. Legs that lean are upright
 boxes: nothing on the top touches them, and what falls past them has failed already.

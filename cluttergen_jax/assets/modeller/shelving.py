@@ -1,4 +1,4 @@
-"""Supports with several surfaces, walls or a tilt: bookcase, rack, drawer, dish rack, boards at a slope, steps."""
+"""Supports with several surfaces, walls or a slope: bookcase, rack, drawer, dish rack, boards, steps."""
 
 from __future__ import annotations
 
@@ -141,7 +141,8 @@ def dish_rack(rng: Rng = None) -> SupportAsset:
     places = joinery.mirror_corners((width - wire) / 2, (depth - wire) / 2)
     posts: list[_Slab] = [((wire, wire, rim), place, top) for place in places]
     feet: list[_Slab] = [
-        ((0.03, 0.03, foot), place, 0.0) for place in joinery.mirror_corners(width / 2 - 0.03, depth / 2 - 0.03)
+        ((0.03, 0.03, foot), place, 0.0)
+        for place in joinery.mirror_corners(width / 2 - 0.03, depth / 2 - 0.03)
     ]
     edge = comb - wire - 0.005
     front = -depth / 2 + wire

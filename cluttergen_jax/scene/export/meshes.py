@@ -58,7 +58,7 @@ def write_object_meshes(folder: Path, asset: ObjectAsset) -> None:
 
 
 def write_support_meshes(folder: Path, support: SupportAsset) -> None:
-    """Writes the support's convex parts and surfaces as OBJ, with materials and images as those of objects."""
+    """Writes the support's parts and surfaces as OBJ, with materials and images as those of objects."""
     folder.mkdir(parents=True, exist_ok=True)
     for index, part in enumerate(support.parts):
         (folder / part_name(index)).write_text(mesh_text(part.hull()), encoding="ascii")

@@ -38,7 +38,7 @@ def object_urdf(asset: ObjectAsset, contact: ContactConfig) -> bytes:
 
 
 def support_urdf(support: SupportAsset, contact: ContactConfig) -> bytes:
-    """The fixed support in the world frame: boxes, parts, and surfaces where it has them. Its mass is zero."""
+    """The fixed support in the world frame: collision, and surfaces where it has them. Its mass is zero."""
     root, link = _robot(support.name, contact, contact.friction)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value="0")
