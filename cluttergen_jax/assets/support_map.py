@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -262,40 +262,45 @@ def look_down(mesh: Mesh, lower: np.ndarray, upper: np.ndarray, shape: np.ndarra
     cell = (upper - lower) / shape
     height, is_level = np.full(shape, -np.inf), np.zeros(shape, bool)
     level = level_faces(mesh)
+    for face, window, over, is_hit in cells_below(mesh, lower, upper, shape):
+        # Of two surfaces at the same height the level one counts: an edge must not hide a top.
+        above = (over > height[window] + 1e-6) | ((over > height[window] - 1e-6) & bool(level[face]))
+        is_hit &= above
+        height[window] = np.where(is_hit, np.maximum(over, height[window]), height[window])
+        is_level[window] = np.where(is_hit, level[face], is_level[window])
+    return Overhead(np.asarray(lower, np.float64), cell, height, is_level)
+
+
+def cells_below(
+    mesh: Mesh, lower: np.ndarray, upper: np.ndarray, shape: np.ndarray
+) -> Iterator[tuple[int, tuple[slice, slice], np.ndarray, np.ndarray]]:
+    """Of each triangle that is not upright and covers the centre of a cell: its index, a window of cells,
+    its plane's height over each, and bool, which of them it covers.
+
+    The arguments are those of `look_down`.
+    """
+    cell = (upper - lower) / shape
     triangles = mesh.corners
     spots = (triangles[:, :, :2] - lower) / cell - 0.5
     first = np.maximum(np.ceil(spots.min(1) - 1e-6), 0).astype(int)
     last = np.minimum(np.floor(spots.max(1) + 1e-6), shape - 1).astype(int)
     upright = np.abs(mesh.normals[:, 2]) < 1e-14
-    for face in np.flatnonzero((first <= last).all(1) & ~upright):
-        _draw(
-            spots[face], triangles[face, :, 2], first[face], last[face], bool(level[face]), height, is_level
-        )
-    return Overhead(np.asarray(lower, np.float64), cell, height, is_level)
+    for face in np.flatnonzero((first <= last).all(1) & ~upright).tolist():
+        window = slice(first[face, 0], last[face, 0] + 1), slice(first[face, 1], last[face, 1] + 1)
+        yield face, window, *_cover(spots[face], triangles[face, :, 2], first[face], last[face])
 
 
-def _draw(
-    corners: np.ndarray,
-    z: np.ndarray,
-    first: np.ndarray,
-    last: np.ndarray,
-    level: bool,
-    height: np.ndarray,
-    is_level: np.ndarray,
-) -> None:
-    """Writes one triangle, its corners in cells, into the cells whose centres it covers."""
+def _cover(
+    corners: np.ndarray, z: np.ndarray, first: np.ndarray, last: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The height of one triangle's plane, its corners in cells, over cells, and whose centres it covers."""
     x, y = np.meshgrid(np.arange(first[0], last[0] + 1), np.arange(first[1], last[1] + 1), indexing="ij")
     (bx, by), (cx, cy) = corners[1] - corners[0], corners[2] - corners[0]
     px, py = x - corners[0, 0], y - corners[0, 1]
     area = bx * cy - by * cx
     u, v = (px * cy - py * cx) / area, (bx * py - by * px) / area
     over = z[0] + u * (z[1] - z[0]) + v * (z[2] - z[0])
-    window = np.s_[first[0] : last[0] + 1, first[1] : last[1] + 1]
-    # Of two surfaces at the same height the level one counts: an edge must not hide a top.
-    above = (over > height[window] + 1e-6) | ((over > height[window] - 1e-6) & level)
-    is_hit = (u >= -1e-6) & (v >= -1e-6) & (u + v <= 1 + 1e-6) & above
-    height[window] = np.where(is_hit, np.maximum(over, height[window]), height[window])
-    is_level[window] = np.where(is_hit, level, is_level[window])
+    return over, (u >= -1e-6) & (v >= -1e-6) & (u + v <= 1 + 1e-6)
 
 
 def largest_rectangle(mask: np.ndarray) -> Span:
