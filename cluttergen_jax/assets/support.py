@@ -116,6 +116,11 @@ class Surface:
         return math.acos(min(float(self.T_world_surface[2, 2]), 1.0))
 
     @property
+    def pose(self) -> np.ndarray:
+        """f64[7]: where its frame is, position and wxyz."""
+        return np.array((*self.position, *self.quaternion))
+
+    @property
     def T_world_surface(self) -> np.ndarray:
         """f64[4, 4]."""
         T = np.eye(4)

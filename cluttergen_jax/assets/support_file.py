@@ -158,6 +158,12 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
     )
 
 
+def is_support(name_or_path: str | Path) -> bool:
+    """Whether `find_support` would look at something called so, damaged or not."""
+    name = str(name_or_path)
+    return bool(_CUBOID.fullmatch(name)) or name in list_supports() or (Path(name) / _RECORD).is_file()
+
+
 def _round(value: Any) -> Any:
     """Numbers to a tenth of a micrometre, through lists, tuples and dicts; -0.0 becomes 0.0."""
     if isinstance(value, float):

@@ -1,12 +1,13 @@
 """What of a piece of furniture collides: its boards and legs as boxes and convex parts.
 
-What is convex by itself is taken as it is, most of what furniture is made of. Of the rest, what has only faces
-at right angles is made of boxes, exactly, and CoACD cuts what is left.
+What is convex by itself is taken as it is, most of what furniture is made of. Of the rest, what has only
+faces at right angles is made of boxes, exactly, and CoACD cuts what is left.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 from manifold3d import Manifold
@@ -35,7 +36,7 @@ _BOX = 0.985
 def collision_of(
     meshes: Sequence[Mesh], yaw: float, surfaces: Sequence[Surface]
 ) -> tuple[list[Box], list[np.ndarray], list[str]]:
-    """Boxes and convex parts, f64[V, 3] each, that take the place of surfaces; what is below 3 cm is left out.
+    """Boxes and convex parts, f64[V, 3] each, in place of surfaces; what is below 3 cm is left out.
 
     Args:
       meshes: world frame, metres.
@@ -46,7 +47,7 @@ def collision_of(
       Boxes, parts, and in words what could not be made to collide.
     """
     hulls, rest, notes = [], [], []
-    for mesh in (each for mesh in meshes for each in _components(clean_mesh(mesh))):
+    for mesh in chain.from_iterable(_components(clean_mesh(each)) for each in meshes):
         hull = _hull_if_convex(mesh)
         (rest if hull is None else hulls).append(mesh if hull is None else hull)
     pieces = _components(clean_mesh(join_meshes(rest))) if rest else []
@@ -195,9 +196,7 @@ def is_inside(points: np.ndarray, other: np.ndarray) -> bool:
     if (points.min(0) < other.min(0) - _HAIR).any() or (points.max(0) > other.max(0) + _HAIR).any():
         return False
     hull = hull_of(other)
-    return hull is not None and bool(
-        (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max() < _HAIR
-    )
+    return hull is not None and bool((points @ hull.equations[:, :3].T + hull.equations[:, 3]).max() < _HAIR)
 
 
 def _without_inner(hulls: Sequence[np.ndarray]) -> list[np.ndarray]:

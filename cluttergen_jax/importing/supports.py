@@ -1,8 +1,8 @@
 """A user's own furniture as a support: read, its surfaces found, what objects can touch made, stored by name.
 
-Of a table with one top that are boxes which cover it, and what rises above it (rims, risers, screens). Legs and
-all else below the top are drawn but do not collide, since whatever falls past the top has failed already. Of
-furniture with several surfaces, or a sloping one, all boards, walls and legs collide.
+Of a table with one top that are boxes which cover it, and what rises above it (rims, risers, screens). Legs
+and all else below the top are drawn but do not collide, since whatever falls past the top has failed already.
+Of furniture with several surfaces, or a sloping one, all boards, walls and legs collide.
 """
 
 from __future__ import annotations
@@ -264,7 +264,8 @@ def _lowered(points: np.ndarray, surface: Surface) -> np.ndarray | None:
     """A convex part that ends about a covered surface, cut a millimetre below it; others as they are."""
     T = surface.T_world_surface
     local = (points - T[:3, 3]) @ T[:3, :3]
-    ends_there = -_SMOOTH <= local[:, 2].max() + _HAIR and local[:, 2].max() <= _BULGE and local[:, 2].mean() < 0
+    end = float(local[:, 2].max())
+    ends_there = -_SMOOTH - _HAIR <= end <= _BULGE and local[:, 2].mean() < 0
     low, high = surface.polygon.min(0), surface.polygon.max(0)
     is_over = (local[:, :2].max(0) > low).all() and (local[:, :2].min(0) < high).all()
     return cut_off(points, T, -_HAIR) if ends_there and is_over else points

@@ -1,9 +1,9 @@
 """The surfaces of furniture beside its top: found where things can be put down, whatever the mesh is like.
 
-Vertical lines through the cells of a grid cross the mesh layer by layer. A crossing can carry if it is within 10
-degrees of level, has 5 cm of air above it, and that air can be reached from outside by a ball of 2 to 3 cm, so that
-the inside of boards and of closed cabinets has none. Crossings of neighbouring cells that continue each other
-are one surface.
+Vertical lines through the cells of a grid cross the mesh layer by layer. A crossing can carry if it is within
+10 degrees of level, has 5 cm of air above it, and a cube of 2 to 3 cm can get there from outside, so that the
+inside of boards and of closed cabinets has none. Crossings of neighbouring cells that continue each other are
+one surface.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.geometry import rotate_in_plane, yaw_matrix
 
 SMALLEST = 0.05
-"""Metres: the shorter side of the largest rectangle on the narrowest surface that is kept. Narrower ones would hold
-the smallest objects, but they are the tops of rails."""
+"""Metres: the shorter side of the largest rectangle on the narrowest surface that is kept. The smallest objects
+would stand on narrower ones, which are the tops of rails."""
 _STEEPEST, _LEVEL = math.radians(10.05), math.radians(0.5)
 _ROOM = 0.05
 _NARROW_GAP = 0.02
@@ -196,7 +196,7 @@ def _is_reached(voxels: Voxels, layers: _Layers) -> np.ndarray:
     outside = (regions == regions[0, 0, 0]).view(np.uint8)
     inner = slice(2 * more + 1, -2 * more - 1)
     reached = ndimage.maximum_filter(outside, 2 * more + 3).view(bool)[inner, inner, inner] & voxels.outside
-    spots = layers.spots() + [0.0, 0.0, radius + voxels.pitch]
+    spots = layers.spots() + np.array([0.0, 0.0, radius + voxels.pitch])
     is_there = np.isfinite(layers.z)
     result = np.zeros(layers.z.shape, bool)
     result[is_there] = reached[voxels.index(spots[is_there])]
@@ -207,7 +207,7 @@ def _measure(
     mesh: Mesh, samples: np.ndarray, spots: np.ndarray, fit: np.ndarray, yaw: float, pitch: float
 ) -> list[FoundSurface]:
     """The surfaces on the plane z = fit . (x, y, 1) around `spots` that are large enough."""
-    surface = Surface("", (0.0, 0.0, float(fit[2])), Rectangle(), ((0, 0), (1, 0), (0, 1)), quaternion=_turn(fit))
+    surface = Surface("", (0.0, 0.0, float(fit[2])), Rectangle(), (), quaternion=_turn(fit))
     inverse = yaw_matrix(-yaw) @ surface.T_world_surface[:3, :3].T
 
     def local(points: np.ndarray) -> np.ndarray:
@@ -257,7 +257,7 @@ def _measure(
             continue
         center = _corners(span, lower, cell, yaw).mean(0)
         region = Rectangle((float(center[0]), float(center[1])), (float(half[0]), float(half[1])), yaw)
-        outline, *holes = outline_of_cells(own, lower, cell, 0.75 * float(cell.max()))
+        outline, *holes = outline_of_cells(own, lower, cell, 1.1 * float(cell.max()))
         rings = turned(outline), tuple(map(turned, holes))
         one = replace(surface, region=region, outline=rings[0], holes=rings[1])
         found.append(FoundSurface(one, own, lower, cell, thickness))
