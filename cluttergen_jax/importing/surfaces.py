@@ -27,8 +27,8 @@ from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.geometry import rotate_in_plane, yaw_matrix
 
 SMALLEST = 0.05
-"""Metres: the shorter side of the largest rectangle on the narrowest surface that is kept. The smallest objects
-would stand on narrower ones, which are the tops of rails."""
+"""Metres: the shorter side of the largest rectangle on the narrowest surface that is kept. What is
+narrower, and would still hold the smallest objects, is mostly the top of a rail."""
 _STEEPEST, _LEVEL = math.radians(10.05), math.radians(0.5)
 _ROOM = 0.05
 _NARROW_GAP = 0.02
