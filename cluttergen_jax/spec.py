@@ -61,6 +61,7 @@ class EnvOptions(TrainOptions, total=False):
 
     objects: Sequence[str]
     repeat: bool
+    surface: str
     region: Rectangle | str | None
     keep_out: Sequence[Rectangle | str]
     start: str | None
@@ -146,6 +147,8 @@ class SceneSpec:
       balance: "objects", each is as likely to be on a shelf; or "label", "licence" or "source": of each of
         their values a shelf has as many, while there are some.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
+      surface: the surface of the support on which objects are placed, by name (`cluttergen inspect SUPPORT`
+        lists them); the first one if not given.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
         In Python also a `Rectangle`.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
@@ -199,6 +202,7 @@ class SceneSpec:
     weights: str | Mapping[str, float] = ""
     balance: Balance = "objects"
     support: str | Path = "table"
+    surface: str = ""
     region: Rectangle | str | None = None
     keep_out: Sequence[Rectangle | str] = ()
     start: str | None = None
@@ -281,6 +285,7 @@ class SceneSpec:
             num_objects=rules["num_objects"],
             repeat=recipe["repeat"],
             support=recipe["support"],
+            surface=recipe.get("surface", cls.surface),
             region=recorded_rectangle(recipe["region"]),
             keep_out=tuple(recorded_rectangle(box) for box in recipe.get("keep_out", ())),
             start=recipe.get("start"),
@@ -425,7 +430,7 @@ class SceneSpec:
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
         if isinstance(region, str):
-            region = parse_region(region, find_support(self.support).region)
+            region = parse_region(region, find_support(self.support).on_surface(self.surface).region)
         stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
         has_two_detectors = engine_of(self.engine, stability) == "native"
         return ProblemConfig(
@@ -436,6 +441,7 @@ class SceneSpec:
             weights=weights,
             balance="" if self.balance == "objects" else self.balance,
             support=str(self.support),
+            surface=self.surface,
             region=region,
             engine=self.engine,
             num_threads=self.num_threads,

@@ -151,9 +151,10 @@ def top_points(support: SupportAsset) -> np.ndarray:
     counts = np.maximum(np.round(2 * half * np.sqrt(_PER_SQUARE_METRE)), 2).astype(int)
     x, y = (np.linspace(-h, h, n) for h, n in zip(half, counts, strict=True))
     flat = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    return np.column_stack(
-        [rotate_in_plane(flat, region.yaw) + region.center, np.full(len(flat), support.top)]
-    )
+    flat = rotate_in_plane(flat, region.yaw) + region.center
+    if support.named and not support.chosen.is_level:
+        return transform_points(support.chosen.pose, np.column_stack([flat, np.zeros(len(flat))]))
+    return np.column_stack([flat, np.full(len(flat), support.top)])
 
 
 def ply_of(cloud: Cloud) -> bytes:

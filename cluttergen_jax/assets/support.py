@@ -14,7 +14,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.outline import Ring, outline_of_rectangles, ring_area
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.geometry import rectangle_corners, rotation_matrix
+from cluttergen_jax.geometry import rectangle_corners, rotation_matrix, transform_points
 
 PART_RGBA = (0.72, 0.55, 0.38, 1.0)
 """The colour of collision that is drawn for want of visual pieces."""
@@ -168,6 +168,23 @@ class SupportAsset:
     def chosen(self) -> Surface:
         """The surface that `top` and `region` tell of."""
         return next(each for each in self.surfaces if each.name == self.surface or not self.surface)
+
+    @property
+    def region_points(self) -> np.ndarray:
+        """f64[5, 3]: the middle of the region and its corners, world frame, metres."""
+        flat = np.vstack([self.region.center, self.region.corners])
+        if not self.named or self.chosen.is_level:
+            return np.column_stack([flat, np.full(5, self.top)])
+        return transform_points(self.chosen.pose, np.column_stack([flat, np.zeros(5)]))
+
+    @property
+    def lowest(self) -> float:
+        """Metres: the height of the lowest point of the surface that objects are asked for on."""
+        if not self.named or self.chosen.is_level:
+            return self.top
+        polygon = self.chosen.polygon
+        points = np.column_stack([polygon, np.zeros(len(polygon))])
+        return float(transform_points(self.chosen.pose, points)[:, 2].min())
 
     def on_surface(self, name: str) -> SupportAsset:
         """The same support, objects being asked for on another of its surfaces; "" changes nothing.

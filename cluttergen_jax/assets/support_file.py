@@ -287,6 +287,8 @@ def _faults_of_surfaces(surfaces: list[Surface], chosen: str) -> list[str]:
             faults.append(
                 f"surface {surface.name!r} is not within {math.degrees(_STEEPEST):.0f} degrees of level"
             )
+        if surface.is_level and surface.position[:2] != (0.0, 0.0):
+            faults.append(f"level surface {surface.name!r} has a frame of its own")
         if min(map(len, (surface.outline, *surface.holes))) < 3 or not surface.free_height > 0:
             faults.append(f"surface {surface.name!r} has an outline of too few corners, or no room above it")
     return faults

@@ -110,11 +110,17 @@ class TopBounds(NamedTuple):
 
 
 def top_bounds_of(support: SupportAsset) -> TopBounds:
-    """The smallest rectangle that holds all boxes of the support's top, and a centimetre more."""
+    """The smallest rectangle that holds all boxes of the support's top, and a centimetre more.
+
+    Of a support with surfaces of its own, that around the chosen one, in its frame.
+    """
+    axes = rotate_in_plane(np.eye(2), -support.region.yaw)
+    if support.named:
+        rim = support.chosen.polygon @ axes
+        return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
     heights = [box.center[2] + box.half_extents[2] for box in support.boxes]
     level = [box for box, z in zip(support.boxes, heights, strict=True) if abs(z - support.top) < LEVEL]
     tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
-    axes = rotate_in_plane(np.eye(2), -support.region.yaw)
     rim = np.concatenate([top.corners for top in tops]) @ axes
     return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
 
@@ -130,7 +136,7 @@ def check_region(region: Rectangle, support: SupportAsset) -> None:
     if (corners < reach.lower).any() or (corners > reach.upper).any():
         raise ConfigError(
             f"a region of {region} reaches beyond support {support.name!r}",
-            f"a rectangle on its top, by default {support.region}",
+            f"a rectangle on its {support.surface or 'top'}, by default {support.region}",
             "a smaller region, or a larger table such as support='table-1.40x1.40'",
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -11,19 +12,20 @@ from scipy.spatial import ConvexHull
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support import Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import check_keep_out, check_region
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines
+from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.support_map import SupportMap
+from cluttergen_jax.placement.support_map import make_support_map, map_of_surface
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import NUM_COLUMN_SAMPLES, World, columns_of, make_world, repeat_objects
 from cluttergen_jax.placement.world_geometry import geometry_of, on_device, pad_geometry
@@ -43,6 +45,7 @@ class ProblemConfig:
       objects: names of the pool's objects to use; empty means all of them.
       repeat: allow duplicates when there are fewer than `placement.num_objects`.
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
+      surface: which of its surfaces objects are placed on; the first one if empty.
       region: the queried region; None takes the support's own.
       shelf: each block of scenes draws so many of these objects for its own; 0 takes all of them for all
         scenes.
@@ -58,6 +61,7 @@ class ProblemConfig:
     objects: tuple[str, ...] = ()
     repeat: bool = False
     support: str = "table"
+    surface: str = ""
     region: Rectangle | None = None
     shelf: int = 0
     weights: tuple[tuple[str, float], ...] = ()
@@ -99,11 +103,12 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
         )
     pool = find_pool(config.pool, names=config.objects)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
-    support = find_support(config.support)
+    support = find_support(config.support).on_surface(config.surface)
     region = config.region or support.region
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
     check_crowding(chosen, config.placement.num_objects, region)
+    check_surface(chosen, support, config)
     return compose(chosen, support, config, standing)
 
 
@@ -161,8 +166,12 @@ def compose(
     physics: Physics | NumberedEngines
     orientations = None
     if (kind := config.placement.poses) != "upright":
-        orientations = make_orientations(world.objects, world.layout, config.stability, kind, cut)
-    geometry = geometry_of(world, orientations)
+        layout = world.layout
+        if support.named:
+            # Resting poses are those on a level table with room above it.
+            layout = make_world(world.objects, cuboid_table(), config.stability, config.contact, cut).layout
+        orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
+    geometry = geometry_of(world, orientations, map_of_surface(support))
     if sizes is None:
         physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
     else:
@@ -178,10 +187,57 @@ def compose(
         map_radius=None if sizes is None else sizes.radius,
         draw_region=None
         if config.change == "none"
-        else ChangedRegion(find_change(config.change), region, support.region, support.top),
-        support_map=None if config.placement.overhang == "any" else SupportMap.of(geometry),
+        else ChangedRegion(find_change(config.change), region, support.region, *plane_of(support)),
+        support_map=None if config.placement.overhang == "any" else make_support_map(geometry),
     )
     return Problem(config, world, rules, region)
+
+
+_TOUCHING, _STANDS, _TALLEST = 1e-4, 0.0005, 0.003
+"""Metres: of a base's points, of a margin that holds, and of room above the tallest object."""
+_TURNS = 16
+
+
+def check_surface(objects: Sequence[ObjectAsset], support: SupportAsset, config: ProblemConfig) -> None:
+    """Refuses objects that cannot stand on a slope, or under what hangs over a surface (ConfigError).
+
+    Released upright they tip or slide whichever way they are turned; in other poses they may stand.
+    """
+    surface = support.chosen if support.named else None
+    if surface is None or config.placement.poses != "upright":
+        return
+    friction = config.contact.friction[0]
+    fallen = [each.name for each in objects if not _stands_on_slope(each, surface.tilt, friction)]
+    if fallen:
+        raise ConfigError(
+            f"objects that tip, roll or slide on a slope of {math.degrees(surface.tilt):.1f} degrees, "
+            f"however they are turned: {', '.join(fallen)}",
+            "other objects",
+            "exclude=" + repr(tuple(fallen)),
+        )
+    tall = [each.name for each in objects if 2 * each.half_extents[2] + _TALLEST > surface.free_height]
+    if tall:
+        raise ConfigError(
+            f"objects that are too tall for surface {surface.name!r} of support {support.name!r}, which has "
+            f"{surface.free_height:.3f} m above it: {', '.join(tall)}",
+            "lower ones",
+            "exclude=" + repr(tuple(tall)),
+        )
+
+
+def _stands_on_slope(asset: ObjectAsset, slope: float, friction: float) -> bool:
+    """Whether a plumb line through its centre of mass meets its base for some turn, and it does not slide."""
+    if slope == 0:
+        return True
+    vertices = np.concatenate([part.vertices for part in asset.parts])
+    low = vertices[:, 2].min()
+    base = vertices[vertices[:, 2] < low + _TOUCHING][:, :2]
+    lean = (asset.center_of_mass[2] - low) * math.tan(slope)
+    angles = 2 * np.pi * np.arange(_TURNS) / _TURNS
+    centers = asset.center_of_mass[:2] + lean * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    margin = max(support_margin(base - center) for center in centers)
+    own = friction if asset.friction is None else asset.friction
+    return margin > _STANDS and math.tan(slope) < own
 
 
 def _round_up(number: int) -> int:
@@ -218,8 +274,16 @@ def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rect
 
 def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:
     """A rectangle on a support's top as the decision process sees it."""
-    given = (rectangle.center, rectangle.half_extents, rectangle.yaw, support.top)
-    return make_region(*on_device(tuple(map(np.array, given))))
+    top, surface = plane_of(support)
+    given = (rectangle.center, rectangle.half_extents, rectangle.yaw, top)
+    return make_region(*on_device(tuple(map(np.array, given if surface is None else (*given, surface)))))
+
+
+def plane_of(support: SupportAsset) -> tuple[float, tuple[float, ...] | None]:
+    """Where rectangles on a support lie: `top` and `surface` of `make_region`."""
+    if not support.named or support.chosen.is_level:
+        return support.top, None
+    return 0.0, tuple(support.chosen.pose.tolist())
 
 
 def keep_out_of(boxes: Sequence[Rectangle]) -> KeepOut:

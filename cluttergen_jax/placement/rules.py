@@ -14,6 +14,7 @@ from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
+    from_pose,
     is_inside,
     is_kept_out,
     no_keep_out,
@@ -26,8 +27,17 @@ from cluttergen_jax.placement.support_graph import (
     graph_without,
     supported_by,
 )
-from cluttergen_jax.placement.support_map import SupportMap, most_beyond, shares_beyond
-from cluttergen_jax.placement.types import Body, Counts, Episode, Geometry, History, Start, Transition
+from cluttergen_jax.placement.support_map import most_beyond, on_map, shares_beyond
+from cluttergen_jax.placement.types import (
+    Body,
+    Counts,
+    Episode,
+    Geometry,
+    History,
+    Start,
+    SupportMap,
+    Transition,
+)
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 _OWN_SHARE = 1 / 3
@@ -274,7 +284,18 @@ class Rules(struct.PyTreeNode, eq=False):
             verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
         pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
-        inside &= ~is_kept_out(pose, half_extents, episode.keep_out)
+        support_map = self.geometry.support_map
+        inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
+        if support_map is not None:
+            center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
+            height = episode.region.T_world_region.inverse().apply(center)[2]
+            # Physics knows the lowest point of a surface alone.
+            is_lost = (verdict == Verdict.OVERFLOW) | (verdict == Verdict.NON_FINITE)
+            verdict = jnp.where((height < 0) & ~is_lost, int(Verdict.FELL), verdict)
+            if support_map.ceiling is not None:
+                xy = on_map(support_map, pose)[:2]
+                ceiling = support_map.ceiling.reshape(-1)[support_map.index_of(xy[0], xy[1])]
+                inside &= height < ceiling
         if self.config.overhang != "any":
             inside &= ~self._is_beyond(episode, focus, settling)
         return jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)

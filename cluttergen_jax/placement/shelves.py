@@ -206,7 +206,7 @@ class Shelves:
         pool = find_pool(config.pool, names=config.objects)
         if config.objects:
             pool = pool.select(config.objects)
-        return cls(pool, config, find_support(config.support), keep_out)
+        return cls(pool, config, find_support(config.support).on_surface(config.surface), keep_out)
 
     def draw(self, key: Array) -> tuple[str, ...]:
         """The names of the objects of a shelf, drawn with a key."""

@@ -225,7 +225,7 @@ def close_points(
     """
     points = []
     if support is not None:
-        points.append(np.column_stack([support.region.corners, np.full(4, support.top)]))
+        points.append(support.region_points[1:])
     for asset, pose in zip(assets, np.asarray(poses, np.float64), strict=True):
         points.extend(transform_points(pose, part.vertices) for part in asset.parts)
     if not points:

@@ -20,7 +20,7 @@ from cluttergen_jax.placement.search.fit import (
     mean_under,
     support_share,
 )
-from cluttergen_jax.placement.support_map import most_beyond, share_beyond
+from cluttergen_jax.placement.support_map import most_beyond, on_map, share_beyond
 from cluttergen_jax.placement.types import Body, Episode
 from cluttergen_jax.types import Array
 
@@ -140,6 +140,10 @@ class Search(struct.PyTreeNode, eq=False):
         heights = self.mapper(episode.region, episode.poses, episode.is_placed, with_owner)
         body = self.rules.body(episode)
         under = under_side(body)
+        if (
+            support_map := self.rules.geometry.support_map
+        ) is not None and support_map.T_map_world is not None:
+            under = under.replace(lean=_lean(body, episode.region))
         return SearchScene(
             episode=episode,
             focus=focus,
@@ -177,6 +181,9 @@ class Search(struct.PyTreeNode, eq=False):
         scores = CandidateScores(fit, fit.rest - scene.body.height, support, crowd, scene.episode.attempt)
         is_allowed = self._is_allowed(scene, candidates)
         is_allowed &= fit.rest + CLEARANCE <= scene.height_range
+        if fit.room is not None:
+            upper = 2 * scene.body.half_extents[2] - scene.body.height
+            is_allowed &= fit.rest + upper + 2 * CLEARANCE <= fit.room
         cost = self.cost(scores)
         return scores, jnp.where(is_allowed, cost, cost + FORBIDDEN)
 
@@ -190,8 +197,8 @@ class Search(struct.PyTreeNode, eq=False):
         cos, sin = jnp.cos(candidates.yaw)[:, None], jnp.sin(candidates.yaw)[:, None]
         x, y = under.xy[:, 0], under.xy[:, 1]
         xy = jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + candidates.xy[:, None]
-        T_world_region = scene.episode.region.T_world_region
-        turn, shift = T_world_region.rotation().as_matrix()[:2, :2], T_world_region.translation()[:2]
+        T_map_region = self.rules.support_map.place(scene.episode.region.T_world_region)
+        turn, shift = T_map_region.rotation().as_matrix()[:2, :2], T_map_region.translation()[:2]
         share = share_beyond(self.rules.support_map, xy @ turn.T + shift, under.is_column)
         return is_in_region & (share <= most_beyond(self.rules.config.overhang))
 
@@ -209,7 +216,8 @@ class Search(struct.PyTreeNode, eq=False):
             T_region_object = jaxlie.SE3.from_rotation_and_translation(rotation, jnp.append(xy, 0.0))
             pose = to_pose(episode.region.T_world_region @ T_region_object)
             is_kept_in = is_inside(pose, half, episode.region, containment)
-            return is_kept_in & ~is_kept_out(pose, half, episode.keep_out)
+            placed = on_map(self.rules.geometry.support_map, pose)
+            return is_kept_in & ~is_kept_out(placed, half, episode.keep_out)
 
         return jax.vmap(is_allowed)(candidates.xy, candidates.yaw)
 
@@ -217,6 +225,12 @@ class Search(struct.PyTreeNode, eq=False):
 def under_side(body: Body) -> UnderSide:
     """The under-side of an object as it is released."""
     return UnderSide(body.column_xy, body.column_bottom, body.is_column, body.center_of_mass[:2])
+
+
+def _lean(body: Body, region: Region) -> Array:
+    """f32[2]: see `UnderSide`."""
+    down = region.T_world_region.rotation().inverse().apply(jnp.array([0.0, 0.0, -1.0]))
+    return (body.center_of_mass[2] + body.height) * down[:2] / -down[2]
 
 
 def draw_candidates(key: Array, region: Region, number: int) -> Candidates:
