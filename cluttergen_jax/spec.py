@@ -148,7 +148,8 @@ class SceneSpec:
         their values a shelf has as many, while there are some.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
       surface: the surface of the support on which objects are placed, by name (`cluttergen inspect SUPPORT`
-        lists them); the first one if not given.
+        lists them); the first one if not given. "all", or several joined by commas: each object goes to one
+        by chance, as there is free area. "top:3,shelf_1:4": so many on each.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
         In Python also a `Rectangle`.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
@@ -427,6 +428,10 @@ class SceneSpec:
                     given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
                 )
         num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
+        if self.num_objects is None and ":" in self.surface:
+            num_objects = sum(
+                number for _, number in find_support(self.support).on_surface(self.surface).asked
+            )
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
         if isinstance(region, str):

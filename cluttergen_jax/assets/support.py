@@ -116,6 +116,12 @@ class Surface:
         return math.acos(min(float(self.T_world_surface[2, 2]), 1.0))
 
     @property
+    def lowest(self) -> float:
+        """Metres: the height of its lowest point."""
+        points = np.column_stack([self.polygon, np.zeros(len(self.polygon))])
+        return self.position[2] if self.is_level else float(transform_points(self.pose, points)[:, 2].min())
+
+    @property
     def pose(self) -> np.ndarray:
         """f64[7]: where its frame is, position and wxyz."""
         return np.array((*self.position, *self.quaternion))
@@ -140,7 +146,8 @@ class SupportAsset:
       pieces: what is drawn instead of the collision; empty means that the collision itself is drawn.
       parts: convex collision parts, world frame, beside the boxes.
       named: its surfaces, where it has other than a flat top alone.
-      surface: the one that `top` and `region` tell of; the first if empty.
+      surface: those that objects are asked for on, as `on_surface` takes them: `top` and `region` tell of the
+        first.
     """
 
     name: str
@@ -165,9 +172,14 @@ class SupportAsset:
         return (Surface("top", (0.0, 0.0, self.top), self.region, outline, tuple(holes)),)
 
     @property
+    def asked(self) -> tuple[tuple[Surface, int], ...]:
+        """The surfaces that objects are asked for on, and how many on each, 0 where that is left open."""
+        return parse_surfaces(self.surface, self.surfaces)
+
+    @property
     def chosen(self) -> Surface:
         """The surface that `top` and `region` tell of."""
-        return next(each for each in self.surfaces if each.name == self.surface or not self.surface)
+        return self.asked[0][0]
 
     @property
     def region_points(self) -> np.ndarray:
@@ -179,31 +191,55 @@ class SupportAsset:
 
     @property
     def lowest(self) -> float:
-        """Metres: the height of the lowest point of the surface that objects are asked for on."""
-        if not self.named or self.chosen.is_level:
-            return self.top
-        polygon = self.chosen.polygon
-        points = np.column_stack([polygon, np.zeros(len(polygon))])
-        return float(transform_points(self.chosen.pose, points)[:, 2].min())
+        """Metres: the height of the lowest point of the surfaces that objects are asked for on."""
+        return min(each.lowest for each, _ in self.asked) if self.named else self.top
 
-    def on_surface(self, name: str) -> SupportAsset:
-        """The same support, objects being asked for on another of its surfaces; "" changes nothing.
+    def on_surface(self, text: str) -> SupportAsset:
+        """The same support, objects being asked for on other surfaces of it; "" changes nothing.
+
+        Args:
+          text: a surface's name; "all"; several, joined by commas; or each with a number of objects, such as
+            "top:3,shelf_1:4".
 
         Raises:
-          ConfigError: it has no such surface.
+          ConfigError: it has no such surface, or a number is none.
         """
-        if not name or (name == "top" and not self.named):
+        asked = parse_surfaces(text, self.surfaces, self.name)
+        if not text or not self.named:
             return self
-        found = {each.name: each for each in self.surfaces}
+        surface = asked[0][0]
+        return replace(self, top=surface.position[2], region=surface.region, surface=text)
+
+
+def parse_surfaces(
+    text: str, surfaces: Sequence[Surface], support: str = "SUPPORT"
+) -> tuple[tuple[Surface, int], ...]:
+    """Those that `SupportAsset.on_surface` is asked for, with the number of objects on each, 0 for any.
+
+    Raises:
+      ConfigError: one is unknown or comes twice, or a number is none, or is missing where others have one.
+    """
+    found = {each.name: each for each in surfaces}
+    words = list(found) if text == "all" else [word.strip() for word in text.split(",")]
+    if not text:
+        return ((surfaces[0], 0),)
+    asked: dict[str, int] = {}
+    for word in words:
+        name, colon, number = word.partition(":")
         if name not in found:
             raise ConfigError(
-                f"surface {name!r} of support {self.name!r}",
-                ", ".join(found),
-                f"cluttergen inspect {self.name}, which draws them",
+                f"surface {name!r} of support {support!r}",
+                f"{', '.join(found)}, or all",
+                f"cluttergen inspect {support}, which draws them",
                 closest(name, found),
             )
-        surface = found[name]
-        return replace(self, top=surface.position[2], region=surface.region, surface=name)
+        if name in asked or (colon and not (number.isdecimal() and int(number) > 0)):
+            allowed = "each once, with a whole number above 0"
+            raise ConfigError(f"surfaces {text!r}", allowed, "top:3,shelf_1:4")
+        asked[name] = int(number) if colon else 0
+    if 0 in asked.values() and any(asked.values()):
+        raise ConfigError(f"surfaces {text!r}", "a number for each of them, or for none", "top:3,shelf_1:4")
+    return tuple((found[name], number) for name, number in asked.items())
 
 
 def cuboid_table(width: float = 0.60, depth: float = 0.70, height: float = 0.70) -> SupportAsset:

@@ -23,9 +23,9 @@ from cluttergen_jax.assets.object_files import NAME_PATTERN, read_bytes
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.pool import embedded_root, folders_with, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
-from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface, cuboid_table
+from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface, cuboid_table, parse_surfaces
 from cluttergen_jax.assets.texture import Texture, texture_name
-from cluttergen_jax.errors import PoolError, closest
+from cluttergen_jax.errors import ConfigError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
 from cluttergen_jax.schema import (
     SchemaError,
@@ -278,7 +278,9 @@ def _is_flat(part: Mesh) -> bool:
 def _faults_of_surfaces(surfaces: list[Surface], chosen: str) -> list[str]:
     names = [surface.name for surface in surfaces]
     faults = [f"surface {name!r} comes twice" for name in names if names.count(name) > 1]
-    if chosen and chosen not in names:
+    try:
+        parse_surfaces(chosen, surfaces or [None])  # type: ignore[list-item]
+    except ConfigError:
         faults.append(f"its surface {chosen!r} is none of {names}")
     for surface in surfaces:
         if not NAME_PATTERN.fullmatch(surface.name):

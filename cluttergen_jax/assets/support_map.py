@@ -181,10 +181,13 @@ _AROUND = 0.4
 _TOUCH = 0.002
 
 
-def surface_heights(support: SupportAsset, surface: Surface) -> SurfaceHeights:
+def surface_heights(support: SupportAsset, surface: Surface, finest: float = _CELL) -> SurfaceHeights:
     """A surface's surroundings, by the support's collision, 40 cm beyond its outline.
 
     What reaches down to the surface, or to what stands on it, raises the ground; the rest hangs over it.
+
+    Args:
+      finest: the smallest side of a cell, metres.
     """
     inverse = np.linalg.inv(surface.T_world_surface)
     solids = [piece.mesh.transform(inverse[:3, :3], inverse[:3, 3]) for piece in collision_pieces(support)]
@@ -192,7 +195,7 @@ def surface_heights(support: SupportAsset, surface: Surface) -> SurfaceHeights:
     corners = np.concatenate([mesh.vertices[:, :2] for mesh in solids])
     low = np.maximum(corners.min(0), surface.polygon.min(0) - _AROUND)
     high = np.minimum(corners.max(0), surface.polygon.max(0) + _AROUND)
-    cell = max(_CELL, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
+    cell = max(finest, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
     shape = np.ceil((high - low) / cell - 1e-4).astype(int)
     ground, ceiling = np.full(shape, VOID), np.full(shape, np.inf)
     spans = [_span(mesh, low, cell, shape) for mesh in solids]

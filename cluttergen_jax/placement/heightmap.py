@@ -84,10 +84,12 @@ class HeightMapper(struct.PyTreeNode):
             radius = np.linalg.norm(np.asarray(found.half_extents)[..., :2], axis=-1).max()
         half = np.asarray(region.half_extents, np.float64)
         support_map = make_support_map(geometry)
-        inverse = np.asarray(support_map.place(region.T_world_region).inverse().as_matrix())
-        cell, shape = map_cells(
-            half + reach_beyond(top_boxes_of(geometry), inverse, half, radius), _FINEST_CELL
-        )
+        inverse = np.asarray(support_map.first.place(region.T_world_region).inverse().as_matrix())
+        reach = reach_beyond(top_boxes_of(geometry), inverse, half, radius)
+        if support_map.height.ndim > 2:
+            # One size for the maps of several surfaces.
+            reach = np.full(2, radius)
+        cell, shape = map_cells(half + reach, _FINEST_CELL)
         return HeightMapper(geometry, support_map, cell, shape)
 
     def __call__(self, region: Region, poses: Array, is_placed: Array, with_owner: bool = False) -> HeightMap:

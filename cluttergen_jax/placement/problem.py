@@ -25,7 +25,8 @@ from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.support_map import make_support_map, map_of_surface
+from cluttergen_jax.placement.support_map import make_support_map, map_of_surfaces
+from cluttergen_jax.placement.surface_set import ROOM, SurfaceSet, check_numbers
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import NUM_COLUMN_SAMPLES, World, columns_of, make_world, repeat_objects
 from cluttergen_jax.placement.world_geometry import geometry_of, on_device, pad_geometry
@@ -107,8 +108,8 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
     region = config.region or support.region
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
-    check_crowding(chosen, config.placement.num_objects, region)
     check_surface(chosen, support, config)
+    check_crowding(chosen, config.placement.num_objects, region, area_of(support))
     return compose(chosen, support, config, standing)
 
 
@@ -127,9 +128,22 @@ class WorldSizes:
     cut: Callable[[ObjectAsset], HeightProfile]
 
 
-def check_crowding(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle) -> None:
-    """Refuses more objects than can be hoped to find room in a region (ConfigError)."""
-    if (crowded := crowding(objects, num_objects, region)) > MOST_CROWDED:
+def area_of(support: SupportAsset) -> float:
+    """Square metres: the regions of several surfaces together; 0 where objects are asked for on one."""
+    if not support.named or len(support.asked) < 2:
+        return 0.0
+    return sum(4 * math.prod(surface.region.half_extents) for surface, _ in support.asked)
+
+
+def check_crowding(
+    objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, area: float = 0.0
+) -> None:
+    """Refuses more objects than can be hoped to find room in a region (ConfigError).
+
+    Args:
+      area: in place of the region's, where it is more than 0.
+    """
+    if (crowded := crowding(objects, num_objects, region, area)) > MOST_CROWDED:
         x, y = region.half_extents
         raise ConfigError(
             f"{num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
@@ -171,30 +185,40 @@ def compose(
             # Resting poses are those on a level table with room above it.
             layout = make_world(world.objects, cuboid_table(), config.stability, config.contact, cut).layout
         orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
-    geometry = geometry_of(world, orientations, map_of_surface(support))
+    geometry = geometry_of(world, orientations, map_of_surfaces(support))
     if sizes is None:
         physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
     else:
         physics = sizes.physics
         runs = geometry.surface if orientations is None else orientations.surface
         geometry = pad_geometry(geometry, NUM_COLUMN_SAMPLES, _round_up(len(runs)))
+    surfaces, usual = None, _largest_region(region, config.change, support)
+    if support.named and len(support.asked) > 1:
+        check_numbers(support, wanted)
+        rectangles = [support.on_surface(each.name) for each, _ in support.asked]
+        surfaces = SurfaceSet.of(
+            support, world.objects, [region_of(each.region, each) for each in rectangles]
+        )
+        half = np.max([each.region.half_extents for each in rectangles], axis=0).tolist()
+        usual = replace(region, half_extents=(half[0], half[1]))
     rules = Rules(
         config=config.placement,
         physics=physics,
         geometry=geometry,
-        region=region_of(_largest_region(region, config.change, support), support),
+        region=region_of(usual, support),
         num_started=len(standing),
         map_radius=None if sizes is None else sizes.radius,
         draw_region=None
         if config.change == "none"
         else ChangedRegion(find_change(config.change), region, support.region, *plane_of(support)),
         support_map=None if config.placement.overhang == "any" else make_support_map(geometry),
+        surfaces=surfaces,
     )
     return Problem(config, world, rules, region)
 
 
-_TOUCHING, _STANDS, _TALLEST = 1e-4, 0.0005, 0.003
-"""Metres: of a base's points, of a margin that holds, and of room above the tallest object."""
+_TOUCHING, _STANDS = 1e-4, 0.0005
+"""Metres: of a base's points, and of a margin that holds."""
 _TURNS = 16
 
 
@@ -203,23 +227,28 @@ def check_surface(objects: Sequence[ObjectAsset], support: SupportAsset, config:
 
     Released upright they tip or slide whichever way they are turned; in other poses they may stand.
     """
-    surface = support.chosen if support.named else None
-    if surface is None or config.placement.poses != "upright":
+    if not support.named:
         return
-    friction = config.contact.friction[0]
-    fallen = [each.name for each in objects if not _stands_on_slope(each, surface.tilt, friction)]
+    surfaces = [surface for surface, _ in support.asked]
+    if len(surfaces) > 1 and config.region is not None:
+        raise ConfigError("a region with several surfaces", "the surfaces' own regions", "one `surface`")
+    if config.placement.poses != "upright":
+        return
+    friction, slope = config.contact.friction[0], min(surface.tilt for surface in surfaces)
+    fallen = [each.name for each in objects if not _stands_on_slope(each, slope, friction)]
     if fallen:
         raise ConfigError(
-            f"objects that tip, roll or slide on a slope of {math.degrees(surface.tilt):.1f} degrees, "
+            f"objects that tip, roll or slide on a slope of {math.degrees(slope):.1f} degrees, "
             f"however they are turned: {', '.join(fallen)}",
             "other objects",
             "exclude=" + repr(tuple(fallen)),
         )
-    tall = [each.name for each in objects if 2 * each.half_extents[2] + _TALLEST > surface.free_height]
+    free = max(surface.free_height for surface in surfaces)
+    tall = [each.name for each in objects if 2 * each.half_extents[2] + ROOM > free]
     if tall:
         raise ConfigError(
-            f"objects that are too tall for surface {surface.name!r} of support {support.name!r}, which has "
-            f"{surface.free_height:.3f} m above it: {', '.join(tall)}",
+            f"objects that are too tall for {', '.join(surface.name for surface in surfaces)} of support "
+            f"{support.name!r}, with {free:.3f} m of room: {', '.join(tall)}",
             "lower ones",
             "exclude=" + repr(tuple(tall)),
         )
@@ -256,13 +285,16 @@ def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -
         )
 
 
-def crowding(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle) -> float:
-    """The area that the smallest `num_objects` objects cover at least, seen from above, over the region's."""
+def crowding(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, area: float = 0.0) -> float:
+    """The area that the smallest `num_objects` objects cover at least, seen from above, over the region's.
+
+    `area` is taken in place of that, where it is more than 0.
+    """
     plans = [np.concatenate([part.vertices for part in asset.parts])[:, :2] for asset in objects]
     areas = sorted(float(ConvexHull(points).volume) for points in plans)
     # Of objects that may stand there more than once, all are there before any comes again.
     rounds, rest = divmod(num_objects, len(areas))
-    return (rounds * sum(areas) + sum(areas[:rest])) / (4 * float(np.prod(region.half_extents)))
+    return (rounds * sum(areas) + sum(areas[:rest])) / (area or 4 * float(np.prod(region.half_extents)))
 
 
 def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rectangle:

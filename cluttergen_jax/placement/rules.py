@@ -28,6 +28,7 @@ from cluttergen_jax.placement.support_graph import (
     supported_by,
 )
 from cluttergen_jax.placement.support_map import most_beyond, on_map, shares_beyond
+from cluttergen_jax.placement.surface_set import SurfaceSet
 from cluttergen_jax.placement.types import (
     Body,
     Counts,
@@ -78,6 +79,7 @@ class Rules(struct.PyTreeNode, eq=False):
         off then; None tells them all. A policy reads histories of the length that it was trained with.
       engine: i32, the number of this world's engine where there are several.
       map_radius: metres, that of the largest object that height maps are made for; its own if None.
+      surfaces: of which one is drawn for each attempt, with its region; None where there is one.
     """
 
     config: PlacementConfig = struct.field(pytree_node=False)
@@ -90,6 +92,7 @@ class Rules(struct.PyTreeNode, eq=False):
     support_map: SupportMap | None = None
     engine: Array | None = None
     map_radius: float | None = struct.field(pytree_node=False, default=None)
+    surfaces: SurfaceSet | None = None
 
     @property
     def simulator(self) -> Physics:
@@ -145,7 +148,9 @@ class Rules(struct.PyTreeNode, eq=False):
             verdict=jnp.int32(Verdict.NONE),
             drift=jnp.float32(0),
             support_graph=empty_graph(self.geometry),
+            surface=None if self.surfaces is None else jnp.full(self.geometry.num_objects, -1, jnp.int32),
         )
+        episode = self._with_surface(episode, jax.random.fold_in(key, 5))
         return self._with_orientation(episode, jax.random.fold_in(key, 3))
 
     @property
@@ -208,6 +213,24 @@ class Rules(struct.PyTreeNode, eq=False):
             return episode
         return episode.replace(orientation=self.geometry.orientations.draw(key, self.focus(episode)))
 
+    def _with_surface(self, episode: Episode, key: Array) -> Episode:
+        """The episode with a surface drawn for its current object, where there are several."""
+        if self.surfaces is None:
+            return episode
+        assert episode.surface is not None
+        focus = self.focus(episode)
+        drawn = self.surfaces.draw(key, episode, focus, footprint_area(self.geometry))
+        surface = episode.surface.at[focus].set(
+            jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
+        )
+        return episode.replace(surface=surface, region=self.surfaces.region(drawn))
+
+    def support_map_of(self, episode: Episode) -> SupportMap | None:
+        """The map of the surface that the current object goes on; None for a flat top."""
+        if self.geometry.support_map is None or episode.surface is None:
+            return self.geometry.support_map
+        return self.geometry.support_map.of_surface(jnp.maximum(episode.surface[self.focus(episode)], 0))
+
     def _slot(self, episode: Episode) -> Array:
         """i32: the current slot (of a finished episode: some slot)."""
         return jnp.minimum(episode.slot, self.num_slots - 1)
@@ -263,6 +286,7 @@ class Rules(struct.PyTreeNode, eq=False):
         # Those who step an episode by themselves need not change its key.
         key = jax.random.fold_in(jax.random.fold_in(episode.key, 3), after.counts.attempts.sum())
         after = self._with_orientation(after, key)
+        after = self._with_surface(after, jax.random.fold_in(key, 5))
         after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, episode)
         transition = Transition(
             slot=self._slot(episode),
@@ -284,7 +308,7 @@ class Rules(struct.PyTreeNode, eq=False):
             verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
         pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
-        support_map = self.geometry.support_map
+        support_map = self.support_map_of(episode)
         inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
         if support_map is not None:
             center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
@@ -305,7 +329,11 @@ class Rules(struct.PyTreeNode, eq=False):
         assert self.support_map is not None
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
-        shares = shares_beyond(self.support_map, self.geometry, settling.poses)
+        if episode.surface is None:
+            shares = shares_beyond(self.support_map, self.geometry, settling.poses)
+        else:
+            each = jax.vmap(lambda one: shares_beyond(one, self.geometry, settling.poses))(self.support_map)
+            shares = each[jnp.maximum(episode.surface, 0), jnp.arange(each.shape[1])]
         return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
 
     def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
@@ -381,7 +409,10 @@ class Rules(struct.PyTreeNode, eq=False):
         is_over = self._is_spent(episode)
         if not config.ruin_after:
             return episode.replace(is_over=is_over | (episode.attempt >= config.max_attempts))
-        ruined = self.remove(episode, choose_removal(episode, self.geometry, self._is_started(episode)))
+        stays = self._is_started(episode)
+        if episode.surface is not None:
+            stays |= episode.surface != episode.surface[self.focus(episode)]
+        ruined = self.remove(episode, choose_removal(episode, self.geometry, stays))
         # What could not be filled again within the budget is not worth taking apart.
         is_ruined = (episode.attempt >= config.ruin_after) & ~self._is_spent(ruined)
         after = jax.tree.map(lambda new, old: jnp.where(is_ruined, new, old), ruined, episode)

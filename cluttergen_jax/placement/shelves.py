@@ -32,6 +32,7 @@ from cluttergen_jax.placement.problem import (
     ProblemConfig,
     Setup,
     WorldSizes,
+    area_of,
     check_crowding,
     check_number,
     compose,
@@ -226,7 +227,8 @@ class Shelves:
         if self._latest is None or self._latest[0] != names:
             objects = [self.pool[name] for name in names]
             if self._latest is None:
-                region = self.config.region or self._worlds.support.region
-                check_crowding(objects, self.config.placement.num_objects, region)
+                support = self._worlds.support
+                region = self.config.region or support.region
+                check_crowding(objects, self.config.placement.num_objects, region, area_of(support))
             self._latest = names, self._worlds.setup(objects)
         return self._latest[1]

@@ -8,8 +8,14 @@ import jaxlie
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.assets.support_map import ground_heights, surface_heights, top_boxes
+from cluttergen_jax.assets.support import SupportAsset, Surface
+from cluttergen_jax.assets.support_map import (
+    VOID,
+    SurfaceHeights,
+    ground_heights,
+    surface_heights,
+    top_boxes,
+)
 from cluttergen_jax.placement.region import from_pose, to_pose
 from cluttergen_jax.placement.types import Geometry, SupportMap
 from cluttergen_jax.types import Array
@@ -26,22 +32,36 @@ def make_support_map(geometry: Geometry) -> SupportMap:
     return SupportMap(height, corner, cell)
 
 
-def map_of_surface(support: SupportAsset) -> SupportMap | None:
-    """The map of the chosen surface, NumPy arrays; None for a flat top without surfaces of its own."""
+def map_of_surfaces(support: SupportAsset) -> SupportMap | None:
+    """The map of the surfaces that are asked for, NumPy arrays; None for a flat top without any of its own.
+
+    Those of several have a leading axis, and the same size.
+    """
     if not support.named:
         return None
-    surface = support.chosen
-    found = surface_heights(support, surface)
+    surfaces = [surface for surface, _ in support.asked]
+    found = [surface_heights(support, surface) for surface in surfaces]
+    coarsest = max(each.cell for each in found)
+    found = [surface_heights(support, surface, coarsest) for surface in surfaces]
+    shape = np.max([each.ground.shape for each in found], axis=0)
+    maps = [_map_of(*each, shape) for each in zip(surfaces, found, strict=True)]
+    if all(surface.is_level for surface in surfaces):
+        maps = [each.replace(T_map_world=None) for each in maps]
+    if not np.isfinite([each.ceiling for each in maps]).any():
+        maps = [each.replace(ceiling=None) for each in maps]
+    return jax.tree.map(lambda *each: np.stack(each), *maps) if len(maps) > 1 else maps[0]
+
+
+def _map_of(surface: Surface, found: SurfaceHeights, shape: np.ndarray) -> SupportMap:
+    more = [(0, most - own) for most, own in zip(shape, found.ground.shape, strict=True)]
     inverse = np.linalg.inv(surface.T_world_surface)
-    T = jaxlie.SE3(
-        np.append(Rotation.from_matrix(inverse[:3, :3]).as_quat(scalar_first=True), inverse[:3, 3])
-    )
+    turn = Rotation.from_matrix(inverse[:3, :3]).as_quat(scalar_first=True)
     return SupportMap(
-        height=found.ground,
+        height=np.pad(found.ground, more, constant_values=VOID),
         corner=found.origin,
         cell=found.cell,
-        ceiling=found.ceiling if np.isfinite(found.ceiling).any() else None,
-        T_map_world=None if surface.is_level else T,
+        ceiling=np.pad(found.ceiling, more, constant_values=np.inf),
+        T_map_world=jaxlie.SE3(np.append(turn, inverse[:3, 3])),
     )
 
 
@@ -100,6 +120,7 @@ def _footprints(geometry: Geometry, poses: Array) -> tuple[Array, Array]:
 def top_boxes_of(geometry: Geometry) -> np.ndarray:
     """f64[B, 7]: the support's boxes that reach up to its top; one around all of the map of a surface."""
     if (found := geometry.support_map) is not None:
+        found = found.first
         half = np.array(found.height.shape) * found.cell / 2
         return np.array([[*(np.asarray(found.corner, np.float64) + half), 0.0, *half, 0.0, 0.0]])
     return top_boxes(np.asarray(geometry.boxes, np.float64), float(geometry.top))

@@ -62,7 +62,7 @@ def _up_in_object(quaternion: Array) -> Array:
 
 
 class SupportMap(struct.PyTreeNode):
-    """The support alone, in the world frame, or in that of one of its surfaces.
+    """The support alone, in the world frame, or in that of one of its surfaces; a leading axis for several.
 
     Attributes:
       height: f32[W, H], metres above the top, VOID where there is nothing; its border is VOID.
@@ -77,6 +77,15 @@ class SupportMap(struct.PyTreeNode):
     cell: float = struct.field(pytree_node=False)
     ceiling: Array | None = None
     T_map_world: jaxlie.SE3 | None = None
+
+    def of_surface(self, index: Array | int) -> SupportMap:
+        """One of several."""
+        return jax.tree.map(lambda leaf: leaf[index], self)
+
+    @property
+    def first(self) -> SupportMap:
+        """The first of several, or the one that it is."""
+        return self.of_surface(0) if self.height.ndim > 2 else self
 
     def place(self, T_world_x: jaxlie.SE3) -> jaxlie.SE3:
         """T_map_x; its z may be another where the map has the world's x and y."""
@@ -292,6 +301,8 @@ class Episode(struct.PyTreeNode):
       verdict: i32, the latest attempt's verdict; once all slots are filled, the last check's.
       drift: f32, metres, the largest movement in the last check.
       support_graph: what carries what.
+      surface: i32[K], on which of several surfaces each object is placed, the current one to be; -1 for what
+        stood there when the episode began; None where there is one.
       orientation: i32, of `Geometry.orientations`, that in which the current object is released next; None
         where all are released upright.
     """
@@ -313,6 +324,7 @@ class Episode(struct.PyTreeNode):
     drift: Array
     support_graph: SupportGraph
     orientation: Array | None = None
+    surface: Array | None = None
 
     @property
     def num_slots(self) -> Array:

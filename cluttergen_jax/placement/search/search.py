@@ -136,13 +136,14 @@ class Search(struct.PyTreeNode, eq=False):
     def scene(self, episode: Episode, with_owner: bool = False) -> SearchScene:
         """What there is to know of an episode before candidates are looked at."""
         focus = self.rules.focus(episode)
-        assert self.mapper is not None
-        heights = self.mapper(episode.region, episode.poses, episode.is_placed, with_owner)
+        mapper, support_map = self.mapper, self.rules.support_map_of(episode)
+        assert mapper is not None
+        if episode.surface is not None:
+            mapper = mapper.replace(support_map=support_map)
+        heights = mapper(episode.region, episode.poses, episode.is_placed, with_owner)
         body = self.rules.body(episode)
         under = under_side(body)
-        if (
-            support_map := self.rules.geometry.support_map
-        ) is not None and support_map.T_map_world is not None:
+        if support_map is not None and support_map.T_map_world is not None:
             under = under.replace(lean=_lean(body, episode.region))
         return SearchScene(
             episode=episode,
@@ -192,14 +193,15 @@ class Search(struct.PyTreeNode, eq=False):
         is_in_region = self._is_in_region(scene, candidates)
         if self.rules.config.overhang == "any":
             return is_in_region
-        assert self.rules.support_map is not None
+        support_map = self.rules.support_map_of(scene.episode) or self.rules.support_map
+        assert support_map is not None
         under = scene.under
         cos, sin = jnp.cos(candidates.yaw)[:, None], jnp.sin(candidates.yaw)[:, None]
         x, y = under.xy[:, 0], under.xy[:, 1]
         xy = jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + candidates.xy[:, None]
-        T_map_region = self.rules.support_map.place(scene.episode.region.T_world_region)
+        T_map_region = support_map.place(scene.episode.region.T_world_region)
         turn, shift = T_map_region.rotation().as_matrix()[:2, :2], T_map_region.translation()[:2]
-        share = share_beyond(self.rules.support_map, xy @ turn.T + shift, under.is_column)
+        share = share_beyond(support_map, xy @ turn.T + shift, under.is_column)
         return is_in_region & (share <= most_beyond(self.rules.config.overhang))
 
     def _is_in_region(self, scene: SearchScene, candidates: Candidates) -> Array:
@@ -216,7 +218,7 @@ class Search(struct.PyTreeNode, eq=False):
             T_region_object = jaxlie.SE3.from_rotation_and_translation(rotation, jnp.append(xy, 0.0))
             pose = to_pose(episode.region.T_world_region @ T_region_object)
             is_kept_in = is_inside(pose, half, episode.region, containment)
-            placed = on_map(self.rules.geometry.support_map, pose)
+            placed = on_map(self.rules.support_map_of(episode), pose)
             return is_kept_in & ~is_kept_out(placed, half, episode.keep_out)
 
         return jax.vmap(is_allowed)(candidates.xy, candidates.yaw)
