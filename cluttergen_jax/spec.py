@@ -62,6 +62,7 @@ class EnvOptions(TrainOptions, total=False):
 
     objects: Sequence[str]
     repeat: bool
+    surface: str
     region: Rectangle | str | None
     keep_out: Sequence[Rectangle | str]
     start: str | None
@@ -150,6 +151,9 @@ class SceneSpec:
       balance: "objects", each is as likely to be on a shelf; or "label", "licence" or "source": of each of
         their values a shelf has as many, while there are some.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
+      surface: the surface of the support on which objects are placed, by name (`cluttergen inspect SUPPORT`
+        lists them); the first one if not given. "all", or several joined by commas: each object goes to one
+        by chance, as there is free area. "top:3,shelf_1:4": so many on each.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
         In Python also a `Rectangle`.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
@@ -209,6 +213,7 @@ class SceneSpec:
     weights: str | Mapping[str, float] = ""
     balance: Balance = "objects"
     support: str | Path = "table"
+    surface: str = ""
     region: Rectangle | str | None = None
     keep_out: Sequence[Rectangle | str] = ()
     start: str | None = None
@@ -301,6 +306,7 @@ class SceneSpec:
             num_objects=rules["num_objects"],
             repeat=recipe["repeat"],
             support=recipe["support"],
+            surface=recipe.get("surface", cls.surface),
             region=recorded_rectangle(recipe["region"]),
             keep_out=tuple(recorded_rectangle(box) for box in recipe.get("keep_out", ())),
             start=recipe.get("start"),
@@ -453,10 +459,14 @@ class SceneSpec:
                     given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
                 )
         num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
+        if self.num_objects is None and ":" in self.surface:
+            num_objects = sum(
+                number for _, number in find_support(self.support).on_surface(self.surface).asked
+            )
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
         if isinstance(region, str):
-            region = parse_region(region, find_support(self.support).region)
+            region = parse_region(region, find_support(self.support).on_surface(self.surface).region)
         stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
         has_two_detectors = engine_of(self.engine, stability) == "native"
         return ProblemConfig(
@@ -467,6 +477,7 @@ class SceneSpec:
             weights=weights,
             balance="" if self.balance == "objects" else self.balance,
             support=str(self.support),
+            surface=self.surface,
             region=region,
             engine=self.engine,
             num_threads=self.num_threads,

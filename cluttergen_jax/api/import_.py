@@ -140,20 +140,25 @@ def import_support(
     attribution: str = "",
     force: bool = False,
 ) -> SupportAsset:
-    """Makes a support of the user's own of one table with a level top (`cluttergen import --support`).
+    """Makes a support of the user's own of a table, a shelf or a board (`cluttergen import --support`).
+
+    All its surfaces are found: connected, at most 10 degrees from level, 5 cm wide or wider, with 5 cm of air
+    above that is reached from outside. The largest level one under the open sky is called top and comes
+    first; the others are shelf_1, shelf_2 ... from the highest to the lowest. With more than one surface all
+    boards, walls and legs collide; of a table with its top alone, the top and what rises above it.
 
     The arguments that are not explained here are those of `import_pool`.
 
     Args:
-      path: instead of sources and a pool, the file of one table with a level top, 2 m across at most: a mesh,
-        URDF, SDF or MJCF, or a folder that holds one.
+      path: instead of sources and a pool, the file of one piece of furniture with a level or gently sloping
+        surface: a mesh, URDF, SDF or MJCF, or a folder that holds one.
       name: the new support's name; the file's own if not given.
 
     Returns:
-      The support; its name is what `support` of `make_sampler` takes.
+      The support; its name is what `support` of `make_sampler` takes. `surfaces` has what was found.
 
     Raises:
-      AssetError: the file cannot be read, holds several objects, or has no level top to speak of.
+      AssetError: the file cannot be read, holds several objects, or has no surface to speak of.
       ConfigError: an option is out of range.
       PoolError: the name is not one, is taken by an embedded support, or by another support and `force` is
         not set.

@@ -317,4 +317,7 @@ def _support_hash(support: SupportAsset) -> str:
         "top": support.top,
         "region": asdict(support.region),
     }
+    if support.parts or support.named:
+        facts["parts"] = [part.vertices.tolist() for part in support.parts]
+        facts["surfaces"] = [asdict(surface) for surface in support.named]
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

@@ -303,6 +303,9 @@ def _is_on_top(region: Region, support: SupportAsset) -> Array:
     """bool: all corners are within the support's reach (`assets.support_map`)."""
     signs = jnp.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
     corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
+    if support.named:
+        surface = support.chosen
+        corners = (corners - jnp.array(surface.position)) @ jnp.array(surface.T_world_surface[:3, :3])
     reach = top_bounds_of(support)
     local = corners[:, :2] @ reach.axes
     return jnp.all((local >= reach.lower - _ROUNDING) & (local <= reach.upper + _ROUNDING))

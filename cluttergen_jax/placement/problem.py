@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from cluttergen_jax.assets.facts import ObjectFacts
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support import Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import check_keep_out, check_region
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines
+from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
-from cluttergen_jax.placement.related import RelatedObjects
-from cluttergen_jax.placement.relations import can_be_filled, candidates_of, conditions_of, parse_relations
+from cluttergen_jax.placement.related import relate_objects
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.support_map import SupportMap
+from cluttergen_jax.placement.support_map import make_support_map, map_of_surfaces
+from cluttergen_jax.placement.surface_set import ROOM, SurfaceSet, check_numbers
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import (
-    MAX_OBJECTS,
     NUM_COLUMN_SAMPLES,
     World,
     columns_of,
@@ -53,6 +53,7 @@ class ProblemConfig:
       objects: names of the pool's objects to use; empty means all of them.
       repeat: allow duplicates when there are fewer than `placement.num_objects`.
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
+      surface: which of its surfaces objects are placed on; the first one if empty.
       region: the queried region; None takes the support's own.
       shelf: each block of scenes draws so many of these objects for its own; 0 takes all of them for all
         scenes.
@@ -68,6 +69,7 @@ class ProblemConfig:
     objects: tuple[str, ...] = ()
     repeat: bool = False
     support: str = "table"
+    surface: str = ""
     region: Rectangle | None = None
     shelf: int = 0
     weights: tuple[tuple[str, float], ...] = ()
@@ -109,11 +111,12 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
         )
     pool = find_pool(config.pool, names=config.objects)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
-    support = find_support(config.support)
+    support = find_support(config.support).on_surface(config.surface)
     region = config.region or support.region
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
-    check_crowding(chosen, config.placement.num_objects, region)
+    check_surface(chosen, support, config)
+    check_crowding(chosen, config.placement.num_objects, region, area_of(support))
     return compose(chosen, support, config, standing)
 
 
@@ -132,9 +135,22 @@ class WorldSizes:
     cut: Callable[[ObjectAsset], HeightProfile]
 
 
-def check_crowding(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle) -> None:
-    """Refuses more objects than can be hoped to find room in a region (ConfigError)."""
-    if (crowded := crowding(objects, num_objects, region)) > MOST_CROWDED:
+def area_of(support: SupportAsset) -> float:
+    """Square metres: the regions of several surfaces together; 0 where objects are asked for on one."""
+    if not support.named or len(support.asked) < 2:
+        return 0.0
+    return sum(4 * math.prod(surface.region.half_extents) for surface, _ in support.asked)
+
+
+def check_crowding(
+    objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, area: float = 0.0
+) -> None:
+    """Refuses more objects than can be hoped to find room in a region (ConfigError).
+
+    Args:
+      area: in place of the region's, where it is more than 0.
+    """
+    if (crowded := crowding(objects, num_objects, region, area)) > MOST_CROWDED:
         x, y = region.half_extents
         raise ConfigError(
             f"{num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
@@ -163,7 +179,10 @@ def compose(
         clutter.check(wanted + len(standing))
     if wanted > len(objects):
         objects = repeat_objects(objects, wanted)
-    objects, related = _relate(config, objects)
+    objects, related = relate_objects(objects, config.placement, config.repeat)
+    if related is not None and len(support.asked) > 1:
+        given = "`relations` with several surfaces, between which objects are spread"
+        raise ConfigError(given, "one `surface`", f"surface={support.asked[0][0].name!r}")
     region = config.region or support.region
     if min(region.half_extents) * 2 < SMALLEST_REGION:
         raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`")
@@ -172,47 +191,94 @@ def compose(
     physics: Physics | NumberedEngines
     orientations = None
     if (kind := config.placement.poses) != "upright":
-        orientations = make_orientations(world.objects, world.layout, config.stability, kind, cut)
-    geometry = geometry_of(world, orientations)
+        layout = world.layout
+        if support.named:
+            # Resting poses are those on a level table with room above it.
+            layout = make_world(world.objects, cuboid_table(), config.stability, config.contact, cut).layout
+        orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
+    geometry = geometry_of(world, orientations, map_of_surfaces(support))
     if sizes is None:
         physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
     else:
         physics = sizes.physics
         runs = geometry.surface if orientations is None else orientations.surface
         geometry = pad_geometry(geometry, NUM_COLUMN_SAMPLES, _round_up(len(runs)))
+    surfaces, usual = None, _largest_region(region, config.change, support)
+    if support.named and len(support.asked) > 1:
+        check_numbers(support, wanted)
+        rectangles = [support.on_surface(each.name) for each, _ in support.asked]
+        surfaces = SurfaceSet.of(
+            support, world.objects, [region_of(each.region, each) for each in rectangles]
+        )
+        half = np.max([each.region.half_extents for each in rectangles], axis=0).tolist()
+        usual = replace(region, half_extents=(half[0], half[1]))
     rules = Rules(
         config=config.placement,
         physics=physics,
         geometry=geometry,
-        region=region_of(_largest_region(region, config.change, support), support),
+        region=region_of(usual, support),
         num_started=len(standing),
         map_radius=None if sizes is None else sizes.radius,
         draw_region=None
         if config.change == "none"
-        else ChangedRegion(find_change(config.change), region, support.region, support.top),
-        support_map=None if config.placement.overhang == "any" else SupportMap.of(geometry),
+        else ChangedRegion(find_change(config.change), region, support.region, *plane_of(support)),
+        support_map=None if config.placement.overhang == "any" else make_support_map(geometry),
+        surfaces=surfaces,
         related=related,
     )
     return Problem(config, world, rules, region)
 
 
-def _relate(
-    config: ProblemConfig, objects: Sequence[ObjectAsset]
-) -> tuple[Sequence[ObjectAsset], RelatedObjects | None]:
-    """What is related, and the objects, repeated until each role has its own if they may be."""
-    relations, roles = parse_relations(config.placement.relations), config.placement.roles
-    if not relations and not roles:
-        return objects, None
-    conditions = conditions_of(roles, relations)
-    copies = 1
-    while config.repeat and not can_be_filled(
-        candidates_of(conditions, [ObjectFacts.of(each) for each in (*objects,) * copies])
-    ):
-        copies += 1
-        if copies * len(objects) > MAX_OBJECTS:
-            break
-    objects = (*objects,) * copies
-    return objects, RelatedObjects.of(relations, roles, [ObjectFacts.of(each) for each in objects])
+_TOUCHING, _STANDS = 1e-4, 0.0005
+"""Metres: of a base's points, and of a margin that holds."""
+_TURNS = 16
+
+
+def check_surface(objects: Sequence[ObjectAsset], support: SupportAsset, config: ProblemConfig) -> None:
+    """Refuses objects that cannot stand on a slope, or under what hangs over a surface (ConfigError).
+
+    Released upright they tip or slide whichever way they are turned; in other poses they may stand.
+    """
+    if not support.named:
+        return
+    surfaces = [surface for surface, _ in support.asked]
+    if len(surfaces) > 1 and config.region is not None:
+        raise ConfigError("a region with several surfaces", "the surfaces' own regions", "one `surface`")
+    if config.placement.poses != "upright":
+        return
+    friction, slope = config.contact.friction[0], min(surface.tilt for surface in surfaces)
+    fallen = [each.name for each in objects if not _stands_on_slope(each, slope, friction)]
+    if fallen:
+        raise ConfigError(
+            f"objects that tip, roll or slide on a slope of {math.degrees(slope):.1f} degrees, "
+            f"however they are turned: {', '.join(fallen)}",
+            "other objects",
+            "exclude=" + repr(tuple(fallen)),
+        )
+    free = max(surface.free_height for surface in surfaces)
+    tall = [each.name for each in objects if 2 * each.half_extents[2] + ROOM > free]
+    if tall:
+        raise ConfigError(
+            f"objects that are too tall for {', '.join(surface.name for surface in surfaces)} of support "
+            f"{support.name!r}, with {free:.3f} m of room: {', '.join(tall)}",
+            "lower ones",
+            "exclude=" + repr(tuple(tall)),
+        )
+
+
+def _stands_on_slope(asset: ObjectAsset, slope: float, friction: float) -> bool:
+    """Whether a plumb line through its centre of mass meets its base for some turn, and it does not slide."""
+    if slope == 0:
+        return True
+    vertices = np.concatenate([part.vertices for part in asset.parts])
+    low = vertices[:, 2].min()
+    base = vertices[vertices[:, 2] < low + _TOUCHING][:, :2]
+    lean = (asset.center_of_mass[2] - low) * math.tan(slope)
+    angles = 2 * np.pi * np.arange(_TURNS) / _TURNS
+    centers = asset.center_of_mass[:2] + lean * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    margin = max(support_margin(base - center) for center in centers)
+    own = friction if asset.friction is None else asset.friction
+    return margin > _STANDS and math.tan(slope) < own
 
 
 def _round_up(number: int) -> int:
@@ -231,13 +297,16 @@ def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -
         )
 
 
-def crowding(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle) -> float:
-    """The area that the smallest `num_objects` objects cover at least, seen from above, over the region's."""
+def crowding(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, area: float = 0.0) -> float:
+    """The area that the smallest `num_objects` objects cover at least, seen from above, over the region's.
+
+    `area` is taken in place of that, where it is more than 0.
+    """
     plans = [np.concatenate([part.vertices for part in asset.parts])[:, :2] for asset in objects]
     areas = sorted(float(ConvexHull(points).volume) for points in plans)
     # Of objects that may stand there more than once, all are there before any comes again.
     rounds, rest = divmod(num_objects, len(areas))
-    return (rounds * sum(areas) + sum(areas[:rest])) / (4 * float(np.prod(region.half_extents)))
+    return (rounds * sum(areas) + sum(areas[:rest])) / (area or 4 * float(np.prod(region.half_extents)))
 
 
 def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rectangle:
@@ -249,8 +318,16 @@ def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rect
 
 def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:
     """A rectangle on a support's top as the decision process sees it."""
-    given = (rectangle.center, rectangle.half_extents, rectangle.yaw, support.top)
-    return make_region(*on_device(tuple(map(np.array, given))))
+    top, surface = plane_of(support)
+    given = (rectangle.center, rectangle.half_extents, rectangle.yaw, top)
+    return make_region(*on_device(tuple(map(np.array, given if surface is None else (*given, surface)))))
+
+
+def plane_of(support: SupportAsset) -> tuple[float, tuple[float, ...] | None]:
+    """Where rectangles on a support lie: `top` and `surface` of `make_region`."""
+    if not support.named or support.chosen.is_level:
+        return support.top, None
+    return 0.0, tuple(support.chosen.pose.tolist())
 
 
 def keep_out_of(boxes: Sequence[Rectangle]) -> KeepOut:

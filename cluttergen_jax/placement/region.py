@@ -43,20 +43,25 @@ class KeepOut(struct.PyTreeNode):
 
 
 @with_own_settings
-def make_region(center: Array, half_extents: Array, yaw: Array, top: Array) -> Region:
-    """A region on a flat top; all arguments may be traced.
+def make_region(
+    center: Array, half_extents: Array, yaw: Array, top: Array, surface: Array | None = None
+) -> Region:
+    """A region on a flat top, or on a surface that is not level; all arguments may be traced.
 
     Args:
       center: f32[2], metres, world x and y.
       half_extents: f32[2], metres, half its sides, along its own x and y.
       yaw: f32, radians, from world x to its own x.
       top: f32, metres, the height of the support's top (`SupportAsset.top`).
+      surface: f32[7], the pose of a surface's frame (`Surface.pose`), in which the others are then, `top`
+        above it; None for the world's.
     """
     position = jnp.append(jnp.asarray(center, jnp.float32), jnp.asarray(top, jnp.float32))
     rotation = jaxlie.SO3.from_z_radians(jnp.asarray(yaw, jnp.float32))
-    return Region(
-        jaxlie.SE3.from_rotation_and_translation(rotation, position), jnp.asarray(half_extents, jnp.float32)
-    )
+    T = jaxlie.SE3.from_rotation_and_translation(rotation, position)
+    if surface is not None:
+        T = from_pose(jnp.asarray(surface, jnp.float32)) @ T
+    return Region(T, jnp.asarray(half_extents, jnp.float32))
 
 
 def no_keep_out() -> KeepOut:
@@ -200,13 +205,21 @@ class ChangedRegion:
     base: Rectangle
     bounds: Rectangle
     top: float
+    surface: tuple[float, ...] | None = None
 
     def __call__(self, key: Array) -> Region:
         """See `placement.rules.RegionDraw`."""
-        return draw_region(key, self.change, self.base, self.bounds, self.top)
+        return draw_region(key, self.change, self.base, self.bounds, self.top, self.surface)
 
 
-def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Rectangle, top: float) -> Region:
+def draw_region(
+    key: Array,
+    change: RegionChange,
+    base: Rectangle,
+    bounds: Rectangle,
+    top: float,
+    surface: tuple[float, ...] | None = None,
+) -> Region:
     """A region drawn around `base`, wholly inside `bounds`.
 
     What is too large for the bounds once turned is shrunk, one side or both, so that the most area is left,
@@ -215,7 +228,7 @@ def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Recta
     Args:
       key: consumed.
       base: the region to change; bounds: the part of the top that may be used; both world, metres.
-      top: height of the top, metres.
+      top, surface: see `make_region`.
     """
     key_shift, key_turn, key_size = jax.random.split(key, 3)
     shift = jax.random.uniform(key_shift, (2,), minval=-1.0) * change.translation
@@ -235,7 +248,8 @@ def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Recta
     offset = to_world.T @ (jnp.array(base.center) + shift - jnp.array(bounds.center))
     slack = jnp.maximum(room - reach, 0.0)
     center = jnp.array(bounds.center) + to_world @ jnp.clip(offset, -slack, slack)
-    return make_region(center, half, yaw, jnp.float32(top))
+    pose = None if surface is None else jnp.array(surface, jnp.float32)
+    return make_region(center, half, yaw, jnp.float32(top), pose)
 
 
 def _fit_half_extents(half: Array, cos: Array, sin: Array, room: Array) -> Array:

@@ -10,8 +10,10 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.assets.facts import ObjectFacts
+from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.boxes import Boxes, gaps
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.relations import (
     KINDS,
@@ -21,7 +23,9 @@ from cluttergen_jax.placement.relations import (
     candidates_of,
     conditions_of,
     order_of,
+    parse_relations,
 )
+from cluttergen_jax.placement.world import MAX_OBJECTS
 from cluttergen_jax.types import Array
 
 MAX_ANGLE = np.radians(10.0).item()
@@ -128,6 +132,27 @@ class RelatedObjects(struct.PyTreeNode):
         is_subject = subject == focus
         is_reference = (reference == focus) & ~is_table
         return is_subject, is_reference, jnp.where(is_subject, reference, subject), is_table
+
+
+def relate_objects(
+    objects: Sequence[ObjectAsset], config: PlacementConfig, may_repeat: bool
+) -> tuple[Sequence[ObjectAsset], RelatedObjects | None]:
+    """The objects, repeated until each role has its own if they may be, and what is related of them.
+
+    Raises:
+      ConfigError: a role fits no object, or there are too few.
+    """
+    relations, roles = parse_relations(config.relations), config.roles
+    if not relations and not roles:
+        return objects, None
+    conditions = conditions_of(roles, relations)
+    facts = [ObjectFacts.of(each) for each in objects]
+    copies = 1
+    while may_repeat and (copies + 1) * len(objects) <= MAX_OBJECTS:
+        if can_be_filled(candidates_of(conditions, facts * copies)):
+            break
+        copies += 1
+    return (*objects,) * copies, RelatedObjects.of(relations, roles, facts * copies)
 
 
 def hold(related: RelatedObjects, subjects: Boxes, references: Boxes, region: Region) -> Array:

@@ -15,6 +15,7 @@ from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
+    from_pose,
     is_inside,
     is_kept_out,
     no_keep_out,
@@ -28,8 +29,18 @@ from cluttergen_jax.placement.support_graph import (
     graph_without,
     supported_by,
 )
-from cluttergen_jax.placement.support_map import SupportMap, most_beyond, shares_beyond
-from cluttergen_jax.placement.types import Body, Counts, Episode, Geometry, History, Start, Transition
+from cluttergen_jax.placement.support_map import most_beyond, on_map, shares_beyond
+from cluttergen_jax.placement.surface_set import SurfaceSet
+from cluttergen_jax.placement.types import (
+    Body,
+    Counts,
+    Episode,
+    Geometry,
+    History,
+    Start,
+    SupportMap,
+    Transition,
+)
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 _OWN_SHARE = 1 / 3
@@ -71,6 +82,7 @@ class Rules(struct.PyTreeNode, eq=False):
       engine: i32, the number of this world's engine where there are several.
       map_radius: metres, that of the largest object that height maps are made for; its own if None.
       related: the relations that scenes must fulfil; None for none.
+      surfaces: of which one is drawn for each attempt, with its region; None where there is one.
     """
 
     config: PlacementConfig = struct.field(pytree_node=False)
@@ -84,6 +96,7 @@ class Rules(struct.PyTreeNode, eq=False):
     engine: Array | None = None
     map_radius: float | None = struct.field(pytree_node=False, default=None)
     related: RelatedObjects | None = None
+    surfaces: SurfaceSet | None = None
 
     @property
     def simulator(self) -> Physics:
@@ -141,7 +154,9 @@ class Rules(struct.PyTreeNode, eq=False):
             drift=jnp.float32(0),
             support_graph=empty_graph(self.geometry),
             roles=roles,
+            surface=None if self.surfaces is None else jnp.full(self.geometry.num_objects, -1, jnp.int32),
         )
+        episode = self._with_surface(episode, jax.random.fold_in(key, 5))
         return self._with_orientation(episode, jax.random.fold_in(key, 3))
 
     @property
@@ -211,6 +226,24 @@ class Rules(struct.PyTreeNode, eq=False):
             return episode
         return episode.replace(orientation=self.geometry.orientations.draw(key, self.focus(episode)))
 
+    def _with_surface(self, episode: Episode, key: Array) -> Episode:
+        """The episode with a surface drawn for its current object, where there are several."""
+        if self.surfaces is None:
+            return episode
+        assert episode.surface is not None
+        focus = self.focus(episode)
+        drawn = self.surfaces.draw(key, episode, focus, footprint_area(self.geometry))
+        surface = episode.surface.at[focus].set(
+            jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
+        )
+        return episode.replace(surface=surface, region=self.surfaces.region(drawn))
+
+    def support_map_of(self, episode: Episode) -> SupportMap | None:
+        """The map of the surface that the current object goes on; None for a flat top."""
+        if self.geometry.support_map is None or episode.surface is None:
+            return self.geometry.support_map
+        return self.geometry.support_map.of_surface(jnp.maximum(episode.surface[self.focus(episode)], 0))
+
     def _slot(self, episode: Episode) -> Array:
         """i32: the current slot (of a finished episode: some slot)."""
         return jnp.minimum(episode.slot, self.num_slots - 1)
@@ -266,6 +299,7 @@ class Rules(struct.PyTreeNode, eq=False):
         # Those who step an episode by themselves need not change its key.
         key = jax.random.fold_in(jax.random.fold_in(episode.key, 3), after.counts.attempts.sum())
         after = self._with_orientation(after, key)
+        after = self._with_surface(after, jax.random.fold_in(key, 5))
         after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, episode)
         transition = Transition(
             slot=self._slot(episode),
@@ -287,7 +321,18 @@ class Rules(struct.PyTreeNode, eq=False):
             verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
         pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
-        inside &= ~is_kept_out(pose, half_extents, episode.keep_out)
+        support_map = self.support_map_of(episode)
+        inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
+        if support_map is not None:
+            center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
+            height = episode.region.T_world_region.inverse().apply(center)[2]
+            # Physics knows the lowest point of a surface alone.
+            is_lost = (verdict == Verdict.OVERFLOW) | (verdict == Verdict.NON_FINITE)
+            verdict = jnp.where((height < 0) & ~is_lost, int(Verdict.FELL), verdict)
+            if support_map.ceiling is not None:
+                xy = on_map(support_map, pose)[:2]
+                ceiling = support_map.ceiling.reshape(-1)[support_map.index_of(xy[0], xy[1])]
+                inside &= height < ceiling
         if self.config.overhang != "any":
             inside &= ~self._is_beyond(episode, focus, settling)
         verdict = jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
@@ -313,7 +358,11 @@ class Rules(struct.PyTreeNode, eq=False):
         assert self.support_map is not None
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
-        shares = shares_beyond(self.support_map, self.geometry, settling.poses)
+        if episode.surface is None:
+            shares = shares_beyond(self.support_map, self.geometry, settling.poses)
+        else:
+            each = jax.vmap(lambda one: shares_beyond(one, self.geometry, settling.poses))(self.support_map)
+            shares = each[jnp.maximum(episode.surface, 0), jnp.arange(each.shape[1])]
         return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
 
     def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
@@ -389,7 +438,10 @@ class Rules(struct.PyTreeNode, eq=False):
         is_over = self._is_spent(episode)
         if not config.ruin_after:
             return episode.replace(is_over=is_over | (episode.attempt >= config.max_attempts))
-        ruined = self.remove(episode, choose_removal(episode, self.geometry, self._is_started(episode)))
+        stays = self._is_started(episode)
+        if episode.surface is not None:
+            stays |= episode.surface != episode.surface[self.focus(episode)]
+        ruined = self.remove(episode, choose_removal(episode, self.geometry, stays))
         # What could not be filled again within the budget is not worth taking apart.
         is_ruined = (episode.attempt >= config.ruin_after) & ~self._is_spent(ruined)
         after = jax.tree.map(lambda new, old: jnp.where(is_ruined, new, old), ruined, episode)

@@ -32,6 +32,7 @@ from cluttergen_jax.placement.problem import (
     ProblemConfig,
     Setup,
     WorldSizes,
+    area_of,
     check_crowding,
     check_number,
     compose,
@@ -206,7 +207,7 @@ class Shelves:
         pool = find_pool(config.pool, names=config.objects)
         if config.objects:
             pool = pool.select(config.objects)
-        return cls(pool, config, find_support(config.support), keep_out)
+        return cls(pool, config, find_support(config.support).on_surface(config.surface), keep_out)
 
     def draw(self, key: Array) -> tuple[str, ...]:
         """The names of the objects of a shelf, drawn with a key."""
@@ -226,7 +227,8 @@ class Shelves:
         if self._latest is None or self._latest[0] != names:
             objects = [self.pool[name] for name in names]
             if self._latest is None:
-                region = self.config.region or self._worlds.support.region
-                check_crowding(objects, self.config.placement.num_objects, region)
+                support = self._worlds.support
+                region = self.config.region or support.region
+                check_crowding(objects, self.config.placement.num_objects, region, area_of(support))
             self._latest = names, self._worlds.setup(objects)
         return self._latest[1]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import jaxlie
 from flax import struct
 
+from cluttergen_jax.assets.support_map import VOID
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.types import Array, Settling
 
@@ -59,6 +61,51 @@ def _up_in_object(quaternion: Array) -> Array:
     return jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
 
 
+class SupportMap(struct.PyTreeNode):
+    """The support alone, in the world frame, or in that of one of its surfaces; a leading axis for several.
+
+    Attributes:
+      height: f32[W, H], metres above the top, VOID where there is nothing; its border is VOID.
+      corner: f32[2], metres; cell: metres.
+      ceiling: f32[W, H], metres above the surface up to which it is free, inf under the open sky; None where
+        nothing hangs over it.
+      T_map_world: from the world to the surface's frame; None where its x and y are the world's.
+    """
+
+    height: Array
+    corner: Array
+    cell: float = struct.field(pytree_node=False)
+    ceiling: Array | None = None
+    T_map_world: jaxlie.SE3 | None = None
+
+    def of_surface(self, index: Array | int) -> SupportMap:
+        """One of several."""
+        return jax.tree.map(lambda leaf: leaf[index], self)
+
+    @property
+    def first(self) -> SupportMap:
+        """The first of several, or the one that it is."""
+        return self.of_surface(0) if self.height.ndim > 2 else self
+
+    def place(self, T_world_x: jaxlie.SE3) -> jaxlie.SE3:
+        """T_map_x; its z may be another where the map has the world's x and y."""
+        return T_world_x if self.T_map_world is None else self.T_map_world @ T_world_x
+
+    def is_under(self, xy: Array) -> Array:
+        """bool[...]: whether the support is below points f32[..., 2] of the map, to half a cell."""
+        return self.height.reshape(-1).at[self.index_of(xy[..., 0], xy[..., 1])].get(mode="clip") > VOID
+
+    def index_of(self, x: Array, y: Array) -> Array:
+        """i32[...]: the cells of points f32[...] of the map, in the flattened map."""
+        i, j = (
+            jnp.clip((value - self.corner[k]) * (1 / self.cell), 0.0, self.height.shape[k] - 1.0).astype(
+                jnp.int32
+            )
+            for k, value in enumerate((x, y))
+        )
+        return i * self.height.shape[1] + j
+
+
 class Geometry(struct.PyTreeNode):
     """What the decision process knows of the compiled world's K objects; constants under `jit`.
 
@@ -74,6 +121,7 @@ class Geometry(struct.PyTreeNode):
       boxes: f32[B, 7]: the support's boxes: centre, half extents, yaw; world, metres, radians.
       top: f32, height of the support's top, metres.
       orientations: in which the objects are released; None where all are released upright.
+      support_map: of a surface of the support; None for a flat top, whose map the boxes tell.
     """
 
     half_extents: Array
@@ -88,6 +136,7 @@ class Geometry(struct.PyTreeNode):
     boxes: Array
     top: Array
     orientations: Orientations | None = None
+    support_map: SupportMap | None = None
 
     @property
     def num_objects(self) -> int:
@@ -253,6 +302,8 @@ class Episode(struct.PyTreeNode):
       verdict: i32, the latest attempt's verdict; once all slots are filled, the last check's.
       drift: f32, metres, the largest movement in the last check.
       support_graph: what carries what.
+      surface: i32[K], on which of several surfaces each object is placed, the current one to be; -1 for what
+        stood there when the episode began; None where there is one.
       orientation: i32, of `Geometry.orientations`, that in which the current object is released next; None
         where all are released upright.
       roles: i32[Q], the objects of `Rules.related`'s roles; None where nothing is related.
@@ -276,6 +327,7 @@ class Episode(struct.PyTreeNode):
     support_graph: SupportGraph
     orientation: Array | None = None
     roles: Array | None = None
+    surface: Array | None = None
 
     @property
     def num_slots(self) -> Array:

@@ -96,6 +96,6 @@ def make_world(
         names=names,
         objects=tuple(objects),
         support=support,
-        layout=Layout.of(model, support.top),
+        layout=Layout.of(model, support.lowest),
         columns=tuple(columns[id(asset)] for asset in objects),
     )

@@ -202,8 +202,11 @@ def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> 
     noise = jax.random.gumbel(key_which, (number, len(chance)))
     which = jnp.argmax(chance + noise, axis=1)
     T_region_world = episode.region.T_world_region.inverse()
-    turn, shift = T_region_world.rotation().as_matrix()[:2, :2], T_region_world.translation()[:2]
-    center = episode.poses[which, :2] @ turn.T + shift
+    turn, shift = T_region_world.rotation().as_matrix(), T_region_world.translation()[:2]
+    center = episode.poses[which, :2] @ turn[:2, :2].T + shift
+    support_map = rules.support_map_of(episode)
+    if support_map is not None and support_map.T_map_world is not None:
+        center += episode.poses[which, 2:3] * turn[:2, 2]
     # Boxes are turned about z and sometimes tipped: a square with the box's diagonal is near enough.
     reach = jnp.linalg.norm(half[which, :2], axis=1) / jnp.sqrt(2.0)
     xy = center + reach[:, None] * jax.random.uniform(key_at, (number, 2), minval=-1.0)
