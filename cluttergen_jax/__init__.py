@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
     from cluttergen_jax.downstream.rearrange.api import rearrange
     from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
-    from cluttergen_jax.evaluation.api import certify, evaluate
+    from cluttergen_jax.evaluation.api import certify, evaluate, judge
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import (
         make_env,
@@ -90,6 +90,7 @@ __all__ = [
     "generate",
     "import_pool",
     "import_support",
+    "judge",
     "list_pools",
     "list_supports",
     "load_bank",
@@ -134,7 +135,7 @@ __all__ = [
 
 # What is in no module of this list is in `generation`.
 _MODULES = {
-    "evaluation.api": ("certify", "evaluate"),
+    "evaluation.api": ("certify", "evaluate", "judge"),
     "downstream.api": ("evaluate_suite",),
     "downstream.dataset.api": ("make_dataset",),
     "downstream.perception.api": ("perception_data", "perception_eval", "perception_train"),

@@ -1,0 +1,303 @@
+"""One strict rule for anybody's scene: what overlaps and floats at the start, what moves and falls later.
+
+Simulated from rest, everything awake, with the file's own options; nothing is repaired.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.config import Detector, check_positive
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation.measures.simulate import horizons_of, watch
+from cluttergen_jax.geometry import rotate
+from cluttergen_jax.physics.simulations import disabled_flags
+from cluttergen_jax.progress import stop_asked
+
+GAP = 0.001
+"""Metres between two bodies up to which they count as touching, when it is asked what floats."""
+AT_ONCE = 0.05
+"""Seconds within which what sinks by more than `GAP` floats: free fall is 12 mm."""
+FALL = 0.05
+"""Metres below its start from which a body has fallen."""
+MAX_STEPS = 1_200_000
+"""Of one simulation: a minute in steps of 0.05 ms."""
+_TRANSMISSION = mujoco.mjtTrn
+_FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
+
+
+@dataclass(frozen=True)
+class JudgeConfig:
+    """What the judge asks.
+
+    Attributes:
+      seconds: horizons, ascending, from the start on.
+      max_shift: metres by which a body's centre of mass may be away from its start at any time.
+      max_turn_deg: degrees that it may have turned.
+      max_penetration: metres by which two bodies may overlap at the start.
+      hold_joints: joints other than free ones stay where they start. If not, actuators hold their initial
+        controls, and joints without any go where gravity takes them.
+
+    Raises:
+      ConfigError: a number is not finite or not above zero, or the horizons do not ascend.
+    """
+
+    seconds: tuple[float, ...] = (1.0, 10.0, 60.0)
+    max_shift: float = 0.005
+    max_turn_deg: float = 5.0
+    max_penetration: float = 0.001
+    hold_joints: bool = False
+
+    def __post_init__(self) -> None:
+        check_positive(self, "max_shift", "max_turn_deg", "max_penetration")
+        horizons_of(self.seconds)
+
+
+class FreeBodies(NamedTuple):
+    """The bodies of a model that are judged: those that hang on the world by one free joint.
+
+    Attributes:
+      index: i[B], bodies; names: of each.
+      left_out: why other bodies with a free joint are not judged, by name.
+    """
+
+    index: np.ndarray
+    names: tuple[str, ...]
+    left_out: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """One start of a scene, simulated with one detector. B judged bodies, H horizons.
+
+    Attributes:
+      names: of the bodies.
+      shift, turn: f64[H, B], the farthest that each was from its start up to each horizon, metres and
+        radians; infinite where the simulation diverged or stopped.
+      penetration: f64[B], metres, the deepest overlap at the start; against: with what, "" if with nothing.
+      floats: bool[B]: at the start no chain of bodies at most 1 mm apart leads to anything that is not
+        judged, or it sinks by more than 1 mm within 0.05 s.
+      falls: bool[B]: at the last horizon it is more than 5 cm below its start.
+      is_still: bool[H, B], it is within the limits; is_deep: bool[B], it overlaps by more than is allowed.
+      qpos: f64[nq] at the end.
+      note: what went wrong in the simulation, "" if nothing did.
+    """
+
+    names: tuple[str, ...]
+    shift: np.ndarray
+    turn: np.ndarray
+    penetration: np.ndarray
+    against: tuple[str, ...]
+    floats: np.ndarray
+    falls: np.ndarray
+    is_still: np.ndarray
+    is_deep: np.ndarray
+    qpos: np.ndarray
+    note: str
+
+
+def find_free_bodies(model: mujoco.MjModel) -> FreeBodies:
+    """The bodies of a model that are judged.
+
+    Left out are those with other joints or an actuator: robots, and objects that bend; and those that collide
+    with nothing: markers.
+    """
+    paired = np.concatenate([model.pair_geom1, model.pair_geom2])
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    collides[paired] = True
+    driven = {int(model.body_rootid[body]) for body in _driven_bodies(model)}
+    joints = np.bincount(model.body_rootid[model.jnt_bodyid], minlength=model.nbody)
+    free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    kept, left_out = [], {}
+    for body in free.tolist():
+        if joints[body] > 1:
+            left_out[_name(model, body)] = "it has other joints"
+        elif body in driven:
+            left_out[_name(model, body)] = "an actuator moves it"
+        elif not collides[model.body_rootid[model.geom_bodyid] == body].any():
+            left_out[_name(model, body)] = "it collides with nothing"
+        else:
+            kept.append(body)
+    return FreeBodies(np.array(kept, int), tuple(_name(model, body) for body in kept), left_out)
+
+
+def _driven_bodies(model: mujoco.MjModel) -> list[int]:
+    """Bodies at which an actuator pulls; tendons lead to joints of robots."""
+    bodies = []
+    for kind, (target, _) in zip(model.actuator_trntype, model.actuator_trnid.tolist(), strict=True):
+        if kind in (_TRANSMISSION.mjTRN_JOINT, _TRANSMISSION.mjTRN_JOINTINPARENT):
+            bodies.append(int(model.jnt_bodyid[target]))
+        elif kind in (_TRANSMISSION.mjTRN_SITE, _TRANSMISSION.mjTRN_SLIDERCRANK):
+            bodies.append(int(model.site_bodyid[target]))
+        elif kind == _TRANSMISSION.mjTRN_BODY:
+            bodies.append(target)
+    return bodies
+
+
+def _name(model: mujoco.MjModel, body: int) -> str:
+    return model.body(body).name or (f"body-{body}" if body else "world")
+
+
+def check_steps(model: mujoco.MjModel, config: JudgeConfig) -> None:
+    """Refuses what would take forever, or cannot be stepped (ConfigError)."""
+    step, last = model.opt.timestep, config.seconds[-1]
+    if not (step > 0 and last / step <= MAX_STEPS):
+        raise ConfigError(
+            f"a time step of {step:g} s over {last:g} s",
+            f"{MAX_STEPS:,} steps at most",
+            f"seconds={config.seconds[0]:g}",
+        )
+
+
+def judge_start(
+    model: mujoco.MjModel, start: mujoco.MjData, detector: Detector, bodies: FreeBodies, config: JudgeConfig
+) -> Judgement:
+    """Judges one start with one of MuJoCo's detectors of convex collisions.
+
+    Args:
+      model, start: read alone; velocities count as zero.
+    """
+    model, data = copy.copy(model), copy.copy(start)
+    model.opt.disableflags = disabled_flags(model, detector)
+    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    # A diverging scene must be seen, not put back to where it started.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    data.qvel[:] = 0
+    try:
+        mujoco.mj_forward(model, data)
+        depth, against = _overlaps(model, data, bodies)
+        hangs = ~_is_carried(model, data, bodies)
+        moved = _Motion(model, data, bodies, config)
+        shift, turn = watch(moved.step, moved.poses(), np.array(config.seconds), model.opt.timestep)
+        sinks, falls, note = moved.sunk > GAP, moved.sinking() > FALL, moved.note
+        if not note and data.warning.number[_FULL].any():
+            note = "MuJoCo had no room for all contacts"
+    except mujoco.FatalError as error:
+        shape = (len(config.seconds), len(bodies.index))
+        shift, turn = np.full(shape, np.inf), np.full(shape, np.inf)
+        depth, against = np.zeros(shape[1]), ("",) * shape[1]
+        hangs = sinks = falls = np.zeros(shape[1], bool)
+        note = " ".join(str(error).split())
+    return Judgement(
+        names=bodies.names,
+        shift=shift,
+        turn=turn,
+        penetration=depth,
+        against=against,
+        floats=hangs | sinks,
+        falls=falls,
+        is_still=(shift <= config.max_shift) & (turn <= np.radians(config.max_turn_deg)),
+        is_deep=depth > config.max_penetration,
+        qpos=data.qpos.copy(),
+        note=note,
+    )
+
+
+def _pairs(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tuple[np.ndarray, np.ndarray]:
+    """i[C, 2], the judged bodies on both sides of each contact, -1 for others; f64[C], its distance."""
+    place = np.full(model.nbody, -1)
+    place[bodies.index] = np.arange(len(bodies.index))
+    geoms, distance = data.contact.geom, data.contact.dist
+    # A side of a contact with something soft is no geom.
+    owner = np.where(geoms < 0, -1, place[model.body_rootid[model.geom_bodyid[geoms]]])
+    is_other = (owner[:, 0] != owner[:, 1]) & (owner >= 0).any(1)
+    return owner[is_other], distance[is_other]
+
+
+def _overlaps(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """f64[B], metres, the deepest overlap of each body with another, and with what."""
+    deepest, against = np.zeros(len(bodies.index)), [""] * len(bodies.index)
+    owner, distance = _pairs(model, data, bodies)
+    for pair, depth in zip(owner.tolist(), -distance, strict=True):
+        for own, other in (pair, pair[::-1]):
+            if own >= 0 and depth > deepest[own]:
+                deepest[own] = depth
+                against[own] = bodies.names[other] if other >= 0 else "what is fixed or driven"
+    return deepest, tuple(against)
+
+
+def _is_carried(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> np.ndarray:
+    """bool[B]: a chain of bodies that touch leads to something that is not judged."""
+    margins = model.geom_margin.copy()
+    model.geom_margin[:] = np.maximum(margins, GAP)
+    mujoco.mj_collision(model, data)
+    owner, distance = _pairs(model, data, bodies)
+    model.geom_margin[:] = margins
+    owner = owner[distance <= GAP]
+    # The last entry is all that is not judged, which -1 means as well.
+    carried = np.append(np.zeros(len(bodies.index), bool), True)
+    while (reached := carried[owner].any(1)[:, None] & ~carried[owner]).any():
+        carried[owner[reached]] = True
+    return carried[:-1]
+
+
+class _Motion:
+    """The simulation of one start.
+
+    Attributes:
+      sunk: f64[B], metres by which each body had sunk at the first look, 0.05 s after the start.
+      note: what went wrong, "" if nothing did.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies, config: JudgeConfig
+    ) -> None:
+        self._model, self._data, self.note = model, data, ""
+        self._bodies = bodies.index
+        self._address = model.jnt_qposadr[model.body_jntadr[bodies.index]]
+        turn = data.xmat[bodies.index].reshape(-1, 3, 3)
+        self._center = np.einsum("bji,bj->bi", turn, data.subtree_com[bodies.index] - data.xpos[bodies.index])
+        self._start = self.poses()
+        self.sunk = np.zeros(len(bodies.index))
+        self._is_first = True
+        self._held = None
+        if config.hold_joints and (model.jnt_type != mujoco.mjtJoint.mjJNT_FREE).any():
+            is_free = np.zeros(model.nq, bool), np.zeros(model.nv, bool)
+            for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
+                is_free[0][model.jnt_qposadr[joint] : model.jnt_qposadr[joint] + 7] = True
+                is_free[1][model.jnt_dofadr[joint] : model.jnt_dofadr[joint] + 6] = True
+            self._held = ~is_free[0], ~is_free[1], data.qpos.copy()
+
+    def poses(self) -> np.ndarray:
+        """f64[B, 7]: where each body's centre of mass is, and its orientation."""
+        pose = self._data.qpos[self._address[:, None] + np.arange(7)]
+        with np.errstate(invalid="ignore"):
+            pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+            pose[:, :3] += rotate(np, pose[:, 3:], self._center)
+        return pose
+
+    def step(self, number: int) -> np.ndarray:
+        """The poses after so many steps more; NaN once the simulation has diverged."""
+        if stop_asked.is_set():
+            raise KeyboardInterrupt
+        if not self.note:
+            self._advance(number)
+        poses = self.poses()
+        if self._is_first:
+            self.sunk, self._is_first = self.sinking(), False
+        return np.full_like(poses, np.nan) if self.note else poses
+
+    def _advance(self, number: int) -> None:
+        model, data = self._model, self._data
+        if self._held is None:
+            mujoco.mj_step(model, data, number)
+        else:
+            is_held, is_held_dof, start = self._held
+            for _ in range(number):
+                mujoco.mj_step(model, data)
+                data.qpos[is_held], data.qvel[is_held_dof] = start[is_held], 0.0
+        if not np.isfinite(data.qpos).all():
+            self.note = f"it diverged before {data.time:.2f} s"
+
+    def sinking(self) -> np.ndarray:
+        """f64[B], metres by which each body has sunk along gravity since the start; 0 where it diverged."""
+        gravity = self._model.opt.gravity
+        down = gravity / max(float(np.linalg.norm(gravity)), 1e-9)
+        return np.nan_to_num((self.poses()[:, :3] - self._start[:, :3]) @ down)
