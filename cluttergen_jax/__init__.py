@@ -11,6 +11,7 @@ Every command has a function with the same defaults:
     import_pool, import_support    meshes, URDF, SDF, MJCF -> a pool, a support
     pool_poses, set_pose           the resting poses of an object of a pool; selects another one
     generate, verify, stats_of     scenes -> a bank on disk; which are stable; what it holds
+    judge, repair                  anybody's scenes by one strict rule; broken layouts -> stable ones
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer
     make_dataset                   what cameras see of thousands of scenes, in files for trainers
@@ -37,6 +38,7 @@ from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.api.place import place_by_hand
 from cluttergen_jax.api.pretrain import pretrain
 from cluttergen_jax.api.render import render
+from cluttergen_jax.api.repair import repair
 from cluttergen_jax.api.train import train, train_suite
 from cluttergen_jax.api.verify import verify
 from cluttergen_jax.api.view import view
@@ -120,6 +122,7 @@ __all__ = [
     "rearrange",
     "remove_pool",
     "render",
+    "repair",
     "robot_grasps",
     "robot_place",
     "set_pose",

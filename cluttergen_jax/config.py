@@ -32,6 +32,9 @@ TRUSTED_METHODS = ("spread", "guided")
 """Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
 HAND = "hand"
 """The method of banks that people made; it proposes nothing by itself."""
+REPAIR = "repair"
+"""That of banks of repaired layouts."""
+UNPROPOSED = (HAND, REPAIR)
 Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args
 
 from cluttergen_jax.config import (
-    HAND,
     METHODS,
     ROBUST_TILT,
     TRUSTED_METHODS,
+    UNPROPOSED,
     Balance,
     Containment,
     Engine,
@@ -291,7 +291,7 @@ class SceneSpec:
             natural=rules.get("natural", cls.natural),
             tidy=rules.get("tidy", cls.tidy),
             height=rules.get("height", cls.height),
-            method=None if recipe["method"] == HAND else recipe["method"],
+            method=None if recipe["method"] in UNPROPOSED else recipe["method"],
             checkpoint=recipe.get("checkpoint"),
             engine=recipe["engine"],
         )

@@ -146,8 +146,8 @@ class JudgeReport:
         lines.append(
             f"MuJoCo {self.mujoco}, from rest, everything awake, each file's own options; still: never more "
             f"than {1000 * config.max_shift:g} mm or {config.max_turn_deg:g} deg from the start; overlap: "
-            f"deeper than {1000 * config.max_penetration:g} mm at the start; float: nothing carries it at the "
-            f"start; fall: {1000 * FALL:g} mm or more lower at the end"
+            f"deeper than {1000 * config.max_penetration:g} mm at the start; float: nothing carries it at "
+            f"the start; fall: more than {1000 * FALL:g} mm lower at the end"
         )
         lines += self.notes
         lines += _shortened(
