@@ -95,10 +95,11 @@ def main(config: Judging) -> None:
             cells.append([what, f"{share['number']:.0f}", *(f"{share[each]:.3f}" for each in shown), alike])
     asked, alike = (sum(made[name][key] for name in names) for key in ("asked", "alike"))
     text = prose(f"""
-        Shares of scenes (or of free bodies) that are still up to each horizon, and in which bodies overlap by more
-        than 1 mm or float at the start, or fall: `cluttergen judge`, from rest, everything awake, each file's own
-        options, joints of robots held, at most {config.max_starts} starts a file. Agreement: flags of bodies
-        (still 1 s, overlap, float, fall; native) that the plain judge sets alike, in all {alike} of {asked}, {alike / asked:.4f}.
+        Shares of scenes (or of free bodies) that are still up to each horizon, and in which bodies overlap
+        by more than 1 mm or float at the start, or fall: `cluttergen judge`, from rest, everything awake,
+        each file's own options, joints of robots held, at most {config.max_starts} starts a file.
+        Agreement: flags of bodies (still 1 s, overlap, float, fall; native) that the plain judge sets
+        alike, in all {alike} of {asked}, {alike / asked:.4f}.
     """)
     header = ["", "number", *shown, "agreement"]
     report("judge", f"## Scenes of other projects\n\n{text}\n\n{table(header, cells)}", write=config.write)

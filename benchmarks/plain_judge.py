@@ -10,6 +10,7 @@ Every step is looked at; gaps come from distances between geoms, turns from rota
 """
 
 import argparse
+import copy
 import json
 from pathlib import Path
 
@@ -31,10 +32,18 @@ def starts_of(model, path, most):
     return keys[:most] or [("", model.qpos0, -1)]
 
 
+def _pulled(model, actuator):
+    """The body at which an actuator pulls; -1 for tendons."""
+    kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
+    if kind in (0, 1):
+        return int(model.jnt_bodyid[target])
+    return int(model.site_bodyid[target]) if kind in (2, 4) else target if kind == 5 else -1
+
+
 def judged(model):
     """The bodies with a free joint alone that collide and that nothing drives."""
     found = []
-    driven = {int(model.jnt_bodyid[j]) for j in model.actuator_trnid[:, 0] if 0 <= j < model.njnt}
+    driven = {_pulled(model, i) for i in range(model.nu)}
     for joint in range(model.njnt):
         body = int(model.jnt_bodyid[joint])
         tree = [b for b in range(model.nbody) if model.body_rootid[b] == body]
@@ -60,6 +69,21 @@ def is_near(model, data, a, b):
     reach = model.geom_rbound[a] + model.geom_rbound[b] + GAP
     is_endless = 0 in (model.geom_rbound[a], model.geom_rbound[b])
     return is_endless or np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) <= reach
+
+
+def lifted(model, data, bodies):
+    """Which bodies something at most a gap away presses upwards: collided with wider margins."""
+    wide = copy.copy(model)
+    wide.geom_margin[:] = np.maximum(model.geom_margin, GAP)
+    other = mujoco.MjData(wide)
+    other.qpos[:] = data.qpos
+    mujoco.mj_forward(wide, other)
+    below = set()
+    for contact in other.contact:
+        first, second = (int(model.body_rootid[model.geom_bodyid[g]]) for g in (contact.geom1, contact.geom2))
+        if contact.dist <= GAP and first != second and abs(contact.frame[2]) >= np.sin(np.radians(10)):
+            below.add(second if contact.frame[2] > 0 else first)
+    return np.array([body in below for body, _ in bodies], bool)
 
 
 def carried(model, data, bodies):
@@ -100,7 +124,7 @@ def judge(path, detector="native", seconds=(1.0, 10.0), hold_joints=False, most=
             roots = [int(model.body_rootid[model.geom_bodyid[g]]) for g in (contact.geom1, contact.geom2)]
             for root in set(roots) & depth.keys() if roots[0] != roots[1] else ():
                 depth[root] = max(depth[root], -contact.dist)
-        is_carried = carried(model, data, bodies)
+        is_carried, is_lifted = carried(model, data, bodies), lifted(model, data, bodies)
         start, turned = data.subtree_com[index].copy(), data.xmat[index].reshape(-1, 3, 3).copy()
         held_at = data.qpos[places[0]].copy()
         far, most_turned = np.zeros(len(index)), np.zeros(len(index))
@@ -127,7 +151,7 @@ def judge(path, detector="native", seconds=(1.0, 10.0), hold_joints=False, most=
                     "body": model.body(body).name or f"body-{body}",
                     **{f"is_still_{s:g}s": bool(flags[place]) for s, flags in zip(seconds, still)},  # noqa: B905
                     "is_deep": bool(depth[body] > MAX_DEPTH),
-                    "floats": bool(not is_carried[place] or sunk[place] > GAP),
+                    "floats": bool(not is_carried[place] or (sunk[place] > GAP and not is_lifted[place])),
                     "falls": bool(-moved[place, 2] > FALL),
                 }
             )

@@ -1,7 +1,7 @@
 """Layouts with noise, repaired: how many are stable, what moved by how much, and CPU-seconds.
 
-Scenes of a bank are disturbed: every object is shifted by so many millimetres in a random direction and turned
-by so many degrees about a random axis.
+Scenes of a bank are disturbed: every object is shifted by so many millimetres in a random direction, and
+turned by so many degrees about a random axis.
 
     python -m benchmarks.repair --bank out/dining --write
 """
@@ -153,10 +153,11 @@ def main(config: Repairing) -> None:
         "CPU-s",
     ]
     text = prose("""
-        `cluttergen repair` of scenes that were disturbed: every object shifted and turned by so much, in random
-        directions. Stable: all objects placed, and the final check passed; 10 s: by `cluttergen verify`. Motion is
-        from the disturbed poses. Lies on: contacts of one object carrying another before the noise that are there
-        after the repair. CPU-s: of a layout, in a process in which all is compiled, files written included.
+        `cluttergen repair` of scenes that were disturbed: every object shifted and turned by so much, in
+        random directions. Stable: all objects placed, and the final check passed; 10 s: by `cluttergen
+        verify`. Motion is from the disturbed poses. Lies on: contacts by which one object carried another
+        before the noise that are there after the repair. CPU-s: of a layout, in a process in which all is
+        compiled, files written included.
     """)
     report("repair", f"## Repair\n\n{text}\n\n{table(header, rows)}", write=config.write)
 

@@ -16,20 +16,26 @@ from cluttergen_jax.config import Detector, check_positive
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.simulate import horizons_of, shift_and_turn
 from cluttergen_jax.geometry import rotate
+from cluttergen_jax.physics.margin import MIN_LIFT
 from cluttergen_jax.physics.simulations import disabled_flags
 from cluttergen_jax.progress import stop_asked
 
 GAP = 0.001
 """Metres between two bodies up to which they count as touching, when it is asked what floats."""
 AT_ONCE = 0.05
-"""Seconds within which what sinks by more than `GAP` floats: free fall is 12 mm."""
+"""Seconds within which what has nothing below and sinks by more than `GAP` floats: free fall is 12 mm."""
 FALL = 0.05
 """Metres below its start from which a body has fallen."""
 _LOOK = 0.01
 """Seconds between two looks."""
 MAX_STEPS = 1_200_000
 """Of one simulation: a minute in steps of 0.05 ms."""
-_TRANSMISSION = mujoco.mjtTrn
+_PULLED = {
+    int(mujoco.mjtTrn.mjTRN_JOINT): "jnt_bodyid",
+    int(mujoco.mjtTrn.mjTRN_JOINTINPARENT): "jnt_bodyid",
+    int(mujoco.mjtTrn.mjTRN_SITE): "site_bodyid",
+    int(mujoco.mjtTrn.mjTRN_SLIDERCRANK): "site_bodyid",
+}
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 
 
@@ -83,7 +89,7 @@ class Judgement:
         radians; infinite where the simulation diverged or stopped.
       penetration: f64[B], metres, the deepest overlap at the start; against: with what, "" if with nothing.
       floats: bool[B]: at the start no chain of bodies at most 1 mm apart leads to anything that is not
-        judged, or it sinks by more than 1 mm within 0.05 s.
+        judged; or nothing within 1 mm presses it upwards, and it sinks by more than 1 mm within 0.05 s.
       falls: bool[B]: at the last horizon it is more than 5 cm below its start.
       is_still: bool[H, B], it is within the limits; is_deep: bool[B], it overlaps by more than is allowed.
       qpos: f64[nq] at the end.
@@ -130,15 +136,10 @@ def find_free_bodies(model: mujoco.MjModel) -> FreeBodies:
 
 def _driven_bodies(model: mujoco.MjModel) -> list[int]:
     """Bodies at which an actuator pulls; tendons lead to joints of robots."""
-    bodies = []
-    for kind, (target, _) in zip(model.actuator_trntype, model.actuator_trnid.tolist(), strict=True):
-        if kind in (_TRANSMISSION.mjTRN_JOINT, _TRANSMISSION.mjTRN_JOINTINPARENT):
-            bodies.append(int(model.jnt_bodyid[target]))
-        elif kind in (_TRANSMISSION.mjTRN_SITE, _TRANSMISSION.mjTRN_SLIDERCRANK):
-            bodies.append(int(model.site_bodyid[target]))
-        elif kind == _TRANSMISSION.mjTRN_BODY:
-            bodies.append(target)
-    return bodies
+    targets = zip(model.actuator_trntype.tolist(), model.actuator_trnid[:, 0].tolist(), strict=True)
+    bodies = [int(getattr(model, _PULLED[kind])[target]) for kind, target in targets if kind in _PULLED]
+    is_body = model.actuator_trntype == mujoco.mjtTrn.mjTRN_BODY
+    return [*bodies, *model.actuator_trnid[is_body, 0].tolist()]
 
 
 def _name(model: mujoco.MjModel, body: int) -> str:
@@ -173,17 +174,18 @@ def judge_start(
     try:
         mujoco.mj_forward(model, data)
         depth, against = _overlaps(model, data, bodies)
-        hangs = ~_is_carried(model, data, bodies)
+        is_chained, is_lifted = _held(model, data, bodies)
         motion = _Motion(model, data, bodies, config)
         shift, turn = motion.run(config.seconds)
-        sinks, falls, note = motion.sunk > GAP, motion.sinking() > FALL, motion.note
+        floats = ~is_chained | (~is_lifted & (motion.sunk > GAP))
+        falls, note = motion.sinking() > FALL, motion.note
         if not note and data.warning.number[_FULL].any():
             note = "MuJoCo had no room for all contacts"
     except mujoco.FatalError as error:
         shape = (len(config.seconds), len(bodies.index))
         shift, turn = np.full(shape, np.inf), np.full(shape, np.inf)
         depth, against = np.zeros(shape[1]), ("",) * shape[1]
-        hangs = sinks = falls = np.zeros(shape[1], bool)
+        floats = falls = np.zeros(shape[1], bool)
         note = " ".join(str(error).split())
     return Judgement(
         names=bodies.names,
@@ -191,7 +193,7 @@ def judge_start(
         turn=turn,
         penetration=depth,
         against=against,
-        floats=hangs | sinks,
+        floats=floats,
         falls=falls,
         is_still=(shift <= config.max_shift) & (turn <= np.radians(config.max_turn_deg)),
         is_deep=depth > config.max_penetration,
@@ -200,15 +202,28 @@ def judge_start(
     )
 
 
-def _pairs(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tuple[np.ndarray, np.ndarray]:
-    """i[C, 2], the judged bodies on both sides of each contact, -1 for others; f64[C], its distance."""
+def _pairs(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the contacts between two bodies: who touches whom, how near, and how far upwards.
+
+    Returns:
+      i[C, 2], the judged bodies on both sides, -1 for others; f64[C], metres between them; f64[C], the sine
+      of the angle at which the first side presses the second upwards.
+    """
     place = np.full(model.nbody, -1)
     place[bodies.index] = np.arange(len(bodies.index))
-    geoms, distance = data.contact.geom, data.contact.dist
+    geoms = data.contact.geom
     # A side of a contact with something soft is no geom.
     owner = np.where(geoms < 0, -1, place[model.body_rootid[model.geom_bodyid[geoms]]])
     is_other = (owner[:, 0] != owner[:, 1]) & (owner >= 0).any(1)
-    return owner[is_other], distance[is_other]
+    lift = -data.contact.frame[:, :3] @ _down(model)
+    return owner[is_other], data.contact.dist[is_other], lift[is_other]
+
+
+def _down(model: mujoco.MjModel) -> np.ndarray:
+    """f64[3]: along gravity, of unit length; zero where there is none."""
+    return model.opt.gravity / max(float(np.linalg.norm(model.opt.gravity)), 1e-9)
 
 
 def _overlaps(
@@ -216,7 +231,7 @@ def _overlaps(
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """f64[B], metres, the deepest overlap of each body with another, and with what."""
     deepest, against = np.zeros(len(bodies.index)), [""] * len(bodies.index)
-    owner, distance = _pairs(model, data, bodies)
+    owner, distance, _ = _pairs(model, data, bodies)
     for pair, depth in zip(owner.tolist(), -distance, strict=True):
         for own, other in (pair, pair[::-1]):
             if own >= 0 and depth > deepest[own]:
@@ -225,19 +240,21 @@ def _overlaps(
     return deepest, tuple(against)
 
 
-def _is_carried(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> np.ndarray:
-    """bool[B]: a chain of bodies that touch leads to something that is not judged."""
+def _held(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tuple[np.ndarray, np.ndarray]:
+    """bool[B] each: a chain of bodies that touch leads to what is not judged; something lies below."""
     margins = model.geom_margin.copy()
     model.geom_margin[:] = np.maximum(margins, GAP)
     mujoco.mj_collision(model, data)
-    owner, distance = _pairs(model, data, bodies)
+    owner, distance, lift = _pairs(model, data, bodies)
     model.geom_margin[:] = margins
-    owner = owner[distance <= GAP]
+    owner, lift = owner[distance <= GAP], lift[distance <= GAP]
     # The last entry is all that is not judged, which -1 means as well.
-    carried = np.append(np.zeros(len(bodies.index), bool), True)
-    while (reached := carried[owner].any(1)[:, None] & ~carried[owner]).any():
-        carried[owner[reached]] = True
-    return carried[:-1]
+    chained, lifted = np.zeros((2, len(bodies.index) + 1), bool)
+    chained[-1] = True
+    while (reached := chained[owner].any(1)[:, None] & ~chained[owner]).any():
+        chained[owner[reached]] = True
+    lifted[owner[lift >= MIN_LIFT, 1]] = lifted[owner[lift <= -MIN_LIFT, 0]] = True
+    return chained[:-1], lifted[:-1]
 
 
 class _Motion:
@@ -314,6 +331,4 @@ class _Motion:
 
     def sinking(self) -> np.ndarray:
         """f64[B], metres by which each body has sunk along gravity since the start; 0 where it diverged."""
-        gravity = self._model.opt.gravity
-        down = gravity / max(float(np.linalg.norm(gravity)), 1e-9)
-        return np.nan_to_num((self.poses()[:, :3] - self._start[:, :3]) @ down)
+        return np.nan_to_num((self.poses()[:, :3] - self._start[:, :3]) @ _down(self._model))
