@@ -25,7 +25,7 @@ def starts_of(model, path, most):
     """Names and positions of the starts: rows of an array beside the file, keyframes, or the file's own."""
     beside = path.with_suffix(".npz")
     if beside.is_file():
-        rows = np.load(beside)["states"][:most]
+        rows = np.load(beside, allow_pickle=False)["states"][:most]
         first = rows.shape[1] - model.nq - model.nv if rows.shape[1] > model.nq else 0
         return [(str(i), row[first : first + model.nq], -1) for i, row in enumerate(rows)]
     keys = [(model.key(i).name, model.key_qpos[i], i) for i in range(model.nkey)]

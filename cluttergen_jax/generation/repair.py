@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import msgspec
@@ -54,19 +54,24 @@ class _Entry(msgspec.Struct):
     asset: str = ""
 
 
-class _SupportEntry(msgspec.Struct):
+class _Region(msgspec.Struct):
+    half_extents: tuple[float, float]
+
+
+class _Support(msgspec.Struct):
+    """As exports tell it."""
+
     name: str
-    top: float | None = None
+    region: _Region
 
 
 class _File(msgspec.Struct):
     objects: list[_Entry]
     pool: str = ""
-    support: str | _SupportEntry = ""
+    support: str | _Support = ""
 
 
-@dataclass(frozen=True, eq=False)
-class BrokenLayout:
+class BrokenLayout(NamedTuple):
     """N objects where they are.
 
     Attributes:
@@ -81,8 +86,7 @@ class BrokenLayout:
     poses: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class LayoutSet:
+class LayoutSet(NamedTuple):
     """Broken layouts on one support, and what decides how they are repaired."""
 
     layouts: tuple[BrokenLayout, ...]
@@ -115,22 +119,20 @@ def read_layouts(
 
 
 def _layouts_of_bank(bank: Bank, numbers: Sequence[int] | None) -> LayoutSet:
-    rows = list(bank.scenes()) if numbers is None else list(bank.rows(numbers).values())
-    if numbers is not None and len(rows) < len(set(numbers)):
-        held = [row.index for row in bank.scenes()]
-        raise ConfigError(f"{bank.path}: {missing_text(numbers, held)}", "scenes of the bank")
-    asset_of = lru_cache(maxsize=None)(bank.object)
-    layouts = tuple(
-        BrokenLayout(
-            f"{bank.path.name}:{row.index}",
-            row.objects,
-            tuple(asset_of(base_name(name)) for name in row.objects),
-            row.poses.astype(float),
+    rows = list(bank.scenes() if numbers is None else bank.rows(numbers).values())
+    if numbers is not None and (
+        missing := missing_text(sorted(set(numbers)), {row.index for row in rows} or {-1})
+    ):
+        raise ConfigError(f"{bank.path}: {missing}", "scenes of the bank")
+    if empty := [row.index for row in rows if not row.objects]:
+        raise ConfigError(f"{bank.path}: no object stands in scene {empty[0]}", "others", "`scenes`")
+    asset_of, recipe = lru_cache(maxsize=None)(bank.object), bank.recipe
+    layouts = []
+    for row in rows:
+        objects = tuple(asset_of(base_name(name)) for name in row.objects)
+        layouts.append(
+            BrokenLayout(f"{bank.path.name}:{row.index}", row.objects, objects, row.poses.astype(float))
         )
-        for row in rows
-        if row.objects
-    )
-    recipe = bank.recipe
     config = ProblemConfig(
         pool=str(recipe.get("pool", "")),
         support=str(recipe.get("support", "")),
@@ -138,29 +140,21 @@ def _layouts_of_bank(bank: Bank, numbers: Sequence[int] | None) -> LayoutSet:
         stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
         contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
     )
-    return LayoutSet(layouts, bank.support, config)
+    return LayoutSet(tuple(layouts), bank.support, config)
 
 
 def _layouts_of_files(files: Sequence[Path], pool: str | None, support: str | None) -> LayoutSet:
     read = {file: _read_file(file) for file in files}
-    pools = {pool or each.pool for each in read.values()}
-    supports = {
-        support or (each.support if isinstance(each.support, str) else each.support.name)
-        for each in read.values()
-    }
-    for what, found in (("pool", pools), ("support", supports)):
-        if len(found) > 1 or not all(found):
-            given = (
-                f"layouts of the {what}s {sorted(found)}" if all(found) else f"a layout that names no {what}"
-            )
-            raise ConfigError(given, f"one {what}", f"`{what}`")
-    (pool,), (support,) = pools, supports
-    assets, table = find_pool(pool), find_support(support)
-    layouts = []
+    pool = _only("pool", {pool or each.pool for each in read.values()})
+    named = (each.support if isinstance(each.support, str) else each.support.name for each in read.values())
+    support = _only("support", {support or each for each in named})
+    assets, table, layouts = find_pool(pool), find_support(support), []
     for file, each in read.items():
-        top = None if isinstance(each.support, str) else each.support.top
-        if top is not None and abs(top - table.top) > 1e-4:
-            raise ConfigError(f"{file}: a support whose top is at {top:g} m", f"{table.top:g} m", "`support`")
+        if isinstance(each.support, _Support):
+            theirs, ours = (np.array(one.region.half_extents) for one in (each.support, table))
+            if np.abs(theirs - ours).max() > 1e-4:
+                given = f"{file}: a support with a region of {2 * theirs[0]:g} x {2 * theirs[1]:g} m"
+                raise ConfigError(given, f"{2 * ours[0]:g} x {2 * ours[1]:g} m, as {support!r}", "`support`")
         objects = tuple(assets[entry.asset or base_name(entry.name)] for entry in each.objects)
         poses = np.array([[*entry.position, *entry.quaternion_wxyz] for entry in each.objects], float)
         length = np.linalg.norm(poses[:, 3:], axis=1)
@@ -169,6 +163,14 @@ def _layouts_of_files(files: Sequence[Path], pool: str | None, support: str | No
         poses[:, 3:] /= length[:, None]
         layouts.append(BrokenLayout(file.name, tuple(e.name for e in each.objects), objects, poses))
     return LayoutSet(tuple(layouts), table, ProblemConfig(pool=pool, support=support))
+
+
+def _only(what: str, found: set[str]) -> str:
+    """The one pool or support of all layouts."""
+    if len(found) > 1 or "" in found:
+        given = f"a layout that names no {what}" if "" in found else f"layouts of the {what}s {sorted(found)}"
+        raise ConfigError(given, f"one {what}", f"`{what}`")
+    return next(iter(found))
 
 
 def _read_file(file: Path) -> _File:
@@ -186,22 +188,55 @@ class RepairedLayout:
     """What became of a layout of N objects.
 
     Attributes:
-      source: of the layout; verdict: the last word on it.
-      names: as the source has them.
+      layout: as it was; verdict: the last word on it.
       poses: f64[N, 7], where they are now; as given where an object could not be placed.
-      shift, turn: f64[N], metres and radians from where they were.
       is_placed: bool[N].
       is_stable: all are placed, and stand together in the final check.
     """
 
-    source: str
+    layout: BrokenLayout
     verdict: str
-    names: tuple[str, ...]
     poses: np.ndarray
-    shift: np.ndarray
-    turn: np.ndarray
     is_placed: np.ndarray
     is_stable: bool
+
+    @property
+    def shift(self) -> np.ndarray:
+        """f64[N], metres from where they were."""
+        return np.linalg.norm(self.poses[:, :3] - self.layout.poses[:, :3], axis=1)
+
+    @property
+    def turn(self) -> np.ndarray:
+        """f64[N], radians."""
+        return turn_between(np, self.poses[:, 3:], self.layout.poses[:, 3:])
+
+    def records(self) -> list[dict[str, Any]]:
+        """What became of each object, as JSON values."""
+        layout, each_one = self.layout, zip(self.poses.tolist(), self.is_placed.tolist(), strict=True)
+        motion = zip(self.shift.tolist(), self.turn.tolist(), strict=True)
+        return [
+            {
+                "name": name,
+                "asset": asset.name,
+                "position": pose[:3],
+                "quaternion_wxyz": pose[3:],
+                "is_placed": is_placed,
+                "shift": shift,
+                "turn": turn,
+            }
+            for name, asset, (pose, is_placed), (shift, turn) in zip(
+                layout.names, layout.objects, each_one, motion, strict=True
+            )
+        ]
+
+    def __str__(self) -> str:
+        if self.is_stable:
+            return f"{self.layout.source}: stable"
+        names = [name for name, there in zip(self.layout.names, self.is_placed, strict=True) if not there]
+        why = (
+            f"no stable place near its own for {', '.join(names)}" if names else f"{self.verdict} as a whole"
+        )
+        return f"not repaired: {self.layout.source}: {why}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,51 +254,37 @@ class RepairReport:
     @property
     def rows(self) -> pa.Table:
         """A row for each object: its layout and name, whether it could be placed, metres and radians."""
-        named = [(each, place) for each in self.layouts for place in range(len(each.names))]
-        return pa.table(
-            {
-                "layout": [each.source for each, _ in named],
-                "is_stable": [each.is_stable for each, _ in named],
-                "object": [each.names[place] for each, place in named],
-                "is_placed": [bool(each.is_placed[place]) for each, place in named],
-                "shift": [float(each.shift[place]) for each, place in named],
-                "turn": [float(each.turn[place]) for each, place in named],
-            }
-        )
+        return pa.Table.from_pylist(
+            [
+                {"layout": each.layout.source, "is_stable": each.is_stable, **record}
+                for each in self.layouts
+                for record in each.records()
+            ]
+        ).drop_columns(["position", "quaternion_wxyz"])
 
     def __str__(self) -> str:
-        shift = np.concatenate([each.shift[each.is_placed] for each in self.layouts])
-        turn = np.degrees(np.concatenate([each.turn[each.is_placed] for each in self.layouts]))
+        moved = [record for each in self.layouts for record in each.records() if record["is_placed"]]
         stable = sum(each.is_stable for each in self.layouts)
         lines = [f"{stable} of {len(self.layouts)} layouts are stable now, in {self.path}"]
-        if len(shift):
+        if moved:
+            shift, turn = (np.array([record[name] for record in moved]) for name in ("shift", "turn"))
             lines.append(
-                f"motion of {len(shift)} objects: median {small_length(np.median(shift))} and "
-                f"{np.median(turn):.1f} deg, most {small_length(shift.max())} and {turn.max():.1f} deg"
+                f"motion of {len(moved)} objects: median {small_length(np.median(shift))} and "
+                f"{np.degrees(np.median(turn)):.1f} deg, most {small_length(shift.max())} and "
+                f"{np.degrees(turn.max()):.1f} deg"
             )
         if len(self.layouts) == 1:
-            (only,) = self.layouts
-            each_one = zip(only.names, only.shift, only.turn, only.is_placed, strict=True)
-            lines += [
-                f"  {name}: {small_length(shift)}, {np.degrees(turn):.1f} deg"
-                if there
-                else f"  {name}: not placed"
-                for name, shift, turn, there in each_one
-            ]
-        broken = [each for each in self.layouts if not each.is_stable]
-        for each in broken[:_SHOWN]:
-            names = [name for name, there in zip(each.names, each.is_placed, strict=True) if not there]
-            why = (
-                f"no stable place near its own for {', '.join(names)}"
-                if names
-                else f"all are placed, but {each.verdict}"
-            )
-            lines.append(f"not repaired: {each.source}: {why}")
-        return "\n".join(lines + [f"and {len(broken) - _SHOWN} more"] * (len(broken) > _SHOWN))
+            each_one = ((r["name"], small_length(r["shift"]), np.degrees(r["turn"])) for r in moved)
+            lines += [f"  {name}: {shift}, {turn:.1f} deg" for name, shift, turn in each_one]
+        broken = [str(each) for each in self.layouts if not each.is_stable]
+        more = [f"and {len(broken) - _SHOWN} more"] if len(broken) > _SHOWN else []
+        return "\n".join([*lines, *broken[:_SHOWN], *more])
 
 
 def repair_layouts(given: LayoutSet, out: Path, limits: RepairConfig, overwrite: bool) -> RepairReport:
     """See `cluttergen_jax.repair`."""
+    if out.suffix == ".json" and len(given.layouts) > 1:
+        raise ConfigError(f"out = '{out}' for {len(given.layouts)} layouts", "a bank", "out='repaired'")
     setup, indices = _setup_of(given)
     world, mend = setup.problem.world, LayoutRepair(setup, limits)
     half_extents = np.asarray(setup.problem.rules.geometry.half_extents)
@@ -281,7 +302,10 @@ def repair_layouts(given: LayoutSet, out: Path, limits: RepairConfig, overwrite:
         progress.note(COMPILING)
         if out.suffix == ".json":
             found = report(out, rows_of(row_of(0)))
-            write_atomically(out, (json.dumps(_record(given, found.layouts[0]), indent=1) + "\n").encode())
+            (only,) = found.layouts
+            record = {"pool": given.config.pool, "support": given.config.support, "is_stable": only.is_stable}
+            data = json.dumps(record | {"objects": only.records()}, indent=1) + "\n"
+            write_atomically(out, data.encode())
             return found
         poses = b"".join(each.poses.tobytes() + repr(each.names).encode() for each in given.layouts)
         recipe = recipe_of(setup.problem, Method(REPAIR)) | {
@@ -316,14 +340,14 @@ def _setup_of(given: LayoutSet) -> tuple[Setup, list[list[int]]]:
     for each in given.layouts:
         most |= Counter(asset.name for asset in each.objects)
     names = [name for name, number in most.items() for _ in range(number)]
-    placement = PlacementConfig(
-        num_objects=max(len(each.names) for each in given.layouts),
-        order="fixed",
-        min_margin=MIN_MARGIN,
-        history_stride=0,
+    number = max(len(each.names) for each in given.layouts)
+    config = replace(
+        given.config,
+        placement=PlacementConfig(number, order="fixed", min_margin=MIN_MARGIN, history_stride=0),
+        stability=replace(given.config.stability, both_detectors=True),
+        repeat=True,
+        engine="native",
     )
-    stability = replace(given.config.stability, both_detectors=True)
-    config = replace(given.config, placement=placement, stability=stability, repeat=True, engine="native")
     setup = make_setup(config, assets=([assets[name] for name in names], given.support))
     indices = []
     for each in given.layouts:
@@ -339,43 +363,4 @@ def _compare(
     placed = dict(zip(row.objects, row.poses.astype(float), strict=True))
     is_placed = np.array([names[index] in placed for index in indices])
     poses = np.array([placed.get(names[i], pose) for i, pose in zip(indices, layout.poses, strict=True)])
-    return RepairedLayout(
-        source=layout.source,
-        verdict=row.verdict,
-        names=layout.names,
-        poses=poses,
-        shift=np.linalg.norm(poses[:, :3] - layout.poses[:, :3], axis=1),
-        turn=turn_between(np, poses[:, 3:], layout.poses[:, 3:]),
-        is_placed=is_placed,
-        is_stable=row.is_success,
-    )
-
-
-def _record(given: LayoutSet, found: RepairedLayout) -> dict[str, Any]:
-    """A repaired layout as a file of the kind that is read."""
-    layout = given.layouts[0]
-    return {
-        "pool": given.config.pool,
-        "support": given.config.support,
-        "is_stable": found.is_stable,
-        "objects": [
-            {
-                "name": name,
-                "asset": asset.name,
-                "position": pose[:3].tolist(),
-                "quaternion_wxyz": pose[3:].tolist(),
-                "is_repaired": bool(is_placed),
-                "shift": shift,
-                "turn": turn,
-            }
-            for name, asset, pose, is_placed, shift, turn in zip(
-                found.names,
-                layout.objects,
-                found.poses,
-                found.is_placed,
-                found.shift,
-                found.turn,
-                strict=True,
-            )
-        ],
-    }
+    return RepairedLayout(layout, row.verdict, poses, is_placed, row.is_success)

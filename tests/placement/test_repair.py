@@ -49,9 +49,9 @@ def test_an_orientation_loses_its_tilt_by_the_least_turn():
             "no direction",
         ),
         (
-            '{"pool": "dining", "support": {"name": "table", "top": 0.3}, "objects": [{"name": "mug", '
-            '"position": [0, 0, 1]}]}',
-            "top is at 0.3 m",
+            '{"pool": "dining", "support": {"name": "table", "region": {"half_extents": [0.2, 0.25]}}, '
+            '"objects": [{"name": "mug", "position": [0, 0, 1]}]}',
+            "region of 0.4 x 0.5 m",
         ),
     ],
 )
@@ -93,7 +93,7 @@ def test_noise_is_repaired_nearby_and_what_lay_on_what_does_so_again(bank, tmp_p
     assert shift.max() <= 0.05
     wanted, kept = 0, 0
     for scene, each in zip(scenes, report.layouts, strict=True):
-        before = json.loads((tmp_path / "noisy" / each.source).read_text())["objects"]
+        before = json.loads((tmp_path / "noisy" / each.layout.source).read_text())["objects"]
         given = np.array([entry["position"] for entry in before])
         np.testing.assert_allclose(np.linalg.norm(each.poses[:, :3] - given, axis=1), each.shift, atol=1e-6)
         now = cg.Scene(scene.names, scene.objects, each.poses, scene.support, scene.stability, scene.contact)
@@ -137,5 +137,5 @@ def test_a_file_becomes_a_file_and_what_cannot_be_placed_is_named(tmp_path, caps
     assert main(["repair", str(bad), "--out", str(tmp_path / "half.json")]) == 1
     assert "no stable place near its own for soup_can" in capsys.readouterr().out
     half = json.loads((tmp_path / "half.json").read_text())
-    assert [entry["is_repaired"] for entry in half["objects"]] == [True, False]
+    assert [entry["is_placed"] for entry in half["objects"]] == [True, False]
     assert half["objects"][1]["position"] == [0.5, 0, 0.75]

@@ -28,7 +28,7 @@ FALL = 0.05
 """Metres below its start from which a body has fallen."""
 _LOOK = 0.01
 """Seconds between two looks."""
-MAX_STEPS = 1_200_000
+_MAX_STEPS = 1_200_000
 """Of one simulation: a minute in steps of 0.05 ms."""
 _PULLED = {
     int(mujoco.mjtTrn.mjTRN_JOINT): "jnt_bodyid",
@@ -36,24 +36,13 @@ _PULLED = {
     int(mujoco.mjtTrn.mjTRN_SITE): "site_bodyid",
     int(mujoco.mjtTrn.mjTRN_SLIDERCRANK): "site_bodyid",
 }
+_FREE = mujoco.mjtJoint.mjJNT_FREE
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 
 
 @dataclass(frozen=True)
 class JudgeConfig:
-    """What the judge asks.
-
-    Attributes:
-      seconds: horizons, ascending, from the start on.
-      max_shift: metres by which a body's centre of mass may be away from its start at any time.
-      max_turn_deg: degrees that it may have turned.
-      max_penetration: metres by which two bodies may overlap at the start.
-      hold_joints: joints other than free ones stay where they start. If not, actuators hold their initial
-        controls, and joints without any go where gravity takes them.
-
-    Raises:
-      ConfigError: a number is not finite or not above zero, or the horizons do not ascend.
-    """
+    """What the judge asks; see `cluttergen_jax.judge`."""
 
     seconds: tuple[float, ...] = (1.0, 10.0, 60.0)
     max_shift: float = 0.005
@@ -65,18 +54,25 @@ class JudgeConfig:
         check_positive(self, "max_shift", "max_turn_deg", "max_penetration")
         horizons_of(self.seconds)
 
+    def check_steps(self, model: mujoco.MjModel) -> None:
+        """Refuses a model that cannot be stepped, or would take forever (ConfigError)."""
+        step, last = model.opt.timestep, self.seconds[-1]
+        if not (step > 0 and last / step <= _MAX_STEPS):
+            given, allowed = f"a time step of {step:g} s over {last:g} s", f"{_MAX_STEPS:,} steps at most"
+            raise ConfigError(given, allowed, f"seconds={self.seconds[0]:g}")
+
 
 class FreeBodies(NamedTuple):
     """The bodies of a model that are judged: those that hang on the world by one free joint.
 
     Attributes:
-      index: i[B], bodies; names: of each.
-      left_out: why other bodies with a free joint are not judged, by name.
+      index: i[B]; names: of each.
+      left_out: why other bodies with a free joint are not judged.
     """
 
     index: np.ndarray
     names: tuple[str, ...]
-    left_out: dict[str, str]
+    left_out: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +88,7 @@ class Judgement:
         judged; or nothing within 1 mm presses it upwards, and it sinks by more than 1 mm within 0.05 s.
       falls: bool[B]: at the last horizon it is more than 5 cm below its start.
       is_still: bool[H, B], it is within the limits; is_deep: bool[B], it overlaps by more than is allowed.
-      qpos: f64[nq] at the end.
+      begin, end: f64[nq], the positions before and after.
       note: what went wrong in the simulation, "" if nothing did.
     """
 
@@ -105,7 +101,8 @@ class Judgement:
     falls: np.ndarray
     is_still: np.ndarray
     is_deep: np.ndarray
-    qpos: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
     note: str
 
 
@@ -115,46 +112,23 @@ def find_free_bodies(model: mujoco.MjModel) -> FreeBodies:
     Left out are those with other joints or an actuator: robots, and objects that bend; and those that collide
     with nothing: markers.
     """
-    paired = np.concatenate([model.pair_geom1, model.pair_geom2])
     collides = (model.geom_contype | model.geom_conaffinity) != 0
-    collides[paired] = True
-    driven = {int(model.body_rootid[body]) for body in _driven_bodies(model)}
+    collides[np.concatenate([model.pair_geom1, model.pair_geom2])] = True
+    targets = zip(model.actuator_trntype.tolist(), model.actuator_trnid[:, 0].tolist(), strict=True)
+    pulled = [int(getattr(model, _PULLED[kind])[target]) for kind, target in targets if kind in _PULLED]
+    pulled += model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_BODY, 0].tolist()
+    is_driven = np.isin(np.arange(model.nbody), model.body_rootid[pulled])
     joints = np.bincount(model.body_rootid[model.jnt_bodyid], minlength=model.nbody)
-    free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
-    kept, left_out = [], {}
-    for body in free.tolist():
-        if joints[body] > 1:
-            left_out[_name(model, body)] = "it has other joints"
-        elif body in driven:
-            left_out[_name(model, body)] = "an actuator moves it"
+    kept, left_out = [], []
+    for body in model.jnt_bodyid[model.jnt_type == _FREE].tolist():
+        if joints[body] > 1 or is_driven[body]:
+            left_out.append("they have other joints or an actuator")
         elif not collides[model.body_rootid[model.geom_bodyid] == body].any():
-            left_out[_name(model, body)] = "it collides with nothing"
+            left_out.append("they collide with nothing")
         else:
             kept.append(body)
-    return FreeBodies(np.array(kept, int), tuple(_name(model, body) for body in kept), left_out)
-
-
-def _driven_bodies(model: mujoco.MjModel) -> list[int]:
-    """Bodies at which an actuator pulls; tendons lead to joints of robots."""
-    targets = zip(model.actuator_trntype.tolist(), model.actuator_trnid[:, 0].tolist(), strict=True)
-    bodies = [int(getattr(model, _PULLED[kind])[target]) for kind, target in targets if kind in _PULLED]
-    is_body = model.actuator_trntype == mujoco.mjtTrn.mjTRN_BODY
-    return [*bodies, *model.actuator_trnid[is_body, 0].tolist()]
-
-
-def _name(model: mujoco.MjModel, body: int) -> str:
-    return model.body(body).name or (f"body-{body}" if body else "world")
-
-
-def check_steps(model: mujoco.MjModel, config: JudgeConfig) -> None:
-    """Refuses what would take forever, or cannot be stepped (ConfigError)."""
-    step, last = model.opt.timestep, config.seconds[-1]
-    if not (step > 0 and last / step <= MAX_STEPS):
-        raise ConfigError(
-            f"a time step of {step:g} s over {last:g} s",
-            f"{MAX_STEPS:,} steps at most",
-            f"seconds={config.seconds[0]:g}",
-        )
+    names = tuple(model.body(body).name or f"body-{body}" for body in kept)
+    return FreeBodies(np.array(kept, int), names, tuple(left_out))
 
 
 def judge_start(
@@ -171,21 +145,25 @@ def judge_start(
     # A diverging scene must be seen, not put back to where it started.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     data.qvel[:] = 0
+    number, note = len(bodies.index), ""
+    depth, against, floats, falls = (
+        np.zeros(number),
+        ("",) * number,
+        np.zeros(number, bool),
+        np.zeros(number, bool),
+    )
+    shift, turn = np.full((2, len(config.seconds), number), np.inf)
     try:
         mujoco.mj_forward(model, data)
         depth, against = _overlaps(model, data, bodies)
-        is_chained, is_lifted = _held(model, data, bodies)
-        motion = _Motion(model, data, bodies, config)
+        is_chained, is_lifted = _carried(model, data, bodies)
+        motion = _Motion(model, data, bodies, config.hold_joints)
         shift, turn = motion.run(config.seconds)
         floats = ~is_chained | (~is_lifted & (motion.sunk > GAP))
         falls, note = motion.sinking() > FALL, motion.note
         if not note and data.warning.number[_FULL].any():
             note = "MuJoCo had no room for all contacts"
     except mujoco.FatalError as error:
-        shape = (len(config.seconds), len(bodies.index))
-        shift, turn = np.full(shape, np.inf), np.full(shape, np.inf)
-        depth, against = np.zeros(shape[1]), ("",) * shape[1]
-        floats = falls = np.zeros(shape[1], bool)
         note = " ".join(str(error).split())
     return Judgement(
         names=bodies.names,
@@ -197,14 +175,18 @@ def judge_start(
         falls=falls,
         is_still=(shift <= config.max_shift) & (turn <= np.radians(config.max_turn_deg)),
         is_deep=depth > config.max_penetration,
-        qpos=data.qpos.copy(),
+        begin=start.qpos.copy(),
+        end=data.qpos.copy(),
         note=note,
     )
 
 
-def _pairs(
-    model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _down(model: mujoco.MjModel) -> np.ndarray:
+    """f64[3]: along gravity, of unit length; zero where there is none."""
+    return model.opt.gravity / max(float(np.linalg.norm(model.opt.gravity)), 1e-9)
+
+
+def _pairs(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tuple[np.ndarray, ...]:
     """Of the contacts between two bodies: who touches whom, how near, and how far upwards.
 
     Returns:
@@ -217,13 +199,7 @@ def _pairs(
     # A side of a contact with something soft is no geom.
     owner = np.where(geoms < 0, -1, place[model.body_rootid[model.geom_bodyid[geoms]]])
     is_other = (owner[:, 0] != owner[:, 1]) & (owner >= 0).any(1)
-    lift = -data.contact.frame[:, :3] @ _down(model)
-    return owner[is_other], data.contact.dist[is_other], lift[is_other]
-
-
-def _down(model: mujoco.MjModel) -> np.ndarray:
-    """f64[3]: along gravity, of unit length; zero where there is none."""
-    return model.opt.gravity / max(float(np.linalg.norm(model.opt.gravity)), 1e-9)
+    return owner[is_other], data.contact.dist[is_other], -data.contact.frame[is_other, :3] @ _down(model)
 
 
 def _overlaps(
@@ -235,12 +211,14 @@ def _overlaps(
     for pair, depth in zip(owner.tolist(), -distance, strict=True):
         for own, other in (pair, pair[::-1]):
             if own >= 0 and depth > deepest[own]:
-                deepest[own] = depth
-                against[own] = bodies.names[other] if other >= 0 else "what is fixed or driven"
+                deepest[own], against[own] = (
+                    depth,
+                    bodies.names[other] if other >= 0 else "what is not judged",
+                )
     return deepest, tuple(against)
 
 
-def _held(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tuple[np.ndarray, np.ndarray]:
+def _carried(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tuple[np.ndarray, np.ndarray]:
     """bool[B] each: a chain of bodies that touch leads to what is not judged; something lies below."""
     margins = model.geom_margin.copy()
     model.geom_margin[:] = np.maximum(margins, GAP)
@@ -265,23 +243,17 @@ class _Motion:
       note: what went wrong, "" if nothing did.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies, config: JudgeConfig
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies, holds: bool) -> None:
         self._model, self._data, self.note = model, data, ""
-        self._bodies = bodies.index
         self._address = model.jnt_qposadr[model.body_jntadr[bodies.index]]
-        turn = data.xmat[bodies.index].reshape(-1, 3, 3)
-        self._center = np.einsum("bji,bj->bi", turn, data.subtree_com[bodies.index] - data.xpos[bodies.index])
-        self._start = self.poses()
-        self.sunk = np.zeros(len(bodies.index))
-        self._held = None
-        if config.hold_joints and (model.jnt_type != mujoco.mjtJoint.mjJNT_FREE).any():
-            is_free = np.zeros(model.nq, bool), np.zeros(model.nv, bool)
-            for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
-                is_free[0][model.jnt_qposadr[joint] : model.jnt_qposadr[joint] + 7] = True
-                is_free[1][model.jnt_dofadr[joint] : model.jnt_dofadr[joint] + 6] = True
-            self._held = ~is_free[0], ~is_free[1], data.qpos.copy()
+        axes = data.xmat[bodies.index].reshape(-1, 3, 3)
+        self._center = np.einsum("bji,bj->bi", axes, data.subtree_com[bodies.index] - data.xpos[bodies.index])
+        self._start, self._qpos, self.sunk = self.poses(), data.qpos.copy(), np.zeros(len(bodies.index))
+        # Positions and velocities of joints that are held.
+        self._is_held, self._is_stopped = np.full(model.nq, holds), np.full(model.nv, holds)
+        for joint in np.flatnonzero(model.jnt_type == _FREE):
+            self._is_held[model.jnt_qposadr[joint] + np.arange(7)] = False
+            self._is_stopped[model.jnt_dofadr[joint] + np.arange(6)] = False
 
     def poses(self) -> np.ndarray:
         """f64[B, 7]: where each body's centre of mass is, and its orientation."""
@@ -291,44 +263,35 @@ class _Motion:
             pose[:, :3] += rotate(np, pose[:, 3:], self._center)
         return pose
 
+    def sinking(self) -> np.ndarray:
+        """f64[B], metres by which each body has sunk along gravity since the start; 0 where it diverged."""
+        return np.nan_to_num((self.poses()[:, :3] - self._start[:, :3]) @ _down(self._model))
+
     def run(self, seconds: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         """f64[H, B] metres and radians: the farthest up to each horizon, infinite where it diverged."""
-        shift, turn = np.zeros((2, len(seconds), len(self._start)))
-        farthest, step, done = (
-            (np.zeros(len(self._start)), np.zeros(len(self._start))),
-            self._model.opt.timestep,
-            0,
-        )
+        farthest, reached = np.zeros((2, len(self._start))), []
+        step, done = self._model.opt.timestep, 0
         stride, at_once = max(round(_LOOK / step), 1), round(AT_ONCE / step)
-        for place, until in enumerate(round(each / step) for each in seconds):
+        for until in (round(each / step) for each in seconds):
             while done < until and not self.note:
                 if stop_asked.is_set():
                     raise KeyboardInterrupt
                 number = min(stride, until - done, at_once - done if done < at_once else stride)
                 self._advance(number)
                 done += number
-                now = shift_and_turn(self.poses(), self._start)
-                farthest = np.maximum(farthest[0], now[0]), np.maximum(farthest[1], now[1])
+                farthest = np.maximum(farthest, shift_and_turn(self.poses(), self._start))
                 if done == at_once:
                     self.sunk = self.sinking()
-            # Where the whole diverges nothing is known of anything any more.
-            shift[place], turn[place] = (
-                np.full_like(each, np.inf) if self.note else each for each in farthest
-            )
+            # Where it diverges nothing is known of anything any more.
+            reached.append(np.full_like(farthest, np.inf) if self.note else farthest)
+        shift, turn = np.stack(reached, axis=1)
         return shift, turn
 
     def _advance(self, number: int) -> None:
         model, data = self._model, self._data
-        if self._held is None:
-            mujoco.mj_step(model, data, number)
-        else:
-            is_held, is_held_dof, start = self._held
-            for _ in range(number):
-                mujoco.mj_step(model, data)
-                data.qpos[is_held], data.qvel[is_held_dof] = start[is_held], 0.0
+        is_any_held = self._is_held.any()
+        for _ in range(number if is_any_held else 1):
+            mujoco.mj_step(model, data, 1 if is_any_held else number)
+            data.qpos[self._is_held], data.qvel[self._is_stopped] = self._qpos[self._is_held], 0.0
         if not np.isfinite(data.qpos).all():
             self.note = f"it diverged before {data.time:.2f} s"
-
-    def sinking(self) -> np.ndarray:
-        """f64[B], metres by which each body has sunk along gravity since the start; 0 where it diverged."""
-        return np.nan_to_num((self.poses()[:, :3] - self._start[:, :3]) @ _down(self._model))

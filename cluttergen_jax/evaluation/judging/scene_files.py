@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -19,21 +18,6 @@ _ARRAYS = (".npz", ".npy")
 _GIVEN = "an MJCF, URDF or USD file, or a folder of them"
 _ROOT = re.compile(rb"<\s*(mujoco|robot|mujocoinclude|\w+)[\s/>]")
 _CONVERT = "a file that numpy.savez wrote, of an array f64[S, nq], or [S, 1 + nq + nv] with the time first"
-
-
-@dataclass(frozen=True, eq=False)
-class Starts:
-    """Where the simulations of a file begin.
-
-    Attributes:
-      names: of each, "" where there is one alone.
-      data: of each, not simulated yet.
-      left_out: how many more there are in the file.
-    """
-
-    names: tuple[str, ...]
-    data: tuple[mujoco.MjData, ...]
-    left_out: int = 0
 
 
 def find_scenes(paths: Sequence[str | Path]) -> tuple[list[Path], int]:
@@ -105,10 +89,11 @@ def _with_paths(path: Path) -> str:
 
 def read_starts(
     model: mujoco.MjModel, path: Path, states: str | Path | np.ndarray | None, most: int
-) -> Starts:
-    """The starts of a file: the states that are given, else those in an array beside it, else its keyframes.
+) -> tuple[list[tuple[str, mujoco.MjData]], int]:
+    """The starts of a file by name, at most so many, evenly spread; and how many more there are.
 
-    Without any of these it starts where the file's bodies are. Of more than `most` so many are taken, evenly.
+    They are the states that are given, else those in an array beside the file, else its keyframes, else the
+    place of its bodies.
 
     Args:
       states: f64[S, nq] or wider rows (`_positions`), or a file of such arrays.
@@ -116,32 +101,27 @@ def read_starts(
     Raises:
       AssetError: the states are not the model's, are not finite, or their file cannot be read.
     """
-    beside = [each for each in map(path.with_suffix, _ARRAYS) if states is None and each.is_file()]
-    if beside:
-        states = beside[0]
-    if states is None:
-        names = [model.key(i).name or f"key-{i}" for i in range(model.nkey)] or [""]
-        chosen = _evenly(len(names), most)
-        data = []
-        for key in chosen:
-            data.append(mujoco.MjData(model))
-            if model.nkey:
-                mujoco.mj_resetDataKeyframe(model, data[-1], key)
-        return Starts(tuple(names[i] for i in chosen), tuple(data), len(names) - len(chosen))
-    rows = [
-        (f"{name}{place}", row)
-        for name, array in _arrays(states)
-        for place, row in enumerate(_positions(model, array, name))
-    ]
-    chosen = _evenly(len(rows), most)
-    data = [mujoco.MjData(model) for _ in chosen]
-    for each, place in zip(data, chosen, strict=True):
-        each.qpos[:] = rows[place][1]
-    return Starts(tuple(rows[i][0] for i in chosen), tuple(data), len(rows) - len(chosen))
-
-
-def _evenly(number: int, most: int) -> list[int]:
-    return np.unique(np.linspace(0, number - 1, min(number, most)).round().astype(int)).tolist()
+    beside = (path.with_suffix(suffix) for suffix in _ARRAYS)
+    given = states if states is not None else next(filter(Path.is_file, beside), None)
+    rows: list[tuple[str, np.ndarray | int]] = [("", -1)]
+    if given is not None:
+        rows = [
+            (f"{name}{place}", row)
+            for name, array in _arrays(given)
+            for place, row in enumerate(_positions(model, array))
+        ]
+    elif model.nkey:
+        rows = [(model.key(key).name or f"key-{key}", key) for key in range(model.nkey)]
+    chosen = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(int))
+    starts = []
+    for name, row in (rows[place] for place in chosen):
+        data = mujoco.MjData(model)
+        if isinstance(row, np.ndarray):
+            data.qpos[:] = row
+        elif row >= 0:
+            mujoco.mj_resetDataKeyframe(model, data, row)
+        starts.append((name, data))
+    return starts, len(rows) - len(starts)
 
 
 def _arrays(states: str | Path | np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
@@ -162,7 +142,7 @@ def _arrays(states: str | Path | np.ndarray) -> Iterator[tuple[str, np.ndarray]]
         raise AssetError(f"the states {states} cannot be read ({error})", _CONVERT) from error
 
 
-def _positions(model: mujoco.MjModel, states: np.ndarray, name: str) -> np.ndarray:
+def _positions(model: mujoco.MjModel, states: np.ndarray) -> np.ndarray:
     """f64[S, nq]: the positions in rows of these alone, or with velocities behind and the time before them.
 
     What a row has of velocities and activations does not count: a start is at rest.
@@ -170,10 +150,10 @@ def _positions(model: mujoco.MjModel, states: np.ndarray, name: str) -> np.ndarr
     nq, nv, na = model.nq, model.nv, model.na
     first = {nq: 0, nq + nv: 0, nq + nv + na: 0, 1 + nq + nv: 1, 1 + nq + nv + na: 1}
     width = states.shape[-1] if states.ndim in (1, 2) else None
-    if width not in first or not np.issubdtype(states.dtype, np.number):
+    if width not in first or not len(states) or not np.issubdtype(states.dtype, np.number):
         allowed = f"rows of nq = {nq}, nq + nv = {nq + nv} or 1 + nq + nv = {1 + nq + nv} numbers"
-        raise AssetError(f"the states {name}of shape {states.shape} are none of this model", allowed)
+        raise AssetError(f"states of shape {states.shape} are none of this model", allowed)
     rows = np.atleast_2d(states)[:, first[width] : first[width] + nq].astype(float)
     if not np.isfinite(rows).all():
-        raise AssetError(f"the states {name}hold numbers that are not finite")
+        raise AssetError("states that hold numbers that are not finite")
     return rows
