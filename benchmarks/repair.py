@@ -33,6 +33,7 @@ class Repairing:
       number: of layouts of each.
       noise: millimetres and degrees, pairs.
       seed: of the noise.
+      verified: so many of the repaired scenes are simulated for 10 s, with both detectors.
       write: put the table into reports/benchmarks.md.
     """
 
@@ -40,6 +41,7 @@ class Repairing:
     number: int = 100
     noise: tuple[tuple[float, float], ...] = ((10.0, 10.0),)
     seed: int = 0
+    verified: int = 20
     write: bool = False
 
 
@@ -112,14 +114,15 @@ def row_of(bank: cg.Bank, millimetres: float, degrees: float, config: Repairing)
                 wanted = rests_on(scene)
                 now = rests_on(_moved(scene, layout.poses))
                 kept, asked = kept + len(wanted & now), asked + len(wanted)
-        report_ = cg.verify(out)
+        files = sorted((out / "scenes").glob("*.xml"))[: config.verified]
+        stands = [cg.verify(file).is_sound for file in files]
     shift = 1000 * np.concatenate([each.shift[each.is_placed] for each in found.layouts])
     turn = np.degrees(np.concatenate([each.turn[each.is_placed] for each in found.layouts]))
     return [
         f"{bank.path.name}, {millimetres:g} mm, {degrees:g} deg",
         f"{len(scenes)}",
         f"{np.mean([each.is_stable for each in found.layouts]):.3f}",
-        f"{report_.stands.sum()} of {len(report_.scenes)}",
+        f"{sum(stands)} of {len(stands)}",
         f"{np.median(shift):.1f}",
         f"{np.percentile(shift, 99):.1f}",
         f"{shift.max():.1f}",
@@ -144,7 +147,7 @@ def main(config: Repairing) -> None:
         "",
         "layouts",
         "stable",
-        "of these, 10 s",
+        "10 s",
         "median mm",
         "99 %",
         "most",
@@ -154,8 +157,8 @@ def main(config: Repairing) -> None:
     ]
     text = prose("""
         `cluttergen repair` of scenes that were disturbed: every object shifted and turned by so much, in
-        random directions. Stable: all objects placed, and the final check passed; 10 s: by `cluttergen
-        verify`. Motion is from the disturbed poses. Lies on: contacts by which one object carried another
+        random directions. Stable: all objects placed, and the final check passed; 10 s: of the first
+        ones, by `cluttergen verify`. Motion is from the disturbed poses. Lies on: contacts by which one object carried another
         before the noise that are there after the repair. CPU-s: of a layout, in a process in which all is
         compiled, files written included.
     """)
