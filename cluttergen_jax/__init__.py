@@ -12,6 +12,7 @@ Every command has a function with the same defaults:
     pool_poses, set_pose           the resting poses of an object of a pool; selects another one
     read_layout                    a file of objects and relations -> a request
     generate, verify, stats_of     scenes -> a bank on disk; which are stable; what it holds
+    judge, repair                  anybody's scenes by one strict rule; broken layouts -> stable ones
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer
     make_dataset                   what cameras see of thousands of scenes, in files for trainers
@@ -38,6 +39,7 @@ from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.api.place import place_by_hand
 from cluttergen_jax.api.pretrain import pretrain
 from cluttergen_jax.api.render import render
+from cluttergen_jax.api.repair import repair
 from cluttergen_jax.api.train import train, train_suite
 from cluttergen_jax.api.verify import verify
 from cluttergen_jax.api.view import view
@@ -55,7 +57,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
     from cluttergen_jax.downstream.rearrange.api import rearrange
     from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
-    from cluttergen_jax.evaluation.api import certify, evaluate
+    from cluttergen_jax.evaluation.api import certify, evaluate, judge
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import (
         make_env,
@@ -92,6 +94,7 @@ __all__ = [
     "generate",
     "import_pool",
     "import_support",
+    "judge",
     "list_layouts",
     "list_pools",
     "list_supports",
@@ -123,6 +126,7 @@ __all__ = [
     "rearrange",
     "remove_pool",
     "render",
+    "repair",
     "robot_grasps",
     "robot_place",
     "set_pose",
@@ -138,7 +142,7 @@ __all__ = [
 
 # What is in no module of this list is in `generation`.
 _MODULES = {
-    "evaluation.api": ("certify", "evaluate"),
+    "evaluation.api": ("certify", "evaluate", "judge"),
     "downstream.api": ("evaluate_suite",),
     "downstream.dataset.api": ("make_dataset",),
     "downstream.perception.api": ("perception_data", "perception_eval", "perception_train"),

@@ -34,6 +34,9 @@ GEOMETRIC_METHODS = ("random", "clear", "drop", *TRUSTED_METHODS)
 """Those that see no clouds: objects may be released in any pose."""
 HAND = "hand"
 """The method of banks that people made; it proposes nothing by itself."""
+REPAIR = "repair"
+"""That of banks of repaired layouts."""
+UNPROPOSED = (HAND, REPAIR)
 Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args
 
 from cluttergen_jax.config import (
     GEOMETRIC_METHODS,
-    HAND,
     METHODS,
     ROBUST_TILT,
     TRUSTED_METHODS,
+    UNPROPOSED,
     Balance,
     Containment,
     Engine,
@@ -327,7 +327,7 @@ class SceneSpec:
             poses=rules.get("poses", cls.poses),
             relations=tuple(rules.get("relations", ())),
             roles=dict(rules.get("roles", ())),
-            method=None if recipe["method"] == HAND else recipe["method"],
+            method=None if recipe["method"] in UNPROPOSED else recipe["method"],
             checkpoint=recipe.get("checkpoint"),
             engine=recipe["engine"],
         )

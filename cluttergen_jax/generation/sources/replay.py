@@ -11,7 +11,7 @@ import numpy as np
 
 from cluttergen_jax.assets.pool import StoredObjects, find_pool
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
-from cluttergen_jax.config import HAND, ContactConfig, StabilityConfig
+from cluttergen_jax.config import UNPROPOSED, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
@@ -81,7 +81,7 @@ def replay_context_of(bank: Bank) -> ReplayContext:
         method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
     except KeyError as error:
         raise _not_recorded(bank, error) from error
-    trained = None if method == HAND else choose_method(method, pool, checkpoint).checkpoint
+    trained = None if method in UNPROPOSED else choose_method(method, pool, checkpoint).checkpoint
     return ReplayContext(setup, {} if trained is None else {method: trained})
 
 
@@ -146,9 +146,9 @@ def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_p
         assets.
     """
     recipe = bank.recipe
-    if recipe["method"] == HAND:
+    if recipe["method"] in UNPROPOSED:
         raise BankError(
-            f"{stored.title} was made by hand: its attempts cannot be made again",
+            f"{stored.title} was made by {recipe['method']}: its attempts cannot be made again",
             "attempts of scenes that a method made",
             "the scene itself",
         )
