@@ -13,7 +13,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid
-from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.geometry import rotate_in_plane, transform_points
 
@@ -130,7 +130,8 @@ def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: Sup
     points, colours, labels = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)], [np.zeros(0, np.int32)]
     if support is not None and (support.pieces or support.boxes or support.parts):
         top = top_points(support)
-        rgba = support.pieces[0].mean_rgba if support.pieces else (*support.boxes, Box())[0].rgba
+        drawn = [each.mean_rgba for each in support.pieces] or [each.rgba for each in support.boxes]
+        rgba = [*drawn, PART_RGBA][0]
         points.append(top)
         colours.append(np.tile(np.round(255 * np.array(rgba[:3])).astype(np.uint8), (len(top), 1)))
         labels.append(np.full(len(top), 1, np.int32))

@@ -46,7 +46,9 @@ def collision_of(
     Returns:
       Boxes, parts, and in words what could not be made to collide.
     """
-    hulls, rest, notes = [], [], []
+    hulls: list[Mesh] = []
+    rest: list[Mesh] = []
+    notes: list[str] = []
     for mesh in chain.from_iterable(_components(clean_mesh(each)) for each in meshes):
         hull = _hull_if_convex(mesh)
         (rest if hull is None else hulls).append(mesh if hull is None else hull)

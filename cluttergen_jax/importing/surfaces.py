@@ -74,7 +74,7 @@ class FoundSurface:
 
 def _corners(span: Span, lower: np.ndarray, cell: np.ndarray, yaw: float) -> np.ndarray:
     low, high = lower + cell * (span[0], span[2]), lower + cell * (span[1], span[3])
-    return rotate_in_plane([low, (high[0], low[1]), high, (low[0], high[1])], yaw)
+    return rotate_in_plane(np.array([low, (high[0], low[1]), high, (low[0], high[1])]), yaw)
 
 
 def find_surfaces(mesh: Mesh, yaw: float) -> tuple[list[FoundSurface], list[str]]:

@@ -47,7 +47,7 @@ def map_of_surfaces(support: SupportAsset) -> SupportMap | None:
     maps = [_map_of(*each, shape) for each in zip(surfaces, found, strict=True)]
     if all(surface.is_level for surface in surfaces):
         maps = [each.replace(T_map_world=None) for each in maps]
-    if not np.isfinite([each.ceiling for each in maps]).any():
+    if not any(np.isfinite(np.asarray(each.ceiling)).any() for each in maps):
         maps = [each.replace(ceiling=None) for each in maps]
     return jax.tree.map(lambda *each: np.stack(each), *maps) if len(maps) > 1 else maps[0]
 
@@ -61,7 +61,7 @@ def _map_of(surface: Surface, found: SurfaceHeights, shape: np.ndarray) -> Suppo
         corner=found.origin,
         cell=found.cell,
         ceiling=np.pad(found.ceiling, more, constant_values=np.inf),
-        T_map_world=jaxlie.SE3(np.append(turn, inverse[:3, 3])),
+        T_map_world=jaxlie.SE3(jnp.append(jnp.asarray(turn), inverse[:3, 3])),
     )
 
 

@@ -130,7 +130,7 @@ def support_sheet(
         for ring, radius in (*rings, (surface.region.corners, 0.0015)):
             lifted = np.column_stack([np.vstack([ring, ring[:1]]), np.full(len(ring) + 1, _LIFTED)])
             trails.append(Trail(transform_points(surface.pose, lifted), rgb, radius=radius))
-        spots.append(transform_points(surface.pose, [*surface.region.center, 0.0]))
+        spots.append(transform_points(surface.pose, np.array([*surface.region.center, 0.0])))
     seen = fit_camera(points, _SURFACE_VIEW, width, height).project(np.array(spots))[0]
     labels = [
         Ring((float(x), float(y)), (2.0, 2.0), distinct_colour(number)[:3], f"{number + 1} {surface.name}")

@@ -71,8 +71,8 @@ def stand_beside(support: SupportAsset) -> Box:
     middle = np.array([-_STAND_BEFORE, low - _STAND_GAP - STAND_SIDE / 2])
     x, y = np.asarray(region.center) + rotate_in_plane(middle, region.yaw)
     half = STAND_SIDE / 2
-    center = (float(x), float(y), support.top - _STAND_HALF_HEIGHT)
-    return Box(center, (half, half, _STAND_HALF_HEIGHT), region.yaw)
+    place = (float(x), float(y), support.top - _STAND_HALF_HEIGHT)
+    return Box(place, (half, half, _STAND_HALF_HEIGHT), region.yaw)
 
 
 def _low_side(box: Box, yaw: float, center: np.ndarray) -> float:

@@ -44,7 +44,7 @@ def judge_scenes(
                 model = read_model(path)
                 bodies = find_free_bodies(model)
                 left_out.update(f"free bodies are not judged: {why}" for why in bodies.left_out)
-                if not len(bodies.index):
+                if not len(bodies.ids):
                     raise AssetError("no body in it moves freely")
                 config.check_steps(model)
                 starts, num_more = read_starts(model, path, states, max_starts)

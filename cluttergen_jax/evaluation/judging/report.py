@@ -121,7 +121,7 @@ class JudgeReport:
         still = enumerate(self.config.seconds)
         return {
             "number": sum(len(each.names) for each in found) if of_bodies else len(found),
-            **{f"still {s:g} s": share(lambda one, h=h: one.is_still[h], np.all) for h, s in still},
+            **{f"still {s:g} s": share(_is_still_at(h), np.all) for h, s in still},
             "overlap": share(lambda one: one.is_deep, np.any),
             "float": share(lambda one: one.floats, np.any),
             "fall": share(lambda one: one.falls, np.any),
@@ -197,3 +197,8 @@ def draw(each: JudgedStart, path: Path) -> Path:
     images = [render_model(model, qpos, focus=focus, samples=8) for qpos in ends]
     captions = [f"{each.file.name} {each.start}: start", "end"][: len(images)]
     return save_png(contact_sheet(images, captions, columns=2), path)
+
+
+def _is_still_at(horizon: int) -> Callable[[Judgement], np.ndarray]:
+    """Which bodies are still at a horizon, by its number."""
+    return lambda one: one.is_still[horizon]

@@ -66,11 +66,11 @@ class FreeBodies(NamedTuple):
     """The bodies of a model that are judged: those that hang on the world by one free joint.
 
     Attributes:
-      index: i[B]; names: of each.
+      ids: i[B], of the bodies; names: of each.
       left_out: why other bodies with a free joint are not judged.
     """
 
-    index: np.ndarray
+    ids: np.ndarray
     names: tuple[str, ...]
     left_out: tuple[str, ...]
 
@@ -145,7 +145,7 @@ def judge_start(
     # A diverging scene must be seen, not put back to where it started.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     data.qvel[:] = 0
-    number, note = len(bodies.index), ""
+    number, note = len(bodies.ids), ""
     depth, against, floats, falls = (
         np.zeros(number),
         ("",) * number,
@@ -194,7 +194,7 @@ def _pairs(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tu
       of the angle at which the first side presses the second upwards.
     """
     place = np.full(model.nbody, -1)
-    place[bodies.index] = np.arange(len(bodies.index))
+    place[bodies.ids] = np.arange(len(bodies.ids))
     geoms = data.contact.geom
     # A side of a contact with something soft is no geom.
     owner = np.where(geoms < 0, -1, place[model.body_rootid[model.geom_bodyid[geoms]]])
@@ -206,7 +206,7 @@ def _overlaps(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """f64[B], metres, the deepest overlap of each body with another, and with what."""
-    deepest, against = np.zeros(len(bodies.index)), [""] * len(bodies.index)
+    deepest, against = np.zeros(len(bodies.ids)), [""] * len(bodies.ids)
     owner, distance, _ = _pairs(model, data, bodies)
     for pair, depth in zip(owner.tolist(), -distance, strict=True):
         for own, other in (pair, pair[::-1]):
@@ -227,7 +227,7 @@ def _carried(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> 
     model.geom_margin[:] = margins
     owner, lift = owner[distance <= GAP], lift[distance <= GAP]
     # The last entry is all that is not judged, which -1 means as well.
-    chained, lifted = np.zeros((2, len(bodies.index) + 1), bool)
+    chained, lifted = np.zeros((2, len(bodies.ids) + 1), bool)
     chained[-1] = True
     while (reached := chained[owner].any(1)[:, None] & ~chained[owner]).any():
         chained[owner[reached]] = True
@@ -245,10 +245,10 @@ class _Motion:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies, holds: bool) -> None:
         self._model, self._data, self.note = model, data, ""
-        self._address = model.jnt_qposadr[model.body_jntadr[bodies.index]]
-        axes = data.xmat[bodies.index].reshape(-1, 3, 3)
-        self._center = np.einsum("bji,bj->bi", axes, data.subtree_com[bodies.index] - data.xpos[bodies.index])
-        self._start, self._qpos, self.sunk = self.poses(), data.qpos.copy(), np.zeros(len(bodies.index))
+        self._address = model.jnt_qposadr[model.body_jntadr[bodies.ids]]
+        axes = data.xmat[bodies.ids].reshape(-1, 3, 3)
+        self._center = np.einsum("bji,bj->bi", axes, data.subtree_com[bodies.ids] - data.xpos[bodies.ids])
+        self._start, self._qpos, self.sunk = self.poses(), data.qpos.copy(), np.zeros(len(bodies.ids))
         # Positions and velocities of joints that are held.
         self._is_held, self._is_stopped = np.full(model.nq, holds), np.full(model.nv, holds)
         for joint in np.flatnonzero(model.jnt_type == _FREE):
