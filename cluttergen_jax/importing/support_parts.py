@@ -46,12 +46,15 @@ def collision_of(
     Returns:
       Boxes, parts, and in words what could not be made to collide.
     """
-    hulls: list[Mesh] = []
+    hulls: list[np.ndarray] = []
     rest: list[Mesh] = []
     notes: list[str] = []
     for mesh in chain.from_iterable(_components(clean_mesh(each)) for each in meshes):
         hull = _hull_if_convex(mesh)
-        (rest if hull is None else hulls).append(mesh if hull is None else hull)
+        if hull is None:
+            rest.append(mesh)
+        else:
+            hulls.append(hull)
     pieces = _components(clean_mesh(join_meshes(rest))) if rest else []
     pieces = [mesh for mesh in pieces if _size(mesh.vertices) >= _SMALL]
     with Progress("cutting into convex parts", len(pieces), "piece") as progress:
