@@ -157,10 +157,10 @@ def main(config: Repairing) -> None:
     ]
     text = prose("""
         `cluttergen repair` of scenes that were disturbed: every object shifted and turned by so much, in
-        random directions. Stable: all objects placed, and the final check passed; 10 s: of the first
-        ones, by `cluttergen verify`. Motion is from the disturbed poses. Lies on: contacts by which one
-        object carried another before the noise that are there after the repair. CPU-s: of a layout, in a
-        process in which all is compiled, files written included.
+        random directions. Stable: all objects placed, and the final check passed; 10 s: of the first ones,
+        by `cluttergen verify`. Motion is from the disturbed poses. Lies on: contacts by which one object
+        carried another before the noise that are there after the repair. CPU-s: of a layout, in a process
+        in which all is compiled, files written included.
     """)
     report("repair", f"## Repair\n\n{text}\n\n{table(header, rows)}", write=config.write)
 
