@@ -52,7 +52,7 @@ Setting = Literal["default", "paper"]
 DatasetForm = Literal["parquet", "webdataset", "bop"]
 Variation = Literal["texture", "light", "colour"]
 """What pictures of a dataset may vary in: the table's texture, light, colours of objects and floor."""
-Balance = Literal["objects", "label", "licence", "source"]
+Balance = Literal["objects", "label", "synset", "licence", "source"]
 Containment = Literal["center", "footprint"]
 Overhang = Literal["any", "half", "none"]
 Height = Literal["rest", "free"]

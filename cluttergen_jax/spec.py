@@ -137,8 +137,8 @@ class SceneSpec:
       pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
       objects: the pool's objects to use; all of them if empty. Names, patterns and conditions: "mug*",
         "mug* and volume<0.001", "label=*book* and height>=0.1"; one that any of them means is used. There
-        are name, label, licence, source; volume (m^3), mass (kg), x, y, height, width, depth (m), parts,
-        flagged.
+        are name, label, synset, licence, source; volume (m^3), mass (kg), x, y, height, width, depth (m),
+        parts, flagged.
       exclude: the pool's objects to leave out, told in the same ways; exclude=("mug",) is the same as
         pool="dining~mug".
       num_objects: objects per scene, 1 to 128; all of the pool's (40 at most) if not given.
@@ -148,8 +148,8 @@ class SceneSpec:
         more.
       weights: by which a shelf is drawn, "mug*=3; label=*book*=0.5": conditions as those of `objects`, and
         what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping.
-      balance: "objects", each is as likely to be on a shelf; or "label", "licence" or "source": of each of
-        their values a shelf has as many, while there are some.
+      balance: "objects", each is as likely to be on a shelf; or "label", "synset", "licence" or "source": of
+        each of their values a shelf has as many, while there are some.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
       surface: the surface of the support on which objects are placed, by name (`cluttergen inspect SUPPORT`
         lists them); the first one if not given. "all", or several joined by commas: each object goes to one

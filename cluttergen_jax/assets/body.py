@@ -126,7 +126,7 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
     if shape.is_pose_free and (turn := _usual_turn(solid, mass)) is not None:
         rotation, note = turn
         shape = replace(shape.rotate(rotation), notes=(*shape.notes, note))
-        solid, mass = _rotate_solid(solid, rotation), mass.transform(rotation, np.zeros(3))
+        solid, mass = solid.rotate(rotation), mass.transform(rotation, np.zeros(3))
     best: _Candidate | None = None
     first: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
@@ -217,14 +217,14 @@ def _candidate(
     corners: int = MAX_BASE_CORNERS,
 ) -> _Candidate:
     parts, rotation = _at_rest(raw, mass, corners)
-    turned = _rotate_solid(solid, rotation)
+    turned = solid.rotate(rotation)
     if shape.cavity is not None:
         hollow: Hollow | None = known_hollow(shape.cavity).transform(rotation, np.zeros(3))
     elif shape.parts is not None and not shape.is_from_file:
         # A modelled object without a cavity has none.
         hollow = None
     else:
-        hollow = find_hollow(turned)
+        hollow = None if solid.is_convex else find_hollow(turned)
     is_judged = hollow is not None and config.tier == "standard"
     return _Candidate(
         raw=raw,
@@ -274,13 +274,6 @@ def _draft(parts: list[np.ndarray], mass: MassProperties) -> ObjectAsset:
     )
 
 
-def _rotate_solid(solid: Solid, rotation: np.ndarray) -> Solid:
-    still = np.zeros(3)
-    return Solid(
-        solid.mesh.transform(rotation, still), solid.is_exact, solid.surface.transform(rotation, still)
-    )
-
-
 def _asset(
     shape: Shape, solid: Solid, mass: MassProperties, best: _Candidate, config: BodyConfig
 ) -> ObjectAsset:
@@ -293,6 +286,7 @@ def _asset(
         _draft([], mass),
         name=shape.name,
         label=shape.label,
+        synset=shape.synset,
         pieces=orient_faces(surfaces, solid),
         cloud=surface_cloud(solid, config.seed),
         provenance=shape.provenance,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -28,17 +28,41 @@ class Samples(NamedTuple):
 
 def sample_faces(mesh: Mesh, count: int, seed: int) -> Samples:
     """Points on the mesh, uniform by area, the same for the same seed."""
+    return next(_sample_blocks(mesh, count, count, seed))
+
+
+def _sample_blocks(mesh: Mesh, count: int, size: int, seed: int) -> Iterator[Samples]:
+    """The points of `sample_faces`, so many at a time."""
     area = np.cumsum(np.linalg.norm(mesh.normals, axis=1))
-    rng = np.random.default_rng(seed)
-    which = np.searchsorted(area, rng.uniform(0, area[-1], count), side="right").clip(0, len(area) - 1)
-    root, along = np.sqrt(rng.uniform(size=count)), rng.uniform(size=count)
-    weights = np.stack([1 - root, root * (1 - along), root * along], axis=1)
-    return Samples(np.einsum("nk,nkd->nd", weights, mesh.corners[which]), which, weights)
+    rng, corners = np.random.default_rng(seed), mesh.corners
+    places = rng.uniform(0, area[-1], count)
+    squares, alongs = rng.uniform(size=count), rng.uniform(size=count)
+    for start in range(0, count, size):
+        block = slice(start, start + size)
+        which = np.searchsorted(area, places[block], side="right").clip(0, len(area) - 1)
+        root, along = np.sqrt(squares[block]), alongs[block]
+        weights = np.stack([1 - root, root * (1 - along), root * along], axis=1)
+        yield Samples(np.einsum("nk,nkd->nd", weights, corners[which]), which, weights)
 
 
 def sample_surface(mesh: Mesh, count: int, seed: int) -> np.ndarray:
     """f64[count, 3]: the points of `sample_faces`."""
     return sample_faces(mesh, count, seed).points
+
+
+def sample_exposed(mesh: Mesh, count: int, seed: int, is_convex: bool = False) -> np.ndarray:
+    """f64[<= count, 3]: of three times as many points of a surface the first that can be seen from outside.
+
+    Of a convex surface all can.
+    """
+    voxels, number = None if is_convex else Voxels.of(mesh), 0
+    found = [np.zeros((0, 3))]
+    for points, _, _ in _sample_blocks(mesh, 3 * count, count, seed):
+        found.append(points if voxels is None else points[voxels.is_exposed(points)])
+        number += len(found[-1])
+        if number >= count:
+            break
+    return np.concatenate(found)[:count]
 
 
 def sample_solid(solid: Solid, count: int, seed: int) -> np.ndarray:
@@ -48,8 +72,7 @@ def sample_solid(solid: Solid, count: int, seed: int) -> np.ndarray:
     """
     if solid.is_exact:
         return sample_surface(solid.mesh, count, seed)
-    points = sample_surface(solid.surface, 3 * count, seed)
-    return points[Voxels.of(solid.surface).is_exposed(points)][:count]
+    return sample_exposed(solid.surface, count, seed)
 
 
 def surface_cloud(solid: Solid, seed: int = 0) -> np.ndarray:

@@ -40,6 +40,7 @@ class DecompositionConfig:
       seed: of CoACD's sampling.
       tries: other searches, as short, for what needs few parts and got too many or bad ones.
       simplify: how far the mesh may move to have fewer triangles, over its diagonal.
+      exact: parts are looked for that fill the solid without gaps (`exact_parts`) before CoACD is asked.
       one_hull_volume: a solid that fills this share of its hull ...
       one_hull_deviation: ... and is nowhere farther from it than this, over the diagonal, gets one hull.
     """
@@ -53,6 +54,7 @@ class DecompositionConfig:
     seed: int = 0
     tries: int = 3
     simplify: float = 0.004
+    exact: bool = True
     one_hull_volume: float = 0.8
     one_hull_deviation: float = 0.03
 
@@ -75,6 +77,7 @@ class DecompositionConfig:
             iterations=2 * self.iterations,
             depth=self.depth + 1,
             tries=0,
+            exact=False,
             seed=self.seed + 2,
             simplify=self.simplify / 2,
             one_hull_volume=1.0,

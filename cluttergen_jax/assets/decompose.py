@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import coacd
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from cluttergen_jax.assets.cloud import sample_solid, sample_surface
 from cluttergen_jax.assets.config import DecompositionConfig
+from cluttergen_jax.assets.exact_parts import exact_parts
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.quality.deviation import deviation
+from cluttergen_jax.assets.quality.deviation import deviation, is_within_parts
 from cluttergen_jax.assets.quality.hollow import find_hollow
 from cluttergen_jax.assets.solid import Solid, simplify_solid
 from cluttergen_jax.assets.voxels import Voxels
@@ -27,6 +28,7 @@ FEW, _OTHER_PARTS, _CONVEX_SHARE = 4, 16, 0.8
 _REACH = 0.03
 _NUM_BURIED, _NUM_DENSE, _NUM_ON_HULL = 2000, 40_000, 250
 _CELLS = 100
+_NOWHERE = np.zeros((0, 3))
 
 
 def parts_enough(solid: Solid) -> int:
@@ -37,7 +39,12 @@ def parts_enough(solid: Solid) -> int:
 
 
 def merge_parts(
-    parts: Sequence[np.ndarray], solid: Solid, limits: Sequence[float], enough: int, most: int
+    parts: Sequence[np.ndarray],
+    solid: Solid,
+    limits: Sequence[float],
+    enough: int,
+    most: int,
+    free: np.ndarray = _NOWHERE,
 ) -> list[list[np.ndarray]]:
     """For each limit, the parts with neighbours made one, the pair first whose hull is nearest to the solid.
 
@@ -47,8 +54,9 @@ def merge_parts(
     Args:
       parts: f64[V, 3] each, convex.
       limits: over the diagonal.
+      free: f64[N, 3]: none of these points gets into a part, unless there are more than `most`.
     """
-    judge, kept = _Judge(solid, max(limits)), dict(enumerate(parts))
+    judge, kept = _Judge(solid, max(limits), free), dict(enumerate(parts))
     unions: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
     pairs: Iterable[tuple[int, int]] = combinations(kept, 2)
     done: dict[float, list[np.ndarray]] = {}
@@ -82,8 +90,8 @@ def _gap(parts: dict[int, np.ndarray], pair: tuple[int, int]) -> float:
 class _Judge:
     """How far the hull of two parts would be from the surface of a solid."""
 
-    def __init__(self, solid: Solid, limit: float) -> None:
-        self._limit, self._diagonal = limit, solid.diagonal
+    def __init__(self, solid: Solid, limit: float, free: np.ndarray) -> None:
+        self._limit, self._diagonal, self._free = limit, solid.diagonal, free
         self._voxels = Voxels.of(solid.mesh if solid.is_exact else solid.surface, _CELLS)
         dense = sample_solid(solid, _NUM_DENSE, 0)
         # Nothing can get between pieces that nearly touch.
@@ -100,15 +108,22 @@ class _Judge:
         hull = hull_of(points)
         if hull is None:
             return np.inf, points
-        near = self._some[((self._some > hull.min_bound) & (self._some < hull.max_bound)).all(1)]
-        depth = -(near @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1, initial=-np.inf)
         corners = points[hull.vertices]
+        if (_depths(self._free, hull) > 0).any():
+            return np.inf, corners
+        depth = _depths(self._some, hull)
         if depth.max(initial=0.0) > self._limit * self._diagonal:
             return float(depth.max() / self._diagonal), corners
         spots = sample_surface(Mesh(hull.points, hull.simplices), _NUM_ON_HULL, 0)
         spots = spots[self._voxels.outside[self._voxels.index(spots)]]
         away = self._tree.query(spots)[0] if len(spots) else np.zeros(0)
         return float(max(depth.max(initial=0.0), away.max(initial=0.0)) / self._diagonal), corners
+
+
+def _depths(points: np.ndarray, hull: ConvexHull) -> np.ndarray:
+    """f64[M]: how deep those of the points are inside of a hull that are in the box around it."""
+    near = points[((points > hull.min_bound) & (points < hull.max_bound)).all(1)]
+    return -(near @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1, initial=-np.inf)
 
 
 _MOST_RAW = 96
@@ -142,25 +157,39 @@ def decompositions(
             "a mesh so flat that it has no convex hull", "a mesh of an object with some thickness"
         )
     one = [solid.mesh.vertices[hull.vertices]]
-    is_convex = solid.volume >= config.one_hull_volume * hull.volume
-    if config.max_parts == 1 or (is_convex and deviation(one, solid) <= config.one_hull_deviation):
+    is_full = solid.volume >= config.one_hull_volume * hull.volume
+    if config.max_parts == 1 or (
+        is_full and (solid.is_convex or deviation(one, solid) <= config.one_hull_deviation)
+    ):
         yield one
         return
     enough = parts_enough(solid)
-    sets = merge_parts(_run(solid, config, jitter), solid, _LIMITS, enough, config.max_parts)
+    exact = exact_parts(solid, _MOST_RAW) if config.exact else None
+    if exact is not None and exact.parts:
+        of_rest = [part for each in exact.rest for part in _run(each, solid, config, jitter)]
+        raw = [*exact.parts, *of_rest]
+        free = exact.free[~is_within_parts(exact.free, raw)]
+        merged = merge_parts(raw, solid, _LIMITS, enough, config.max_parts, free)
+        yield from _distinct([*merged, *([raw] if len(raw) <= config.max_parts else [])])
+    sets = merge_parts(_run(solid.mesh, solid, config, jitter), solid, _LIMITS, enough, config.max_parts)
     first, is_few = sets[0] or one, len(sets[0]) <= enough
     if is_few:
         yield first
     # Which cuts leave few parts of a can is a matter of luck.
     for other in _others(config) if enough == FEW and len(first) <= 2 * FEW else ():
-        (few,) = merge_parts(_run(solid, other, jitter), solid, _LIMITS[:1], enough, config.max_parts)
+        (few,) = merge_parts(
+            _run(solid.mesh, solid, other, jitter), solid, _LIMITS[:1], enough, config.max_parts
+        )
         if 0 < len(few) <= enough:
             yield few
-    if not is_few:
-        yield first
-    for fewer, more in pairwise(sets):
-        if len(more) > len(fewer):
-            yield more
+    yield from list(_distinct(sets))[1 if is_few else 0 :]
+
+
+def _distinct(sets: Sequence[list[np.ndarray]]) -> Iterator[list[np.ndarray]]:
+    """Sets, the fewest parts first, without those that are the same again."""
+    for index, parts in enumerate(sets):
+        if index == 0 or len(parts) > len(sets[index - 1]):
+            yield parts
 
 
 def _others(config: DecompositionConfig) -> list[DecompositionConfig]:
@@ -171,15 +200,18 @@ def _others(config: DecompositionConfig) -> list[DecompositionConfig]:
     ]
 
 
-def _run(solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.ndarray]:
-    mesh = simplify_solid(solid.mesh, config.simplify * solid.diagonal)
+def _run(mesh: Mesh, solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.ndarray]:
+    """CoACD's parts of a closed surface of a solid, which may be all of it."""
+    share = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) / solid.diagonal
+    mesh = simplify_solid(mesh, config.simplify * solid.diagonal)
     if jitter:
         reach, rng = jitter * solid.diagonal, np.random.default_rng(config.seed)
         mesh = Mesh(mesh.vertices + rng.uniform(-reach, reach, mesh.vertices.shape), mesh.faces)
     coacd.set_log_level("error")
     found = coacd.run_coacd(
         coacd.Mesh(mesh.vertices, mesh.faces),
-        threshold=config.threshold,
+        # CoACD measures concavity over the size of what it is given.
+        threshold=min(config.threshold / min(share, 1.0), 1.0),
         # Its own merging changes the object more than `merge_parts` does, but is far faster.
         max_convex_hull=_MOST_RAW,
         preprocess_mode="off",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.object import ObjectAsset
 
 
-class ObjectFacts(msgspec.Struct, frozen=True):
+class ObjectFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     """An object of a pool in numbers and words.
 
     Attributes:
@@ -29,6 +29,7 @@ class ObjectFacts(msgspec.Struct, frozen=True):
       licence, source: of its file.
       parts: number of convex parts.
       flagged: something was found that a user should look at.
+      synset: what kind of thing it is (`Shape.synset`); empty if unknown.
     """
 
     name: str
@@ -40,6 +41,7 @@ class ObjectFacts(msgspec.Struct, frozen=True):
     source: str
     parts: int
     flagged: bool
+    synset: str = ""
 
     @staticmethod
     def of(asset: ObjectAsset) -> ObjectFacts:
@@ -55,12 +57,14 @@ class ObjectFacts(msgspec.Struct, frozen=True):
             source=asset.provenance.source,
             parts=len(asset.parts),
             flagged=bool(asset.flags),
+            synset=asset.synset,
         )
 
 
 _TEXTS: dict[str, Callable[[ObjectFacts], str]] = {
     "name": lambda each: each.name,
     "label": lambda each: each.label,
+    "synset": lambda each: each.synset,
     "licence": lambda each: each.licence,
     "source": lambda each: each.source,
 }

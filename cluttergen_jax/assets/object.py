@@ -69,6 +69,7 @@ class ObjectAsset:
       notes: what was decided on the user's behalf, in words: no fault, but worth knowing.
       friction: sliding coefficient of its own (`mjcf.own_contact`); None for the contact's.
       scale: the factor by which the lengths of its file were multiplied on request.
+      synset: what kind of thing it is (`Shape.synset`); empty if unknown.
     """
 
     name: str
@@ -87,6 +88,7 @@ class ObjectAsset:
     notes: tuple[str, ...] = ()
     friction: float | None = None
     scale: float = 1.0
+    synset: str = ""
 
     @property
     def textures(self) -> tuple[Texture, ...]:

@@ -160,10 +160,12 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
     friction = {} if asset.friction is None else {"friction": float(asset.friction)}
     scale = {} if asset.scale == 1 else {"scale": float(asset.scale)}
     notes = {"notes": list(asset.notes)} if asset.notes else {}
+    synset = {"synset": asset.synset} if asset.synset else {}
     return (
         friction
         | scale
         | notes
+        | synset
         | textures
         | {
             "format": FORMAT,
@@ -205,6 +207,7 @@ class _Stored(msgspec.Struct):
     files: dict[Annotated[str, msgspec.Meta(pattern=f"^{_FILE.pattern}$")], str]
     textures: list[str | None] | None = None
     notes: tuple[str, ...] = ()
+    synset: str = ""
     friction: _Positive | None = None
     scale: _Positive = 1.0
 
@@ -235,6 +238,7 @@ def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
         notes=stored.notes,
         friction=stored.friction,
         scale=stored.scale,
+        synset=stored.synset,
     )
 
 

@@ -14,9 +14,11 @@ from cluttergen_jax.assets.mesh import Mesh
 BOTTOM_REACH = 0.003
 _THIN_SHARE = 0.15
 _MIN_THICKNESS = 0.0004
-# A wide base keeps its outline; of a small foot four corners are enough, and MuJoCo has nothing to choose.
+# A wide base keeps its outline; of a small foot four corners are enough, and MuJoCo has nothing to choose. It
+# has more where it would lose so much, over the size of the object.
 MAX_BASE_CORNERS = 12
-_FOOT_CORNERS = 4
+_FOOT_CORNERS = (4, 6, 8)
+_FOOT_LOSS = 0.03
 _FOOT_SHARE = 0.5
 _OUTLINE_TOLERANCE = 0.04
 
@@ -167,11 +169,26 @@ def finish_parts(
     hulls = [sound_points(points) for points in parts]
     feet = [points[points[:, 2] < bottom + 1e-6] for points in hulls]
     wide = _FOOT_SHARE * _width(np.concatenate(feet))
-    corners = [base_corners if _width(foot) >= wide else _FOOT_CORNERS for foot in feet]
-    return [
-        reduce_vertices(with_plain_bottom(points, bottom, most), bottom, count)
-        for points, most in zip(hulls, corners, strict=True)
+    lost = _FOOT_LOSS * float(np.linalg.norm(np.ptp(np.concatenate(hulls), axis=0)))
+    plain = [
+        with_plain_bottom(points, bottom, base_corners)
+        if _width(foot) >= wide
+        else _with_small_foot(points, bottom, base_corners, lost)
+        for points, foot in zip(hulls, feet, strict=True)
     ]
+    return [reduce_vertices(points, bottom, count) for points in plain]
+
+
+def _with_small_foot(points: np.ndarray, bottom: float, corners: int, lost: float) -> np.ndarray:
+    """The points with as few on the bottom as leave none of the others farther than `lost` outside."""
+    low = points[points[:, 2] < bottom + 1e-6][:, :2]
+    plain = points
+    for most in (each for each in _FOOT_CORNERS if each <= max(corners, _FOOT_CORNERS[0])):
+        plain = with_plain_bottom(points, bottom, most)
+        outline = hull_of(plain[plain[:, 2] < bottom + 1e-6][:, :2])
+        if outline is None or (low @ outline.equations[:, :2].T + outline.equations[:, 2]).max() <= lost:
+            break
+    return plain
 
 
 def _width(points: np.ndarray) -> float:

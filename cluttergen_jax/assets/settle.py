@@ -16,6 +16,8 @@ _RELEASES = 64
 _RELEASE_STEPS = 720
 _SAME_POSE = np.radians(12)
 _MIN_LIKELIHOOD = 0.04
+_BLOCK_STEPS, _STILL = 60, 0.001
+"""What turned by less within so many steps and moves slower, in m/s and rad/s, lies still."""
 
 
 def solo_model(asset: ObjectAsset) -> mujoco.MjModel:
@@ -62,29 +64,61 @@ def resting_poses(asset: ObjectAsset, seed: int = 0) -> tuple[RestingPose, ...]:
     Poses that differ by a turn about the vertical, or by less than 12 degrees, are one. A pose that
     fewer than one release in 25 ends in is left out. The others follow by likelihood.
     """
-    ups = _random_rests(asset, seed)
-    groups: list[list[np.ndarray]] = [[np.array([0.0, 0.0, 1.0])]]
-    for up in ups:
-        near = [group for group in groups if np.arccos(np.clip(group[0] @ up, -1, 1)) < _SAME_POSE]
-        near[0].append(up) if near else groups.append([up])
-    first, *others = groups
-    kept = sorted((g for g in others if len(g) >= _MIN_LIKELIHOOD * _RELEASES), key=len, reverse=True)
-    poses = [_pose(asset, np.eye(3), (len(first) - 1) / _RELEASES)]
-    return (*poses, *(_pose(asset, upright_turn(group[0]), len(group) / _RELEASES) for group in kept))
+    releases = _Releases(asset, seed)
+    groups: list[tuple[np.ndarray, list[int]]] = [(np.array([0.0, 0.0, 1.0]), [])]
+    for row in releases.at_rest():
+        up = releases.up(row)
+        near = [rows for first, rows in groups if np.arccos(np.clip(first @ up, -1, 1)) < _SAME_POSE]
+        near[0].append(row) if near else groups.append((up, [row]))
+    own, *others = (rows for _, rows in groups)
+    kept = [rows for rows in others if len(rows) >= _MIN_LIKELIHOOD * _RELEASES]
+    kept.sort(key=len, reverse=True)
+    releases.finish([rows[0] for rows in kept])
+    turns = [np.eye(3), *(upright_turn(releases.up(rows[0])) for rows in kept)]
+    shares = [len(rows) / _RELEASES for rows in (own, *kept)]
+    return tuple(_pose(asset, *each) for each in zip(turns, shares, strict=True))
 
 
-def _random_rests(asset: ObjectAsset, seed: int) -> list[np.ndarray]:
-    """World up in the object frame, f64[3], for each release that came to rest."""
-    model = solo_model(asset)
-    batch = Batch(model, _RELEASES, nthread=1, persistent=True)
-    qpos, qvel = batch.bind("qpos"), batch.bind("qvel")
-    quaternions = np.random.default_rng(seed).normal(size=(_RELEASES, 4))
-    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    for row, quaternion in enumerate(quaternions):
-        qpos[row] = [0, 0, 0.002 - _lowest(asset, rotation_matrix(quaternion)), *quaternion]
-    batch.step(nstep=_RELEASE_STEPS)
-    is_still = np.isfinite(qpos).all(1) & (np.linalg.norm(qvel[:, 3:], axis=1) < 0.05)
-    return [rotation_matrix(row[3:7])[2] for row in qpos[is_still & (qpos[:, 2] > 0)]]
+class _Releases:
+    """The object let go just above the table in random orientations, each a simulation for itself.
+
+    What lies still is not simulated on, until that is asked for.
+    """
+
+    def __init__(self, asset: ObjectAsset, seed: int) -> None:
+        self._batch = Batch(solo_model(asset), _RELEASES, nthread=1)
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._num_steps = np.zeros(_RELEASES, int)
+        quaternions = np.random.default_rng(seed).normal(size=(_RELEASES, 4))
+        quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+        for row, quaternion in enumerate(quaternions):
+            self._qpos[row] = [0, 0, 0.002 - _lowest(asset, rotation_matrix(quaternion)), *quaternion]
+
+    def up(self, row: int) -> np.ndarray:
+        """f64[3]: the world's up in the object's frame."""
+        return rotation_matrix(self._qpos[row, 3:7])[2]
+
+    def at_rest(self) -> list[int]:
+        """The releases that come to rest."""
+        running = np.arange(_RELEASES)
+        while running.size and self._num_steps[running[0]] < _RELEASE_STEPS:
+            before = self._qpos[running]
+            self._step(running, _BLOCK_STEPS)
+            is_still = (np.abs(self._qvel[running]) < _STILL).all(1)
+            is_still &= (np.abs(self._qpos[running, 3:] - before[:, 3:]) < _STILL).all(1)
+            running = running[~is_still]
+        is_sound = np.isfinite(self._qpos).all(1) & (self._qpos[:, 2] > 0)
+        return np.flatnonzero(is_sound & (np.linalg.norm(self._qvel[:, 3:], axis=1) < 0.05)).tolist()
+
+    def finish(self, rows: list[int]) -> None:
+        """Simulates some to the end, after which what it creeps is told by its pose as well."""
+        for row in rows:
+            self._step(np.array([row]), _RELEASE_STEPS - int(self._num_steps[row]))
+
+    def _step(self, rows: np.ndarray, number: int) -> None:
+        if number:
+            self._batch.step(rows, nstep=number)
+            self._num_steps[rows] += number
 
 
 def _pose(asset: ObjectAsset, rotation: np.ndarray, likelihood: float) -> RestingPose:

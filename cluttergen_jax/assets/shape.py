@@ -110,6 +110,7 @@ class Shape:
       scale: the factor on the file's lengths that was asked for.
       is_pose_free: whether its authored pose may give way to the one in which people put it (`upright`).
       is_from_file: whether a file is all that is known of it: whether it is hollow is looked for.
+      synset: what kind of thing it is: a WordNet synset such as mug.n.04, or another word; empty if unknown.
       keeps_parts: whether `parts` are asked for, sound or not.
     """
 
@@ -129,6 +130,7 @@ class Shape:
     is_pose_free: bool = False
     is_from_file: bool = False
     keeps_parts: bool = False
+    synset: str = ""
 
     def rotate(self, rotation: np.ndarray) -> Shape:
         """The shape with every point p at rotation @ p."""

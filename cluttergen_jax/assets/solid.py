@@ -18,7 +18,10 @@ from cluttergen_jax.errors import AssetError
 
 _MAX_PIECES = 64
 _MAX_FACES = 100_000
+_MOST_PLAIN = 20_000
+"""Triangles: of finer surfaces nobody knows the components."""
 _HAIR = 2e-4
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,15 +31,27 @@ class Solid:
     mesh: Mesh  # Watertight and oriented outwards, without inner walls.
     is_exact: bool  # Whether it is made of the object's own triangles; else it was rebuilt from a grid.
     surface: Mesh  # What was given: all triangles, welded.
+    components: tuple[Mesh, ...] = ()  # Closed surfaces whose union is `mesh`; none of rebuilt or fine ones.
 
     @property
     def volume(self) -> float:
         """Cubic metres."""
-        return _as_manifold(self.mesh).volume()
+        return as_manifold(self.mesh).volume()
 
     def shells(self) -> list[manifold3d.Manifold]:
         """Its pieces that do not touch one another; the surfaces of hollows inside are none."""
-        return [each for each in _as_manifold(self.mesh).decompose() if each.volume() > 0]
+        return [each for each in as_manifold(self.mesh).decompose() if each.volume() > 0]
+
+    def rotate(self, rotation: np.ndarray) -> Solid:
+        """The solid with every point p at rotation @ p."""
+        meshes = (self.mesh, self.surface, *self.components)
+        mesh, surface, *components = (each.transform(rotation, np.zeros(3)) for each in meshes)
+        return Solid(mesh, self.is_exact, surface, tuple(components))
+
+    @cached_property
+    def is_convex(self) -> bool:
+        """Whether it is its convex hull."""
+        return is_convex(self.mesh)
 
     @cached_property
     def diagonal(self) -> float:
@@ -59,23 +74,32 @@ def solid_of(meshes: Sequence[Mesh]) -> Solid:
         raise AssetError(
             "a surface that lies in a plane or on a line", "a mesh of an object with some thickness"
         )
-    united = _unite(meshes) if len(meshes) <= _MAX_PIECES else None
+    shells = _closed_shells(meshes) if len(meshes) <= _MAX_PIECES else []
+    united = _as_mesh(manifold3d.Manifold.batch_boolean(shells, manifold3d.OpType.Add)) if shells else None
     is_exact = united is not None and _covers(united, surface)
     mesh = united if united is not None and is_exact else _rebuild(surface)
     if len(mesh.faces) == 0:
         raise AssetError("a surface that encloses nothing", "a mesh of an object with some thickness")
-    solid = Solid(mesh, is_exact, surface)
+    is_plain = is_exact and sum(each.num_tri() for each in shells) <= _MOST_PLAIN
+    solid = Solid(mesh, is_exact, surface, tuple(map(_as_mesh, shells)) if is_plain else ())
     if len(mesh.faces) <= _MAX_FACES:
         return solid
     return replace(solid, mesh=simplify_solid(mesh, _HAIR * solid.diagonal))
 
 
+def is_convex(mesh: Mesh) -> bool:
+    """Whether a closed mesh is its convex hull."""
+    hull = hull_of(mesh.vertices)
+    return hull is not None and mesh.volume >= (1 - _ROUNDING) * hull.volume
+
+
 def simplify_solid(mesh: Mesh, tolerance: float) -> Mesh:
     """The closed mesh with fewer triangles, nowhere moved by more than `tolerance` metres."""
-    return _as_mesh(_as_manifold(mesh).simplify(tolerance))
+    return _as_mesh(as_manifold(mesh).simplify(tolerance))
 
 
-def _as_manifold(mesh: Mesh) -> manifold3d.Manifold:
+def as_manifold(mesh: Mesh) -> manifold3d.Manifold:
+    """A closed mesh for manifold3d."""
     raw = manifold3d.Mesh64(
         np.array(mesh.vertices, np.float64, order="C"), np.array(mesh.faces, np.uint64, order="C")
     )
@@ -99,21 +123,21 @@ def _covers(united: Mesh, surface: Mesh) -> bool:
     return bool(is_near.all() and solid[voxels.index(surface.vertices)].all())
 
 
-def _unite(meshes: Sequence[Mesh]) -> Mesh | None:
-    """The union of surfaces; None if one of them is neither closed nor easily mended."""
+def _closed_shells(meshes: Sequence[Mesh]) -> list[manifold3d.Manifold]:
+    """The components of surfaces; none if one of these is neither closed nor easily mended."""
     solids: list[manifold3d.Manifold] = []
     for mesh in meshes:
         shells = _shells(clean_mesh(mesh, is_closed=True)) or _shells(_mend(mesh))
         if not shells:
-            return None
+            return []
         solids += shells
-    return _as_mesh(manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add))
+    return solids
 
 
 def _shells(mesh: Mesh) -> list[manifold3d.Manifold]:
     """The components of a closed surface, voids inside others left out; empty if it is not closed."""
     for faces in (mesh.faces, mesh.faces[:, ::-1]):
-        manifold = _as_manifold(Mesh(mesh.vertices, faces))
+        manifold = as_manifold(Mesh(mesh.vertices, faces))
         if manifold.status() != manifold3d.Error.NoError or manifold.is_empty():
             return []
         if manifold.volume() > 0:

@@ -71,7 +71,7 @@ class _Look:
     """An object as it looks from its poses; points are about the centre of mass."""
 
     def __init__(self, solid: Solid, center: np.ndarray) -> None:
-        self._mesh = solid.mesh.transform(np.eye(3), -center)
+        self._mesh, self._is_convex = solid.mesh.transform(np.eye(3), -center), solid.is_convex
         hull = ConvexHull(self._mesh.vertices)
         self._corners, self._volume = hull.points[hull.vertices], float(hull.volume)
         self._points = sample_faces(self._mesh, _NUM_POINTS, 0)[0]
@@ -114,6 +114,8 @@ class _Look:
 
     def _water(self, turn: np.ndarray) -> float:
         """What it would hold, over its hull, with all surfaces thicker by one cell."""
+        if self._is_convex:
+            return 0.0
         voxels = Voxels.of(self._mesh.transform(turn, np.zeros(3)), _CELLS)
         thick = replace(voxels, outside=~binary_dilation(voxels.solid, np.ones((3, 3, 3), bool)))
         return float(thick.water().sum() * voxels.pitch**3 / self._volume)

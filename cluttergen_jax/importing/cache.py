@@ -18,7 +18,7 @@ from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.readers.mesh_text import companions
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 
-BODY_VERSION = 4
+BODY_VERSION = 5
 """Raised when the code makes another body of the same files, or of the modeller's same shapes: geometry,
 masses, checks, colours or the files that hold them. Every cached body is then made again.
 `test_bodies_are_those_of_this_version` fails where that was forgotten."""
@@ -63,6 +63,7 @@ def cache_key(source: ObjectFile, config: Any) -> str:
         source.kind,
         source.body,
         source.label,
+        source.synset,
         list(source.notes),
         provenance,
         asdict(config),

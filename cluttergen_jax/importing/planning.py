@@ -12,8 +12,9 @@ from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
+from cluttergen_jax.importing.readers.gltf_file import words_of
 from cluttergen_jax.importing.readers.pieces import collision_files
-from cluttergen_jax.importing.readers.read import public_path
+from cluttergen_jax.importing.readers.read import NOT_STATED, public_path
 from cluttergen_jax.importing.readers.source import AUTO, AXES, FILE, UpAxis, make_names_distinct, own_up
 from cluttergen_jax.importing.readers.tree import find_all, find_sources
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
@@ -169,10 +170,17 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     if own.up == AUTO and source.provenance is not None:
         # The YCB objects stand as they stood when they were scanned.
         own = replace(own, up=FILE)
+    words = words_of(source.path) if source.path.suffix.lower() in (".glb", ".gltf") else {}
     label = {key: value for key, value in from_set.items() if key == "label"}
-    naming = {key: value for key, value in {**label, **values}.items() if key not in OF_READING}
+    said = {key: value for key, value in words.items() if key in ("label", "synset")}
+    naming = {key: value for key, value in {**said, **label, **values}.items() if key not in OF_READING}
     parts = collision_files(source.path) if own.collision == "keep" and source.kind == "mesh" else ()
     own_source = replace(source, parts=parts, **naming)
+    if source.provenance is None and words.keys() & {"licence", "attribution"}:
+        terms = Provenance(
+            public_path(source.path), words.get("licence", NOT_STATED), words.get("attribution", "")
+        )
+        own_source = replace(own_source, provenance=terms)
     # A file that is given itself is taken.
     sets = group.sets if group.is_folder else ()
     out = next((why for each in sets if (why := each.why_out(source))), "")

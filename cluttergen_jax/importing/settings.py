@@ -19,8 +19,8 @@ take = true               # or false: whether it is an object, whatever the impo
 A CSV file says the same of many files, a row for each: its column `file` holds the pattern, the others have
 keys for names, and an empty cell says nothing.
 
-file,label,mass
-mug_012.glb,coffee mug,0.3
+file,label,synset,mass
+mug_012.glb,coffee mug,mug.n.04,0.3
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from cluttergen_jax.importing.readers.tree import SETTINGS
 
 DEFAULT = "default"
 OF_READING = tuple(each.name for each in fields(ReadOptions))
-_OF_NAMING = ("name", "label")
+_OF_NAMING = ("name", "label", "synset")
 TAKE = "take"
 KEYS = (*OF_READING, *_OF_NAMING, TAKE)
 _OTHER_SPELLING = {"license": "licence"}

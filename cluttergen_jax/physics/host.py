@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Protocol
 
 import jax
@@ -46,6 +46,15 @@ def empty_standing(xp: Any, batch: tuple[int, ...], num_objects: int) -> Standin
         num_steps=xp.zeros(batch, dtype=xp.int32),
         shift=xp.zeros((*batch, num_objects), dtype=xp.float32),
         turn=xp.zeros((*batch, num_objects), dtype=xp.float32),
+    )
+
+
+@lru_cache(maxsize=64)
+def _report_shapes(num_objects: int, config: StabilityConfig) -> tuple[Any, Any]:
+    """The reports of `settle` and `stand` with the shape of each field in its place."""
+    return (
+        jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config)),
+        jax.eval_shape(lambda: empty_standing(jnp, (), num_objects)),
     )
 
 
@@ -137,8 +146,7 @@ class HostPhysics(OneScenePhysics):
     stand_batch: HostFunction
 
     def __init__(self, num_objects: int, config: StabilityConfig) -> None:
-        settling = jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config))
-        standing = jax.eval_shape(lambda: empty_standing(jnp, (), num_objects))
+        settling, standing = _report_shapes(num_objects, config)
         super().__init__(
             config, host_function(self.settle_batch, settling), host_function(self.stand_batch, standing)
         )
@@ -175,8 +183,7 @@ class NumberedEngines:
         self.config, self._make = config, make
         self._lock = threading.RLock()
         self._at_hand: tuple[int, BatchEngine] | None = None
-        settling = jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config))
-        standing = jax.eval_shape(lambda: empty_standing(jnp, (), num_objects))
+        settling, standing = _report_shapes(num_objects, config)
         self.settle_one = host_function(partial(self._batch, "settle_batch"), settling)
         self.stand_one = host_function(partial(self._batch, "stand_batch"), standing)
 

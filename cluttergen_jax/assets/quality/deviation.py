@@ -11,7 +11,7 @@ import manifold3d
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.cloud import sample_solid, sample_surface
+from cluttergen_jax.assets.cloud import sample_exposed, sample_solid
 from cluttergen_jax.assets.config import ALARM_FACTOR
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of, sound_points
@@ -29,9 +29,7 @@ def sample_parts(parts: Sequence[np.ndarray], count: int, seed: int) -> np.ndarr
 
     Faces along which parts touch, or nearly so, are no surface of the object: nothing can get there.
     """
-    mesh = surface_of(parts)
-    points = sample_surface(mesh, 3 * count, seed)
-    return points[Voxels.of(mesh).is_exposed(points)][:count]
+    return sample_exposed(surface_of(parts), count, seed, is_convex=len(parts) == 1)
 
 
 def surface_of(parts: Sequence[np.ndarray]) -> Mesh:
@@ -60,13 +58,35 @@ def deviation(parts: Sequence[np.ndarray], solid: Solid, seed: int = 0) -> float
     """
     dense = NUM_SAMPLES * _DENSITY
     on_solid, on_parts = sample_solid(solid, dense, seed), sample_parts(parts, dense, seed + 1000)
-    there = cKDTree(on_parts).query(on_solid[:NUM_SAMPLES])[0]
-    back = cKDTree(on_solid).query(on_parts[:NUM_SAMPLES])[0].max()
-    if solid.is_exact and there.max() > back:
+    some = on_solid[:NUM_SAMPLES]
+    there, back = _farthest(some, on_parts), _farthest(on_parts[:NUM_SAMPLES], on_solid)
+    if solid.is_exact and there > back:
         # Pieces that only touch are united with a gap between them, which nothing can enter.
-        is_outer = Voxels.of(solid.mesh, _FINE).is_exposed(on_solid[:NUM_SAMPLES])
-        there = there[is_outer]
-    return float(max(there.max(initial=0.0), back) / solid.diagonal)
+        is_outer = Voxels.of(solid.mesh, _FINE).is_exposed(some)
+        there = there if is_outer.all() else _farthest(some[is_outer], on_parts)
+    return float(max(there, back) / solid.diagonal)
+
+
+def _farthest(points: np.ndarray, others: np.ndarray) -> float:
+    """The largest distance from one of the points to the nearest of the others, metres.
+
+    A few of the others tell of most points that they are not the farthest one.
+    """
+    if not len(points):
+        return 0.0
+    bound, largest, start = np.full(len(points), np.inf), 0.0, 0
+    for end in (len(others) // 10, len(others) // 3, len(others)):
+        # Asked so little, a tree that is made quickly is the quicker one.
+        tree = cKDTree(others[start:end], balanced_tree=False, compact_nodes=False)
+        bound = np.minimum(bound, tree.query(points)[0])
+        if end == len(others):
+            break
+        worst = points[bound.argmax()]
+        largest = max(largest, float(np.sqrt(((others - worst) ** 2).sum(1).min())))
+        points, bound, start = points[bound > largest], bound[bound > largest], end
+        if not len(points):
+            break
+    return max(largest, float(bound.max(initial=0.0)))
 
 
 def size_alarm(surface: np.ndarray, colliding: np.ndarray) -> str:

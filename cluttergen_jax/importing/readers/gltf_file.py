@@ -21,15 +21,61 @@ WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "M
 
 def read_document(path: Path) -> Json:
     """The JSON of a glTF file; empty if it is none."""
-    data = path.read_bytes()
-    if data[:4] == b"glTF" and len(data) >= 20:
-        (length,) = struct.unpack("<I", data[12:16])
-        data = data[20 : 20 + length]
+    with path.open("rb") as file:
+        data = file.read(20)
+        if data[:4] == b"glTF" and len(data) == 20:
+            data = file.read(struct.unpack("<I", data[12:16])[0])
+        else:
+            data += file.read()
     try:
         document = json.loads(data)
     except (ValueError, RecursionError):
         return {}
     return document if isinstance(document, dict) else {}
+
+
+_SAID = {
+    "label": ("label", "title", "name"),
+    "synset": ("synset", "category", "class"),
+    "licence": ("licence", "license"),
+    "attribution": ("attribution", "author"),
+}
+_HOLDERS = ("scenes", "nodes", "meshes")
+_LONGEST = 300
+
+
+def words_of(path: Path) -> dict[str, str]:
+    """What a glTF file says of its object in words: some of label, synset, licence and attribution.
+
+    It looks at the `extras` of the file, the asset, the first scene, and of nodes and meshes where there is
+    one alone; what comes first counts. Sketchfab's files have a title, an author and a source.
+    """
+    document = read_document(path)
+    said: dict[str, str] = {}
+    for holder in (document, document.get("asset"), *(_first(document, key) for key in _HOLDERS)):
+        extras = holder.get("extras") if isinstance(holder, dict) else None
+        if not isinstance(extras, dict):
+            continue
+        words = {
+            str(key).lower(): " ".join(value.split())[:_LONGEST]
+            for key, value in extras.items()
+            if isinstance(value, str) and value.strip()
+        }
+        if {"author", "source"} <= words.keys():
+            words["author"] = f"{words['author']}, {words['source']}"
+        found = {
+            key: next((words[name] for name in names if name in words), "") for key, names in _SAID.items()
+        }
+        said = {key: value for key, value in found.items() if value} | said
+    return said
+
+
+def _first(document: Json, key: str) -> Any:
+    """The first scene, or the only node or mesh."""
+    values = document.get(key)
+    return (
+        values[0] if isinstance(values, list) and (len(values) == 1 or (values and key == "scenes")) else None
+    )
 
 
 class Buffers:

@@ -24,6 +24,8 @@ from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
 
 MIN_SIZE = 0.005
 MAX_SIZE = 2.0
+NOT_STATED = "not stated"
+"""The licence of files that have none."""
 _UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "tenths of a millimetre": 0.0001}
 
 
@@ -55,6 +57,7 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
         label=source.label,
         pieces=tuple(piece.transform(turn, np.zeros(3)) for piece in pieces),
         provenance=_provenance(source, options),
+        synset=source.synset,
         parts=None if model.parts is None else _rotate_meshes(model.parts, turn),
         mass=mass,
         density=density,
@@ -106,7 +109,7 @@ def _unfold(piece: Piece) -> Piece:
 def _provenance(source: ObjectFile, options: ReadOptions) -> Provenance:
     """The source's own terms, but for those that the user states."""
     known = source.provenance or ycb_provenance(source.path)
-    own = known or Provenance(public_path(source.path), "not stated")
+    own = known or Provenance(public_path(source.path), NOT_STATED)
     return replace(
         own, licence=options.licence or own.licence, attribution=options.attribution or own.attribution
     )

@@ -148,6 +148,7 @@ class ObjectFile:
     provenance: Provenance | None = None
     notes: tuple[str, ...] = ()  # Known faults, passed on as flags.
     parts: tuple[Path, ...] = ()  # Files of collision shapes that are to be its parts.
+    synset: str = ""  # What kind of thing it is, as its file or its settings say.
     plain: str = ""  # The name without the number that sets it apart from others.
 
 
