@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args
 from cluttergen_jax.config import (
     HAND,
     METHODS,
+    PILE,
     ROBUST_TILT,
     TRUSTED_METHODS,
     Balance,
@@ -142,7 +143,8 @@ class SceneSpec:
         what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping.
       balance: "objects", each is as likely to be on a shelf; or "label", "licence" or "source": of each of
         their values a shelf has as many, while there are some.
-      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
+      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size, "bin-0.50x0.30x0.20" a
+        bin of that size inside.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
         In Python also a `Rectangle`.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
@@ -151,7 +153,7 @@ class SceneSpec:
       order: the order in which objects are placed: "random"; "fixed", the pool's; "largest" footprint first;
         or "weighted", larger ones mostly first. If not given: the method's own, "random" for most.
       max_attempts: attempts per object, 1 to 10; a policy of poses allows as many as it was trained with at
-        most.
+        most. Of a pile: how often an object that comes to lie outside is let fall, at most.
       ruin_after: number of failed attempts in a row after which some placed objects, with all that lean on
         them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
       budget: attempts of a scene in all; `max_attempts` for each object if not given.
@@ -174,8 +176,8 @@ class SceneSpec:
         or "free", anywhere in the region's range of heights.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
         the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
-        embedded. If not given: the checkpoint's own, else "guided" ("spread" where no checkpoint of it is
-        embedded).
+        embedded; or "pile": all objects fall into a heap, in any orientation, as in a bin. If not given: the
+        checkpoint's own, else "guided" ("spread" where no checkpoint of it is embedded).
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       engine: "auto", "native", "warp" or "jax".
       num_threads: simulation threads of the native engine; 0 takes every core.
@@ -336,7 +338,8 @@ class SceneSpec:
         is_trusted = is_default and method in TRUSTED_METHODS
         order: Order = "weighted" if is_trusted else "random"
         ruin_after = min(RUIN_AFTER, self.max_attempts) if is_trusted else 0
-        min_margin = MIN_MARGIN if is_default else 0.0
+        # In a heap things lean on walls and on each other.
+        min_margin = MIN_MARGIN if is_default and method != PILE else 0.0
         return replace(
             self,
             order=order if self.order is None else self.order,
@@ -353,6 +356,18 @@ class SceneSpec:
         if wanted and method not in TRUSTED_METHODS:
             given = f"`{wanted[0]}` with method {method!r}"
             raise ConfigError(given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}")
+        if method != PILE:
+            return
+        refused = ("keep_out", "start", "ruin_after", "min_margin", "robust")
+        wanted = [name for name in refused if getattr(self, name)]
+        wanted += ["overhang"] * (self.overhang != "any") + ["engine"] * (self.engine in ("warp", "jax"))
+        if wanted:
+            value = getattr(self, wanted[0])
+            raise ConfigError(
+                f"{wanted[0]} = {value!r} with method {PILE!r}, which lets all objects fall into a heap",
+                "leaving it out",
+                f"method={TRUSTED_METHODS[0]!r}, which places one object after another",
+            )
 
     @property
     def pool_text(self) -> str:
@@ -410,13 +425,15 @@ class SceneSpec:
                 raise ConfigError(
                     given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
                 )
+        is_piled = method == PILE
         num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
         if isinstance(region, str):
             region = parse_region(region, find_support(self.support).region)
         stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
-        has_two_detectors = engine_of(self.engine, stability) == "native"
+        engine: Engine = "native" if is_piled else self.engine
+        has_two_detectors = engine_of(engine, stability) == "native"
         return ProblemConfig(
             pool=pool,
             objects=chosen,
@@ -426,7 +443,8 @@ class SceneSpec:
             balance="" if self.balance == "objects" else self.balance,
             support=str(self.support),
             region=region,
-            engine=self.engine,
+            is_piled=is_piled,
+            engine=engine,
             num_threads=self.num_threads,
             placement=self.with_rules(method)._placement(num_objects),
             stability=replace(stability, both_detectors=has_two_detectors and self.setting != "paper"),

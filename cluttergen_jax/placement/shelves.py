@@ -225,7 +225,6 @@ class Shelves:
         if self._latest is None or self._latest[0] != names:
             objects = [self.pool[name] for name in names]
             if self._latest is None:
-                region = self.config.region or self._worlds.support.region
-                check_crowding(objects, self.config.placement.num_objects, region)
+                check_crowding(objects, self.config, self._worlds.support)
             self._latest = names, self._worlds.setup(objects)
         return self._latest[1]

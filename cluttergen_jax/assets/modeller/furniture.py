@@ -1,4 +1,4 @@
-"""All supports of the modeller: the paper's cuboid and ten pieces of furniture.
+"""All supports of the modeller: the paper's cuboid, ten pieces of furniture, and containers on a table.
 
 The boxes of tops, rims, risers, shelves and benches are where the surfaces are. Legs that lean are upright
 boxes: nothing on the top touches them, and what falls past them has failed already.
@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cluttergen_jax.assets.modeller.bins import open_bin, tote, tray
 from cluttergen_jax.assets.modeller.desks import drawer_desk, l_desk, shelf_desk
 from cluttergen_jax.assets.modeller.draw import Rng, vary
 from cluttergen_jax.assets.modeller.tables import (
@@ -45,6 +46,9 @@ SUPPORTS: dict[str, Callable[[np.random.Generator | None], SupportAsset]] = {
     "coffee_table": coffee_table,
     "bar_table": bar_table,
     "picnic_table": picnic_table,
+    "bin": open_bin,
+    "tote": tote,
+    "tray": tray,
 }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from cluttergen_jax.assets.pool import StoredObjects, find_pool
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
-from cluttergen_jax.config import HAND, ContactConfig, StabilityConfig
+from cluttergen_jax.config import HAND, PILE, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
@@ -179,6 +179,7 @@ def _problem_config(bank: Bank, recipe: Recipe) -> ProblemConfig:
         weights=tuple((str(name), float(weight)) for name, weight in recipe.get("weights", ())),
         balance=recipe.get("balance", ""),
         region=recorded_rectangle(recipe["region"]),
+        is_piled=recipe.get("method") == PILE,
         engine=recipe.get("engine", "auto"),
         placement=config_of(PlacementConfig, recipe["placement"], bank.path),
         stability=config_of(StabilityConfig, recipe["stability"], bank.path),
