@@ -152,8 +152,8 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
     raise PoolError(
         f"no support is called {str(name_or_path)!r}, and there is none at that path",
         ", ".join(supports) or "none is installed",
-        "table-0.40x0.50 or bin-0.50x0.30x0.20, of any size, or cluttergen import --support FILE, which makes "
-        "one of a mesh",
+        "table-0.40x0.50 or bin-0.50x0.30x0.20, of any size, or cluttergen import --support FILE, which "
+        "makes one of a mesh",
         closest(name_or_path, supports),
     )
 

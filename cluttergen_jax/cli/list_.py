@@ -35,7 +35,9 @@ class List:
         for name in list_supports():
             print(f"  {name}")
         print("  table-WxD[xH] is a cuboid of that size in metres, such as table-0.40x0.50; bin-WxD[xH],")
-        print("  tote-WxD[xH] and tray-WxD[xH] are containers of that size inside, such as bin-0.50x0.30x0.20")
+        print(
+            "  tote-WxD[xH] and tray-WxD[xH] are containers of that size inside, such as bin-0.50x0.30x0.20"
+        )
         print("trained checkpoints, POOL-METHOD, or METHOD alone where one serves any pool")
         for name in list_policies():
             print(f"  {name}")

@@ -3,7 +3,8 @@
 Of each scene the objects are let go between four unseen walls around the region, in any orientation, each
 above all that is there, with little friction and some drag. Then the walls are gone, and it is settled in
 rounds that begin without velocity, as loading a file does: two with less friction, so that what would barely
-hold does not, then as many as it takes until one moves nothing. What lies outside is let fall again.
+hold does not, then as many as it takes until one moves nothing. What lies outside is let fall again, and so
+is what does not come to rest.
 """
 
 from __future__ import annotations
@@ -31,22 +32,23 @@ GAP, FALL = 24, 160
 """Steps between two releases, and after the last one, before the walls are taken away."""
 
 FRICTION, DRAG, TURNING_DRAG = 0.6, 1.0, 5.0
-"""Between the walls: share of all friction coefficients; 1/s by which speeds and angular speeds decay. Without
-drag one pile of twenty diverges: what is light spins faster and faster."""
+"""Between the walls: share of all friction coefficients; 1/s by which speeds and angular speeds decay.
+Without drag some piles diverge: what is light spins faster and faster."""
 
-SHAKE, SHAKE_FRICTION = 120, 0.7
-SHAKE_DRAG, SHAKE_TURNING_DRAG = 0.0, 2.0
-"""Steps of the first rounds without walls, and their share of friction: what slides later slides now."""
+SHAKE, SHAKE_FRICTION, SHAKE_TURNING_DRAG = 120, 0.7, 2.0
+"""Steps of the first rounds without walls, share of friction and drag in them: what slides later slides now.
+Drag on speeds makes them less thorough."""
 
 REST, REST_SHIFT, REST_TURN = 240, 0.0005, math.radians(0.5)
 """Steps of a round of rest, and what it may move at most: metres, radians."""
 
-MAX_ROUNDS, MAX_CHECKS = 8, 3
-"""Of rest since the last release, and of last checks, until a pile is given up."""
+MAX_ROUNDS, MAX_CHECKS = 4, 3
+"""Rounds of rest since the last release after which what still moves is let fall again; and last checks after
+which a pile is given up."""
 
 _GAP_ABOVE, _INSET, _WAITING = 0.002, 0.001, 20.0
-"""Metres: between a box that is let go and those below it; of the walls of air inside the region, so that they
-and not a bin's walls are touched; height above the top at which objects wait."""
+"""Metres: between a box that is let go and those below it; of the walls of air inside the region, so that
+they are touched and not a bin's walls; height above the top at which objects wait."""
 
 _NEVER = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 
@@ -214,21 +216,35 @@ class Piler:
 
     def _shake_once(self, rows: np.ndarray, following: _Stage) -> None:
         """A round with less friction and some drag. Where it fails it is left out: another may help."""
-        with self.plain.eased(SHAKE_FRICTION, SHAKE_DRAG, SHAKE_TURNING_DRAG):
+        with self.plain.eased(SHAKE_FRICTION, 0.0, SHAKE_TURNING_DRAG):
             self._round(rows, SHAKE)
         self._go_on(rows, following)
 
     def _rest(self, rows: np.ndarray) -> None:
-        start = self.poses[rows]
-        overflowed, is_finite = self._round(rows, REST)
+        """A round of rest, of which the first steps are enough where they are those of a scene that stands."""
+        config, start = self.engine.config, self.poses[rows].astype(np.float32)
+        self.poses[rows] = start
+        overflowed, is_finite = self._round(rows, config.stand_steps)
+        is_moving = self._moves(rows, start, config.stand_shift, config.stand_turn)
+        is_good = ~is_moving.any(1) & ~overflowed & is_finite
+        # What stands so is checked, and saved, as it was.
+        self.poses[rows[is_good]] = start[is_good]
+        self._go_on(rows[is_good], _Stage.CHECK)
+        rows, start, ids = rows[~is_good], start[~is_good], np.flatnonzero(~is_good)
+        self._advance(self.plain, rows, ids, REST - config.stand_steps)
+        overflowed, is_finite = self._take_poses(self.plain, rows, ids)
         self._give_up(rows[~is_finite], Verdict.NON_FINITE)
         self._give_up(rows[overflowed], Verdict.OVERFLOW)
         self.rounds[rows] += 1
+        is_moving = self._moves(rows, start, REST_SHIFT, REST_TURN)
+        self._go_on(rows[~is_moving.any(1)], _Stage.CHECK)
+        is_late = is_moving.any(1) & (self.rounds[rows] >= MAX_ROUNDS) & (self.stage[rows] == _Stage.REST)
+        self._release_again(rows[is_late], is_moving[is_late], np.full(is_late.sum(), Verdict.UNSETTLED))
+
+    def _moves(self, rows: np.ndarray, start: np.ndarray, max_shift: float, max_turn: float) -> np.ndarray:
+        """bool[n, K]: which objects are farther than that from where they were: metres, radians."""
         shift, turn = stability.displacement(np, self.poses[rows], start)
-        is_still = (shift < REST_SHIFT) & (turn < REST_TURN)
-        is_quiet = (is_still | ~self.is_member[rows]).all(1)
-        self._go_on(rows[is_quiet], _Stage.CHECK)
-        self._give_up(rows[~is_quiet & (self.rounds[rows] >= MAX_ROUNDS)], Verdict.UNSETTLED)
+        return ((shift > max_shift) | (turn > max_turn)) & self.is_member[rows]
 
     def _check(self, rows: np.ndarray) -> None:
         """The last check (docs/contract.md), from the poses that will be saved."""
@@ -260,7 +276,7 @@ class Piler:
     def _take_poses(
         self, sims: Simulations, rows: np.ndarray, ids: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Keeps where objects are now, where all went well: which overflowed and which are finite, bool[n]."""
+        """Keeps where objects are, where all went well: which overflowed and which are finite, bool[n]."""
         overflowed, is_finite = sims.failures(ids)
         is_good = is_finite & ~overflowed
         poses = np.where(self.is_member[rows][..., None], sims.poses(ids), self.poses[rows])
@@ -272,15 +288,18 @@ class Piler:
         rows = rows[self.stage[rows] != _Stage.OVER]
         self.stage[rows] = stage
         is_outside, is_below = self._outside(rows)
+        is_any = is_outside.any(1)
+        verdict = np.where(is_below.any(1), int(Verdict.FELL), int(Verdict.OUTSIDE))
+        self._release_again(rows[is_any], is_outside[is_any], verdict[is_any])
+
+    def _release_again(self, rows: np.ndarray, which: np.ndarray, verdict: np.ndarray) -> None:
+        """Lets go of objects, bool[n, K], once more; or gives up scenes in which that was done too often."""
         releases, most = self.result.releases[rows], self.asked.draws.shape[1]
-        is_spent = (is_outside & (releases >= most)).any(1)
-        is_spent |= releases.sum(1) + is_outside.sum(1) > self.asked.budget[rows]
-        is_again = is_outside.any(1)
-        self.is_pending[rows] = is_outside
-        self.stage[rows[is_again]] = _Stage.RELEASE
-        fell = is_below.any(1)
-        self._give_up(rows[is_again & is_spent & fell], Verdict.FELL)
-        self._give_up(rows[is_again & is_spent & ~fell], Verdict.OUTSIDE)
+        is_spent = (which & (releases >= most)).any(1)
+        is_spent |= releases.sum(1) + which.sum(1) > self.asked.budget[rows]
+        self.is_pending[rows], self.stage[rows] = which, _Stage.RELEASE
+        for row, each in zip(rows[is_spent], verdict[is_spent], strict=True):
+            self._give_up(np.array([row]), Verdict(int(each)))
 
     def _outside(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """bool[n, K] each: which objects lie outside of the region or below the top, and which below."""

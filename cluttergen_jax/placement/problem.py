@@ -35,7 +35,7 @@ MOST_CROWDED = 8.0
 """Footprints over the region's area from which a request is refused. Objects overhang and stand on others:
 `drop` fills 2 of 16 tables with ten of dining at 1.7, none at 4.2; only a stack of plates gets farther."""
 MOST_FULL = 1.0
-"""Volume of the smallest objects' hulls over that of what they are piled into, from which a pile is refused."""
+"""Volume of the smallest objects' hulls over that of what holds them, from which a pile is refused."""
 _RUN = 64
 _TOUCHING = 1e-4
 
@@ -145,9 +145,7 @@ def check_crowding(objects: Sequence[ObjectAsset], config: ProblemConfig, suppor
         )
 
 
-def _check_volume(
-    objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, depth: float
-) -> None:
+def _check_volume(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, depth: float) -> None:
     """Refuses a pile whose smallest objects' hulls alone are larger than what holds them."""
     hulls = [ConvexHull(np.concatenate([part.vertices for part in asset.parts])).volume for asset in objects]
     sizes = np.sort(np.tile(hulls, -(-num_objects // len(hulls))).reshape(-1, len(hulls)), axis=1).ravel()

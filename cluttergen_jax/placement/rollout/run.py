@@ -212,9 +212,7 @@ class Rollout:
             is_left = ~np.asarray(episodes.is_over)
             is_due = is_left & (np.cumsum(is_left) <= WHOLE_AT_ONCE)
             asking, *asked = self._ask(sampler, episodes, is_due)
-            return self._finish_piles(
-                sampler, episodes, asking, physics.pile_batch(*map(np.asarray, asked))
-            )
+            return self._finish_piles(sampler, episodes, asking, physics.pile_batch(*map(np.asarray, asked)))
         episodes, action, *asked = self._propose(sampler, episodes)
         settling = physics.settle_batch(*map(np.asarray, asked))
         after, transition, is_filled = self._judge(sampler, episodes, action, settling)
