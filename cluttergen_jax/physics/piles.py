@@ -221,7 +221,7 @@ class Piler:
         self._go_on(rows, following)
 
     def _rest(self, rows: np.ndarray) -> None:
-        """A round of rest, of which the first steps are enough where they are those of a scene that stands."""
+        """A round of rest; its first steps are enough where they are those of a scene that stands."""
         config, start = self.engine.config, self.poses[rows].astype(np.float32)
         self.poses[rows] = start
         overflowed, is_finite = self._round(rows, config.stand_steps)
@@ -231,6 +231,8 @@ class Piler:
         self.poses[rows[is_good]] = start[is_good]
         self._go_on(rows[is_good], _Stage.CHECK)
         rows, start, ids = rows[~is_good], start[~is_good], np.flatnonzero(~is_good)
+        if not rows.size:
+            return
         self._advance(self.plain, rows, ids, REST - config.stand_steps)
         overflowed, is_finite = self._take_poses(self.plain, rows, ids)
         self._give_up(rows[~is_finite], Verdict.NON_FINITE)
