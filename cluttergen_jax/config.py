@@ -20,6 +20,7 @@ Method = Literal[
     "drop",
     "spread",
     "guided",
+    "packed",
     "pile",
     "policy",
     "beta",
@@ -31,8 +32,9 @@ Method = Literal[
 METHODS: tuple[Method, ...] = get_args(Method)
 TRUSTED_METHODS = ("spread", "guided")
 """Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
-PILE = "pile"
-"""The method that lets all objects of a scene fall into a heap, which the native engine makes whole."""
+PACKED, PILE = "packed", "pile"
+"""Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
+all objects of a scene let fall into a heap, which the native engine makes whole."""
 HAND = "hand"
 """The method of banks that people made; it proposes nothing by itself."""
 Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args
 from cluttergen_jax.config import (
     HAND,
     METHODS,
+    PACKED,
     PILE,
     ROBUST_TILT,
     TRUSTED_METHODS,
@@ -32,7 +33,14 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, MOST_UNASKED, RUIN_AFTER, PlacementConfig
+from cluttergen_jax.placement.config import (
+    CLEARANCE,
+    MAX_SLOTS,
+    MIN_MARGIN,
+    MOST_UNASKED,
+    RUIN_AFTER,
+    PlacementConfig,
+)
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
@@ -86,6 +94,7 @@ class SceneOptions(EnvOptions, total=False):
     natural: bool
     tidy: bool
     height: Height
+    clearance: float | None
 
 
 class PlaceOptions(TypedDict, total=False):
@@ -174,10 +183,13 @@ class SceneSpec:
         "guided", "spread").
       height: from which `random` releases an object: "rest", 1 mm above its resting height on the bare top;
         or "free", anywhere in the region's range of heights.
+      clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
+        if not given.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
         the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
-        embedded; or "pile": all objects fall into a heap, in any orientation, as in a bin. If not given: the
-        checkpoint's own, else "guided" ("spread" where no checkpoint of it is embedded).
+        embedded; "packed": upright, shoulder to shoulder; or "pile": all objects fall into a heap, in any
+        orientation, as in a bin. If not given: the checkpoint's own, else "guided" ("spread" where no
+        checkpoint of it is embedded).
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       engine: "auto", "native", "warp" or "jax".
       num_threads: simulation threads of the native engine; 0 takes every core.
@@ -211,6 +223,7 @@ class SceneSpec:
     natural: bool = False
     tidy: bool = False
     height: Height = "rest"
+    clearance: float | None = None
     method: Method | None = None
     checkpoint: str | Path | None = None
     engine: Engine = "auto"
@@ -293,6 +306,7 @@ class SceneSpec:
             natural=rules.get("natural", cls.natural),
             tidy=rules.get("tidy", cls.tidy),
             height=rules.get("height", cls.height),
+            clearance=rules.get("clearance"),
             method=None if recipe["method"] == HAND else recipe["method"],
             checkpoint=recipe.get("checkpoint"),
             engine=recipe["engine"],
@@ -336,7 +350,7 @@ class SceneSpec:
         """
         is_default = self.setting == "default"
         is_trusted = is_default and method in TRUSTED_METHODS
-        order: Order = "weighted" if is_trusted else "random"
+        order: Order = "weighted" if is_trusted or (is_default and method == PACKED) else "random"
         ruin_after = min(RUIN_AFTER, self.max_attempts) if is_trusted else 0
         # In a heap things lean on walls and on each other.
         min_margin = MIN_MARGIN if is_default and method != PILE else 0.0
@@ -356,6 +370,9 @@ class SceneSpec:
         if wanted and method not in TRUSTED_METHODS:
             given = f"`{wanted[0]}` with method {method!r}"
             raise ConfigError(given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}")
+        if self.clearance is not None and method != PACKED:
+            given = f"clearance = {self.clearance!r} with method {method!r}"
+            raise ConfigError(given, f"with {PACKED}", f"method={PACKED!r}")
         if method != PILE:
             return
         refused = ("keep_out", "start", "ruin_after", "min_margin", "robust")
@@ -481,6 +498,7 @@ class SceneSpec:
             natural=self.natural,
             tidy=self.tidy,
             height=self.height,
+            clearance=CLEARANCE if self.clearance is None else self.clearance,
         )
 
 

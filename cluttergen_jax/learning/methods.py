@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cluttergen_jax.assets.pool import without_exclusions
-from cluttergen_jax.config import METHODS, PILE, VARIANTS, no_such
+from cluttergen_jax.config import METHODS, PACKED, PILE, VARIANTS, no_such
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
@@ -15,6 +15,7 @@ from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.placement.baselines import BASELINES, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.packed import Packed
 from cluttergen_jax.placement.piles import PileSampler
 from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import KeepOut
@@ -75,7 +76,7 @@ def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Ch
       PoolError: no checkpoint is embedded for it.
     """
     _check_known(method)
-    if method in (*BASELINES, PILE):
+    if method not in VARIANTS:
         if given is not None:
             raise ConfigError(f"`checkpoint` with method {method!r}, which has none", ", ".join(VARIANTS))
         return None
@@ -110,6 +111,8 @@ def with_history_of(placement: PlacementConfig, checkpoint: Checkpoint | None) -
 
 def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Proposer:
     """The method, bound to a world; its checkpoint may be unreadable (PoolError) or unfit (ConfigError)."""
+    if method == PACKED:
+        return Packed(rules)
     if checkpoint is None:
         return make_proposer(method, rules)
     if checkpoint.kind == KIND:

@@ -21,6 +21,8 @@ MAX_MARGIN = 0.1
 MIN_MARGIN = 0.003
 """Metres of support margin that what is generated has by default (`PlacementConfig.min_margin`)."""
 MAX_BUDGET = 10_000
+CLEARANCE, MAX_CLEARANCE = 0.003, 0.1
+"""Metres between objects that are packed, unless another is asked for; and at most."""
 RUIN_AFTER = 5
 """Failed attempts in a row after which a scene is partly taken apart, where that is done."""
 ORDER_POWER = 4.0
@@ -65,6 +67,7 @@ class PlacementConfig:
         the cost of `drop`, instead of drawing uniformly.
       height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;
         or "free", anywhere in the region's range of heights.
+      clearance: metres between the boxes of what `packed` places side by side.
     """
 
     num_objects: int = 10
@@ -83,6 +86,7 @@ class PlacementConfig:
     natural: bool = False
     tidy: bool = False
     height: str = "rest"
+    clearance: float = CLEARANCE
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
@@ -97,6 +101,9 @@ class PlacementConfig:
                 f"0 to {MAX_MARGIN} m",
                 f"{MIN_MARGIN}, or 0 to ask for nothing",
             )
+        if not (isinstance(self.clearance, Real) and 0.001 <= self.clearance <= MAX_CLEARANCE):
+            allowed = f"0.001 to {MAX_CLEARANCE} m"
+            raise ConfigError(f"clearance = {self.clearance!r}", allowed, f"clearance={CLEARANCE}")
         if not 0 <= self.ruin_after <= self.max_attempts:
             raise ConfigError(
                 f"ruin_after = {self.ruin_after} with max_attempts = {self.max_attempts}",

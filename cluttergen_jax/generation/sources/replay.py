@@ -142,10 +142,16 @@ def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_p
     """Scene number `index` of a bank with its attempts, made once more; see `Recorder.record`.
 
     Raises:
-      BankError: a person made it; or made again it ends elsewhere: other versions, another machine, changed
-        assets.
+      BankError: a person made it, or it is a pile; or made again it ends elsewhere: other versions, another
+        machine, changed assets.
     """
     recipe = bank.recipe
+    if recipe["method"] == PILE:
+        raise BankError(
+            f"{stored.title} is a pile, in which all objects fall together",
+            "attempts of scenes that are placed object by object",
+            "the scene itself",
+        )
     if recipe["method"] == HAND:
         raise BankError(
             f"{stored.title} was made by hand: its attempts cannot be made again",
