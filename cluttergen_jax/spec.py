@@ -349,8 +349,8 @@ class SceneSpec:
           method: by name; None for an environment, in which someone else acts.
         """
         is_default = self.setting == "default"
-        is_trusted = is_default and method in TRUSTED_METHODS
-        order: Order = "weighted" if is_trusted or (is_default and method == PACKED) else "random"
+        is_trusted = is_default and method in (*TRUSTED_METHODS, PACKED)
+        order: Order = "weighted" if is_trusted else "random"
         ruin_after = min(RUIN_AFTER, self.max_attempts) if is_trusted else 0
         # In a heap things lean on walls and on each other.
         min_margin = MIN_MARGIN if is_default and method != PILE else 0.0
