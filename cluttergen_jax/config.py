@@ -20,6 +20,8 @@ Method = Literal[
     "drop",
     "spread",
     "guided",
+    "packed",
+    "pile",
     "policy",
     "beta",
     "beta_free",
@@ -32,6 +34,9 @@ TRUSTED_METHODS = ("spread", "guided")
 """Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
 GEOMETRIC_METHODS = ("random", "clear", "drop", *TRUSTED_METHODS)
 """Those that see no clouds: objects may be released in any pose."""
+PACKED, PILE = "packed", "pile"
+"""Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
+all objects of a scene let fall into a heap, which the native engine makes whole."""
 HAND = "hand"
 """The method of banks that people made; it proposes nothing by itself."""
 REPAIR = "repair"

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args
 from cluttergen_jax.config import (
     GEOMETRIC_METHODS,
     METHODS,
+    PACKED,
+    PILE,
     ROBUST_TILT,
     TRUSTED_METHODS,
     UNPROPOSED,
@@ -33,7 +35,14 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, MOST_UNASKED, RUIN_AFTER, PlacementConfig
+from cluttergen_jax.placement.config import (
+    CLEARANCE,
+    MAX_SLOTS,
+    MIN_MARGIN,
+    MOST_UNASKED,
+    RUIN_AFTER,
+    PlacementConfig,
+)
 from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
@@ -92,6 +101,7 @@ class SceneOptions(EnvOptions, total=False):
     poses: Poses
     relations: Sequence[str]
     roles: str | Mapping[str, str]
+    clearance: float | None
 
 
 class PlaceOptions(TypedDict, total=False):
@@ -150,7 +160,8 @@ class SceneSpec:
         what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping.
       balance: "objects", each is as likely to be on a shelf; or "label", "synset", "licence" or "source": of
         each of their values a shelf has as many, while there are some.
-      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
+      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size, "bin-0.50x0.30x0.20" a
+        bin of that size inside.
       surface: the surface of the support on which objects are placed, by name (`cluttergen inspect SUPPORT`
         lists them); the first one if not given. "all", or several joined by commas: each object goes to one
         by chance, as there is free area. "top:3,shelf_1:4": so many on each.
@@ -162,7 +173,7 @@ class SceneSpec:
       order: the order in which objects are placed: "random"; "fixed", the pool's; "largest" footprint first;
         or "weighted", larger ones mostly first. If not given: the method's own, "random" for most.
       max_attempts: attempts per object, 1 to 10; a policy of poses allows as many as it was trained with at
-        most.
+        most. Of a pile: how often an object that comes to lie outside is let fall, at most.
       ruin_after: number of failed attempts in a row after which some placed objects, with all that lean on
         them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
       budget: attempts of a scene in all; `max_attempts` for each object if not given.
@@ -192,10 +203,13 @@ class SceneSpec:
         A name is an object's, a role's or "any"; the same name is the same object.
       roles: names in relations and the condition of the objects that each may stand for, as those of
         `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
+      clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
+        if not given.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
         the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
-        embedded. If not given: the checkpoint's own, else "guided" ("spread" where no checkpoint of it is
-        embedded).
+        embedded; "packed": upright, shoulder to shoulder; or "pile": all objects fall into a heap, in any
+        orientation, as in a bin. If not given: the checkpoint's own, else "guided" ("spread" where no
+        checkpoint of it is embedded).
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       engine: "auto", "native", "warp" or "jax".
       num_threads: simulation threads of the native engine; 0 takes every core.
@@ -233,6 +247,7 @@ class SceneSpec:
     poses: Poses = "upright"
     relations: Sequence[str] = ()
     roles: str | Mapping[str, str] = ""
+    clearance: float | None = None
     method: Method | None = None
     checkpoint: str | Path | None = None
     engine: Engine = "auto"
@@ -327,6 +342,7 @@ class SceneSpec:
             poses=rules.get("poses", cls.poses),
             relations=tuple(rules.get("relations", ())),
             roles=dict(rules.get("roles", ())),
+            clearance=rules.get("clearance"),
             method=None if recipe["method"] in UNPROPOSED else recipe["method"],
             checkpoint=recipe.get("checkpoint"),
             engine=recipe["engine"],
@@ -369,10 +385,11 @@ class SceneSpec:
           method: by name; None for an environment, in which someone else acts.
         """
         is_default = self.setting == "default"
-        is_trusted = is_default and method in TRUSTED_METHODS
+        is_trusted = is_default and method in (*TRUSTED_METHODS, PACKED)
         order: Order = "weighted" if is_trusted else "random"
         ruin_after = min(RUIN_AFTER, self.max_attempts) if is_trusted else 0
-        min_margin = MIN_MARGIN if is_default else 0.0
+        # In a heap things lean on walls and on each other.
+        min_margin = MIN_MARGIN if is_default and method != PILE else 0.0
         return replace(
             self,
             order=order if self.order is None else self.order,
@@ -398,6 +415,22 @@ class SceneSpec:
         if wanted and method not in TRUSTED_METHODS:
             given = f"`{wanted[0]}` with method {method!r}"
             raise ConfigError(given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}")
+        if self.clearance is not None and method != PACKED:
+            given = f"clearance = {self.clearance!r} with method {method!r}"
+            raise ConfigError(given, f"with {PACKED}", f"method={PACKED!r}")
+        if method != PILE:
+            return
+        refused = ("keep_out", "start", "ruin_after", "min_margin", "robust")
+        wanted = [name for name in refused if getattr(self, name)]
+        wanted += ["surface"] * (self.surface == "all" or any(sign in self.surface for sign in ",:"))
+        wanted += ["overhang"] * (self.overhang != "any") + ["engine"] * (self.engine in ("warp", "jax"))
+        if wanted:
+            value = getattr(self, wanted[0])
+            raise ConfigError(
+                f"{wanted[0]} = {value!r} with method {PILE!r}, which lets all objects fall into a heap",
+                "leaving it out",
+                f"method={TRUSTED_METHODS[0]!r}, which places one object after another",
+            )
 
     @property
     def pool_text(self) -> str:
@@ -458,6 +491,7 @@ class SceneSpec:
                 raise ConfigError(
                     given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
                 )
+        is_piled = method == PILE
         num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
         if self.num_objects is None and ":" in self.surface:
             num_objects = sum(
@@ -468,7 +502,8 @@ class SceneSpec:
         if isinstance(region, str):
             region = parse_region(region, find_support(self.support).on_surface(self.surface).region)
         stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
-        has_two_detectors = engine_of(self.engine, stability) == "native"
+        engine: Engine = "native" if is_piled else self.engine
+        has_two_detectors = engine_of(engine, stability) == "native"
         return ProblemConfig(
             pool=pool,
             objects=chosen,
@@ -479,7 +514,8 @@ class SceneSpec:
             support=str(self.support),
             surface=self.surface,
             region=region,
-            engine=self.engine,
+            is_piled=is_piled,
+            engine=engine,
             num_threads=self.num_threads,
             placement=self.with_rules(method)._placement(num_objects),
             stability=replace(stability, both_detectors=has_two_detectors and self.setting != "paper"),
@@ -519,6 +555,7 @@ class SceneSpec:
             poses=self.poses,
             relations=tuple(self.relations),
             roles=parse_roles(self.roles),
+            clearance=CLEARANCE if self.clearance is None else self.clearance,
         )
 
 

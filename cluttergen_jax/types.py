@@ -114,6 +114,34 @@ class Standing(struct.PyTreeNode):
     turn: Array
 
 
+class Piling(struct.PyTreeNode):
+    """A pile, as the simulator saw it. K objects in the compiled world.
+
+    Attributes:
+      verdict: i32: STABLE or CREPT after its last check; or what kept it from that: UNSETTLED, PENETRATING,
+        OUTSIDE, FELL, OVERFLOW or NON_FINITE. NONE if the scene was inactive.
+      num_steps: i32, steps simulated until it was at rest; check_steps: i32, those of last checks.
+      poses: f32[K, 7], final poses of all objects, world frame, metres, wxyz.
+      releases: i32[K], how often each object was let go.
+      steps: i32[K], steps made after a release of each object and before the next release of another.
+      drift: f32, metres, the largest movement in the last check.
+      penetration: f32, the deepest overlap at rest, metres.
+      touches: bool[K, K], pairs of objects that touch; level: i32[K], 0 on the support alone, else one more
+        than the highest of the objects that carry it and whose centre of mass is lower.
+    """
+
+    verdict: Array
+    num_steps: Array
+    check_steps: Array
+    poses: Array
+    releases: Array
+    steps: Array
+    drift: Array
+    penetration: Array
+    touches: Array
+    level: Array
+
+
 def small_length(metres: float) -> str:
     """A small length with three digits that count: `0.12 mm`, `3.4 um`, `< 1 um`.
 

@@ -178,6 +178,23 @@ def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = Fa
         _add_visuals(spec, body, "support", support.pieces)
 
 
+AIR_WALLS = ("air-x", "air+x", "air-y", "air+y")
+"""Planes by the side of a region on which they stand."""
+
+
+def add_air_walls(spec: mujoco.MjSpec) -> None:
+    """Adds four unseen planes without friction to the world body; where they stand is for the user to say."""
+    for name in AIR_WALLS:
+        spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=(1, 1, 0.1),
+            condim=1,
+            priority=_HIGHEST_PRIORITY + 1,
+            group=COLLISION_GROUP,
+        )
+
+
 def populated_spec(
     names: Sequence[str],
     objects: Sequence[ObjectAsset],

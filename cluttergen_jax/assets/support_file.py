@@ -42,7 +42,7 @@ WITH_SURFACES = 2
 """Of supports that have convex parts or several surfaces, which readers of format 1 would lose."""
 _RECORD = "support.json"
 _DIGITS = 7
-_CUBOID = re.compile(r"table-(\d*\.?\d+(?:x\d*\.?\d+){1,2})")
+_SIZED = re.compile(r"(table|bin|tote|tray)-(\d*\.?\d+(?:x\d*\.?\d+){1,2})")
 _REWRITE = "writing the support again"
 
 
@@ -115,8 +115,8 @@ def support_hash(support: SupportAsset) -> str:
 
 
 def is_support_name(text: str) -> bool:
-    """Whether a support may be called so: in the letters of names, and not as cuboids are."""
-    return bool(NAME_PATTERN.fullmatch(text)) and not _CUBOID.fullmatch(text)
+    """Whether a support may be called so: in the letters of names, and not as those of any size are."""
+    return bool(NAME_PATTERN.fullmatch(text)) and not _SIZED.fullmatch(text)
 
 
 def user_supports() -> Path:
@@ -137,14 +137,21 @@ def list_supports() -> dict[str, Path]:
 
 
 def find_support(name_or_path: str | Path) -> SupportAsset:
-    """The support of that name, or the one in that folder; `table-WxD[xH]` is a cuboid (metres).
+    """The support of that name, or the one in that folder; `table-WxD[xH]` is a cuboid, and `bin-WxD[xH]`,
+    `tote-WxD[xH]` and `tray-WxD[xH]` are containers of that size inside (metres).
 
     Raises:
       PoolError: nothing is called so (the message lists what exists), or its files are damaged.
-      ConfigError: a cuboid of absurd size.
+      ConfigError: an absurd size.
     """
-    if cuboid := _CUBOID.fullmatch(str(name_or_path)):
-        return cuboid_table(*(float(side) for side in cuboid[1].split("x")))
+    if sized := _SIZED.fullmatch(str(name_or_path)):
+        size = tuple(float(side) for side in sized[2].split("x"))
+        if sized[1] == "table":
+            return cuboid_table(*size)
+        # The modeller's library takes half a second to import, and only who asks for such a size pays.
+        from cluttergen_jax.assets.modeller.bins import open_container
+
+        return open_container(sized[1], size)
     supports = list_supports()
     if str(name_or_path) in supports:
         return read_support(supports[str(name_or_path)])
@@ -153,7 +160,8 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
     raise PoolError(
         f"no support is called {str(name_or_path)!r}, and there is none at that path",
         ", ".join(supports) or "none is installed",
-        "a cuboid such as table-0.40x0.50, or cluttergen import --support FILE, which makes one of a mesh",
+        "table-0.40x0.50 or bin-0.50x0.30x0.20, of any size, or cluttergen import --support FILE, which "
+        "makes one of a mesh",
         closest(name_or_path, supports),
     )
 
@@ -161,7 +169,7 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
 def is_support(name_or_path: str | Path) -> bool:
     """Whether `find_support` would look at something called so, damaged or not."""
     name = str(name_or_path)
-    return bool(_CUBOID.fullmatch(name)) or name in list_supports() or (Path(name) / _RECORD).is_file()
+    return bool(_SIZED.fullmatch(name)) or name in list_supports() or (Path(name) / _RECORD).is_file()
 
 
 def _round(value: Any) -> Any:

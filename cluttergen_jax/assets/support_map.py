@@ -125,6 +125,22 @@ def top_bounds_of(support: SupportAsset) -> TopBounds:
     return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
 
 
+_OUTSIDE = 0.004
+
+
+def rim_height(region: Rectangle, support: SupportAsset) -> float:
+    """Metres: how high what stands all around a region rises above the top, at its lowest; 0 of open ones."""
+    along = np.linspace(-1, 1, _GRID)
+    sides = [np.stack([along, np.full(_GRID, sign)], -1) for sign in (-1, 1)]
+    rim = np.concatenate([*sides, *(side[:, ::-1] for side in sides)])
+    points = rotate_in_plane(rim * (np.array(region.half_extents) + _OUTSIDE), region.yaw) + region.center
+    height = np.zeros(len(points))
+    for x, y, z, *half, yaw in boxes_of(support):
+        local = np.abs(rotate_in_plane(points - (x, y), -yaw))
+        height = np.maximum(height, np.where((local <= half[:2]).all(1), z + half[2] - support.top, 0.0))
+    return float(height.min())
+
+
 def check_region(region: Rectangle, support: SupportAsset) -> None:
     """Refuses a region that reaches over the edges of the support's top by more than a centimetre.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from cluttergen_jax.config import (
     DETECTORS,
+    PILE,
     Change,
     Detector,
     Method,
@@ -117,6 +118,12 @@ def evaluate(
         supports = (str(asked.support),)
     if not methods and asked.method is not None:
         methods = (asked.method,)
+    if PILE in methods:
+        raise ConfigError(
+            f"method {PILE!r}, which places no objects that could be counted one by one",
+            "methods that place one object after another",
+            f"generate(method={PILE!r}), which tells how many scenes succeed",
+        )
     base = Trial(
         num_objects=10 if asked.num_objects is None else asked.num_objects,
         attempts=asked.max_attempts,

@@ -360,8 +360,8 @@ def recipe_of(problem: Problem, method: Method, names: Sequence[str] | None = No
       names: of all objects, where the problem is of some that were drawn from them.
     """
     config = dataclasses.asdict(problem.config)
-    # Neither decides a scene: threads do not, and every scene of a bank has the same region.
-    for name in ("num_threads", "change"):
+    # None decides a scene: threads do not, every scene of a bank has the same region, and the method is told.
+    for name in ("num_threads", "change", "is_piled"):
         config.pop(name)
     # Nor is anything drawn where there is no shelf, as in banks of before there were any.
     for name in ("shelf", "weights", "balance", "surface"):

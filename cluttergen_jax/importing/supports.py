@@ -62,8 +62,8 @@ def write_table(path: str | Path, name: str | None, options: ReadOptions, force:
     if not is_support_name(name) or name in embedded_supports():
         raise PoolError(
             f"a support called {name!r}",
-            "names of a-z, 0-9, '_' and '-' that are neither embedded nor a cuboid's: not "
-            f"{', '.join(embedded_supports())}, table-WxD",
+            "names of a-z, 0-9, '_' and '-' that are neither embedded nor of any size: not "
+            f"{', '.join(embedded_supports())}, table-WxD, bin-WxD",
             "name='my_table'",
         )
     support, notes = support_with_notes(read_shape(sources[0], options))

@@ -22,6 +22,8 @@ MAX_MARGIN = 0.1
 MIN_MARGIN = 0.003
 """Metres of support margin that what is generated has by default (`PlacementConfig.min_margin`)."""
 MAX_BUDGET = 10_000
+CLEARANCE, MAX_CLEARANCE = 0.003, 0.1
+"""Metres between objects that are packed, unless another is asked for; and at most."""
 RUIN_AFTER = 5
 """Failed attempts in a row after which a scene is partly taken apart, where that is done."""
 ORDER_POWER = 4.0
@@ -71,6 +73,7 @@ class PlacementConfig:
       relations: texts that say what must hold of which objects (`placement.relations`); what is related is
         placed first.
       roles: names in these, each with the condition of the objects that it may stand for.
+      clearance: metres between the boxes of what `packed` places side by side.
     """
 
     num_objects: int = 10
@@ -92,6 +95,7 @@ class PlacementConfig:
     poses: str = "upright"
     relations: tuple[str, ...] = ()
     roles: tuple[tuple[str, str], ...] = ()
+    clearance: float = CLEARANCE
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
@@ -106,6 +110,9 @@ class PlacementConfig:
                 f"0 to {MAX_MARGIN} m",
                 f"{MIN_MARGIN}, or 0 to ask for nothing",
             )
+        if not (isinstance(self.clearance, Real) and 0.001 <= self.clearance <= MAX_CLEARANCE):
+            allowed = f"0.001 to {MAX_CLEARANCE} m"
+            raise ConfigError(f"clearance = {self.clearance!r}", allowed, f"clearance={CLEARANCE}")
         if not 0 <= self.ruin_after <= self.max_attempts:
             raise ConfigError(
                 f"ruin_after = {self.ruin_after} with max_attempts = {self.max_attempts}",

@@ -14,7 +14,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.assets.support_map import check_keep_out, check_region
+from cluttergen_jax.assets.support_map import check_keep_out, check_region, rim_height
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
@@ -42,6 +42,8 @@ SMALLEST_REGION = 0.02
 MOST_CROWDED = 8.0
 """Footprints over the region's area from which a request is refused. Objects overhang and stand on others:
 `drop` fills 2 of 16 tables with ten of dining at 1.7, none at 4.2; only a stack of plates gets farther."""
+MOST_FULL = 1.0
+"""Volume of the smallest objects' hulls over that of what holds them, from which a pile is refused."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,7 @@ class ProblemConfig:
       balance: "label", "licence" or "source", of whose values each comes as often; "" for none.
       change: how it is changed at random in every episode, a name of `changes.REGION_CHANGES`; what is
         drawn stays within the support's own.
+      is_piled: objects are let fall into a heap, for which room is judged by volume.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.
     """
@@ -75,6 +78,7 @@ class ProblemConfig:
     weights: tuple[tuple[str, float], ...] = ()
     balance: str = ""
     change: str = "none"
+    is_piled: bool = False
     engine: str = "auto"
     num_threads: int = 0
     placement: PlacementConfig = field(default_factory=PlacementConfig)
@@ -116,7 +120,7 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
     check_surface(chosen, support, config)
-    check_crowding(chosen, config.placement.num_objects, region, area_of(support))
+    check_crowding(chosen, config, support)
     return compose(chosen, support, config, standing)
 
 
@@ -142,21 +146,33 @@ def area_of(support: SupportAsset) -> float:
     return sum(4 * math.prod(surface.region.half_extents) for surface, _ in support.asked)
 
 
-def check_crowding(
-    objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, area: float = 0.0
-) -> None:
-    """Refuses more objects than can be hoped to find room in a region (ConfigError).
-
-    Args:
-      area: in place of the region's, where it is more than 0.
-    """
-    if (crowded := crowding(objects, num_objects, region, area)) > MOST_CROWDED:
+def check_crowding(objects: Sequence[ObjectAsset], config: ProblemConfig, support: SupportAsset) -> None:
+    """Refuses more objects than can be hoped to find room in the region (ConfigError)."""
+    region, num_objects = config.region or support.region, config.placement.num_objects
+    if config.is_piled and (depth := rim_height(region, support)) > 0:
+        _check_volume(objects, num_objects, region, depth)
+    elif (crowded := crowding(objects, num_objects, region, area_of(support))) > MOST_CROWDED:
         x, y = region.half_extents
         raise ConfigError(
             f"{num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
             f"smallest ones' footprints cover {crowded:.1f} times its area",
             f"{MOST_CROWDED:g} times at most; beyond about once, scenes begin to fail",
             "fewer objects or a larger region",
+        )
+
+
+def _check_volume(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, depth: float) -> None:
+    """Refuses a pile whose smallest objects' hulls alone are larger than what holds them."""
+    hulls = [ConvexHull(np.concatenate([part.vertices for part in asset.parts])).volume for asset in objects]
+    sizes = np.sort(np.tile(hulls, -(-num_objects // len(hulls))).reshape(-1, len(hulls)), axis=1).ravel()
+    room = 4 * float(np.prod(region.half_extents)) * depth * MOST_FULL
+    filled = np.cumsum(sizes[:num_objects])
+    if filled[-1] > room:
+        raise ConfigError(
+            f"a pile of {num_objects} objects, of which even the smallest fill "
+            f"{1000 * filled[-1]:.1f} litres, in {1000 * room / MOST_FULL:.1f} litres",
+            f"up to {int((filled <= room).sum())} of these objects",
+            "fewer or smaller objects, or a larger support, such as tote or bin-0.60x0.40x0.25",
         )
 
 

@@ -32,7 +32,6 @@ from cluttergen_jax.placement.problem import (
     ProblemConfig,
     Setup,
     WorldSizes,
-    area_of,
     check_crowding,
     check_number,
     compose,
@@ -227,8 +226,6 @@ class Shelves:
         if self._latest is None or self._latest[0] != names:
             objects = [self.pool[name] for name in names]
             if self._latest is None:
-                support = self._worlds.support
-                region = self.config.region or support.region
-                check_crowding(objects, self.config.placement.num_objects, region, area_of(support))
+                check_crowding(objects, self.config, self._worlds.support)
             self._latest = names, self._worlds.setup(objects)
         return self._latest[1]

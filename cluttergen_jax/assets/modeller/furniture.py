@@ -1,4 +1,5 @@
-"""All supports of the modeller: the paper's cuboid, tables, and furniture with several surfaces or a slope.
+"""All supports of the modeller: the paper's cuboid, tables, furniture with several surfaces or a slope, and
+containers on a table.
 
 The boxes of tops, rims, risers, shelves and benches are where the surfaces are. Legs that lean are upright
 boxes: nothing on the top touches them, and what falls past them has failed already.
@@ -12,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from cluttergen_jax.assets.modeller.bins import open_bin, tote, tray
 from cluttergen_jax.assets.modeller.desks import drawer_desk, l_desk, shelf_desk
 from cluttergen_jax.assets.modeller.draw import Rng, vary
 from cluttergen_jax.assets.modeller.shelving import (
@@ -61,6 +63,9 @@ SUPPORTS: dict[str, Callable[[np.random.Generator | None], SupportAsset]] = {
     "tilted_board_5": partial(tilted_board, degrees=5),
     "tilted_board_10": partial(tilted_board, degrees=10),
     "steps": steps,
+    "bin": open_bin,
+    "tote": tote,
+    "tray": tray,
 }
 
 

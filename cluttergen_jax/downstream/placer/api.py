@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from cluttergen_jax.config import (
     MAX_PAIRS,
+    PILE,
     Method,
     PlacerHead,
     PlacerLoss,
@@ -111,6 +112,9 @@ def placer_data(
     check_upright(poses_of(found), "a placer")
     if "assets" not in found.record:
         raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
+    if found.recipe.get("method") == PILE:
+        hint = "generate --method guided"
+        raise BankError(f"{found.path} holds piles", "scenes placed one object after another", hint)
     of_split = split_of(found, split)
     return write_pairs(out, found, of_split, num_pairs, camera, seed, num_threads, overwrite)
 
