@@ -37,6 +37,8 @@ GEOMETRIC_METHODS = ("random", "clear", "drop", *TRUSTED_METHODS)
 PACKED, PILE = "packed", "pile"
 """Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
 all objects of a scene let fall into a heap, which the native engine makes whole."""
+AIR_WALLS = ("air-x", "air+x", "air-y", "air+y")
+"""Planes by the side of a region on which they stand."""
 HAND = "hand"
 """The method of banks that people made; it proposes nothing by itself."""
 REPAIR = "repair"

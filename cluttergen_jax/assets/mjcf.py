@@ -12,7 +12,7 @@ from cluttergen_jax.assets.shading import shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.assets.texture import Texture
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import AIR_WALLS, ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
 
 VISUAL_GROUP = 2
@@ -176,10 +176,6 @@ def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = Fa
         geom.rgba, geom.group = PART_RGBA, VISUAL_GROUP if is_drawn else COLLISION_GROUP
     if visual:
         _add_visuals(spec, body, "support", support.pieces)
-
-
-AIR_WALLS = ("air-x", "air+x", "air-y", "air+y")
-"""Planes by the side of a region on which they stand."""
 
 
 def add_air_walls(spec: mujoco.MjSpec) -> None:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import AIR_WALLS
+from cluttergen_jax.config import AIR_WALLS
 from cluttergen_jax.geometry import product, rotate
 from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.host import below_top, empty_piling
@@ -333,7 +333,7 @@ class Piler:
             if depths.max() > allowed:
                 self.result.verdict[row] = int(Verdict.PENETRATING)
             self.result.touches[row] = depths[:-1, :-1] > 0
-            self.result.level[row] = self._levels(row)
+            self.result.level[row] = self._levels(int(row))
 
     def _levels(self, row: int) -> np.ndarray:
         """i32[K]: how many objects are below each, one upon the other, in the scene that was probed last."""

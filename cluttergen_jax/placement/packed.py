@@ -41,7 +41,7 @@ class Packed(LowestFit, eq=False):
         is_free = jnp.all(jnp.abs(xy) <= region.half_extents - size - clearance + _ROUNDING, axis=1)
         reach = size[:, None] + side + clearance - _ROUNDING
         overlaps = jnp.all(jnp.abs(xy[:, None] - center) < reach, axis=-1) & is_there
-        is_free &= ~jnp.any(overlaps, axis=1) & self._is_allowed(episode, focus, Candidates(xy, yaw))
+        is_free &= ~jnp.any(overlaps, axis=1) & self._is_allowed(self.scene(episode), Candidates(xy, yaw))
         touched = _touching_share(xy, size, region.half_extents, center, side, is_there, clearance)
         corner = jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])[episode.object_index[0] % 4]
         away = jnp.linalg.norm(xy - corner * region.half_extents, axis=1)
