@@ -396,7 +396,7 @@ class SceneSpec:
         """
         from cluttergen_jax.assets.facts import weights_of
         from cluttergen_jax.assets.pool import find_pool
-        from cluttergen_jax.assets.support import parse_region
+        from cluttergen_jax.assets.support import parse_region, parse_surfaces
         from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
         from cluttergen_jax.placement.problem import ProblemConfig, check_number
@@ -428,10 +428,14 @@ class SceneSpec:
                     given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
                 )
         num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
-        if self.num_objects is None and ":" in self.surface:
-            num_objects = sum(
-                number for _, number in find_support(self.support).on_surface(self.surface).asked
-            )
+        if ":" in self.surface:
+            support = find_support(self.support)
+            numbers = parse_surfaces(self.surface, support.surfaces, support.name)
+            total = sum(number for _, number in numbers)
+            if self.num_objects not in (None, total):
+                given = f"{self.num_objects} objects on surfaces {self.surface!r}"
+                raise ConfigError(given, f"{total}, as they add up to", f"num_objects={total}")
+            num_objects = total
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
         if isinstance(region, str):
