@@ -147,9 +147,9 @@ class SceneSpec:
       balance: "objects", each is as likely to be on a shelf; or "label", "licence" or "source": of each of
         their values a shelf has as many, while there are some.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
-      surface: the surface of the support on which objects are placed, by name (`cluttergen inspect SUPPORT`
-        lists them); the first one if not given. "all", or several joined by commas: each object goes to one
-        by chance, as there is free area. "top:3,shelf_1:4": so many on each.
+      surface: on which surface of the support (`cluttergen inspect SUPPORT` lists them); the first if not
+        given. "all", or several joined by commas: each object draws one by free area; "top:3,shelf_1:4": so
+        many on each.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
         In Python also a `Rectangle`.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
