@@ -162,9 +162,9 @@ class SceneSpec:
         each of their values a shelf has as many, while there are some.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size, "bin-0.50x0.30x0.20" a
         bin of that size inside.
-      surface: the surface of the support on which objects are placed, by name (`cluttergen inspect SUPPORT`
-        lists them); the first one if not given. "all", or several joined by commas: each object goes to one
-        by chance, as there is free area. "top:3,shelf_1:4": so many on each.
+      surface: on which surface of the support (`cluttergen inspect SUPPORT` lists them); the first if not
+        given. "all", or several joined by commas: each object draws one by free area; "top:3,shelf_1:4": so
+        many on each.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
         In Python also a `Rectangle`.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
@@ -194,9 +194,8 @@ class SceneSpec:
         "guided", "spread").
       height: from which `random` releases an object: "rest", 1 mm above its resting height on the bare top;
         or "free", anywhere in the region's range of heights.
-      poses: how objects are released, but for a turn about the vertical: "upright"; "resting", in one of
-        their resting poses, as often as they end in it when they are thrown; or "any", in any orientation,
-        from which they settle (methods "random", "clear", "drop", "spread", "guided").
+      poses: how objects are released, turned about the vertical at random: "upright"; "resting", in any of
+        their resting poses, as often as they end in it when thrown; or "any", in any orientation.
       relations: what must hold in every scene (methods "guided", "spread"): "mug on book", "apple in bowl",
         "fork left_of plate", "cup next_to bottle:0.05", "knife aligned fork". There are on, under, in,
         next_to, far_from, left_of, right_of, in_front_of, behind (with metres of gap if wanted) and aligned.
@@ -457,7 +456,7 @@ class SceneSpec:
         """
         from cluttergen_jax.assets.facts import weights_of
         from cluttergen_jax.assets.pool import find_pool
-        from cluttergen_jax.assets.support import parse_region
+        from cluttergen_jax.assets.support import parse_region, parse_surfaces
         from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
         from cluttergen_jax.placement.problem import ProblemConfig, check_number
@@ -493,10 +492,14 @@ class SceneSpec:
                 )
         is_piled = method == PILE
         num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
-        if self.num_objects is None and ":" in self.surface:
-            num_objects = sum(
-                number for _, number in find_support(self.support).on_surface(self.surface).asked
-            )
+        if ":" in self.surface:
+            support = find_support(self.support)
+            numbers = parse_surfaces(self.surface, support.surfaces, support.name)
+            total = sum(number for _, number in numbers)
+            if self.num_objects not in (None, total):
+                given = f"{self.num_objects} objects on surfaces {self.surface!r}"
+                raise ConfigError(given, f"{total}, as they add up to", f"num_objects={total}")
+            num_objects = total
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
         if isinstance(region, str):

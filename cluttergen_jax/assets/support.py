@@ -219,10 +219,10 @@ def parse_surfaces(
     Raises:
       ConfigError: one is unknown or comes twice, or a number is none, or is missing where others have one.
     """
-    found = {each.name: each for each in surfaces}
-    words = list(found) if text == "all" else [word.strip() for word in text.split(",")]
     if not text:
         return ((surfaces[0], 0),)
+    found = {each.name: each for each in surfaces}
+    words = list(found) if text == "all" else [word.strip() for word in text.split(",")]
     asked: dict[str, int] = {}
     for word in words:
         name, colon, number = word.partition(":")

@@ -287,7 +287,8 @@ def _faults_of_surfaces(surfaces: list[Surface], chosen: str) -> list[str]:
     names = [surface.name for surface in surfaces]
     faults = [f"surface {name!r} comes twice" for name in names if names.count(name) > 1]
     try:
-        parse_surfaces(chosen, surfaces or [None])  # type: ignore[list-item]
+        if chosen:
+            parse_surfaces(chosen, surfaces)
     except ConfigError:
         faults.append(f"its surface {chosen!r} is none of {names}")
     for surface in surfaces:

@@ -160,6 +160,10 @@ class Sampler:
         check_call(region, keep_out, start)
         region, keep_out, start = as_float32((region, keep_out, start))
         rules, support = self.steps.rules, self._support
+        if region is not None and rules.surfaces is not None:
+            raise ConfigError(
+                "a region in a call, with several surfaces", "their own regions", "one `surface`"
+            )
         fits = jnp.bool_(True) if region is None else _fits(region, rules.region, support)
         if start is not None:
             fits &= _has_room(start, rules.num_started)

@@ -26,8 +26,8 @@ from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import relate_objects
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.support_map import make_support_map, map_of_surfaces
-from cluttergen_jax.placement.surface_set import ROOM, SurfaceSet, check_numbers
+from cluttergen_jax.placement.support_map import make_support_map
+from cluttergen_jax.placement.surface_set import ROOM, SurfaceSet
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import (
     NUM_COLUMN_SAMPLES,
@@ -212,7 +212,7 @@ def compose(
             # Resting poses are those on a level table with room above it.
             layout = make_world(world.objects, cuboid_table(), config.stability, config.contact, cut).layout
         orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
-    geometry = geometry_of(world, orientations, map_of_surfaces(support))
+    geometry = geometry_of(world, orientations)
     if sizes is None:
         physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
     else:
@@ -221,10 +221,12 @@ def compose(
         geometry = pad_geometry(geometry, NUM_COLUMN_SAMPLES, _round_up(len(runs)))
     surfaces, usual = None, _largest_region(region, config.change, support)
     if support.named and len(support.asked) > 1:
-        check_numbers(support, wanted)
         rectangles = [support.on_surface(each.name) for each, _ in support.asked]
         surfaces = SurfaceSet.of(
-            support, world.objects, [region_of(each.region, each) for each in rectangles]
+            support,
+            world.objects,
+            [region_of(each.region, each) for each in rectangles],
+            config.placement.poses == "upright",
         )
         half = np.max([each.region.half_extents for each in rectangles], axis=0).tolist()
         usual = replace(region, half_extents=(half[0], half[1]))

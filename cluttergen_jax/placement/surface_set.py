@@ -11,7 +11,6 @@ from flax import struct
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
@@ -37,10 +36,17 @@ class SurfaceSet(struct.PyTreeNode):
     number: Array | None
 
     @staticmethod
-    def of(support: SupportAsset, objects: Sequence[ObjectAsset], regions: Sequence[Region]) -> SurfaceSet:
-        """Those that a support is asked for, and their regions."""
+    def of(
+        support: SupportAsset, objects: Sequence[ObjectAsset], regions: Sequence[Region], is_upright: bool
+    ) -> SurfaceSet:
+        """Those that a support is asked for, and their regions.
+
+        Args:
+          is_upright: whether all objects are released so; else they may be lower, as low as their least side.
+        """
         asked = support.asked
-        height = np.array([2 * min(asset.half_extents) for asset in objects])
+        sides = 2 * np.array([asset.half_extents for asset in objects])
+        height = sides[:, 2] if is_upright else sides.min(1)
         free = np.array([surface.free_height for surface, _ in asked])
         area = [4 * np.prod(surface.region.half_extents) for surface, _ in asked]
         numbers = [number for _, number in asked]
@@ -77,14 +83,3 @@ class SurfaceSet(struct.PyTreeNode):
             weight = jnp.where(is_possible, kept, jnp.maximum(left, 0))
         weight = jnp.where(self.fits[focus], weight, 0.0)
         return jax.random.categorical(key, jnp.log(weight)).astype(jnp.int32)
-
-
-def check_numbers(support: SupportAsset, num_objects: int) -> None:
-    """Refuses numbers of objects on surfaces that are not those of a scene (ConfigError)."""
-    numbers = [number for _, number in support.asked]
-    if all(numbers) and sum(numbers) != num_objects:
-        raise ConfigError(
-            f"{num_objects} objects on surfaces {support.surface!r}",
-            f"{sum(numbers)}, as they add up to",
-            f"num_objects={sum(numbers)}",
-        )

@@ -11,7 +11,8 @@ import numpy as np
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.placement.types import Geometry, Orientations, SupportMap
+from cluttergen_jax.placement.support_map import map_of_surfaces
+from cluttergen_jax.placement.types import Geometry, Orientations
 from cluttergen_jax.placement.world import World
 
 _RUN = 64
@@ -27,14 +28,11 @@ def on_device(arrays: Any) -> Any:
     return jax.device_put(narrowed)
 
 
-def geometry_of(
-    world: World, orientations: Orientations | None = None, support_map: SupportMap | None = None
-) -> Geometry:
+def geometry_of(world: World, orientations: Orientations | None = None) -> Geometry:
     """The world's objects as arrays, columns padded to the longest.
 
     Args:
       orientations: in which they are released; None for upright.
-      support_map: of the surface that they are placed on; None for a flat top.
     """
     most = max(len(columns.sample) for columns in world.columns)
 
@@ -57,7 +55,7 @@ def geometry_of(
         boxes=np.array(boxes).reshape(-1, 7),
         top=np.array(world.support.top),
         orientations=orientations,
-        support_map=support_map,
+        support_map=map_of_surfaces(world.support),
     )
     return on_device(found)
 
