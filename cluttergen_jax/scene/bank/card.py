@@ -10,7 +10,7 @@ import pyarrow as pa
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import HAND
+from cluttergen_jax.config import HAND, PILE
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
@@ -135,11 +135,13 @@ def front_matter(licences: Sequence[str], tags: Sequence[str], title: str, data_
 
 
 def _about(bank: Bank, stats: BankStats) -> str:
+    how = "placed one after another on a support until all lie still together"
+    if bank.recipe.get("method") == PILE:
+        how = "let fall into a heap until all lie still together"
     return (
         f"# {bank.path.resolve().name}\n\n"
-        f"{stats.scenes} cluttered tabletop scenes, of which {stats.success} stand: objects placed one after "
-        "another on a support until all lie still together, checked in physics. Failures are kept in the "
-        "record, so that success rates can be computed from it."
+        f"{stats.scenes} cluttered tabletop scenes, of which {stats.success} stand: objects {how}, checked in "
+        "physics. Failures are kept in the record, so that success rates can be computed from it."
     )
 
 
