@@ -10,6 +10,7 @@ Every command has a function with the same defaults:
 
     import_pool, import_support    meshes, URDF, SDF, MJCF -> a pool, a support
     pool_poses, set_pose           the resting poses of an object of a pool; selects another one
+    read_layout                    a file of objects and relations -> a request
     generate, verify, stats_of     scenes -> a bank on disk; which are stable; what it holds
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
         make_vector_env,
         train_brax,
     )
+    from cluttergen_jax.generation.layouts import list_layouts, read_layout
     from cluttergen_jax.importing.poses import pool_poses, set_pose
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.placement.rollout.replay import Replay
@@ -90,6 +92,7 @@ __all__ = [
     "generate",
     "import_pool",
     "import_support",
+    "list_layouts",
     "list_pools",
     "list_supports",
     "load_bank",
@@ -115,6 +118,7 @@ __all__ = [
     "pull_policies",
     "push_bank",
     "read_bank",
+    "read_layout",
     "read_scenes",
     "rearrange",
     "remove_pool",
@@ -152,6 +156,7 @@ _MODULES = {
     "placement.region": ("KeepOut", "make_region"),
     "placement.rollout.replay": ("Replay",),
     "placement.scenes": ("SceneBatch",),
+    "generation.layouts": ("list_layouts", "read_layout"),
     "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env", "train_brax"),
 }
 _ELSEWHERE = {name: module for module, names in _MODULES.items() for name in names}

@@ -54,6 +54,9 @@ Containment = Literal["center", "footprint"]
 Overhang = Literal["any", "half", "none"]
 Height = Literal["rest", "free"]
 Poses = Literal["upright", "resting", "any"]
+RelationKind = Literal[
+    "on", "in", "next_to", "far_from", "left_of", "right_of", "in_front_of", "behind", "aligned"
+]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]

@@ -34,9 +34,11 @@ from cluttergen_jax.config import (
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, MOST_UNASKED, RUIN_AFTER, PlacementConfig
+from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.outline import Ring
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.placement.problem import ProblemConfig
 
@@ -89,6 +91,8 @@ class SceneOptions(EnvOptions, total=False):
     tidy: bool
     height: Height
     poses: Poses
+    relations: Sequence[str]
+    roles: str | Mapping[str, str]
 
 
 class PlaceOptions(TypedDict, total=False):
@@ -151,7 +155,7 @@ class SceneSpec:
         given. "all", or several joined by commas: each object draws one by free area; "top:3,shelf_1:4": so
         many on each.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
-        In Python also a `Rectangle`.
+        Or a polygon, X,Y;X,Y;X,Y ...; "outline" for the whole surface. In Python also a `Rectangle`.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       containment: what must lie in the region: the bounding box's "center", or its whole "footprint".
@@ -182,6 +186,12 @@ class SceneSpec:
       poses: how objects are released, but for a turn about the vertical: "upright"; "resting", in one of
         their resting poses, as often as they end in it when they are thrown; or "any", in any orientation,
         from which they settle (methods "random", "clear", "drop", "spread", "guided").
+      relations: what must hold in every scene (methods "guided", "spread"): "mug on book", "apple in bowl",
+        "fork left_of plate", "cup next_to bottle:0.05", "knife aligned fork". There are on, under, in,
+        next_to, far_from, left_of, right_of, in_front_of, behind (with metres of gap if wanted) and aligned.
+        A name is an object's, a role's or "any"; the same name is the same object.
+      roles: names in relations and the condition of the objects that each may stand for, as those of
+        `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
         the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
         embedded. If not given: the checkpoint's own, else "guided" ("spread" where no checkpoint of it is
@@ -221,6 +231,8 @@ class SceneSpec:
     tidy: bool = False
     height: Height = "rest"
     poses: Poses = "upright"
+    relations: Sequence[str] = ()
+    roles: str | Mapping[str, str] = ""
     method: Method | None = None
     checkpoint: str | Path | None = None
     engine: Engine = "auto"
@@ -251,17 +263,25 @@ class SceneSpec:
             pairs = ((str(name), float(weight)) for name, weight in self.weights.items())
             object.__setattr__(self, "weights", "; ".join(f"{name}={weight!r}" for name, weight in pairs))
         self._weights()
+        if isinstance(self.roles, Mapping):
+            named = "; ".join(f"{name}={condition}" for name, condition in self.roles.items())
+            object.__setattr__(self, "roles", named)
+        check_names(self.relations, "relations")
         if self.method is not None and self.method not in METHODS:
             raise no_such("method", self.method, METHODS)
+        if self.start is not None and (self.relations or self.roles):
+            given = "`relations` with a scene to start from"
+            raise ConfigError(given, "one or the other", "leaving out `start`")
         # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
-        for name in ("objects", "exclude", "keep_out"):
+        for name in ("objects", "exclude", "keep_out", "relations"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         for name in ("pool", "support"):
             object.__setattr__(self, name, str(getattr(self, name)))
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
         # With no number of objects yet, a budget for one is enough; of too many, the pool says what it has.
-        self._placement(1 if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
+        least = max(1, len(conditions_of(parse_roles(self.roles), parse_relations(self.relations))))
+        self._placement(least if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
 
     @classmethod
     def from_recipe(cls, recipe: Mapping[str, Any]) -> SceneSpec:
@@ -275,6 +295,11 @@ class SceneSpec:
         """
         from cluttergen_jax.assets.support import recorded_rectangle
 
+        def _recorded_region(recipe: Mapping[str, Any]) -> Rectangle | str:
+            if corners := recipe.get("polygon"):
+                return ";".join(f"{x!r},{y!r}" for x, y in corners)
+            return recorded_rectangle(recipe["region"])
+
         rules, stability = recipe["placement"], recipe["stability"]
         is_native = recipe["engine"] == "native"
         return cls(
@@ -287,7 +312,7 @@ class SceneSpec:
             repeat=recipe["repeat"],
             support=recipe["support"],
             surface=recipe.get("surface", cls.surface),
-            region=recorded_rectangle(recipe["region"]),
+            region=_recorded_region(recipe),
             keep_out=tuple(recorded_rectangle(box) for box in recipe.get("keep_out", ())),
             start=recipe.get("start"),
             containment=rules["containment"],
@@ -305,6 +330,8 @@ class SceneSpec:
             tidy=rules.get("tidy", cls.tidy),
             height=rules.get("height", cls.height),
             poses=rules.get("poses", cls.poses),
+            relations=tuple(rules.get("relations", ())),
+            roles=dict(rules.get("roles", ())),
             method=None if recipe["method"] == HAND else recipe["method"],
             checkpoint=recipe.get("checkpoint"),
             engine=recipe["engine"],
@@ -366,7 +393,9 @@ class SceneSpec:
         if self.poses != "upright" and method not in GEOMETRIC_METHODS:
             given, allowed = f"poses = {self.poses!r} with method {method!r}", ", ".join(GEOMETRIC_METHODS)
             raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
-        wanted = [name for name in ("clutter", "natural", "tidy") if getattr(self, name)]
+        wanted = [
+            name for name in ("clutter", "natural", "tidy", "relations", "roles") if getattr(self, name)
+        ]
         if wanted and method not in TRUSTED_METHODS:
             given = f"`{wanted[0]}` with method {method!r}"
             raise ConfigError(given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}")
@@ -396,7 +425,7 @@ class SceneSpec:
         """
         from cluttergen_jax.assets.facts import weights_of
         from cluttergen_jax.assets.pool import find_pool
-        from cluttergen_jax.assets.support import parse_region, parse_surfaces
+        from cluttergen_jax.assets.support import parse_polygon, parse_region, parse_surfaces
         from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
         from cluttergen_jax.placement.problem import ProblemConfig, check_number
@@ -422,6 +451,9 @@ class SceneSpec:
                 most = min(len(chosen) or len(find_pool(pool)), MOST_ON_SHELF)
                 given = f"{self.num_objects} objects of a shelf of {shelf}"
                 raise ConfigError(given, f"1 to {shelf}", f"shelf={min(most, 2 * (self.num_objects or 0))}")
+            if self.relations or self.roles:
+                given = "`relations` with a shelf of objects that each block draws"
+                raise ConfigError(given, "one or the other", "fewer `objects` and no `shelf`")
             if self.repeat:
                 given = "`repeat` with a shelf of objects that each block draws"
                 raise ConfigError(
@@ -438,8 +470,13 @@ class SceneSpec:
             num_objects = total
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
+        polygon: Ring = ()
         if isinstance(region, str):
-            region = parse_region(region, find_support(self.support).on_surface(self.surface).region)
+            support = find_support(self.support).on_surface(self.surface)
+            if region == "outline" or ";" in region:
+                polygon, region = parse_polygon(region, support)
+            else:
+                region = parse_region(region, support.region)
         stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
         has_two_detectors = engine_of(self.engine, stability) == "native"
         return ProblemConfig(
@@ -452,6 +489,7 @@ class SceneSpec:
             support=str(self.support),
             surface=self.surface,
             region=region,
+            polygon=polygon,
             engine=self.engine,
             num_threads=self.num_threads,
             placement=self.with_rules(method)._placement(num_objects),
@@ -490,6 +528,8 @@ class SceneSpec:
             tidy=self.tidy,
             height=self.height,
             poses=self.poses,
+            relations=tuple(self.relations),
+            roles=parse_roles(self.roles),
         )
 
 

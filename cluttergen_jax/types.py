@@ -26,6 +26,7 @@ class Verdict(enum.IntEnum):
     CREPT = 8
     UNSUPPORTED = 9
     FRAGILE = 10
+    UNRELATED = 11
 
     @property
     def sentence(self) -> str:
@@ -51,6 +52,7 @@ _SENTENCES = {
     Verdict.CREPT: "the finished scene moved in the last check",
     Verdict.UNSUPPORTED: "came to rest with its centre of mass too near the edge of what carries it",
     Verdict.FRAGILE: "would not stand under a slight tilt, less friction and softer contacts",
+    Verdict.UNRELATED: "came to rest where a relation that was asked for does not hold",
 }
 
 
@@ -60,8 +62,8 @@ class Settling(struct.PyTreeNode):
     T is the step at which an attempt ends at the latest (`StabilityConfig.last_step`).
 
     Attributes:
-      verdict: i32, a `Verdict`; OUTSIDE, UNSUPPORTED and CREPT are never given here, FRAGILE only where
-        `StabilityConfig.robust_tilt` asks for it. NONE if the scene was inactive.
+      verdict: i32, a `Verdict`; OUTSIDE, UNSUPPORTED, UNRELATED and CREPT are never given here, FRAGILE only
+        where `StabilityConfig.robust_tilt` asks for it. NONE if the scene was inactive.
       num_steps: i32, the step at which the attempt ended.
       check_steps: i32, steps simulated after that, to see whether what came to rest is fragile.
       poses: f32[K, 7], final poses of all objects, world frame, metres, wxyz.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, get_args
 from cluttergen_jax.config import Containment, Height, Order, Overhang, Poses, Reward
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
 
 if TYPE_CHECKING:
     from cluttergen_jax.schema import Record
@@ -67,6 +68,9 @@ class PlacementConfig:
         or "free", anywhere in the region's range of heights.
       poses: in which objects are released, but for a turn about z: "upright"; "resting", a resting pose drawn
         anew for each attempt; or "any" (`placement.orientations`).
+      relations: texts that say what must hold of which objects (`placement.relations`); what is related is
+        placed first.
+      roles: names in these, each with the condition of the objects that it may stand for.
     """
 
     num_objects: int = 10
@@ -86,6 +90,8 @@ class PlacementConfig:
     tidy: bool = False
     height: str = "rest"
     poses: str = "upright"
+    relations: tuple[str, ...] = ()
+    roles: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
@@ -138,6 +144,16 @@ class PlacementConfig:
             )
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
+        related = parse_relations(self.relations)
+        object.__setattr__(self, "relations", tuple(map(str, related)))
+        object.__setattr__(self, "roles", parse_roles(dict(self.roles)))
+        names = conditions_of(self.roles, related)
+        if len(names) > self.num_objects:
+            raise ConfigError(
+                f"{len(names)} objects in relations ({', '.join(names)}) of scenes of {self.num_objects}",
+                f"up to {self.num_objects}",
+                f"num_objects={len(names)}",
+            )
 
     @property
     def max_scene_attempts(self) -> int:

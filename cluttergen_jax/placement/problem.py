@@ -9,8 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from cluttergen_jax.assets.facts import ObjectFacts
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.outline import Ring, ring_area
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
@@ -19,16 +21,24 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines
-from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
+from cluttergen_jax.placement.related import RelatedObjects
+from cluttergen_jax.placement.relations import can_be_filled, candidates_of, conditions_of, parse_relations
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.support_map import make_support_map
-from cluttergen_jax.placement.surface_set import ROOM, SurfaceSet
+from cluttergen_jax.placement.surface_set import SurfaceSet, check_surface
 from cluttergen_jax.placement.types import Start
-from cluttergen_jax.placement.world import NUM_COLUMN_SAMPLES, World, columns_of, make_world, repeat_objects
+from cluttergen_jax.placement.world import (
+    MAX_OBJECTS,
+    NUM_COLUMN_SAMPLES,
+    World,
+    columns_of,
+    make_world,
+    repeat_objects,
+)
 from cluttergen_jax.placement.world_geometry import geometry_of, on_device, pad_geometry
 
 SMALLEST_REGION = 0.02
@@ -48,6 +58,7 @@ class ProblemConfig:
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
       surface: which of its surfaces objects are placed on; the first one if empty.
       region: the queried region; None takes the support's own.
+      polygon: the corners of what of it counts, in the surface's frame, metres; none for all of it.
       shelf: each block of scenes draws so many of these objects for its own; 0 takes all of them for all
         scenes.
       weights: by which they are drawn: conditions and numbers (`assets.facts.weights_of`).
@@ -64,6 +75,7 @@ class ProblemConfig:
     support: str = "table"
     surface: str = ""
     region: Rectangle | None = None
+    polygon: Ring = ()
     shelf: int = 0
     weights: tuple[tuple[str, float], ...] = ()
     balance: str = ""
@@ -108,8 +120,9 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
     region = config.region or support.region
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
-    check_surface(chosen, support, config)
-    check_crowding(chosen, config.placement.num_objects, region, area_of(support))
+    check_surface(chosen, support, config.placement, config.contact, config.region is not None)
+    area = abs(ring_area(config.polygon)) if config.polygon else area_of(support)
+    check_crowding(chosen, config.placement.num_objects, region, area)
     return compose(chosen, support, config, standing)
 
 
@@ -172,6 +185,7 @@ def compose(
         clutter.check(wanted + len(standing))
     if wanted > len(objects):
         objects = repeat_objects(objects, wanted)
+    objects, related = _relate(config, objects)
     region = config.region or support.region
     if min(region.half_extents) * 2 < SMALLEST_REGION:
         raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`")
@@ -214,61 +228,30 @@ def compose(
         if config.change == "none"
         else ChangedRegion(find_change(config.change), region, support.region, *plane_of(support)),
         support_map=None if config.placement.overhang == "any" else make_support_map(geometry),
+        related=related,
         surfaces=surfaces,
+        polygon=on_device(np.array(config.polygon)) if config.polygon else None,
     )
     return Problem(config, world, rules, region)
 
 
-_TOUCHING, _STANDS = 1e-4, 0.0005
-"""Metres: of a base's points, and of a margin that holds."""
-_TURNS = 16
-
-
-def check_surface(objects: Sequence[ObjectAsset], support: SupportAsset, config: ProblemConfig) -> None:
-    """Refuses objects that cannot stand on a slope, or under what hangs over a surface (ConfigError).
-
-    Released upright they tip or slide whichever way they are turned; in other poses they may stand.
-    """
-    if not support.named:
-        return
-    surfaces = [surface for surface, _ in support.asked]
-    if len(surfaces) > 1 and config.region is not None:
-        raise ConfigError("a region with several surfaces", "the surfaces' own regions", "one `surface`")
-    if config.placement.poses != "upright":
-        return
-    friction, slope = config.contact.friction[0], min(surface.tilt for surface in surfaces)
-    fallen = [each.name for each in objects if not _stands_on_slope(each, slope, friction)]
-    if fallen:
-        raise ConfigError(
-            f"objects that tip, roll or slide on a slope of {math.degrees(slope):.1f} degrees, "
-            f"however they are turned: {', '.join(fallen)}",
-            "other objects",
-            "exclude=" + repr(tuple(fallen)),
-        )
-    free = max(surface.free_height for surface in surfaces)
-    tall = [each.name for each in objects if 2 * each.half_extents[2] + ROOM > free]
-    if tall:
-        raise ConfigError(
-            f"objects that are too tall for {', '.join(surface.name for surface in surfaces)} of support "
-            f"{support.name!r}, with {free:.3f} m of room: {', '.join(tall)}",
-            "lower ones",
-            "exclude=" + repr(tuple(tall)),
-        )
-
-
-def _stands_on_slope(asset: ObjectAsset, slope: float, friction: float) -> bool:
-    """Whether a plumb line through its centre of mass meets its base for some turn, and it does not slide."""
-    if slope == 0:
-        return True
-    vertices = np.concatenate([part.vertices for part in asset.parts])
-    low = vertices[:, 2].min()
-    base = vertices[vertices[:, 2] < low + _TOUCHING][:, :2]
-    lean = (asset.center_of_mass[2] - low) * math.tan(slope)
-    angles = 2 * np.pi * np.arange(_TURNS) / _TURNS
-    centers = asset.center_of_mass[:2] + lean * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    margin = max(support_margin(base - center) for center in centers)
-    own = friction if asset.friction is None else asset.friction
-    return margin > _STANDS and math.tan(slope) < own
+def _relate(
+    config: ProblemConfig, objects: Sequence[ObjectAsset]
+) -> tuple[Sequence[ObjectAsset], RelatedObjects | None]:
+    """What is related, and the objects, repeated until each role has its own if they may be."""
+    relations, roles = parse_relations(config.placement.relations), config.placement.roles
+    if not relations and not roles:
+        return objects, None
+    conditions = conditions_of(roles, relations)
+    copies = 1
+    while config.repeat and not can_be_filled(
+        candidates_of(conditions, [ObjectFacts.of(each) for each in (*objects,) * copies])
+    ):
+        copies += 1
+        if copies * len(objects) > MAX_OBJECTS:
+            break
+    objects = (*objects,) * copies
+    return objects, RelatedObjects.of(relations, roles, [ObjectFacts.of(each) for each in objects])
 
 
 def _round_up(number: int) -> int:

@@ -10,16 +10,20 @@ from flax import struct
 
 from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
+from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
+    box_corners,
     from_pose,
+    is_in_polygon,
     is_inside,
     is_kept_out,
     no_keep_out,
     pose_of_action,
 )
+from cluttergen_jax.placement.related import RelatedObjects, carriers_of, holds_among
 from cluttergen_jax.placement.removal import choose_removal, footprint_area
 from cluttergen_jax.placement.support_graph import (
     empty_graph,
@@ -79,7 +83,10 @@ class Rules(struct.PyTreeNode, eq=False):
         off then; None tells them all. A policy reads histories of the length that it was trained with.
       engine: i32, the number of this world's engine where there are several.
       map_radius: metres, that of the largest object that height maps are made for; its own if None.
+      related: the relations that scenes must fulfil; None for none.
       surfaces: of which one is drawn for each attempt, with its region; None where there is one.
+      polygon: f32[E, 2], what of the region counts, world x and y, or the surface's frame where it is not
+        level; None for all of it.
     """
 
     config: PlacementConfig = struct.field(pytree_node=False)
@@ -92,7 +99,9 @@ class Rules(struct.PyTreeNode, eq=False):
     support_map: SupportMap | None = None
     engine: Array | None = None
     map_radius: float | None = struct.field(pytree_node=False, default=None)
+    related: RelatedObjects | None = None
     surfaces: SurfaceSet | None = None
+    polygon: Array | None = None
 
     @property
     def simulator(self) -> Physics:
@@ -124,11 +133,12 @@ class Rules(struct.PyTreeNode, eq=False):
         if region is None and self.draw_region is not None:
             # Orders are those of unchanged regions; `fold_in` of 0 or 1 would be a key of the split again.
             region = self.draw_region(jax.random.fold_in(key, 2))
+        roles = None if self.related is None else self.related.draw(jax.random.fold_in(key, 4))
         episode = Episode(
             key=key_episode,
             region=self.region if region is None else region,
             keep_out=no_keep_out() if keep_out is None else keep_out,
-            object_index=self._draw_slots(key_order, start.is_placed),
+            object_index=self._draw_slots(key_order, start.is_placed, roles),
             first_slot=first_slot,
             slot=first_slot,
             attempt=jnp.int32(0),
@@ -148,6 +158,7 @@ class Rules(struct.PyTreeNode, eq=False):
             verdict=jnp.int32(Verdict.NONE),
             drift=jnp.float32(0),
             support_graph=empty_graph(self.geometry),
+            roles=roles,
             surface=None if self.surfaces is None else jnp.full(self.geometry.num_objects, -1, jnp.int32),
         )
         episode = self._with_surface(episode, jax.random.fold_in(key, 5))
@@ -156,6 +167,8 @@ class Rules(struct.PyTreeNode, eq=False):
     @property
     def _num_counted(self) -> int:
         # What is not asked for is not counted, and stored states have the shapes they had.
+        if self.related is not None:
+            return int(Verdict.UNRELATED) + 1
         if self.physics.config.robust_tilt:
             return int(Verdict.FRAGILE) + 1
         last = Verdict.UNSUPPORTED if self.config.min_margin else Verdict.NON_FINITE
@@ -173,19 +186,24 @@ class Rules(struct.PyTreeNode, eq=False):
         """S: slots of those that stand there already, then of those to be placed."""
         return self.num_started + self.config.num_objects
 
-    def _draw_slots(self, key: Array, is_taken: Array) -> Array:
+    def _draw_slots(self, key: Array, is_taken: Array, roles: Array | None) -> Array:
         """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
 
-        Those to place are a uniform subset of the objects not taken, whatever their order but "fixed".
+        Those to place are a uniform subset of the objects not taken, whatever their order but "fixed"; those
+        of roles are among them and come first, each after those to which it is placed.
         """
         ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
         if self.config.order != "fixed":
             ranks = jax.random.uniform(key, ranks.shape)
         ranks = jnp.where(is_taken, jnp.inf, ranks)
+        if roles is not None:
+            ranks = ranks.at[roles].set(-1.0)
         chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
         chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
         if self.config.order in ("largest", "weighted"):
             chosen = chosen[jnp.argsort(-self._weight(key)[chosen])]
+        if roles is not None and self.related is not None:
+            chosen = chosen[jnp.argsort(self.related.priority(roles)[chosen], stable=True)]
         standing = jnp.nonzero(is_taken, size=self.num_started, fill_value=-1)[0].astype(jnp.int32)
         slots = jnp.concatenate([standing, chosen])
         slots = jnp.pad(slots, (0, self.num_slots - slots.shape[0]), constant_values=-1)
@@ -310,6 +328,7 @@ class Rules(struct.PyTreeNode, eq=False):
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
         support_map = self.support_map_of(episode)
         inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
+        inside &= self.is_in_polygon(on_map(support_map, pose), half_extents)
         if support_map is not None:
             center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
             height = episode.region.T_world_region.inverse().apply(center)[2]
@@ -322,7 +341,31 @@ class Rules(struct.PyTreeNode, eq=False):
                 inside &= height < ceiling
         if self.config.overhang != "any":
             inside &= ~self._is_beyond(episode, focus, settling)
-        return jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
+        verdict = jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
+        if self.related is None:
+            return verdict
+        is_related = self._is_related(self.related, episode, focus, settling)
+        return jnp.where((verdict == Verdict.STABLE) & ~is_related, int(Verdict.UNRELATED), verdict)
+
+    def _is_related(
+        self, related: RelatedObjects, episode: Episode, focus: Array, settling: Settling
+    ) -> Array:
+        """Whether all relations hold of which both objects are placed, the focus object included; bool."""
+        assert episode.roles is not None
+        is_placed = episode.is_placed.at[focus].set(True)
+        poses = jnp.where(is_placed[:, None], settling.poses, empty_start(len(is_placed)).poses)
+        boxes = Boxes.of(self.geometry.half_extents, poses)
+        carriers = carriers_of(related, episode.roles, focus, episode.is_placed)
+        is_carried = jnp.all(settling.bears | ~carriers)
+        return is_carried & holds_among(related, episode.roles, boxes, is_placed, episode.region)
+
+    def is_in_polygon(self, pose: Array, half_extents: Array) -> Array:
+        """bool: whether an object, its pose f32[7] in the polygon's frame, is in it as far as is asked."""
+        if self.polygon is None:
+            return jnp.bool_(True)
+        is_center = self.config.containment == "center"
+        points = pose[None, :2] if is_center else box_corners(pose, half_extents)[:, :2]
+        return jnp.all(is_in_polygon(points, self.polygon))
 
     def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""
@@ -436,7 +479,12 @@ class Rules(struct.PyTreeNode, eq=False):
         slots, index = jnp.arange(self.num_slots), jnp.maximum(episode.object_index, 0)
         is_kept = (slots < episode.slot) & ~which[index]
         group = jnp.where(is_kept, 0, jnp.where(slots == episode.slot, 1, 2))
-        order = jnp.argsort(jnp.where(episode.object_index < 0, 3, group), stable=True)
+        last = 3
+        if self.related is not None and episode.roles is not None:
+            # Nothing comes before that to which it is placed.
+            group = jnp.where(is_kept, 0, 1 + self.related.priority(episode.roles)[index])
+            last = self.related.num_roles + 2
+        order = jnp.argsort(jnp.where(episode.object_index < 0, last, group), stable=True)
         counts = episode.counts
         return episode.replace(
             object_index=episode.object_index[order],

@@ -252,7 +252,8 @@ class Counts(struct.PyTreeNode):
         to their end (`StabilityConfig.stop_when_decided` off).
       rest_steps: i32[S], steps of the attempt that succeeded; 0 where the object does not stand.
       verdicts: i32[V], attempts by `Verdict` code: STABLE to NON_FINITE, to UNSUPPORTED where a margin is
-        asked for, or to FRAGILE where it is asked that what stands is robust.
+        asked for, to FRAGILE where it is asked that what stands is robust, or to UNRELATED where relations
+        are asked for.
       simulated_steps: i32, steps simulated, all checks included.
       reward: f32, sum of rewards.
     """
@@ -305,6 +306,7 @@ class Episode(struct.PyTreeNode):
         stood there when the episode began; None where there is one.
       orientation: i32, of `Geometry.orientations`, that in which the current object is released next; None
         where all are released upright.
+      roles: i32[Q], the objects of `Rules.related`'s roles; None where nothing is related.
     """
 
     key: Array
@@ -324,6 +326,7 @@ class Episode(struct.PyTreeNode):
     drift: Array
     support_graph: SupportGraph
     orientation: Array | None = None
+    roles: Array | None = None
     surface: Array | None = None
 
     @property

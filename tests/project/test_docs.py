@@ -16,7 +16,7 @@ import cluttergen_jax as cg
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 GUIDES = [DOCS / "start.md", *sorted(DOCS.glob("guide/*.md")), *sorted(DOCS.glob("concepts/*.md"))]
-TEXTS = [ROOT / "README.md", *GUIDES]
+TEXTS = [ROOT / "README.md", ROOT / "AGENTS.md", *GUIDES]
 OPTIONS = json.loads((ROOT / "tests" / "cli" / "options.json").read_text())
 
 
