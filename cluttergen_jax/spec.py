@@ -47,6 +47,7 @@ from cluttergen_jax.placement.relations import conditions_of, parse_relations, p
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.outline import Ring
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.placement.problem import ProblemConfig
 
@@ -166,7 +167,7 @@ class SceneSpec:
         given. "all", or several joined by commas: each object draws one by free area; "top:3,shelf_1:4": so
         many on each.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
-        In Python also a `Rectangle`.
+        Or a polygon, X,Y;X,Y;X,Y ...; "outline" for the whole surface. In Python also a `Rectangle`.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       containment: what must lie in the region: the bounding box's "center", or its whole "footprint".
@@ -321,7 +322,7 @@ class SceneSpec:
             repeat=recipe["repeat"],
             support=recipe["support"],
             surface=recipe.get("surface", cls.surface),
-            region=recorded_rectangle(recipe["region"]),
+            region=_recorded_region(recipe),
             keep_out=tuple(recorded_rectangle(box) for box in recipe.get("keep_out", ())),
             start=recipe.get("start"),
             containment=rules["containment"],
@@ -421,6 +422,8 @@ class SceneSpec:
             return
         refused = ("keep_out", "start", "ruin_after", "min_margin", "robust")
         wanted = [name for name in refused if getattr(self, name)]
+        is_polygon = isinstance(self.region, str) and (";" in self.region or self.region == "outline")
+        wanted += ["region"] * is_polygon
         wanted += ["surface"] * (self.surface == "all" or any(sign in self.surface for sign in ",:"))
         wanted += ["overhang"] * (self.overhang != "any") + ["engine"] * (self.engine in ("warp", "jax"))
         if wanted:
@@ -456,7 +459,7 @@ class SceneSpec:
         """
         from cluttergen_jax.assets.facts import weights_of
         from cluttergen_jax.assets.pool import find_pool
-        from cluttergen_jax.assets.support import parse_region, parse_surfaces
+        from cluttergen_jax.assets.support import parse_polygon, parse_region, parse_surfaces
         from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
         from cluttergen_jax.placement.problem import ProblemConfig, check_number
@@ -502,8 +505,13 @@ class SceneSpec:
             num_objects = total
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
+        polygon: Ring = ()
         if isinstance(region, str):
-            region = parse_region(region, find_support(self.support).on_surface(self.surface).region)
+            support = find_support(self.support).on_surface(self.surface)
+            if region == "outline" or ";" in region:
+                polygon, region = parse_polygon(region, support)
+            else:
+                region = parse_region(region, support.region)
         stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
         engine: Engine = "native" if is_piled else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
@@ -517,6 +525,7 @@ class SceneSpec:
             support=str(self.support),
             surface=self.surface,
             region=region,
+            polygon=polygon,
             is_piled=is_piled,
             engine=engine,
             num_threads=self.num_threads,
@@ -560,6 +569,14 @@ class SceneSpec:
             roles=parse_roles(self.roles),
             clearance=CLEARANCE if self.clearance is None else self.clearance,
         )
+
+
+def _recorded_region(recipe: Mapping[str, Any]) -> Rectangle | str:
+    from cluttergen_jax.assets.support import recorded_rectangle
+
+    if corners := recipe.get("polygon"):
+        return ";".join(f"{x!r},{y!r}" for x, y in corners)
+    return recorded_rectangle(recipe["region"])
 
 
 def takes_spec(options: type, **defaults: Any) -> Callable[[F], F]:

@@ -135,6 +135,7 @@ def import_support(
     scale: float = 1.0,
     up: Up = "auto",
     front: Axis = "auto",
+    joint: Sequence[str] = (),
     max_texture: int = MAX_TEXTURE,
     licence: str = "",
     attribution: str = "",
@@ -153,6 +154,8 @@ def import_support(
       path: instead of sources and a pool, the file of one piece of furniture with a level or gently sloping
         surface: a mesh, URDF, SDF or MJCF, or a folder that holds one.
       name: the new support's name; the file's own if not given.
+      joint: where joints of a URDF or MJCF file are to be, NAME=VALUE each, in metres, or degrees for those
+        that turn, such as drawer_1=0.2; the others stay at their lower limit, or where the file has them.
 
     Returns:
       The support; its name is what `support` of `make_sampler` takes. `surfaces` has what was found.
@@ -174,4 +177,20 @@ def import_support(
         licence=licence,
         attribution=attribution,
     )
-    return write_table(path, name, options, force)
+    return write_table(path, name, options, force, _joints_of(joint))
+
+
+def _joints_of(texts: Sequence[str]) -> dict[str, float]:
+    form = "NAME=VALUE, metres or degrees"
+    if isinstance(texts, str):
+        raise ConfigError(f"joint = {texts!r}", "a sequence of texts", f"joint=[{texts!r}]")
+    found = {}
+    for text in texts:
+        name, _, value = text.rpartition("=")
+        try:
+            found[name] = float(value)
+        except ValueError as error:
+            raise ConfigError(f"joint {text!r}", form, "drawer_1=0.2") from error
+        if not name or not math.isfinite(found[name]):
+            raise ConfigError(f"joint {text!r}", form, "drawer_1=0.2")
+    return found

@@ -14,8 +14,9 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.outline import Ring, outline_of_rectangles, ring_area
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.geometry import rectangle_corners, rotation_matrix, transform_points
+from cluttergen_jax.geometry import rectangle_corners, rotate_in_plane, rotation_matrix, transform_points
 
+_SMALLEST_AREA = 4e-4
 PART_RGBA = (0.72, 0.55, 0.38, 1.0)
 """The colour of collision that is drawn for want of visual pieces."""
 
@@ -293,6 +294,32 @@ def parse_region(text: str, default: Rectangle) -> Rectangle:
         x, y, width, depth, *yaw = values
         return Rectangle((x, y), (width / 2, depth / 2), math.radians(yaw[0]) if yaw else 0.0)
     raise ConfigError(f"region {text!r}", form)
+
+
+def parse_polygon(text: str, support: SupportAsset) -> tuple[Ring, Rectangle]:
+    """A queried region that is a polygon, and the rectangle around it along the support's own region.
+
+    Args:
+      text: "outline", that of the surface; or at least three corners, X,Y;X,Y;X,Y, metres.
+
+    Raises:
+      ConfigError: it is neither.
+    """
+    ring = support.chosen.outline
+    if text != "outline":
+        form = "outline, or X,Y;X,Y;X,Y, metres, such as 0,0;0.3,0;0,0.3"
+        corners = [_numbers(part, "region", form) for part in text.split(";") if part.strip()]
+        if len(corners) < 3 or any(len(corner) != 2 for corner in corners):
+            raise ConfigError(f"region {text!r}", form)
+        ring = tuple((corner[0], corner[1]) for corner in corners)
+        if abs(ring_area(ring)) < _SMALLEST_AREA:
+            raise ConfigError(f"region {text!r} of no area", form)
+    yaw = support.region.yaw
+    local = rotate_in_plane(ring, -yaw)
+    low, high = local.min(0), local.max(0)
+    x, y = rotate_in_plane((low + high) / 2, yaw).tolist()
+    half = ((high - low) / 2).tolist()
+    return ring, Rectangle((x, y), (half[0], half[1]), yaw)
 
 
 def parse_keep_out(text: str) -> Rectangle:

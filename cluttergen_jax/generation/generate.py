@@ -364,7 +364,7 @@ def recipe_of(problem: Problem, method: Method, names: Sequence[str] | None = No
     for name in ("num_threads", "change", "is_piled"):
         config.pop(name)
     # Nor is anything drawn where there is no shelf, as in banks of before there were any.
-    for name in ("shelf", "weights", "balance", "surface"):
+    for name in ("shelf", "weights", "balance", "surface", "polygon"):
         if not config[name]:
             config.pop(name)
     return {

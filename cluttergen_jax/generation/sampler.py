@@ -164,6 +164,8 @@ class Sampler:
             raise ConfigError(
                 "a region in a call, with several surfaces", "their own regions", "one `surface`"
             )
+        if region is not None and rules.polygon is not None:
+            raise ConfigError("a region in a call, with a polygon for a region", "the polygon", "a rectangle")
         fits = jnp.bool_(True) if region is None else _fits(region, rules.region, support)
         if start is not None:
             fits &= _has_room(start, rules.num_started)

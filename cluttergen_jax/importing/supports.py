@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,8 +49,13 @@ from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_sha
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
 
+_LARGEST = 4.0
+"""Metres."""
 
-def write_table(path: str | Path, name: str | None, options: ReadOptions, force: bool) -> SupportAsset:
+
+def write_table(
+    path: str | Path, name: str | None, options: ReadOptions, force: bool, joints: Mapping[str, float]
+) -> SupportAsset:
     """The support of a table's file, among the user's own; see `cluttergen_jax.import_support`."""
     sources = find_sources(path)
     if len(sources) > 1:
@@ -66,9 +71,13 @@ def write_table(path: str | Path, name: str | None, options: ReadOptions, force:
             f"{', '.join(embedded_supports())}, table-WxD, bin-WxD",
             "name='my_table'",
         )
-    support, notes = support_with_notes(read_shape(sources[0], options))
+    shape = read_shape(sources[0], options, joints, _LARGEST)
+    support, notes = support_with_notes(shape)
+    for note in shape.notes:
+        if note.startswith("frozen joints"):
+            print(f"{note} (--joint NAME=VALUE moves one)", file=sys.stderr)
     for note, count in Counter(notes).items():
-        print(f"no surface {note}" + (f" ({count} of them)" if count > 1 else ""), file=sys.stderr)
+        print(note + (f" ({count} of them)" if count > 1 else ""), file=sys.stderr)
     support = replace(support, name=name)
     folder = user_supports() / name
     if folder.exists() and not force:

@@ -95,7 +95,7 @@ def find_surfaces(mesh: Mesh, yaw: float) -> tuple[list[FoundSurface], list[str]
     notes: list[str] = []
     for spots in layers.patches():
         spots = spots @ yaw_matrix(yaw).T
-        where = f"at {spots[:, 2].mean():.2f} m"
+        where = f"no surface at {spots[:, 2].mean():.2f} m"
         fit = _plane(spots)
         near = np.abs(spots[:, :2] @ fit[:2] + fit[2] - spots[:, 2]) <= _FLAT / 2
         if near.mean() > 0.5:

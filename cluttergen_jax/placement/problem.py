@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.outline import Ring, ring_area
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
@@ -19,7 +20,6 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines
-from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.orientations import make_orientations
@@ -27,7 +27,7 @@ from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find
 from cluttergen_jax.placement.related import relate_objects
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.support_map import make_support_map
-from cluttergen_jax.placement.surface_set import ROOM, SurfaceSet
+from cluttergen_jax.placement.surface_set import SurfaceSet, check_surface
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import (
     NUM_COLUMN_SAMPLES,
@@ -57,6 +57,7 @@ class ProblemConfig:
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
       surface: which of its surfaces objects are placed on; the first one if empty.
       region: the queried region; None takes the support's own.
+      polygon: the corners of what of it counts, in the surface's frame, metres; none for all of it.
       shelf: each block of scenes draws so many of these objects for its own; 0 takes all of them for all
         scenes.
       weights: by which they are drawn: conditions and numbers (`assets.facts.weights_of`).
@@ -74,6 +75,7 @@ class ProblemConfig:
     support: str = "table"
     surface: str = ""
     region: Rectangle | None = None
+    polygon: Ring = ()
     shelf: int = 0
     weights: tuple[tuple[str, float], ...] = ()
     balance: str = ""
@@ -119,7 +121,7 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
     region = config.region or support.region
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
-    check_surface(chosen, support, config)
+    check_surface(chosen, support, config.placement, config.contact, config.region is not None)
     check_crowding(chosen, config, support)
     return compose(chosen, support, config, standing)
 
@@ -146,12 +148,17 @@ def area_of(support: SupportAsset) -> float:
     return sum(4 * math.prod(surface.region.half_extents) for surface, _ in support.asked)
 
 
+def area_asked(config: ProblemConfig, support: SupportAsset) -> float:
+    """Square metres: of a polygon, or of several surfaces together; 0 where a rectangle is asked for."""
+    return abs(ring_area(config.polygon)) if config.polygon else area_of(support)
+
+
 def check_crowding(objects: Sequence[ObjectAsset], config: ProblemConfig, support: SupportAsset) -> None:
     """Refuses more objects than can be hoped to find room in the region (ConfigError)."""
     region, num_objects = config.region or support.region, config.placement.num_objects
     if config.is_piled and (depth := rim_height(region, support)) > 0:
         _check_volume(objects, num_objects, region, depth)
-    elif (crowded := crowding(objects, num_objects, region, area_of(support))) > MOST_CROWDED:
+    elif (crowded := crowding(objects, num_objects, region, area_asked(config, support))) > MOST_CROWDED:
         x, y = region.half_extents
         raise ConfigError(
             f"{num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
@@ -243,60 +250,9 @@ def compose(
         support_map=None if config.placement.overhang == "any" else make_support_map(geometry),
         surfaces=surfaces,
         related=related,
+        polygon=on_device(np.array(config.polygon)) if config.polygon else None,
     )
     return Problem(config, world, rules, region)
-
-
-_TOUCHING, _STANDS = 1e-4, 0.0005
-"""Metres: of a base's points, and of a margin that holds."""
-_TURNS = 16
-
-
-def check_surface(objects: Sequence[ObjectAsset], support: SupportAsset, config: ProblemConfig) -> None:
-    """Refuses objects that cannot stand on a slope, or under what hangs over a surface (ConfigError).
-
-    Released upright they tip or slide whichever way they are turned; in other poses they may stand.
-    """
-    if not support.named:
-        return
-    surfaces = [surface for surface, _ in support.asked]
-    if len(surfaces) > 1 and config.region is not None:
-        raise ConfigError("a region with several surfaces", "the surfaces' own regions", "one `surface`")
-    if config.placement.poses != "upright":
-        return
-    friction, slope = config.contact.friction[0], min(surface.tilt for surface in surfaces)
-    fallen = [each.name for each in objects if not _stands_on_slope(each, slope, friction)]
-    if fallen:
-        raise ConfigError(
-            f"objects that tip, roll or slide on a slope of {math.degrees(slope):.1f} degrees, "
-            f"however they are turned: {', '.join(fallen)}",
-            "other objects",
-            "exclude=" + repr(tuple(fallen)),
-        )
-    free = max(surface.free_height for surface in surfaces)
-    tall = [each.name for each in objects if 2 * each.half_extents[2] + ROOM > free]
-    if tall:
-        raise ConfigError(
-            f"objects that are too tall for {', '.join(surface.name for surface in surfaces)} of support "
-            f"{support.name!r}, with {free:.3f} m of room: {', '.join(tall)}",
-            "lower ones",
-            "exclude=" + repr(tuple(tall)),
-        )
-
-
-def _stands_on_slope(asset: ObjectAsset, slope: float, friction: float) -> bool:
-    """Whether a plumb line through its centre of mass meets its base for some turn, and it does not slide."""
-    if slope == 0:
-        return True
-    vertices = np.concatenate([part.vertices for part in asset.parts])
-    low = vertices[:, 2].min()
-    base = vertices[vertices[:, 2] < low + _TOUCHING][:, :2]
-    lean = (asset.center_of_mass[2] - low) * math.tan(slope)
-    angles = 2 * np.pi * np.arange(_TURNS) / _TURNS
-    centers = asset.center_of_mass[:2] + lean * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    margin = max(support_margin(base - center) for center in centers)
-    own = friction if asset.friction is None else asset.friction
-    return margin > _STANDS and math.tan(slope) < own
 
 
 def _round_up(number: int) -> int:

@@ -132,6 +132,16 @@ def is_inside(pose: Array, half_extents: Array, region: Region, containment: str
     return jnp.all(jnp.abs(local) <= region.half_extents + 1e-6)
 
 
+def is_in_polygon(xy: Array, polygon: Array) -> Array:
+    """bool[...]: whether points f32[..., 2] are within a polygon f32[E, 2], by the edges to their right."""
+    start, end = polygon, jnp.roll(polygon, -1, axis=0)
+    x, y = xy[..., 0, None], xy[..., 1, None]
+    is_level = (start[:, 1] > y) != (end[:, 1] > y)
+    rise = jnp.where(start[:, 1] == end[:, 1], 1.0, end[:, 1] - start[:, 1])
+    crossing = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
+    return jnp.sum(is_level & (x < crossing), axis=-1) % 2 == 1
+
+
 def is_kept_out(pose: Array, half_extents: Array, keep_out: KeepOut) -> Array:
     """Whether an object's footprint meets any keep-out box: separating axes, never too lenient."""
     corners = box_corners(pose, half_extents)[:, :2]

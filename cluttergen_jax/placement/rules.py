@@ -15,7 +15,9 @@ from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
+    box_corners,
     from_pose,
+    is_in_polygon,
     is_inside,
     is_kept_out,
     no_keep_out,
@@ -83,6 +85,8 @@ class Rules(struct.PyTreeNode, eq=False):
       map_radius: metres, that of the largest object that height maps are made for; its own if None.
       related: the relations that scenes must fulfil; None for none.
       surfaces: of which one is drawn for each attempt, with its region; None where there is one.
+      polygon: f32[E, 2], what of the region counts, world x and y, or the surface's frame where it is not
+        level; None for all of it.
     """
 
     config: PlacementConfig = struct.field(pytree_node=False)
@@ -97,6 +101,7 @@ class Rules(struct.PyTreeNode, eq=False):
     map_radius: float | None = struct.field(pytree_node=False, default=None)
     related: RelatedObjects | None = None
     surfaces: SurfaceSet | None = None
+    polygon: Array | None = None
 
     @property
     def simulator(self) -> Physics:
@@ -323,6 +328,7 @@ class Rules(struct.PyTreeNode, eq=False):
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
         support_map = self.support_map_of(episode)
         inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
+        inside &= self.is_in_polygon(on_map(support_map, pose), half_extents)
         if support_map is not None:
             center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
             height = episode.region.T_world_region.inverse().apply(center)[2]
@@ -352,6 +358,14 @@ class Rules(struct.PyTreeNode, eq=False):
         carriers = carriers_of(related, episode.roles, focus, episode.is_placed)
         is_carried = jnp.all(settling.bears | ~carriers)
         return is_carried & holds_among(related, episode.roles, boxes, is_placed, episode.region)
+
+    def is_in_polygon(self, pose: Array, half_extents: Array) -> Array:
+        """bool: whether an object, its pose f32[7] in the polygon's frame, is in it as far as is asked."""
+        if self.polygon is None:
+            return jnp.bool_(True)
+        is_center = self.config.containment == "center"
+        points = pose[None, :2] if is_center else box_corners(pose, half_extents)[:, :2]
+        return jnp.all(is_in_polygon(points, self.polygon))
 
     def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""

@@ -9,13 +9,14 @@ from cluttergen_jax.api.generate import generate
 from cluttergen_jax.assets.modeller.furniture import make_support
 from cluttergen_jax.assets.support import Rectangle, parse_surfaces
 from cluttergen_jax.assets.support_map import VOID, check_region
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.problem import ProblemConfig, check_surface, compose, region_of
+from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.search import FORBIDDEN
+from cluttergen_jax.placement.surface_set import check_surface
 from cluttergen_jax.scene.bank import read_scenes
 from cluttergen_jax.sensing.partial import Grid
 from cluttergen_jax.spec import SceneSpec
@@ -24,6 +25,7 @@ from tests.helpers.worlds import box, prism
 
 BOOKCASE = make_support("bookcase")
 SLOPE = make_support("tilted_board_10")
+RULES = PlacementConfig(), ContactConfig(), False
 
 
 def world(support, objects=None, **placement):
@@ -131,14 +133,14 @@ def test_what_cannot_stand_is_named_at_once():
     tower = box("tower", (0.02, 0.02, 0.2))
     lying = box("lying", (0.02, 0.1, 0.05))
     with pytest.raises(ConfigError, match="ball, slippery, tower") as error:
-        check_surface([ball, slippery, tower, lying], SLOPE, ProblemConfig())
+        check_surface([ball, slippery, tower, lying], SLOPE, *RULES)
     assert "10.0 degrees" in str(error.value)
     giant = box("giant", (0.05, 0.05, 0.16))
     with pytest.raises(ConfigError, match="too tall") as error:
-        check_surface([giant, lying], BOOKCASE.on_surface("shelf_1"), ProblemConfig())
+        check_surface([giant, lying], BOOKCASE.on_surface("shelf_1"), *RULES)
     assert "giant" in str(error.value)
-    check_surface([lying], SLOPE, ProblemConfig())
-    check_surface([giant], BOOKCASE.on_surface("all"), ProblemConfig())
+    check_surface([lying], SLOPE, *RULES)
+    check_surface([giant], BOOKCASE.on_surface("all"), *RULES)
 
 
 @pytest.mark.parametrize(
@@ -204,7 +206,7 @@ def test_scenes_on_all_boards_of_a_bookcase_stand_where_they_belong(tmp_path):
         assert scene.support.surface == asked["surface"]
 
 
-def test_config_of_contact_is_what_slopes_are_judged_with():
-    config = ProblemConfig(contact=ContactConfig(friction=(0.15, 0.005, 0.0001)), stability=StabilityConfig())
+def test_slopes_are_judged_with_the_friction_of_contacts():
+    contact = ContactConfig(friction=(0.15, 0.005, 0.0001))
     with pytest.raises(ConfigError, match="slide"):
-        check_surface([box("flat", (0.05, 0.05, 0.01))], SLOPE, config)
+        check_surface([box("flat", (0.05, 0.05, 0.01))], SLOPE, PlacementConfig(), contact, False)

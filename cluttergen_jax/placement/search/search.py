@@ -208,7 +208,7 @@ class Search(struct.PyTreeNode, eq=False):
         """bool[N]: where the object would be inside and out of every keep-out box."""
         episode = scene.episode
         half, containment = self.rules.geometry.half_extents[scene.focus], self.rules.config.containment
-        if containment == "center" and not episode.keep_out.yaw.shape[0]:
+        if containment == "center" and not episode.keep_out.yaw.shape[0] and self.rules.polygon is None:
             return jnp.ones_like(candidates.yaw, bool)
 
         def is_allowed(xy: Array, yaw: Array) -> Array:
@@ -219,6 +219,7 @@ class Search(struct.PyTreeNode, eq=False):
             pose = to_pose(episode.region.T_world_region @ T_region_object)
             is_kept_in = is_inside(pose, half, episode.region, containment)
             placed = on_map(self.rules.support_map_of(episode), pose)
+            is_kept_in &= self.rules.is_in_polygon(placed, half)
             return is_kept_in & ~is_kept_out(placed, half, episode.keep_out)
 
         return jax.vmap(is_allowed)(candidates.xy, candidates.yaw)

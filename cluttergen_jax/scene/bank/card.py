@@ -140,8 +140,8 @@ def _about(bank: Bank, stats: BankStats) -> str:
         how = "let fall into a heap until all lie still together"
     return (
         f"# {bank.path.resolve().name}\n\n"
-        f"{stats.scenes} cluttered tabletop scenes, of which {stats.success} stand: objects {how}, checked in "
-        "physics. Failures are kept in the record, so that success rates can be computed from it."
+        f"{stats.scenes} cluttered tabletop scenes, of which {stats.success} stand: objects {how}, checked "
+        "in physics. Failures are kept in the record, so that success rates can be computed from it."
     )
 
 
