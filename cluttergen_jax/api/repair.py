@@ -40,7 +40,7 @@ def repair(
       pool: of JSON files that name none, or in place of what they name.
       support: likewise.
       scenes: of a bank, numbers such as 0,3,7 or 0-9; all if not given. In Python also a list.
-      max_shift: metres by which an object may be moved.
+      max_shift: metres by which an object may be moved, 0.5 at most.
       max_turn_deg: degrees by which it may be turned.
       overwrite: begin anew if the folder holds another bank.
 

@@ -120,10 +120,9 @@ def read_layouts(
 
 def _layouts_of_bank(bank: Bank, numbers: Sequence[int] | None) -> LayoutSet:
     rows = list(bank.scenes() if numbers is None else bank.rows(numbers).values())
-    if numbers is not None and (
-        missing := missing_text(sorted(set(numbers)), {row.index for row in rows} or {-1})
-    ):
-        raise ConfigError(f"{bank.path}: {missing}", "scenes of the bank")
+    if numbers is not None and len(rows) < len(set(numbers)):
+        held = [int(index) for each in bank.tables(["index"]) for index in each["index"].to_numpy()]
+        raise ConfigError(f"{bank.path}: {missing_text(sorted(set(numbers)), held)}", "scenes of the bank")
     if empty := [row.index for row in rows if not row.objects]:
         raise ConfigError(f"{bank.path}: no object stands in scene {empty[0]}", "others", "`scenes`")
     asset_of, recipe = lru_cache(maxsize=None)(bank.object), bank.recipe

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluttergen_jax.config import check_positive
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, rotation_matrix, transform_points, turn_between
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics.margin import OverlapProbe
@@ -30,6 +31,7 @@ _SHARED = 0.05
 """Share of the smaller footprint from which one of two objects counts as above the other."""
 _CARRIED, _NEAR = 0.25, 0.025
 """What is over an object with this share of its own footprint, within so many metres, lies on it."""
+_MOST = 0.5
 _DRAGGED = 0.01
 """Metres that an object may be moved without what lies on it."""
 _RINGS, _ANGLES = 0.003, 12
@@ -46,10 +48,10 @@ class RepairConfig:
     """How far objects may be moved.
 
     Attributes:
-      max_shift: metres from where an object was; max_turn_deg: degrees.
+      max_shift: metres from where an object was, 0.5 at most; max_turn_deg: degrees.
 
     Raises:
-      ConfigError: one is not a finite number above zero.
+      ConfigError: one is not a finite number above zero, or too large.
     """
 
     max_shift: float = 0.05
@@ -57,6 +59,9 @@ class RepairConfig:
 
     def __post_init__(self) -> None:
         check_positive(self, "max_shift", "max_turn_deg")
+        if self.max_shift > _MOST:
+            given = f"RepairConfig.max_shift = {self.max_shift:g}"
+            raise ConfigError(given, f"{_MOST:g} m at most", "the default, 0.05")
 
 
 class LayoutRepair:

@@ -114,17 +114,18 @@ class JudgeReport:
         """Number of starts (or bodies); shares that are still up to each horizon, overlap, float, fall."""
         found = [each.found for each in self.starts if each.detector == detector]
 
-        def share(flags: Callable[[Judgement], np.ndarray], of_start: Callable[[Any], Any]) -> float:
-            each = [flags(one) if of_bodies else of_start(flags(one)) for one in found]
-            return float(np.mean(np.hstack(each)))
+        def share(flags: list[np.ndarray], of_start: Callable[[np.ndarray], Any]) -> float:
+            return float(np.mean(np.hstack(flags if of_bodies else [of_start(each) for each in flags])))
 
-        still = enumerate(self.config.seconds)
         return {
             "number": sum(len(each.names) for each in found) if of_bodies else len(found),
-            **{f"still {s:g} s": share(_is_still_at(h), np.all) for h, s in still},
-            "overlap": share(lambda one: one.is_deep, np.any),
-            "float": share(lambda one: one.floats, np.any),
-            "fall": share(lambda one: one.falls, np.any),
+            **{
+                f"still {seconds:g} s": share([each.is_still[place] for each in found], np.all)
+                for place, seconds in enumerate(self.config.seconds)
+            },
+            "overlap": share([each.is_deep for each in found], np.any),
+            "float": share([each.floats for each in found], np.any),
+            "fall": share([each.falls for each in found], np.any),
         }
 
     def __str__(self) -> str:
@@ -197,8 +198,3 @@ def draw(each: JudgedStart, path: Path) -> Path:
     images = [render_model(model, qpos, focus=focus, samples=8) for qpos in ends]
     captions = [f"{each.file.name} {each.start}: start", "end"][: len(images)]
     return save_png(contact_sheet(images, captions, columns=2), path)
-
-
-def _is_still_at(horizon: int) -> Callable[[Judgement], np.ndarray]:
-    """Which bodies are still at a horizon, by its number."""
-    return lambda one: one.is_still[horizon]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -62,7 +61,8 @@ class JudgeConfig:
             raise ConfigError(given, allowed, f"seconds={self.seconds[0]:g}")
 
 
-class FreeBodies(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class FreeBodies:
     """The bodies of a model that are judged: those that hang on the world by one free joint.
 
     Attributes:
