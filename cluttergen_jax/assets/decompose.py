@@ -130,6 +130,8 @@ _MOST_RAW = 96
 _LIMITS = (0.055, 0.05, 0.045, 0.03, ALWAYS)
 """How far from the surface, over the diagonal, merged parts may be, in the order in which it is tried. The
 distance is an estimate: what is made of it is measured again."""
+_EXACT_LIMITS = (0.03, ALWAYS)
+"""The same of parts that are near as they are."""
 
 
 def decompose(solid: Solid, config: DecompositionConfig, jitter: float = 0.0) -> list[np.ndarray]:
@@ -169,7 +171,7 @@ def decompositions(
         of_rest = [part for each in exact.rest for part in _run(each, solid, config, jitter)]
         raw = [*exact.parts, *of_rest]
         free = exact.free[~is_within_parts(exact.free, raw)]
-        merged = merge_parts(raw, solid, _LIMITS, enough, config.max_parts, free)
+        merged = merge_parts(raw, solid, _EXACT_LIMITS, enough, config.max_parts, free)
         yield from _distinct([*merged, *([raw] if len(raw) <= config.max_parts else [])])
     sets = merge_parts(_run(solid.mesh, solid, config, jitter), solid, _LIMITS, enough, config.max_parts)
     first, is_few = sets[0] or one, len(sets[0]) <= enough

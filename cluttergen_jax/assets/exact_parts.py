@@ -25,7 +25,7 @@ _FLAT, _STEEP = 0.9998, 0.0175
 """Cosines between a prism's axis and the normals of its ends, and of its sides: within one degree."""
 _ENDS_AND_SIDES, _LOST = 0.95, 0.03
 """Of a prism's surface, what is such at least; of its volume, by how much layers may differ from it."""
-_MOST_AXES, _MOST_LAYERS = 4, 12
+_MOST_AXES, _MOST_LAYERS = 12, 12
 _NEAR = 0.025
 _REACH = 0.01
 """Over the size of the whole: how far parts may be from concave walls."""
@@ -110,21 +110,32 @@ def _prisms_along(mesh: Mesh, axis: np.ndarray, size: float) -> tuple[list[np.nd
     solid, heights = as_manifold(turned), _heights(turned, size)
     if len(heights) > _MOST_LAYERS + 1:
         return None
+    spans = list(pairwise(heights))
+    sections = [solid.slice((low + high) / 2).simplify(_SAME * size) for low, high in spans]
     parts: list[np.ndarray] = []
     free = [np.zeros((0, 3))]
-    layers = []
-    for low, high in pairwise(heights):
-        section = solid.slice((low + high) / 2).simplify(_SAME * size)
-        layers.append(section.extrude(high - low).translate((0, 0, low)))
+    for (low, high), section in zip(spans, sections, strict=True):
         rings = outlines_around(section, _REACH * size, _LOST)
         parts += [_between(piece, low, high) @ turn for piece in convex_pieces(rings)]
+        holes = [ring for ring in rings if signed_area(ring) < 0]
+        deep = [ring for ring in holes if high - low >= hole_radius(ring) or _goes_through(ring, sections)]
         inset = 0.05 * (high - low)
-        holes = [_inside_of(ring) for ring in rings if signed_area(ring) < 0]
-        free += [_between(hole, *np.linspace(low + inset, high - inset, 3)) @ turn for hole in holes]
+        inside = np.linspace(low + inset, high - inset, 3)
+        free += [_between(_inside_of(ring), *inside) @ turn for ring in deep]
+    layers = [
+        section.extrude(high - low).translate((0, 0, low))
+        for (low, high), section in zip(spans, sections, strict=True)
+    ]
     whole = manifold3d.Manifold.batch_boolean(layers, manifold3d.OpType.Add)
     # A hole across the axis is no hole of any layer.
     is_same = whole.genus() == solid.genus() and abs(whole.volume() / solid.volume() - 1) <= _LOST
     return (parts, np.concatenate(free)) if is_same else None
+
+
+def _goes_through(ring: np.ndarray, sections: list[manifold3d.CrossSection]) -> bool:
+    """Whether most of a hole is open in all layers."""
+    hole = manifold3d.CrossSection([ring[::-1]])
+    return all((hole ^ section).area() < hole.area() / 2 for section in sections)
 
 
 def _heights(mesh: Mesh, size: float) -> list[float]:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import manifold3d
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
@@ -192,13 +192,20 @@ def _interpolator(field: np.ndarray, voxels: Voxels) -> Callable[[float, float, 
     """Trilinear interpolation in plain floats: called a million times, where NumPy would be slower."""
     flat = field.ravel().tolist()
     nx, ny, nz = field.shape
+    last_x, last_y, last_z = nx - 2, ny - 2, nz - 2
+    around = (maximum_filter(field, 2, origin=-1), minimum_filter(field, 2, origin=-1))
+    is_even = np.equal(*around).ravel().tolist()
     (ox, oy, oz), pitch = voxels.origin.tolist(), voxels.pitch
 
     def value(x: float, y: float, z: float) -> float:
         x, y, z = (x - ox) / pitch, (y - oy) / pitch, (z - oz) / pitch
-        i, j, k = min(max(int(x), 0), nx - 2), min(max(int(y), 0), ny - 2), min(max(int(z), 0), nz - 2)
-        u, v, w = x - i, y - j, z - k
+        i, j, k = int(x), int(y), int(z)
+        if not (0 <= i <= last_x and 0 <= j <= last_y and 0 <= k <= last_z):
+            i, j, k = min(max(i, 0), last_x), min(max(j, 0), last_y), min(max(k, 0), last_z)
         a = (i * ny + j) * nz + k
+        if is_even[a]:
+            return flat[a]
+        u, v, w = x - i, y - j, z - k
         b, c = a + nz, a + ny * nz
         d = c + nz
         low = (flat[a] * (1 - w) + flat[a + 1] * w) * (1 - v) + (flat[b] * (1 - w) + flat[b + 1] * w) * v

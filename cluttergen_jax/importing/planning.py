@@ -15,7 +15,15 @@ from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Ski
 from cluttergen_jax.importing.readers.gltf_file import words_of
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import NOT_STATED, public_path
-from cluttergen_jax.importing.readers.source import AUTO, AXES, FILE, UpAxis, make_names_distinct, own_up
+from cluttergen_jax.importing.readers.source import (
+    AUTO,
+    AXES,
+    FILE,
+    UpAxis,
+    make_names_distinct,
+    own_up,
+    says_something,
+)
 from cluttergen_jax.importing.readers.tree import find_all, find_sources
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
 from cluttergen_jax.importing.scenery import why_no_objects
@@ -172,7 +180,8 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
         own = replace(own, up=FILE)
     words = words_of(source.path) if source.path.suffix.lower() in (".glb", ".gltf") else {}
     label = {key: value for key, value in from_set.items() if key == "label"}
-    said = {key: value for key, value in words.items() if key in ("label", "synset")}
+    said = {key: value for key, value in words.items() if key == "synset"}
+    said |= {"label": words["label"]} if says_something(words.get("label", "")) else {}
     naming = {key: value for key, value in {**said, **label, **values}.items() if key not in OF_READING}
     parts = collision_files(source.path) if own.collision == "keep" and source.kind == "mesh" else ()
     own_source = replace(source, parts=parts, **naming)

@@ -87,7 +87,7 @@ GENERIC = (
 _SAYS_NOTHING = re.compile(
     rf"\d{{1,2}}|{GENERIC}|(model|mesh|textured)[-_ ](normali[sz]ed|simplified|watertight)|normali[sz]ed"
     r"|(base|root)[-_ ]?link|root|world|body|objects|(visual|collision|textured)[-_ ]mesh(es)?"
-    r"|visuals|collisions|objs?|stls?|glbs?|gltfs?|dae|ply"
+    r"|visuals|collisions|objs?|stls?|glbs?|gltfs?|dae|ply|geometry([-_ ]?\d+)?"
 )
 """Names of files, folders and bodies that say nothing about the object."""
 _LONGEST = 200
@@ -159,16 +159,21 @@ def make_source(path: Path, kind: str, title: str = "", behind: str = "") -> Obj
       title: what it is called; if that says nothing, the part of its path is taken that says most.
       behind: what follows that part, where there is no title.
     """
-    if not title or _SAYS_NOTHING.fullmatch(title.lower()):
+    if not says_something(title):
         title = telling_name(path) + behind
     name = plain_name(title)
     return ObjectFile(path, kind, name, label_of(title), plain=name)
 
 
+def says_something(title: str) -> bool:
+    """Whether a name says what the object is."""
+    return bool(title) and not _SAYS_NOTHING.fullmatch(title.lower())
+
+
 def telling_name(path: Path) -> str:
     """The innermost part of a path that says what the object is."""
     parts = [path.stem, *(each.name for each in path.resolve().parents)]
-    return next((part for part in parts if part and not _SAYS_NOTHING.fullmatch(part.lower())), path.stem)
+    return next(filter(says_something, parts), path.stem)
 
 
 def label_of(title: str) -> str:
