@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Inspect:
-    """Show what was measured about a pool's objects, or about the surfaces of a support, and draw it.
+    """Show what was measured about objects of a pool, or surfaces of a support; draw it.
 
     Example: `cluttergen inspect dining --out dining.png`
 

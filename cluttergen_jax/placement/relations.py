@@ -7,14 +7,16 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
-import numpy as np
-from scipy.optimize import linear_sum_assignment
-
-from cluttergen_jax.assets.facts import ObjectFacts, is_plain_name, parse_condition
 from cluttergen_jax.config import RelationKind
 from cluttergen_jax.errors import ConfigError, closest
+
+# This is read for a command's `--help`: what is slow to load is imported where it is needed.
+if TYPE_CHECKING:
+    import numpy as np
+
+    from cluttergen_jax.assets.facts import ObjectFacts
 
 KINDS = get_args(RelationKind)
 TABLE = "table"
@@ -124,6 +126,8 @@ def parse_roles(given: str | Mapping[str, str]) -> tuple[tuple[str, str], ...]:
     Raises:
       ConfigError: a name is none, comes twice, or a condition is not understood (`assets.facts`).
     """
+    from cluttergen_jax.assets.facts import is_plain_name, parse_condition
+
     if isinstance(given, Mapping):
         pairs = [(str(name), str(condition)) for name, condition in given.items()]
     else:
@@ -157,6 +161,10 @@ def candidates_of(conditions: Mapping[str, str], facts: Sequence[ObjectFacts]) -
     Raises:
       ConfigError: a condition fits none.
     """
+    import numpy as np
+
+    from cluttergen_jax.assets.facts import parse_condition
+
     rows = []
     for name, condition in conditions.items():
         test = parse_condition(condition)
@@ -175,6 +183,8 @@ def candidates_of(conditions: Mapping[str, str], facts: Sequence[ObjectFacts]) -
 
 def can_be_filled(candidates: np.ndarray) -> bool:
     """Whether bool[Q, K] has a different object for every role."""
+    from scipy.optimize import linear_sum_assignment
+
     if candidates.shape[0] > candidates.shape[1]:
         return False
     rows, columns = linear_sum_assignment(~candidates)

@@ -58,7 +58,7 @@ def opened_joint(name: str, value: float, lower: float, upper: float, is_turn: b
         raise ConfigError(
             f"joint {name!r} at {value:g} {unit}",
             f"{lower / factor:.4g} to {upper / factor:.4g} {unit}",
-            f"--joint {name}={upper / factor:.4g}" if math.isfinite(upper) else "a value within its limits",
+            f"{name}={upper / factor:.4g}" if math.isfinite(upper) else "a value within its limits",
         )
     return value * factor
 
