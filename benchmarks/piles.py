@@ -327,7 +327,8 @@ def body_of(turns: dict[str, Turn], args: Piles) -> str:
                 f"{turn.rate / turns['PyBullet'].rate:.1f}" if turns["PyBullet"].num_stable else "-",
             ]
         )
-    what = f"{args.num_objects} objects of pool {args.pool} up to {args.max_radius:g} m in radius, {args.support}."
+    which = f"pool {args.pool} up to {args.max_radius:g} m in radius"
+    what = f"{args.num_objects} objects of {which}, {args.support}."
     return "\n\n".join(["## Piles", _TEXT, what, table(_HEADER, rows)])
 
 
