@@ -33,6 +33,7 @@ from cluttergen_jax.placement.world import (
     NUM_COLUMN_SAMPLES,
     World,
     columns_of,
+    compile_layout,
     make_world,
     repeat_objects,
 )
@@ -217,7 +218,8 @@ def compose(
         layout = world.layout
         if support.named:
             # Resting poses are those on a level table with room above it.
-            layout = make_world(world.objects, cuboid_table(), config.stability, config.contact, cut).layout
+            given = world.names, world.objects, cuboid_table(), config.stability, config.contact
+            layout = compile_layout(*given)
         orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
     geometry = geometry_of(world, orientations)
     if sizes is None:

@@ -329,6 +329,8 @@ class Rules(struct.PyTreeNode, eq=False):
         support_map = self.support_map_of(episode)
         inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
         inside &= self.is_in_polygon(on_map(support_map, pose), half_extents)
+        if self.surfaces is not None:
+            inside &= self.surfaces.has_room(episode, focus)
         if support_map is not None:
             center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
             height = episode.region.T_world_region.inverse().apply(center)[2]

@@ -42,7 +42,8 @@ def map_of_surfaces(support: SupportAsset) -> SupportMap | None:
     surfaces = [surface for surface, _ in support.asked]
     found = [surface_heights(support, surface) for surface in surfaces]
     coarsest = max(each.cell for each in found)
-    found = [surface_heights(support, surface, coarsest) for surface in surfaces]
+    if len(found) > 1:
+        found = [surface_heights(support, surface, coarsest) for surface in surfaces]
     shape = np.max([each.ground.shape for each in found], axis=0)
     maps = [_map_of(*each, shape) for each in zip(surfaces, found, strict=True)]
     if all(surface.is_level for surface in surfaces):

@@ -84,13 +84,21 @@ class SurfaceSet(struct.PyTreeNode):
             left = self.number - is_on.sum(0)
             # What fits nowhere else keeps its place.
             ranks = jnp.arange(len(episode.object_index))
-            waits = jnp.zeros(len(footprint), bool).at[episode.object_index].max(ranks > episode.slot)
+            index = jnp.where(episode.object_index < 0, len(footprint), episode.object_index)
+            waits = jnp.zeros(len(footprint), bool).at[index].max(ranks > episode.slot, mode="drop")
             is_only = (self.fits.sum(1) == 1) & waits & (jnp.arange(len(footprint)) != focus)
             kept = jnp.maximum(left - (self.fits & is_only[:, None]).sum(0), 0)
             is_possible = jnp.any((kept > 0) & self.fits[focus])
             weight = jnp.where(is_possible, kept, jnp.maximum(left, 0))
         weight = jnp.where(self.fits[focus], weight, 0.0)
         return jax.random.categorical(key, jnp.log(weight)).astype(jnp.int32)
+
+    def has_room(self, episode: Episode, focus: Array) -> Array:
+        """bool: whether the current object's surface has fewer objects than it is to have."""
+        if self.number is None:
+            return jnp.bool_(True)
+        own = episode.surface[focus]
+        return jnp.sum((episode.surface == own) & episode.is_placed) < self.number[own]
 
 
 def check_surface(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -131,28 +132,21 @@ def support_sheet(
             lifted = np.column_stack([np.vstack([ring, ring[:1]]), np.full(len(ring) + 1, _LIFTED)])
             trails.append(Trail(transform_points(surface.pose, lifted), rgb, radius=radius))
         spots.append(transform_points(surface.pose, np.array([*surface.region.center, 0.0])))
-    seen = fit_camera(points, _SURFACE_VIEW, width, height).project(np.array(spots))[0]
-    labels = [
-        Ring((float(x), float(y)), (2.0, 2.0), distinct_colour(number)[:3], f"{number + 1} {surface.name}")
-        for number, ((x, y), surface) in enumerate(zip(seen, support.surfaces, strict=True))
-    ]
-    model = spec.compile()
-    images = [
-        render_model(
-            model,
-            qpos,
-            camera=_SURFACE_VIEW,
-            width=width,
-            height=height,
-            hulls=hulls,
-            focus=points,
-            samples=samples,
-            trails=() if hulls else trails,
-        )
-        for hulls in (False, True)
-    ]
-    captions = ["surfaces", f"collision: {len(support.boxes)} boxes, {len(support.parts)} convex parts"]
-    return contact_sheet([with_rings(images[0], labels), images[1]], captions, 2)
+    images = []
+    draw = partial(
+        render_model, spec.compile(), qpos, width=width, height=height, focus=points, samples=samples
+    )
+    for view in (_SURFACE_VIEW, replace(_SURFACE_VIEW, azimuth=_SURFACE_VIEW.azimuth + 180.0)):
+        image = draw(camera=view, trails=trails)
+        seen = fit_camera(points, view, width, height).project(np.array(spots))[0]
+        labels = [
+            Ring((float(x), float(y)), (2.0, 2.0), distinct_colour(number)[:3], f"{number + 1} {each.name}")
+            for number, ((x, y), each) in enumerate(zip(seen, support.surfaces, strict=True))
+        ]
+        images.append(with_rings(image, labels))
+    images.append(draw(camera=_SURFACE_VIEW, hulls=True))
+    solids = f"collision: {len(support.boxes)} boxes, {len(support.parts)} convex parts"
+    return contact_sheet(images, ["surfaces", "from behind", solids], 3)
 
 
 def scene_spec(
