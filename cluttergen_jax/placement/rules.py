@@ -335,8 +335,9 @@ class Rules(struct.PyTreeNode, eq=False):
             center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
             height = episode.region.T_world_region.inverse().apply(center)[2]
             # Physics knows the lowest point of a surface alone.
-            is_lost = (verdict == Verdict.OVERFLOW) | (verdict == Verdict.NON_FINITE)
-            verdict = jnp.where((height < 0) & ~is_lost, int(Verdict.FELL), verdict)
+            is_graver = (verdict == Verdict.OVERFLOW) | (verdict == Verdict.NON_FINITE)
+            has_fallen = (height < 0) & ~is_graver & (verdict != Verdict.NONE)
+            verdict = jnp.where(has_fallen, int(Verdict.FELL), verdict)
             if support_map.ceiling is not None:
                 xy = on_map(support_map, pose)[:2]
                 ceiling = support_map.ceiling.reshape(-1)[support_map.index_of(xy[0], xy[1])]
