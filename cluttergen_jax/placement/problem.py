@@ -218,8 +218,8 @@ def compose(
         layout = world.layout
         if support.named:
             # Resting poses are those on a level table with room above it.
-            given = world.names, world.objects, cuboid_table(), config.stability, config.contact
-            layout = compile_layout(*given)
+            table = cuboid_table()
+            layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
         orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
     geometry = geometry_of(world, orientations)
     if sizes is None:

@@ -95,7 +95,7 @@ class SurfaceSet(struct.PyTreeNode):
 
     def has_room(self, episode: Episode, focus: Array) -> Array:
         """bool: whether the current object's surface has fewer objects than it is to have."""
-        if self.number is None:
+        if self.number is None or episode.surface is None:
             return jnp.bool_(True)
         own = episode.surface[focus]
         return jnp.sum((episode.surface == own) & episode.is_placed) < self.number[own]
