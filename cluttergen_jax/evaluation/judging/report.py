@@ -190,6 +190,8 @@ def draw(each: JudgedStart, path: Path) -> Path:
     is_moved = np.isin(names, np.array(found.names)[~found.is_still[-1]])
     model.geom_matid[is_moved], model.geom_rgba[is_moved] = -1, _RED
     model.geom_group[:] = np.where(is_seen, VISUAL_GROUP, HIDDEN_GROUP)
+    if not model.nlight:
+        model.vis.headlight.ambient, model.vis.headlight.diffuse = 0.4, 0.6
     data = mujoco.MjData(model)
     data.qpos[:] = found.begin
     mujoco.mj_forward(model, data)
