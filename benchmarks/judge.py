@@ -98,6 +98,7 @@ def main(config: Judging) -> None:
         Shares of scenes (or of free bodies) that are still up to each horizon, and in which bodies overlap
         by more than 1 mm or float at the start, or fall: `cluttergen judge`, from rest, everything awake,
         each file's own options, joints of robots held, at most {config.max_starts} starts a file.
+        LIBERO's own evaluations take ten empty steps first; here its starts are judged as they are stored.
         Agreement: flags of bodies (still 1 s, overlap, float, fall; native) that the plain judge sets
         alike, in all {alike} of {asked}, {alike / asked:.4f}.
     """)
