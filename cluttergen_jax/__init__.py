@@ -10,7 +10,9 @@ Every command has a function with the same defaults:
 
     import_pool, import_support    meshes, URDF, SDF, MJCF -> a pool, a support
     pool_poses, set_pose           the resting poses of an object of a pool; selects another one
+    read_layout                    a file of objects and relations -> a request
     generate, verify, stats_of     scenes -> a bank on disk; which are stable; what it holds
+    judge, repair                  anybody's scenes by one strict rule; broken layouts -> stable ones
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
     export, render, view           scenes -> other programs, pictures, a viewer
     make_dataset                   what cameras see of thousands of scenes, in files for trainers
@@ -37,6 +39,7 @@ from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.api.place import place_by_hand
 from cluttergen_jax.api.pretrain import pretrain
 from cluttergen_jax.api.render import render
+from cluttergen_jax.api.repair import repair
 from cluttergen_jax.api.train import train, train_suite
 from cluttergen_jax.api.verify import verify
 from cluttergen_jax.api.view import view
@@ -54,7 +57,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
     from cluttergen_jax.downstream.rearrange.api import rearrange
     from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
-    from cluttergen_jax.evaluation.api import certify, evaluate
+    from cluttergen_jax.evaluation.api import certify, evaluate, judge
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import (
         make_env,
@@ -63,6 +66,7 @@ if TYPE_CHECKING:
         make_vector_env,
         train_brax,
     )
+    from cluttergen_jax.generation.layouts import list_layouts, read_layout
     from cluttergen_jax.importing.poses import pool_poses, set_pose
     from cluttergen_jax.placement.region import KeepOut, make_region
     from cluttergen_jax.placement.rollout.replay import Replay
@@ -90,6 +94,8 @@ __all__ = [
     "generate",
     "import_pool",
     "import_support",
+    "judge",
+    "list_layouts",
     "list_pools",
     "list_supports",
     "load_bank",
@@ -115,10 +121,12 @@ __all__ = [
     "pull_policies",
     "push_bank",
     "read_bank",
+    "read_layout",
     "read_scenes",
     "rearrange",
     "remove_pool",
     "render",
+    "repair",
     "robot_grasps",
     "robot_place",
     "set_pose",
@@ -134,7 +142,7 @@ __all__ = [
 
 # What is in no module of this list is in `generation`.
 _MODULES = {
-    "evaluation.api": ("certify", "evaluate"),
+    "evaluation.api": ("certify", "evaluate", "judge"),
     "downstream.api": ("evaluate_suite",),
     "downstream.dataset.api": ("make_dataset",),
     "downstream.perception.api": ("perception_data", "perception_eval", "perception_train"),
@@ -152,6 +160,7 @@ _MODULES = {
     "placement.region": ("KeepOut", "make_region"),
     "placement.rollout.replay": ("Replay",),
     "placement.scenes": ("SceneBatch",),
+    "generation.layouts": ("list_layouts", "read_layout"),
     "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env", "train_brax"),
 }
 _ELSEWHERE = {name: module for module, names in _MODULES.items() for name in names}

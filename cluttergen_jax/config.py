@@ -20,6 +20,8 @@ Method = Literal[
     "drop",
     "spread",
     "guided",
+    "packed",
+    "pile",
     "policy",
     "beta",
     "beta_free",
@@ -30,8 +32,18 @@ Method = Literal[
 METHODS: tuple[Method, ...] = get_args(Method)
 TRUSTED_METHODS = ("spread", "guided")
 """Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
+GEOMETRIC_METHODS = ("random", "clear", "drop", *TRUSTED_METHODS)
+"""Those that see no clouds: objects may be released in any pose."""
+PACKED, PILE = "packed", "pile"
+"""Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
+all objects of a scene let fall into a heap, which the native engine makes whole."""
+AIR_WALLS = ("air-x", "air+x", "air-y", "air+y")
+"""Planes by the side of a region on which they stand."""
 HAND = "hand"
 """The method of banks that people made; it proposes nothing by itself."""
+REPAIR = "repair"
+"""That of banks of repaired layouts."""
+UNPROPOSED = (HAND, REPAIR)
 Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.
@@ -51,6 +63,10 @@ Balance = Literal["objects", "label", "synset", "licence", "source"]
 Containment = Literal["center", "footprint"]
 Overhang = Literal["any", "half", "none"]
 Height = Literal["rest", "free"]
+Poses = Literal["upright", "resting", "any"]
+RelationKind = Literal[
+    "on", "in", "next_to", "far_from", "left_of", "right_of", "in_front_of", "behind", "aligned"
+]
 Change = Literal["none", "translation", "rotation", "shrinkage", "expansion", "all"]
 Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]

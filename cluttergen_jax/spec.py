@@ -10,10 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args
 
 from cluttergen_jax.config import (
-    HAND,
+    GEOMETRIC_METHODS,
     METHODS,
+    PACKED,
+    PILE,
     ROBUST_TILT,
     TRUSTED_METHODS,
+    UNPROPOSED,
     Balance,
     Containment,
     Engine,
@@ -21,6 +24,7 @@ from cluttergen_jax.config import (
     Method,
     Order,
     Overhang,
+    Poses,
     Setting,
     StabilityConfig,
     check_engine,
@@ -31,10 +35,19 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.placement.config import MAX_SLOTS, MIN_MARGIN, MOST_UNASKED, RUIN_AFTER, PlacementConfig
+from cluttergen_jax.placement.config import (
+    CLEARANCE,
+    MAX_SLOTS,
+    MIN_MARGIN,
+    MOST_UNASKED,
+    RUIN_AFTER,
+    PlacementConfig,
+)
+from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.outline import Ring
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.placement.problem import ProblemConfig
 
@@ -59,6 +72,7 @@ class EnvOptions(TrainOptions, total=False):
 
     objects: Sequence[str]
     repeat: bool
+    surface: str
     region: Rectangle | str | None
     keep_out: Sequence[Rectangle | str]
     start: str | None
@@ -85,6 +99,10 @@ class SceneOptions(EnvOptions, total=False):
     natural: bool
     tidy: bool
     height: Height
+    poses: Poses
+    relations: Sequence[str]
+    roles: str | Mapping[str, str]
+    clearance: float | None
 
 
 class PlaceOptions(TypedDict, total=False):
@@ -116,6 +134,7 @@ class EvaluateOptions(TypedDict, total=False):
     min_margin: float | None
     setting: Setting
     height: Height
+    poses: Poses
     checkpoint: str | Path | None
     engine: Engine
     num_threads: int
@@ -142,16 +161,20 @@ class SceneSpec:
         what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping.
       balance: "objects", each is as likely to be on a shelf; or "label", "synset", "licence" or "source": of
         each of their values a shelf has as many, while there are some.
-      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size.
+      support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size, "bin-0.50x0.30x0.20" a
+        bin of that size inside.
+      surface: on which surface of the support (`cluttergen inspect SUPPORT` lists them); the first if not
+        given. "all", or several joined by commas: each object draws one by free area; "top:3,shelf_1:4": so
+        many on each.
       region: the queried region, WxD or X,Y,W,D[,YAW] in metres and degrees; the support's own if not given.
-        In Python also a `Rectangle`.
+        Or a polygon, X,Y;X,Y;X,Y ...; "outline" for the whole surface. In Python also a `Rectangle`.
       keep_out: boxes that objects must stay out of, X,Y,W,D[,YAW] each; in Python also `Rectangle`s.
       start: a scene to start from, BANK:INDEX; its objects stay and count as neighbours.
       containment: what must lie in the region: the bounding box's "center", or its whole "footprint".
       order: the order in which objects are placed: "random"; "fixed", the pool's; "largest" footprint first;
         or "weighted", larger ones mostly first. If not given: the method's own, "random" for most.
       max_attempts: attempts per object, 1 to 10; a policy of poses allows as many as it was trained with at
-        most.
+        most. Of a pile: how often an object that comes to lie outside is let fall, at most.
       ruin_after: number of failed attempts in a row after which some placed objects, with all that lean on
         them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
       budget: attempts of a scene in all; `max_attempts` for each object if not given.
@@ -172,10 +195,21 @@ class SceneSpec:
         "guided", "spread").
       height: from which `random` releases an object: "rest", 1 mm above its resting height on the bare top;
         or "free", anywhere in the region's range of heights.
+      poses: how objects are released, turned about the vertical at random: "upright"; "resting", in any of
+        their resting poses, as often as they end in it when thrown; or "any", in any orientation.
+      relations: what must hold in every scene (methods "guided", "spread"): "mug on book", "apple in bowl",
+        "fork left_of plate", "cup next_to bottle:0.05", "knife aligned fork". There are on, under, in,
+        next_to, far_from, left_of, right_of, in_front_of, behind (with metres of gap if wanted) and aligned.
+        A name is an object's, a role's or "any"; the same name is the same object.
+      roles: names in relations and the condition of the objects that each may stand for, as those of
+        `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
+      clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
+        if not given.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
         the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
-        embedded. If not given: the checkpoint's own, else "guided" ("spread" where no checkpoint of it is
-        embedded).
+        embedded; "packed": upright, shoulder to shoulder; or "pile": all objects fall into a heap, in any
+        orientation, as in a bin. If not given: the checkpoint's own, else "guided" ("spread" where no
+        checkpoint of it is embedded).
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       engine: "auto", "native", "warp" or "jax".
       num_threads: simulation threads of the native engine; 0 takes every core.
@@ -193,6 +227,7 @@ class SceneSpec:
     weights: str | Mapping[str, float] = ""
     balance: Balance = "objects"
     support: str | Path = "table"
+    surface: str = ""
     region: Rectangle | str | None = None
     keep_out: Sequence[Rectangle | str] = ()
     start: str | None = None
@@ -209,6 +244,10 @@ class SceneSpec:
     natural: bool = False
     tidy: bool = False
     height: Height = "rest"
+    poses: Poses = "upright"
+    relations: Sequence[str] = ()
+    roles: str | Mapping[str, str] = ""
+    clearance: float | None = None
     method: Method | None = None
     checkpoint: str | Path | None = None
     engine: Engine = "auto"
@@ -239,17 +278,25 @@ class SceneSpec:
             pairs = ((str(name), float(weight)) for name, weight in self.weights.items())
             object.__setattr__(self, "weights", "; ".join(f"{name}={weight!r}" for name, weight in pairs))
         self._weights()
+        if isinstance(self.roles, Mapping):
+            named = "; ".join(f"{name}={condition}" for name, condition in self.roles.items())
+            object.__setattr__(self, "roles", named)
+        check_names(self.relations, "relations")
         if self.method is not None and self.method not in METHODS:
             raise no_such("method", self.method, METHODS)
+        if self.start is not None and (self.relations or self.roles):
+            given = "`relations` with a scene to start from"
+            raise ConfigError(given, "one or the other", "leaving out `start`")
         # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
-        for name in ("objects", "exclude", "keep_out"):
+        for name in ("objects", "exclude", "keep_out", "relations"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         for name in ("pool", "support"):
             object.__setattr__(self, name, str(getattr(self, name)))
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
         # With no number of objects yet, a budget for one is enough; of too many, the pool says what it has.
-        self._placement(1 if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
+        least = max(1, len(conditions_of(parse_roles(self.roles), parse_relations(self.relations))))
+        self._placement(least if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
 
     @classmethod
     def from_recipe(cls, recipe: Mapping[str, Any]) -> SceneSpec:
@@ -274,7 +321,8 @@ class SceneSpec:
             num_objects=rules["num_objects"],
             repeat=recipe["repeat"],
             support=recipe["support"],
-            region=recorded_rectangle(recipe["region"]),
+            surface=recipe.get("surface", cls.surface),
+            region=_recorded_region(recipe),
             keep_out=tuple(recorded_rectangle(box) for box in recipe.get("keep_out", ())),
             start=recipe.get("start"),
             containment=rules["containment"],
@@ -291,7 +339,11 @@ class SceneSpec:
             natural=rules.get("natural", cls.natural),
             tidy=rules.get("tidy", cls.tidy),
             height=rules.get("height", cls.height),
-            method=None if recipe["method"] == HAND else recipe["method"],
+            poses=rules.get("poses", cls.poses),
+            relations=tuple(rules.get("relations", ())),
+            roles=dict(rules.get("roles", ())),
+            clearance=rules.get("clearance"),
+            method=None if recipe["method"] in UNPROPOSED else recipe["method"],
             checkpoint=recipe.get("checkpoint"),
             engine=recipe["engine"],
         )
@@ -333,10 +385,11 @@ class SceneSpec:
           method: by name; None for an environment, in which someone else acts.
         """
         is_default = self.setting == "default"
-        is_trusted = is_default and method in TRUSTED_METHODS
+        is_trusted = is_default and method in (*TRUSTED_METHODS, PACKED)
         order: Order = "weighted" if is_trusted else "random"
         ruin_after = min(RUIN_AFTER, self.max_attempts) if is_trusted else 0
-        min_margin = MIN_MARGIN if is_default else 0.0
+        # In a heap things lean on walls and on each other.
+        min_margin = MIN_MARGIN if is_default and method != PILE else 0.0
         return replace(
             self,
             order=order if self.order is None else self.order,
@@ -344,15 +397,42 @@ class SceneSpec:
             min_margin=min_margin if self.min_margin is None else self.min_margin,
         )
 
+    def check_poses(self, method: str) -> None:
+        """Refuses poses with a method that sees clouds of upright objects (ConfigError)."""
+        if self.poses != "upright" and method not in GEOMETRIC_METHODS:
+            given, allowed = f"poses = {self.poses!r} with method {method!r}", ", ".join(GEOMETRIC_METHODS)
+            raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
+
     def check_method(self, method: str) -> None:
         """Refuses what is asked of scenes that a method cannot bring about (ConfigError)."""
         if self.height != "rest" and method != "random":
             given = f"height = {self.height!r} with method {method!r}"
             raise ConfigError(given, "height='rest'", "method='random'")
-        wanted = [name for name in ("clutter", "natural", "tidy") if getattr(self, name)]
+        self.check_poses(method)
+        wanted = [
+            name for name in ("clutter", "natural", "tidy", "relations", "roles") if getattr(self, name)
+        ]
         if wanted and method not in TRUSTED_METHODS:
             given = f"`{wanted[0]}` with method {method!r}"
             raise ConfigError(given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}")
+        if self.clearance is not None and method != PACKED:
+            given = f"clearance = {self.clearance!r} with method {method!r}"
+            raise ConfigError(given, f"with {PACKED}", f"method={PACKED!r}")
+        if method != PILE:
+            return
+        refused = ("keep_out", "start", "ruin_after", "min_margin", "robust")
+        wanted = [name for name in refused if getattr(self, name)]
+        is_polygon = isinstance(self.region, str) and (";" in self.region or self.region == "outline")
+        wanted += ["region"] * is_polygon
+        wanted += ["surface"] * (self.surface == "all" or any(sign in self.surface for sign in ",:"))
+        wanted += ["overhang"] * (self.overhang != "any") + ["engine"] * (self.engine in ("warp", "jax"))
+        if wanted:
+            value = getattr(self, wanted[0])
+            raise ConfigError(
+                f"{wanted[0]} = {value!r} with method {PILE!r}, which lets all objects fall into a heap",
+                "leaving it out",
+                f"method={TRUSTED_METHODS[0]!r}, which places one object after another",
+            )
 
     @property
     def pool_text(self) -> str:
@@ -379,7 +459,7 @@ class SceneSpec:
         """
         from cluttergen_jax.assets.facts import weights_of
         from cluttergen_jax.assets.pool import find_pool
-        from cluttergen_jax.assets.support import parse_region
+        from cluttergen_jax.assets.support import parse_polygon, parse_region, parse_surfaces
         from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
         from cluttergen_jax.placement.problem import ProblemConfig, check_number
@@ -405,18 +485,36 @@ class SceneSpec:
                 most = min(len(chosen) or len(find_pool(pool)), MOST_ON_SHELF)
                 given = f"{self.num_objects} objects of a shelf of {shelf}"
                 raise ConfigError(given, f"1 to {shelf}", f"shelf={min(most, 2 * (self.num_objects or 0))}")
+            if self.relations or self.roles:
+                given = "`relations` with a shelf of objects that each block draws"
+                raise ConfigError(given, "one or the other", "fewer `objects` and no `shelf`")
             if self.repeat:
                 given = "`repeat` with a shelf of objects that each block draws"
                 raise ConfigError(
                     given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
                 )
+        is_piled = method == PILE
         num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
+        if ":" in self.surface:
+            support = find_support(self.support)
+            numbers = parse_surfaces(self.surface, support.surfaces, support.name)
+            total = sum(number for _, number in numbers)
+            if self.num_objects not in (None, total):
+                given = f"{self.num_objects} objects on surfaces {self.surface!r}"
+                raise ConfigError(given, f"{total}, as they add up to", f"num_objects={total}")
+            num_objects = total
         check_number(num_objects, available, pool, self.repeat)
         region = self.region
+        polygon: Ring = ()
         if isinstance(region, str):
-            region = parse_region(region, find_support(self.support).region)
+            support = find_support(self.support).on_surface(self.surface)
+            if region == "outline" or ";" in region:
+                polygon, region = parse_polygon(region, support)
+            else:
+                region = parse_region(region, support.region)
         stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
-        has_two_detectors = engine_of(self.engine, stability) == "native"
+        engine: Engine = "native" if is_piled else self.engine
+        has_two_detectors = engine_of(engine, stability) == "native"
         return ProblemConfig(
             pool=pool,
             objects=chosen,
@@ -425,8 +523,11 @@ class SceneSpec:
             weights=weights,
             balance="" if self.balance == "objects" else self.balance,
             support=str(self.support),
+            surface=self.surface,
             region=region,
-            engine=self.engine,
+            polygon=polygon,
+            is_piled=is_piled,
+            engine=engine,
             num_threads=self.num_threads,
             placement=self.with_rules(method)._placement(num_objects),
             stability=replace(stability, both_detectors=has_two_detectors and self.setting != "paper"),
@@ -463,7 +564,19 @@ class SceneSpec:
             natural=self.natural,
             tidy=self.tidy,
             height=self.height,
+            poses=self.poses,
+            relations=tuple(self.relations),
+            roles=parse_roles(self.roles),
+            clearance=CLEARANCE if self.clearance is None else self.clearance,
         )
+
+
+def _recorded_region(recipe: Mapping[str, Any]) -> Rectangle | str:
+    from cluttergen_jax.assets.support import recorded_rectangle
+
+    if corners := recipe.get("polygon"):
+        return ";".join(f"{x!r},{y!r}" for x, y in corners)
+    return recorded_rectangle(recipe["region"])
 
 
 def takes_spec(options: type, **defaults: Any) -> Callable[[F], F]:

@@ -26,6 +26,7 @@ class Verdict(enum.IntEnum):
     CREPT = 8
     UNSUPPORTED = 9
     FRAGILE = 10
+    UNRELATED = 11
 
     @property
     def sentence(self) -> str:
@@ -51,6 +52,7 @@ _SENTENCES = {
     Verdict.CREPT: "the finished scene moved in the last check",
     Verdict.UNSUPPORTED: "came to rest with its centre of mass too near the edge of what carries it",
     Verdict.FRAGILE: "would not stand under a slight tilt, less friction and softer contacts",
+    Verdict.UNRELATED: "came to rest where a relation that was asked for does not hold",
 }
 
 
@@ -60,8 +62,8 @@ class Settling(struct.PyTreeNode):
     T is the step at which an attempt ends at the latest (`StabilityConfig.last_step`).
 
     Attributes:
-      verdict: i32, a `Verdict`; OUTSIDE, UNSUPPORTED and CREPT are never given here, FRAGILE only where
-        `StabilityConfig.robust_tilt` asks for it. NONE if the scene was inactive.
+      verdict: i32, a `Verdict`; OUTSIDE, UNSUPPORTED, UNRELATED and CREPT are never given here, FRAGILE only
+        where `StabilityConfig.robust_tilt` asks for it. NONE if the scene was inactive.
       num_steps: i32, the step at which the attempt ended.
       check_steps: i32, steps simulated after that, to see whether what came to rest is fragile.
       poses: f32[K, 7], final poses of all objects, world frame, metres, wxyz.
@@ -110,6 +112,34 @@ class Standing(struct.PyTreeNode):
     num_steps: Array
     shift: Array
     turn: Array
+
+
+class Piling(struct.PyTreeNode):
+    """A pile, as the simulator saw it. K objects in the compiled world.
+
+    Attributes:
+      verdict: i32: STABLE or CREPT after its last check; or what kept it from that: UNSETTLED, PENETRATING,
+        OUTSIDE, FELL, OVERFLOW or NON_FINITE. NONE if the scene was inactive.
+      num_steps: i32, steps simulated until it was at rest; check_steps: i32, those of last checks.
+      poses: f32[K, 7], final poses of all objects, world frame, metres, wxyz.
+      releases: i32[K], how often each object was let go.
+      steps: i32[K], steps made after a release of each object and before the next release of another.
+      drift: f32, metres, the largest movement in the last check.
+      penetration: f32, the deepest overlap at rest, metres.
+      touches: bool[K, K], pairs of objects that touch; level: i32[K], 0 on the support alone, else one more
+        than the highest of the objects that carry it and whose centre of mass is lower.
+    """
+
+    verdict: Array
+    num_steps: Array
+    check_steps: Array
+    poses: Array
+    releases: Array
+    steps: Array
+    drift: Array
+    penetration: Array
+    touches: Array
+    level: Array
 
 
 def small_length(metres: float) -> str:

@@ -24,6 +24,7 @@ def generate(
     out: str | Path = "out",
     spec: SceneSpec | str | Path | None = None,
     *,
+    layout: str | Path | None = None,
     num_scenes: int = 20,
     seed: int = 0,
     render: bool = True,
@@ -43,6 +44,8 @@ def generate(
     Args:
       out: the bank's folder, or a URL such as s3://bucket/name; an interrupted bank is continued.
       spec: what is asked for, or a pool's name.
+      layout: what shall stand where: a YAML file, or a name of `cluttergen list`, such as breakfast_for_two
+        (`read_layout`); other options that are not at their defaults go before what it says.
       num_scenes: scenes to make, failures counted.
       seed: the same seed makes the same scenes, 0 to 4294967295.
       render: draw a picture of each scene that gets a file.
@@ -67,8 +70,13 @@ def generate(
     """
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.generation.generate import recipe_of, write_bank
+    from cluttergen_jax.generation.layouts import read_layout
     from cluttergen_jax.generation.sampler import set_up_bank
 
+    if layout is not None:
+        if spec is not None:
+            raise ConfigError(f"`layout` {str(layout)!r} beside `spec`", "one or the other")
+        spec = read_layout(layout)
     asked = spec_of(generate, spec, options)
     check_range("num_scenes", num_scenes, 1, MAX_SCENES, 20)
     check_range("seed", seed, 0, _MOST, 0)

@@ -135,25 +135,33 @@ def import_support(
     scale: float = 1.0,
     up: Up = "auto",
     front: Axis = "auto",
+    joint: Sequence[str] = (),
     max_texture: int = MAX_TEXTURE,
     licence: str = "",
     attribution: str = "",
     force: bool = False,
 ) -> SupportAsset:
-    """Makes a support of the user's own of one table with a level top (`cluttergen import --support`).
+    """Makes a support of the user's own of a table, a shelf or a board (`cluttergen import --support`).
+
+    All its surfaces are found: connected, at most 10 degrees from level, 5 cm wide or wider, with 5 cm of air
+    above that is reached from outside. The largest level one under the open sky is called top and comes
+    first; the others are shelf_1, shelf_2 ... from the highest to the lowest. With more than one surface all
+    boards, walls and legs collide; of a table with its top alone, the top and what rises above it.
 
     The arguments that are not explained here are those of `import_pool`.
 
     Args:
-      path: instead of sources and a pool, the file of one table with a level top, 2 m across at most: a mesh,
-        URDF, SDF or MJCF, or a folder that holds one.
+      path: instead of sources and a pool, the file of one piece of furniture with a level or gently sloping
+        surface: a mesh, URDF, SDF or MJCF, or a folder that holds one.
       name: the new support's name; the file's own if not given.
+      joint: where joints of a URDF or MJCF file are to be, NAME=VALUE each, in metres, or degrees for those
+        that turn, such as drawer_1=0.2; the others stay at their lower limit, or where the file has them.
 
     Returns:
-      The support; its name is what `support` of `make_sampler` takes.
+      The support; its name is what `support` of `make_sampler` takes. `surfaces` has what was found.
 
     Raises:
-      AssetError: the file cannot be read, holds several objects, or has no level top to speak of.
+      AssetError: the file cannot be read, holds several objects, or has no surface to speak of.
       ConfigError: an option is out of range.
       PoolError: the name is not one, is taken by an embedded support, or by another support and `force` is
         not set.
@@ -169,4 +177,20 @@ def import_support(
         licence=licence,
         attribution=attribution,
     )
-    return write_table(path, name, options, force)
+    return write_table(path, name, options, force, _joints_of(joint))
+
+
+def _joints_of(texts: Sequence[str]) -> dict[str, float]:
+    form = "NAME=VALUE, metres or degrees"
+    if isinstance(texts, str):
+        raise ConfigError(f"joint = {texts!r}", "a sequence of texts", f"joint=[{texts!r}]")
+    found = {}
+    for text in texts:
+        name, _, value = text.rpartition("=")
+        try:
+            found[name] = float(value)
+        except ValueError as error:
+            raise ConfigError(f"joint {text!r}", form, "drawer_1=0.2") from error
+        if not name or not math.isfinite(found[name]):
+            raise ConfigError(f"joint {text!r}", form, "drawer_1=0.2")
+    return found

@@ -13,7 +13,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.geometry import rotate_in_plane, transform_points
 
@@ -151,9 +151,10 @@ def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: Sup
     These are whole surfaces, hidden sides included; what one camera sees follows from `sensors.Sensed`.
     """
     points, colours, labels = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)], [np.zeros(0, np.int32)]
-    if support is not None and (support.pieces or support.boxes):
+    if support is not None and (support.pieces or support.boxes or support.parts):
         top = top_points(support)
-        rgba = support.pieces[0].mean_rgba if support.pieces else support.boxes[0].rgba
+        drawn = [each.mean_rgba for each in support.pieces] or [each.rgba for each in support.boxes]
+        rgba = [*drawn, PART_RGBA][0]
         points.append(top)
         colours.append(np.tile(np.round(255 * np.array(rgba[:3])).astype(np.uint8), (len(top), 1)))
         labels.append(np.full(len(top), 1, np.int32))
@@ -174,9 +175,10 @@ def top_points(support: SupportAsset) -> np.ndarray:
     counts = np.maximum(np.round(2 * half * np.sqrt(_PER_SQUARE_METRE)), 2).astype(int)
     x, y = (np.linspace(-h, h, n) for h, n in zip(half, counts, strict=True))
     flat = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    return np.column_stack(
-        [rotate_in_plane(flat, region.yaw) + region.center, np.full(len(flat), support.top)]
-    )
+    flat = rotate_in_plane(flat, region.yaw) + region.center
+    if support.named and not support.chosen.is_level:
+        return transform_points(support.chosen.pose, np.column_stack([flat, np.zeros(len(flat))]))
+    return np.column_stack([flat, np.full(len(flat), support.top)])
 
 
 def ply_of(cloud: Cloud) -> bytes:

@@ -172,7 +172,11 @@ def decompositions(
         raw = [*exact.parts, *of_rest]
         free = exact.free[~is_within_parts(exact.free, raw)]
         merged = merge_parts(raw, solid, _EXACT_LIMITS, enough, config.max_parts, free)
-        yield from _distinct([*merged, *([raw] if len(raw) <= config.max_parts else [])])
+        sets = [*merged, *([raw] if len(raw) <= config.max_parts else [])]
+        small = [each for each in _distinct(sets) if len(each) <= enough]
+        # More than enough only for the sake of holes, into which a peg may have to go.
+        is_pierced = not small and len(free) > 0 and find_hollow(solid) is None
+        yield from _distinct(sets) if is_pierced else small
     sets = merge_parts(_run(solid.mesh, solid, config, jitter), solid, _LIMITS, enough, config.max_parts)
     first, is_few = sets[0] or one, len(sets[0]) <= enough
     if is_few:

@@ -157,6 +157,9 @@ def chosen_names(facts: Sequence[ObjectFacts], chosen: Iterable[str], pool: str)
     return tuple(names)
 
 
+_WEIGHTS = "'mug*=3', or 'height>=0.1=2'"
+
+
 def parse_weights(text: str) -> tuple[tuple[str, float], ...]:
     """Conditions and weights of a text such as "mug*=3; label=*book*=0.5"."""
     found = []
@@ -166,8 +169,9 @@ def parse_weights(text: str) -> tuple[tuple[str, float], ...]:
             weight = float(number)
         except ValueError:
             weight = -1.0
-        if not condition.strip() or not 0 <= weight < float("inf"):
-            raise ConfigError(f"weight {term!r}", "CONDITION=NUMBER, 0 or more, joined by ';'", "'mug*=3'")
+        is_field = condition.strip() in (*_TEXTS, *_NUMBERS)
+        if not condition.strip() or is_field or not 0 <= weight < float("inf"):
+            raise ConfigError(f"weight {term!r}", "CONDITION=NUMBER, 0 or more, joined by ';'", _WEIGHTS)
         parse_condition(condition)
         found.append((condition.strip(), weight))
     return tuple(found)

@@ -10,9 +10,9 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import shade
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.assets.texture import Texture
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import AIR_WALLS, ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
 
 VISUAL_GROUP = 2
@@ -158,10 +158,10 @@ def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bo
 
 
 def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = False) -> None:
-    """Adds the support's boxes to the world body, and its visual pieces if asked for."""
+    """Adds the support's boxes and convex parts to the world body, and its visual pieces if asked for."""
     body = spec.worldbody.add_body(name="support")
+    is_drawn = visual and not support.pieces
     for index, box in enumerate(support.boxes):
-        is_drawn = visual and not support.pieces
         body.add_geom(
             name=f"support.box-{index}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -171,8 +171,24 @@ def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = Fa
             rgba=box.rgba,
             group=VISUAL_GROUP if is_drawn else COLLISION_GROUP,
         )
+    for index, part in enumerate(support.parts):
+        geom = add_part(spec, body, f"support.part-{index}", part.vertices)
+        geom.rgba, geom.group = PART_RGBA, VISUAL_GROUP if is_drawn else COLLISION_GROUP
     if visual:
         _add_visuals(spec, body, "support", support.pieces)
+
+
+def add_air_walls(spec: mujoco.MjSpec) -> None:
+    """Adds four unseen planes without friction to the world body; where they stand is for the user to say."""
+    for name in AIR_WALLS:
+        spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=(1, 1, 0.1),
+            condim=1,
+            priority=_HIGHEST_PRIORITY + 1,
+            group=COLLISION_GROUP,
+        )
 
 
 def populated_spec(

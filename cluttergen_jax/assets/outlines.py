@@ -104,7 +104,8 @@ def convex_pieces(rings: list[np.ndarray]) -> list[np.ndarray]:
 def _cut_along_edges(rings: list[np.ndarray], most: int) -> list[np.ndarray]:
     """Pieces by cuts all across along edges between concave corners; none where they are more than `most`."""
     whole = manifold3d.CrossSection(rings)
-    todo, done = [whole], []
+    todo = [whole]
+    done: list[np.ndarray] = []
     while todo and len(todo) + len(done) <= most:
         region = todo.pop()
         outlines = [np.asarray(ring) for ring in region.to_polygons()]

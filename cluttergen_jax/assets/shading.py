@@ -10,7 +10,8 @@ import numpy as np
 from scipy import sparse
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.support import Box
+from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.support import PART_RGBA, Box, SupportAsset
 from cluttergen_jax.geometry import yaw_matrix
 
 _CREASE = math.radians(40)
@@ -95,3 +96,9 @@ def box_mesh(box: Box) -> Mesh:
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))]
     return Mesh(local @ yaw_matrix(box.yaw).T + np.array(box.center), np.array(faces))
+
+
+def collision_pieces(support: SupportAsset) -> tuple[Piece, ...]:
+    """All of a support's collision as surfaces in its colours, world frame: boxes, then convex parts."""
+    boxes = [Piece(box_mesh(box), box.rgba) for box in support.boxes]
+    return (*boxes, *(Piece(part.hull(), PART_RGBA) for part in support.parts))

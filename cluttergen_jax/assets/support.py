@@ -1,18 +1,27 @@
-"""A support: the fixed thing that carries the objects, its collision made of boxes."""
+"""A support: the fixed thing that carries the objects, its collision made of boxes and convex parts."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.outline import Ring, outline_of_rectangles, ring_area
 from cluttergen_jax.assets.shape import Piece, Provenance
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import rectangle_corners
+from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.geometry import rectangle_corners, rotate_in_plane, rotation_matrix, transform_points
+
+_SMALLEST_AREA = 4e-4
+PART_RGBA = (0.72, 0.55, 0.38, 1.0)
+"""The colour of collision that is drawn for want of visual pieces."""
+
+LEVEL = 0.002
+"""Metres by which boxes of one top may differ in height."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +38,7 @@ class Box:
     center: tuple[float, float, float]
     half_extents: tuple[float, float, float]
     yaw: float = 0.0
-    rgba: tuple[float, float, float, float] = (0.72, 0.55, 0.38, 1.0)
+    rgba: tuple[float, float, float, float] = PART_RGBA
 
 
 @dataclass(frozen=True)
@@ -63,14 +72,83 @@ class Rectangle:
 
 
 @dataclass(frozen=True)
-class SupportAsset:
-    """A table. World frame: z up, origin on the floor below the support's centre.
+class Surface:
+    """A face of a support that carries objects: level, or tilted by up to 10 degrees.
+
+    Its frame has z along the face's normal. That of a level one is the world's, lifted to its height.
 
     Attributes:
-      boxes: all of its collision, every part of the flat top among them.
-      top: height of the flat top that carries objects, metres.
-      region: the region queried by default: the largest good rectangle on the top, clear of rims and risers.
-      pieces: what is drawn instead of the boxes; empty means the boxes themselves are drawn.
+      name: unique among a support's surfaces.
+      position: its frame's origin, world, metres.
+      region: the region queried by default: the largest good rectangle on it, in its frame.
+      outline: its outer edge in its frame, metres, counter-clockwise.
+      holes: the edges of what is cut out of it or stands on it, clockwise.
+      quaternion: of its frame, wxyz.
+      free_height: metres along its z from its region up to the lowest thing that hangs over it; inf under the
+        open sky.
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    region: Rectangle
+    outline: Ring
+    holes: tuple[Ring, ...] = ()
+    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    free_height: float = math.inf
+
+    @property
+    def polygon(self) -> np.ndarray:
+        """f64[N, 2]: the outline as an array."""
+        return np.array(self.outline, np.float64).reshape(-1, 2)
+
+    @property
+    def area(self) -> float:
+        """Square metres."""
+        return ring_area(self.outline) + sum(ring_area(hole) for hole in self.holes)
+
+    @property
+    def is_level(self) -> bool:
+        """Whether its frame is the world's but for its height."""
+        return self.quaternion == (1.0, 0.0, 0.0, 0.0)
+
+    @property
+    def tilt(self) -> float:
+        """Radians between its normal and the vertical."""
+        return math.acos(min(float(self.T_world_surface[2, 2]), 1.0))
+
+    @property
+    def lowest(self) -> float:
+        """Metres: the height of its lowest point."""
+        points = np.column_stack([self.polygon, np.zeros(len(self.polygon))])
+        return self.position[2] if self.is_level else float(transform_points(self.pose, points)[:, 2].min())
+
+    @property
+    def pose(self) -> np.ndarray:
+        """f64[7]: where its frame is, position and wxyz."""
+        return np.array((*self.position, *self.quaternion))
+
+    @property
+    def T_world_surface(self) -> np.ndarray:
+        """f64[4, 4]."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = rotation_matrix(np.array(self.quaternion)), self.position
+        return T
+
+
+@dataclass(frozen=True)
+class SupportAsset:
+    """A table, a shelf, a board. World frame: z up, origin on the floor below the support's centre.
+
+    Attributes:
+      boxes: its collision, with `parts`; every part of a flat top is among them.
+      top: height of the surface that objects are asked for on, metres: of its frame's origin.
+      region: the region queried by default on that surface, in its frame: the largest good rectangle, clear
+        of rims and risers.
+      pieces: what is drawn instead of the collision; empty means that the collision itself is drawn.
+      parts: convex collision parts, world frame, beside the boxes.
+      named: its surfaces, where it has other than a flat top alone.
+      surface: those that objects are asked for on, as `on_surface` takes them: `top` and `region` tell of the
+        first.
     """
 
     name: str
@@ -80,6 +158,89 @@ class SupportAsset:
     region: Rectangle
     provenance: Provenance
     pieces: tuple[Piece, ...] = ()
+    parts: tuple[Mesh, ...] = ()
+    named: tuple[Surface, ...] = ()
+    surface: str = ""
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """All surfaces, the one used by default first. A flat top alone is called "top"."""
+        if self.named:
+            return self.named
+        level = [box for box in self.boxes if abs(box.center[2] + box.half_extents[2] - self.top) < LEVEL]
+        tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level]
+        outline, *holes = outline_of_rectangles([top.corners for top in tops or [self.region]])
+        return (Surface("top", (0.0, 0.0, self.top), self.region, outline, tuple(holes)),)
+
+    @property
+    def asked(self) -> tuple[tuple[Surface, int], ...]:
+        """The surfaces that objects are asked for on, and how many on each, 0 where that is left open."""
+        return parse_surfaces(self.surface, self.surfaces)
+
+    @property
+    def chosen(self) -> Surface:
+        """The surface that `top` and `region` tell of."""
+        return self.asked[0][0]
+
+    @property
+    def region_points(self) -> np.ndarray:
+        """f64[5, 3]: the middle of the region and its corners, world frame, metres."""
+        flat = np.vstack([self.region.center, self.region.corners])
+        if not self.named or self.chosen.is_level:
+            return np.column_stack([flat, np.full(5, self.top)])
+        return transform_points(self.chosen.pose, np.column_stack([flat, np.zeros(5)]))
+
+    @property
+    def lowest(self) -> float:
+        """Metres: the height of the lowest point of the surfaces that objects are asked for on."""
+        return min(each.lowest for each, _ in self.asked) if self.named else self.top
+
+    def on_surface(self, text: str) -> SupportAsset:
+        """The same support, objects being asked for on other surfaces of it; "" changes nothing.
+
+        Args:
+          text: a surface's name; "all"; several, joined by commas; or each with a number of objects, such as
+            "top:3,shelf_1:4".
+
+        Raises:
+          ConfigError: it has no such surface, or a number is none.
+        """
+        asked = parse_surfaces(text, self.surfaces, self.name)
+        if not text or not self.named:
+            return self
+        surface = asked[0][0]
+        return replace(self, top=surface.position[2], region=surface.region, surface=text)
+
+
+def parse_surfaces(
+    text: str, surfaces: Sequence[Surface], support: str = "SUPPORT"
+) -> tuple[tuple[Surface, int], ...]:
+    """Those that `SupportAsset.on_surface` is asked for, with the number of objects on each, 0 for any.
+
+    Raises:
+      ConfigError: one is unknown or comes twice, or a number is none, or is missing where others have one.
+    """
+    if not text:
+        return ((surfaces[0], 0),)
+    found = {each.name: each for each in surfaces}
+    words = list(found) if text == "all" else [word.strip() for word in text.split(",")]
+    asked: dict[str, int] = {}
+    for word in words:
+        name, colon, number = word.partition(":")
+        if name not in found:
+            raise ConfigError(
+                f"surface {name!r} of support {support!r}",
+                f"{', '.join(found)}, or all",
+                f"cluttergen inspect {support}, which draws them",
+                closest(name, found),
+            )
+        if name in asked or (colon and not (number.isdecimal() and int(number) > 0)):
+            allowed = "each once, with a whole number above 0"
+            raise ConfigError(f"surfaces {text!r}", allowed, "top:3,shelf_1:4")
+        asked[name] = int(number) if colon else 0
+    if 0 in asked.values() and any(asked.values()):
+        raise ConfigError(f"surfaces {text!r}", "a number for each of them, or for none", "top:3,shelf_1:4")
+    return tuple((found[name], number) for name, number in asked.items())
 
 
 def cuboid_table(width: float = 0.60, depth: float = 0.70, height: float = 0.70) -> SupportAsset:
@@ -133,6 +294,32 @@ def parse_region(text: str, default: Rectangle) -> Rectangle:
         x, y, width, depth, *yaw = values
         return Rectangle((x, y), (width / 2, depth / 2), math.radians(yaw[0]) if yaw else 0.0)
     raise ConfigError(f"region {text!r}", form)
+
+
+def parse_polygon(text: str, support: SupportAsset) -> tuple[Ring, Rectangle]:
+    """A queried region that is a polygon, and the rectangle around it along the support's own region.
+
+    Args:
+      text: "outline", that of the surface; or at least three corners, X,Y;X,Y;X,Y, metres.
+
+    Raises:
+      ConfigError: it is neither.
+    """
+    ring = support.chosen.outline
+    if text != "outline":
+        form = "outline, or X,Y;X,Y;X,Y, metres, such as 0,0;0.3,0;0,0.3"
+        corners = [_numbers(part, "region", form) for part in text.split(";") if part.strip()]
+        if len(corners) < 3 or any(len(corner) != 2 for corner in corners):
+            raise ConfigError(f"region {text!r}", form)
+        ring = tuple((corner[0], corner[1]) for corner in corners)
+        if abs(ring_area(ring)) < _SMALLEST_AREA:
+            raise ConfigError(f"region {text!r} of no area", form)
+    yaw = support.region.yaw
+    local = rotate_in_plane(ring, -yaw)
+    low, high = local.min(0), local.max(0)
+    x, y = rotate_in_plane((low + high) / 2, yaw).tolist()
+    half = ((high - low) / 2).tolist()
+    return ring, Rectangle((x, y), (half[0], half[1]), yaw)
 
 
 def parse_keep_out(text: str) -> Rectangle:

@@ -1,4 +1,4 @@
-"""One support on disk: `support.json`, and one OBJ per coloured piece.
+"""One support on disk: `support.json`, and one OBJ per coloured piece and per convex part.
 
 `find_support` looks among the embedded supports first, then among the user's own, then takes its argument for
 a folder.
@@ -8,20 +8,24 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import numpy as np
 
-from cluttergen_jax.assets.obj import parse_surface, surface_text
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.obj import mesh_text, parse_surface, part_name, surface_text
 from cluttergen_jax.assets.object_files import NAME_PATTERN, read_bytes
+from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.pool import embedded_root, folders_with, user_root
 from cluttergen_jax.assets.shape import Piece, Provenance
-from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, cuboid_table
+from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface, cuboid_table, parse_surfaces
 from cluttergen_jax.assets.texture import Texture, texture_name
-from cluttergen_jax.errors import PoolError, closest
+from cluttergen_jax.errors import ConfigError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside
 from cluttergen_jax.schema import (
     SchemaError,
@@ -34,9 +38,11 @@ from cluttergen_jax.schema import (
 )
 
 FORMAT = 1
+WITH_SURFACES = 2
+"""Of supports that have convex parts or several surfaces, which readers of format 1 would lose."""
 _RECORD = "support.json"
 _DIGITS = 7
-_CUBOID = re.compile(r"table-(\d*\.?\d+(?:x\d*\.?\d+){1,2})")
+_SIZED = re.compile(r"(table|bin|tote|tray)-(\d*\.?\d+(?:x\d*\.?\d+){1,2})")
 _REWRITE = "writing the support again"
 
 
@@ -58,6 +64,8 @@ def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool 
             files[f"visual-{index}.obj"] = surface_text(piece, _DIGITS).encode("ascii")
             if piece.texture is not None:
                 files[piece.texture.file_name] = piece.texture.data
+        for index, part in enumerate(support.parts):
+            files[part_name(index)] = mesh_text(part.hull()).encode("ascii")
         for name, data in files.items():
             (fresh / name).write_bytes(data)
         record = _record(support) | {"files": {name: digest_of(data) for name, data in files.items()}}
@@ -79,8 +87,8 @@ def read_support(folder: str | Path) -> SupportAsset:
         record = parse_json(data)
     except SchemaError as error:
         raise PoolError(f"{path} is {error}", hint=_REWRITE) from error
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise PoolError(f"{path} is not a support of format {FORMAT}", hint=_REWRITE)
+    if not isinstance(record, dict) or record.get("format") not in (FORMAT, WITH_SURFACES):
+        raise PoolError(f"{path} is not a support of format {FORMAT} or {WITH_SURFACES}", hint=_REWRITE)
     if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
@@ -107,8 +115,8 @@ def support_hash(support: SupportAsset) -> str:
 
 
 def is_support_name(text: str) -> bool:
-    """Whether a support may be called so: in the letters of names, and not as cuboids are."""
-    return bool(NAME_PATTERN.fullmatch(text)) and not _CUBOID.fullmatch(text)
+    """Whether a support may be called so: in the letters of names, and not as those of any size are."""
+    return bool(NAME_PATTERN.fullmatch(text)) and not _SIZED.fullmatch(text)
 
 
 def user_supports() -> Path:
@@ -129,14 +137,21 @@ def list_supports() -> dict[str, Path]:
 
 
 def find_support(name_or_path: str | Path) -> SupportAsset:
-    """The support of that name, or the one in that folder; `table-WxD[xH]` is a cuboid (metres).
+    """The support of that name, or the one in that folder; `table-WxD[xH]` is a cuboid, and `bin-WxD[xH]`,
+    `tote-WxD[xH]` and `tray-WxD[xH]` are containers of that size inside (metres).
 
     Raises:
       PoolError: nothing is called so (the message lists what exists), or its files are damaged.
-      ConfigError: a cuboid of absurd size.
+      ConfigError: an absurd size.
     """
-    if cuboid := _CUBOID.fullmatch(str(name_or_path)):
-        return cuboid_table(*(float(side) for side in cuboid[1].split("x")))
+    if sized := _SIZED.fullmatch(str(name_or_path)):
+        size = tuple(float(side) for side in sized[2].split("x"))
+        if sized[1] == "table":
+            return cuboid_table(*size)
+        # The modeller's library takes half a second to import, and only who asks for such a size pays.
+        from cluttergen_jax.assets.modeller.bins import open_container
+
+        return open_container(sized[1], size)
     supports = list_supports()
     if str(name_or_path) in supports:
         return read_support(supports[str(name_or_path)])
@@ -145,9 +160,16 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
     raise PoolError(
         f"no support is called {str(name_or_path)!r}, and there is none at that path",
         ", ".join(supports) or "none is installed",
-        "a cuboid such as table-0.40x0.50, or cluttergen import --support FILE, which makes one of a mesh",
+        "table-0.40x0.50 or bin-0.50x0.30x0.20, of any size, or cluttergen import --support FILE, which "
+        "makes one of a mesh",
         closest(name_or_path, supports),
     )
+
+
+def is_support(name_or_path: str | Path) -> bool:
+    """Whether `find_support` would look at something called so, damaged or not."""
+    name = str(name_or_path)
+    return bool(_SIZED.fullmatch(name)) or name in list_supports() or (Path(name) / _RECORD).is_file()
 
 
 def _round(value: Any) -> Any:
@@ -162,8 +184,15 @@ def _round(value: Any) -> Any:
 
 
 def _record(support: SupportAsset) -> dict[str, Any]:
+    more: dict[str, Any] = {}
+    if support.parts or support.named:
+        more = {
+            "parts": [_round(part.vertices.tolist()) for part in support.parts],
+            "surfaces": [_surface_record(surface) for surface in support.named],
+            "surface": support.surface,
+        }
     return {
-        "format": FORMAT,
+        "format": WITH_SURFACES if more else FORMAT,
         "name": support.name,
         "label": support.label,
         "top": _round(support.top),
@@ -179,10 +208,20 @@ def _record(support: SupportAsset) -> dict[str, Any]:
             for index, piece in enumerate(support.pieces)
         ],
         "provenance": asdict(support.provenance),
+        **more,
     }
 
 
+def _surface_record(surface: Surface) -> dict[str, Any]:
+    record = _round(asdict(surface))
+    # JSON has no infinity.
+    return {name: value for name, value in record.items() if value != math.inf}
+
+
 _Rgba = tuple[float, float, float, float]
+_Point = tuple[float, float, float]
+_STEEPEST = math.radians(11)
+"""Of surfaces; they are found up to 10 degrees."""
 _FAR = 1000.0
 """Metres beyond which nothing of a support is."""
 
@@ -200,19 +239,31 @@ class _Stored(msgspec.Struct):
 
     name: str
     label: str
-    boxes: Annotated[list[Box], msgspec.Meta(min_length=1)]
+    boxes: list[Box]
     top: Annotated[float, msgspec.Meta(ge=-_FAR, le=_FAR)]
     region: Rectangle
     pieces: list[_StoredPiece]
     provenance: Provenance
+    parts: list[list[_Point]] = []
+    surfaces: list[Surface] = []
+    surface: str = ""
 
 
 def _support(record: _Stored, folder: Path) -> SupportAsset:
     flat = [number for number, box in enumerate(record.boxes) if min(box.half_extents) <= 0]
     faults = [f"box {number} has a side of 0 or less" for number in flat]
     numbers = [each for box in record.boxes for each in (*box.center, *box.half_extents)]
+    numbers += [each for part in record.parts for point in part for each in point]
+    for surface in record.surfaces:
+        numbers += [*surface.position, *surface.region.center, *surface.region.half_extents]
+        numbers += [each for ring in (surface.outline, *surface.holes) for point in ring for each in point]
     if max(map(abs, (*numbers, *record.region.center, *record.region.half_extents))) > _FAR:
         faults.append(f"something is farther away than {_FAR:g} m")
+    parts = [Mesh.points(np.array(part)) for part in record.parts]
+    faults += [f"part {number} has no volume" for number, part in enumerate(parts) if _is_flat(part)]
+    if not record.boxes and not parts:
+        faults.append("it has neither boxes nor parts")
+    faults += _faults_of_surfaces(record.surfaces, record.surface)
     refuse(faults)
     return SupportAsset(
         name=record.name,
@@ -222,7 +273,36 @@ def _support(record: _Stored, folder: Path) -> SupportAsset:
         region=record.region,
         provenance=record.provenance,
         pieces=tuple(_piece(piece, folder) for piece in record.pieces),
+        parts=tuple(parts),
+        named=tuple(record.surfaces),
+        surface=record.surface,
     )
+
+
+def _is_flat(part: Mesh) -> bool:
+    return len(part.vertices) < 4 or hull_of(part.vertices) is None
+
+
+def _faults_of_surfaces(surfaces: list[Surface], chosen: str) -> list[str]:
+    names = [surface.name for surface in surfaces]
+    faults = [f"surface {name!r} comes twice" for name in names if names.count(name) > 1]
+    try:
+        if chosen:
+            parse_surfaces(chosen, surfaces)
+    except ConfigError:
+        faults.append(f"its surface {chosen!r} is none of {names}")
+    for surface in surfaces:
+        if not NAME_PATTERN.fullmatch(surface.name):
+            faults.append(f"a surface is called {surface.name!r}")
+        if abs(math.hypot(*surface.quaternion) - 1) > 1e-5 or surface.tilt > _STEEPEST:
+            faults.append(
+                f"surface {surface.name!r} is not within {math.degrees(_STEEPEST):.0f} degrees of level"
+            )
+        if surface.is_level and surface.position[:2] != (0.0, 0.0):
+            faults.append(f"level surface {surface.name!r} has a frame of its own")
+        if min(map(len, (surface.outline, *surface.holes))) < 3 or not surface.free_height > 0:
+            faults.append(f"surface {surface.name!r} has an outline of too few corners, or no room above it")
+    return faults
 
 
 def _piece(record: _StoredPiece, folder: Path) -> Piece:

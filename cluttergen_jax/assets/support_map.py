@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,7 +10,8 @@ import numpy as np
 from scipy.ndimage import grey_closing
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.shading import collision_pieces
+from cluttergen_jax.assets.support import LEVEL, Rectangle, SupportAsset, Surface
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rectangle_corners, rotate_in_plane
 
@@ -97,7 +98,6 @@ def _corners(boxes: np.ndarray) -> np.ndarray:
 
 
 _OVERHANG = 0.01
-_LEVEL = 0.002
 _GRID = 41
 
 
@@ -110,13 +110,35 @@ class TopBounds(NamedTuple):
 
 
 def top_bounds_of(support: SupportAsset) -> TopBounds:
-    """The smallest rectangle that holds all boxes of the support's top, and a centimetre more."""
-    heights = [box.center[2] + box.half_extents[2] for box in support.boxes]
-    level = [box for box, z in zip(support.boxes, heights, strict=True) if abs(z - support.top) < _LEVEL]
-    tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
+    """The smallest rectangle that holds all boxes of the support's top, and a centimetre more.
+
+    Of a support with surfaces of its own, that around the chosen one, in its frame.
+    """
     axes = rotate_in_plane(np.eye(2), -support.region.yaw)
+    if support.named:
+        rim = support.chosen.polygon @ axes
+        return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
+    heights = [box.center[2] + box.half_extents[2] for box in support.boxes]
+    level = [box for box, z in zip(support.boxes, heights, strict=True) if abs(z - support.top) < LEVEL]
+    tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
     rim = np.concatenate([top.corners for top in tops]) @ axes
     return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
+
+
+_OUTSIDE = 0.004
+
+
+def rim_height(region: Rectangle, support: SupportAsset) -> float:
+    """Metres: how high what stands all around a region rises above the top, at its lowest; 0 of open ones."""
+    along = np.linspace(-1, 1, _GRID)
+    sides = [np.stack([along, np.full(_GRID, sign)], -1) for sign in (-1, 1)]
+    rim = np.concatenate([*sides, *(side[:, ::-1] for side in sides)])
+    points = rotate_in_plane(rim * (np.array(region.half_extents) + _OUTSIDE), region.yaw) + region.center
+    height = np.zeros(len(points))
+    for x, y, z, *half, yaw in boxes_of(support):
+        local = np.abs(rotate_in_plane(points - (x, y), -yaw))
+        height = np.maximum(height, np.where((local <= half[:2]).all(1), z + half[2] - support.top, 0.0))
+    return float(height.min())
 
 
 def check_region(region: Rectangle, support: SupportAsset) -> None:
@@ -130,7 +152,7 @@ def check_region(region: Rectangle, support: SupportAsset) -> None:
     if (corners < reach.lower).any() or (corners > reach.upper).any():
         raise ConfigError(
             f"a region of {region} reaches beyond support {support.name!r}",
-            f"a rectangle on its top, by default {support.region}",
+            f"a rectangle on its {support.surface or 'top'}, by default {support.region}",
             "a smaller region, or a larger table such as support='table-1.40x1.40'",
         )
 
@@ -153,6 +175,82 @@ def check_keep_out(boxes: Sequence[Rectangle], region: Rectangle) -> None:
             "boxes that leave some of the queried region free",
             "smaller ones: X,Y,W,D are a centre and whole sides, in metres",
         )
+
+
+class SurfaceHeights(NamedTuple):
+    """What stands on a surface and what hangs over it, on a grid in the surface's frame.
+
+    Attributes:
+      ground: f64[W, H], metres above the surface's plane up to which a cell is filled; VOID where nothing
+        carries there; its border is VOID.
+      ceiling: f64[W, H], metres up to which the space above that is free; inf under the open sky.
+      origin: f64[2], where cell (0, 0) begins, metres; cell: its side, metres.
+    """
+
+    ground: np.ndarray
+    ceiling: np.ndarray
+    origin: np.ndarray
+    cell: float
+
+
+_AROUND = 0.4
+_TOUCH = 0.002
+
+
+def surface_heights(support: SupportAsset, surface: Surface, finest: float = _CELL) -> SurfaceHeights:
+    """A surface's surroundings, by the support's collision, 40 cm beyond its outline.
+
+    What reaches down to the surface, or to what stands on it, raises the ground; the rest hangs over it.
+
+    Args:
+      finest: the smallest side of a cell, metres.
+    """
+    inverse = np.linalg.inv(surface.T_world_surface)
+    solids = [piece.mesh.transform(inverse[:3, :3], inverse[:3, 3]) for piece in collision_pieces(support)]
+    solids = [mesh for mesh in solids if mesh.bounds[1, 2] > _LOWEST]
+    corners = np.concatenate([mesh.vertices[:, :2] for mesh in solids])
+    low = np.maximum(corners.min(0), surface.polygon.min(0) - _AROUND)
+    high = np.minimum(corners.max(0), surface.polygon.max(0) + _AROUND)
+    cell = max(finest, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
+    shape = np.ceil((high - low) / cell - 1e-4).astype(int)
+    ground, ceiling = np.full(shape, VOID), np.full(shape, np.inf)
+    spans = [_span(mesh, low, cell, shape) for mesh in solids]
+    while True:
+        before = ground.copy()
+        for window, under, over in spans:
+            reaches = (under <= np.maximum(ground[window], 0.0) + _TOUCH) & (over > _LOWEST)
+            ground[window] = np.where(reaches, np.maximum(ground[window], over), ground[window])
+        if (ground == before).all():
+            break
+    for window, under, over in spans:
+        hangs = (under > np.maximum(ground[window], 0.0) + _TOUCH) & np.isfinite(over)
+        ceiling[window] = np.where(hangs, np.minimum(ceiling[window], under), ceiling[window])
+    width = int(_NARROW_GAP / cell) + 1
+    ground = grey_closing(np.pad(ground, width, constant_values=VOID), size=(width, width))
+    ceiling = np.pad(ceiling, width, constant_values=np.inf)
+    return SurfaceHeights(ground, ceiling, low - width * cell, cell)
+
+
+def _span(
+    mesh: Mesh, origin: np.ndarray, cell: float, shape: np.ndarray
+) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray]:
+    """Of a convex mesh the window of cells that it is over, and its lower and upper height in each."""
+    first = np.clip(np.floor((mesh.bounds[0, :2] - origin) / cell).astype(int), 0, shape - 1)
+    last = np.clip(np.ceil((mesh.bounds[1, :2] - origin) / cell).astype(int), first + 1, shape)
+    lower, upper = origin + cell * first, origin + cell * last
+    over = look_down(mesh, lower, upper, last - first).height
+    under = -look_down(
+        mesh.transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3)), lower, upper, last - first
+    ).height
+    return (slice(first[0], last[0]), slice(first[1], last[1])), under, over
+
+
+def free_height(heights: SurfaceHeights, region: Rectangle) -> float:
+    """Metres from a surface up to the lowest thing over a region of it; inf under the open sky."""
+    x, y = (heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5) for k in (0, 1))
+    xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1) - region.center
+    is_over = (np.abs(rotate_in_plane(xy, -region.yaw)) <= region.half_extents).all(-1)
+    return float(heights.ceiling[is_over].min(initial=np.inf))
 
 
 # The steepest slope that still counts as level: 2 degrees.
@@ -189,40 +287,45 @@ def look_down(mesh: Mesh, lower: np.ndarray, upper: np.ndarray, shape: np.ndarra
     cell = (upper - lower) / shape
     height, is_level = np.full(shape, -np.inf), np.zeros(shape, bool)
     level = level_faces(mesh)
+    for face, window, over, is_hit in cells_below(mesh, lower, upper, shape):
+        # Of two surfaces at the same height the level one counts: an edge must not hide a top.
+        above = (over > height[window] + 1e-6) | ((over > height[window] - 1e-6) & bool(level[face]))
+        is_hit &= above
+        height[window] = np.where(is_hit, np.maximum(over, height[window]), height[window])
+        is_level[window] = np.where(is_hit, level[face], is_level[window])
+    return Overhead(np.asarray(lower, np.float64), cell, height, is_level)
+
+
+def cells_below(
+    mesh: Mesh, lower: np.ndarray, upper: np.ndarray, shape: np.ndarray
+) -> Iterator[tuple[int, tuple[slice, slice], np.ndarray, np.ndarray]]:
+    """Of each triangle that is not upright and covers the centre of a cell: its index, a window of cells,
+    its plane's height over each, and bool, which of them it covers.
+
+    The arguments are those of `look_down`.
+    """
+    cell = (upper - lower) / shape
     triangles = mesh.corners
     spots = (triangles[:, :, :2] - lower) / cell - 0.5
     first = np.maximum(np.ceil(spots.min(1) - 1e-6), 0).astype(int)
     last = np.minimum(np.floor(spots.max(1) + 1e-6), shape - 1).astype(int)
     upright = np.abs(mesh.normals[:, 2]) < 1e-14
-    for face in np.flatnonzero((first <= last).all(1) & ~upright):
-        _draw(
-            spots[face], triangles[face, :, 2], first[face], last[face], bool(level[face]), height, is_level
-        )
-    return Overhead(np.asarray(lower, np.float64), cell, height, is_level)
+    for face in np.flatnonzero((first <= last).all(1) & ~upright).tolist():
+        window = slice(first[face, 0], last[face, 0] + 1), slice(first[face, 1], last[face, 1] + 1)
+        yield face, window, *_cover(spots[face], triangles[face, :, 2], first[face], last[face])
 
 
-def _draw(
-    corners: np.ndarray,
-    z: np.ndarray,
-    first: np.ndarray,
-    last: np.ndarray,
-    level: bool,
-    height: np.ndarray,
-    is_level: np.ndarray,
-) -> None:
-    """Writes one triangle, its corners in cells, into the cells whose centres it covers."""
+def _cover(
+    corners: np.ndarray, z: np.ndarray, first: np.ndarray, last: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The height of one triangle's plane, its corners in cells, over cells, and whose centres it covers."""
     x, y = np.meshgrid(np.arange(first[0], last[0] + 1), np.arange(first[1], last[1] + 1), indexing="ij")
     (bx, by), (cx, cy) = corners[1] - corners[0], corners[2] - corners[0]
     px, py = x - corners[0, 0], y - corners[0, 1]
     area = bx * cy - by * cx
     u, v = (px * cy - py * cx) / area, (bx * py - by * px) / area
     over = z[0] + u * (z[1] - z[0]) + v * (z[2] - z[0])
-    window = np.s_[first[0] : last[0] + 1, first[1] : last[1] + 1]
-    # Of two surfaces at the same height the level one counts: an edge must not hide a top.
-    above = (over > height[window] + 1e-6) | ((over > height[window] - 1e-6) & level)
-    is_hit = (u >= -1e-6) & (v >= -1e-6) & (u + v <= 1 + 1e-6) & above
-    height[window] = np.where(is_hit, np.maximum(over, height[window]), height[window])
-    is_level[window] = np.where(is_hit, level, is_level[window])
+    return over, (u >= -1e-6) & (v >= -1e-6) & (u + v <= 1 + 1e-6)
 
 
 def largest_rectangle(mask: np.ndarray) -> Span:

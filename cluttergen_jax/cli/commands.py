@@ -10,6 +10,8 @@ from typing import Annotated, Any
 COMMANDS = {
     "generate": "Generate verified cluttered scenes and save them as a bank.",
     "verify": "Check that saved scenes are stable, in plain MuJoCo. Exit status 1 if one is not.",
+    "judge": "Judge anybody's scenes by one strict rule: MJCF, URDF or USD files, or arrays of starts.",
+    "repair": "Make broken layouts stable with little motion: noisy poses, JSON of a language model.",
     "export": "Write scenes of a bank as a self-contained folder for another program.",
     "certify": "Add a stability certificate to each successful scene of a bank, a column for each measure.",
     "stats": "Show what a bank holds: successes, failures by reason, objects, attempts, duplicates, gaps.",
@@ -33,8 +35,8 @@ COMMANDS = {
     "pool": (
         "List pools, show what one holds, remove your own, or change an object's pose: cluttergen pool list."
     ),
-    "inspect": "Show what was measured about a pool's objects; draw each mesh beside its collision parts.",
-    "list": "List pools and their objects, supports and checkpoints.",
+    "inspect": "Show what was measured about objects of a pool, or surfaces of a support; draw it.",
+    "list": "List pools and their objects, supports, layouts and checkpoints.",
     "doctor": "Show versions, devices, renderers and extras.",
 }
 """What each command is for: the first line of its class's docstring."""

@@ -56,11 +56,17 @@ class Import(Options):
         hint = "leaving it out: a table is not an object"
         support = self.call(import_support, "with --support", hint, ignored)
         x, y = support.region.half_extents
+        parts = f" and {len(support.parts)} convex parts" if support.parts else ""
         print(
             f"{user_supports() / support.name}: top at {support.top:.3f} m, "
-            f"made of {len(support.boxes)} boxes; "
+            f"made of {len(support.boxes)} boxes{parts}; "
             f"the queried region is {2 * x:.3f} x {2 * y:.3f} m\nUse it: --support {support.name}"
         )
+        if len(support.surfaces) > 1:
+            from cluttergen_jax.cli.inspect_ import surface_table
+
+            print(surface_table(support))
+            print(f"See them: cluttergen inspect {support.name} --out {support.name}.png")
         return 0
 
 

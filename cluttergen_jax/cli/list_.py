@@ -9,7 +9,7 @@ from cluttergen_jax.errors import ClutterGenError
 
 @dataclass(frozen=True)
 class List:
-    """List pools and their objects, supports and checkpoints.
+    """List pools and their objects, supports, layouts and checkpoints.
 
     Example: `cluttergen list`
     """
@@ -17,6 +17,7 @@ class List:
     def run(self) -> int:
         from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
         from cluttergen_jax.assets.support_file import list_supports
+        from cluttergen_jax.generation.layouts import list_layouts, read_layout
         from cluttergen_jax.learning.policies.embedded import list_policies
 
         print("pools")
@@ -34,7 +35,13 @@ class List:
         print("supports")
         for name in list_supports():
             print(f"  {name}")
-        print("  table-WxD[xH] is a cuboid of that size in metres, such as table-0.40x0.50")
+        print("  table-WxD[xH] is a cuboid of that size in metres, such as table-0.40x0.50; bin-WxD[xH],")
+        print(
+            "  tote-WxD[xH] and tray-WxD[xH] are containers of that size inside, such as bin-0.50x0.30x0.20"
+        )
+        print("layouts, of `cluttergen generate --layout`")
+        for name in list_layouts():
+            print(f"  {name:20} {len(read_layout(name).relations)} relations")
         print("trained checkpoints, POOL-METHOD, or METHOD alone where one serves any pool")
         for name in list_policies():
             print(f"  {name}")

@@ -33,6 +33,7 @@ class Options:
         where: str = "",
         hint: str = "",
         ignored: Sequence[str] = (),
+        only_changed: bool = False,
         **changes: Any,
     ) -> Any:
         """Calls a function with those of the options that it takes, and with `changes` in their place.
@@ -40,6 +41,7 @@ class Options:
         Args:
           where, hint: what an error says of options that it does not take, and that were given.
           ignored: options that it does not take, and that do no harm.
+          only_changed: pass on only the options that are not at their defaults.
 
         Raises:
           ConfigError: such an option was given.
@@ -59,7 +61,9 @@ class Options:
         chosen = {
             name: value
             for name, value in given.items()
-            if name in taken and (value is not None or taken[name].default is inspect.Parameter.empty)
+            if name in taken
+            and not (only_changed and value == defaults[name])
+            and (value is not None or taken[name].default is inspect.Parameter.empty)
         }
         return function(**chosen | changes)
 

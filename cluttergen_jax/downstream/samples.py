@@ -356,6 +356,28 @@ def bank_or_made(
     return read_bank(bank)
 
 
+def check_upright(poses: object, what: str) -> None:
+    """Refuses scenes whose objects were not released upright.
+
+    Args:
+      poses: `SceneSpec.poses` of the scenes; what: who has no use for them.
+
+    Raises:
+      ConfigError: they were not.
+    """
+    if poses != "upright":
+        raise ConfigError(
+            f"scenes of poses {poses!r} for {what}",
+            "scenes of upright objects: it proposes a position and a turn about the vertical",
+            "a bank of `cluttergen generate` with --poses upright",
+        )
+
+
+def poses_of(bank: Bank) -> object:
+    """`SceneSpec.poses` of a bank's scenes."""
+    return bank.recipe.get("placement", {}).get("poses", "upright")
+
+
 # Columns of rows, for the checks of what was read.
 
 MOST_PIXELS = 4096

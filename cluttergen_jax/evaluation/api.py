@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from cluttergen_jax.config import (
+    DETECTORS,
+    PILE,
     Change,
+    Detector,
     Method,
     check_names,
+    check_range,
     check_seconds,
     check_whole,
     check_workers,
@@ -20,8 +25,11 @@ from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.spec import EvaluateOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from cluttergen_jax.evaluation.certify import Certification
     from cluttergen_jax.evaluation.comparison import Comparison
+    from cluttergen_jax.evaluation.judging.report import JudgeReport
     from cluttergen_jax.scene.bank import Bank
 
 _TRIALS = 1000
@@ -110,6 +118,12 @@ def evaluate(
         supports = (str(asked.support),)
     if not methods and asked.method is not None:
         methods = (asked.method,)
+    if PILE in methods:
+        raise ConfigError(
+            f"method {PILE!r}, which places no objects that could be counted one by one",
+            "methods that place one object after another",
+            f"generate(method={PILE!r}), which tells how many scenes succeed",
+        )
     base = Trial(
         num_objects=10 if asked.num_objects is None else asked.num_objects,
         attempts=asked.max_attempts,
@@ -131,6 +145,8 @@ def evaluate(
     ]
     if asked.height != "rest" and all(trial.method != "random" for trial in planned):
         raise ConfigError(f"height = {asked.height!r} without a row of 'random'", hint="methods=('random',)")
+    for trial in planned:
+        asked.check_poses(trial.method)
     folder = None if out is None else Path(out)
     runner = open_runner(
         folder, planned, asked.checkpoint, checkpoints, asked.engine, asked.num_threads, fresh
@@ -174,3 +190,68 @@ def certify(
     check_workers("jobs", jobs)
     bank = bank if isinstance(bank, Bank) else read_bank(bank)
     return certify_bank(bank, seconds, jobs, force, cluster_of(cluster, workers))
+
+
+_MOST_STARTS = 1_000_000
+
+
+def judge(
+    paths: str | Path | Sequence[str | Path],
+    states: str | Path | np.ndarray | None = None,
+    *,
+    out: str | Path | None = None,
+    seconds: Sequence[float] = (1.0, 10.0, 60.0),
+    max_shift: float = 0.005,
+    max_turn_deg: float = 5.0,
+    max_penetration: float = 0.001,
+    hold_joints: bool = False,
+    detectors: Sequence[Detector] = DETECTORS,
+    max_starts: int = 50,
+    jobs: int = 0,
+) -> JudgeReport:
+    """Judges anybody's scenes by one strict rule (`cluttergen judge`).
+
+    Each free body of each start is simulated in the installed MuJoCo from rest, everything awake, with the
+    file's own options; nothing is repaired. It is told what moves up to each horizon, what overlaps and what
+    nothing carries at the start, and what falls; a simulation that diverges counts as moved.
+
+    Args:
+      paths: files of scenes (MJCF, URDF, MJB; USD with the extra `usd`) and folders of them. An MJCF file
+        starts at each of its keyframes, or where its bodies are; or at the states in an array of the same
+        name beside it (scene.npz or scene.npy beside scene.xml).
+      states: starts of a single file: an array, or its npz or npy file. Rows are qpos, or qpos and qvel,
+        with or without the time before them; velocities count as zero.
+      out: a folder for report.csv, report.parquet and a picture of the worst scene; nothing is written if
+        not given.
+      seconds: horizons, ascending.
+      max_shift: metres by which a body's centre of mass may be away from its start at any time.
+      max_turn_deg: degrees that a body may have turned.
+      max_penetration: metres by which two bodies may overlap at the start.
+      hold_joints: keep joints other than free ones where they start. If not, actuators hold their initial
+        controls, and an arm whose motors are given no torque falls.
+      detectors: of MuJoCo's detectors of convex collisions: "native", "libccd", or both.
+      max_starts: of a file that has more starts, so many are judged, evenly spread.
+      jobs: simulations at a time; 0 takes every core.
+
+    Returns:
+      The report; printed, a table and the worst scenes. What cannot be read is in `unread`, with the reason.
+
+    Raises:
+      ConfigError: a setting is outside its range, a path does not exist, or no file is a scene.
+    """
+    from cluttergen_jax.evaluation.judging.judge import judge_scenes
+    from cluttergen_jax.evaluation.judging.rule import JudgeConfig
+    from cluttergen_jax.evaluation.judging.scene_files import find_scenes
+
+    check_workers("jobs", jobs)
+    check_folder(out)
+    check_range("max_starts", max_starts, 1, _MOST_STARTS, 50)
+    check_names(detectors, "detectors")
+    if not detectors or set(detectors) - set(DETECTORS):
+        raise ConfigError(f"detectors = {tuple(detectors)}", " ".join(DETECTORS), "detectors=('native',)")
+    paths = [paths] if isinstance(paths, str | Path) else list(paths)
+    config = JudgeConfig(tuple(seconds), max_shift, max_turn_deg, max_penetration, hold_joints)
+    if states is not None and len(find_scenes(paths)[0]) > 1:
+        raise ConfigError("`states` of several files", "of one file", "arrays of their names beside them")
+    report = judge_scenes(paths, states, config, tuple(detectors), max_starts, jobs)
+    return report if out is None else replace(report, notes=(*report.notes, report.write(Path(out))))

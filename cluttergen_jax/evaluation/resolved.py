@@ -14,7 +14,7 @@ from typing import Any
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import METHODS, ROBUST_TILT, StabilityConfig, no_such, stability_record
+from cluttergen_jax.config import METHODS, ROBUST_TILT, VARIANTS, StabilityConfig, no_such, stability_record
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
@@ -28,7 +28,6 @@ from cluttergen_jax.learning.training.suite import (
     PAPERS_VARIANTS,
 )
 from cluttergen_jax.learning.training.variants import HELD_OUT_FAMILIES, TRAINING_FAMILIES, variants
-from cluttergen_jax.placement.baselines import BASELINES
 
 VARIANT_POOLS = {"held_out_families": HELD_OUT_FAMILIES, "training_families": TRAINING_FAMILIES}
 """Names of pools of the modeller's variants, which no folder holds, and the families of their objects."""
@@ -115,7 +114,7 @@ class Checkpoints:
 
     def _is_of(self, method: str) -> bool:
         """Whether the given checkpoint is the method's; a record that does not say fits any of poses."""
-        if self.given is None or method in BASELINES:
+        if self.given is None or method not in VARIANTS:
             return False
         return method == self.given.variant or (self.given.variant is None and method not in FOR_ANY_POOL)
 
@@ -126,7 +125,7 @@ class Checkpoints:
           MissingCheckpointError: there is none, or its record is damaged.
           ConfigError: there is no such method. PoolError: `path` holds no checkpoint.
         """
-        if trial.method not in METHODS or trial.method in BASELINES:
+        if trial.method not in VARIANTS:
             checkpoint_of(trial.method, trial.pool)
             return None
         given = self.given if self._is_of(trial.method) else None
@@ -317,4 +316,7 @@ def _support_hash(support: SupportAsset) -> str:
         "top": support.top,
         "region": asdict(support.region),
     }
+    if support.parts or support.named:
+        facts["parts"] = [part.vertices.tolist() for part in support.parts]
+        facts["surfaces"] = [asdict(surface) for surface in support.named]
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

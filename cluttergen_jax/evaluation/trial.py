@@ -45,6 +45,7 @@ class Trial:
       clutter: what scenes should have on average, as text ("stack=3"); "" asks for nothing.
       tidy: take the best of the poses that are trusted, as `--tidy` does.
       height: at which `random` lets go, "rest" or "free" (`PlacementConfig`).
+      poses: in which objects are released, "upright", "resting" or "any".
       order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
     """
 
@@ -70,6 +71,7 @@ class Trial:
     clutter: str = ""
     tidy: bool = False
     height: str = "rest"
+    poses: str = "upright"
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -96,6 +98,7 @@ class Trial:
             clutter=Clutter.of(self.clutter) if self.clutter else None,
             tidy=self.tidy,
             height=self.height,
+            poses=self.poses,
         )
 
     @property
@@ -132,7 +135,8 @@ class Trial:
     @property
     def _extra_rules(self) -> list[str]:
         named = {TIDY: self.tidy, FREE_HEIGHT: self.height == "free", ROBUST: self.robust}
-        return [name for name, is_asked in named.items() if is_asked] + [self.clutter] * bool(self.clutter)
+        words = [name for name, is_asked in named.items() if is_asked] + [self.clutter] * bool(self.clutter)
+        return words + ([f"{self.poses} poses"] if self.poses != "upright" else [])
 
     @property
     def title(self) -> str:

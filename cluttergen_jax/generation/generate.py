@@ -33,7 +33,7 @@ from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.numerics import bits_of_here, with_own_settings
 from cluttergen_jax.physics import engine_of
 from cluttergen_jax.placement.config import placement_record
-from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, compose, crowding
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, area_of, compose, crowding
 from cluttergen_jax.placement.rollout import (
     BLOCK_SIZE,
     BlockSampler,
@@ -360,11 +360,11 @@ def recipe_of(problem: Problem, method: Method, names: Sequence[str] | None = No
       names: of all objects, where the problem is of some that were drawn from them.
     """
     config = dataclasses.asdict(problem.config)
-    # Neither decides a scene: threads do not, and every scene of a bank has the same region.
-    for name in ("num_threads", "change"):
+    # None decides a scene: threads do not, every scene of a bank has the same region, and the method is told.
+    for name in ("num_threads", "change", "is_piled"):
         config.pop(name)
     # Nor is anything drawn where there is no shelf, as in banks of before there were any.
-    for name in ("shelf", "weights", "balance"):
+    for name in ("shelf", "weights", "balance", "surface", "polygon"):
         if not config[name]:
             config.pop(name)
     return {
@@ -402,7 +402,8 @@ def _advice(method: str, success: float) -> str:
 
 
 def _notes(problem: Problem) -> Iterator[str]:
-    crowded = crowding(problem.world.objects, problem.config.placement.num_objects, problem.region)
+    world, number = problem.world, problem.config.placement.num_objects
+    crowded = crowding(world.objects, number, problem.region, area_of(world.support))
     for asset in {id(each): each for each in problem.world.objects}.values():
         if asset.flags:
             yield f"note: {asset.name}: {'; '.join(asset.flags)}"

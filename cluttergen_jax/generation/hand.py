@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import HAND
-from cluttergen_jax.errors import BankError
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files, write_model
 from cluttergen_jax.generation.generate import GeneratedBank, recipe_of
@@ -171,7 +171,11 @@ class HandBank:
 def hand_setup(spec: SceneSpec) -> Setup:
     """The problem that a person solves (`make_setup`): attempts as they like, none looked back on."""
     config = spec.problem_config(None)
-    return make_setup(replace(config, placement=replace(config.placement, history_stride=0)), spec.boxes())
+    setup = make_setup(replace(config, placement=replace(config.placement, history_stride=0)), spec.boxes())
+    support = setup.problem.world.support
+    if support.named and not support.chosen.is_level:
+        raise ConfigError(f"placing by hand on {support.name!r}, a slope", "a level surface", "bookcase")
+    return setup
 
 
 def _num_rows(path: Path) -> int:

@@ -160,6 +160,12 @@ class Sampler:
         check_call(region, keep_out, start)
         region, keep_out, start = as_float32((region, keep_out, start))
         rules, support = self.steps.rules, self._support
+        if region is not None and rules.surfaces is not None:
+            raise ConfigError(
+                "a region in a call, with several surfaces", "their own regions", "one `surface`"
+            )
+        if region is not None and rules.polygon is not None:
+            raise ConfigError("a region in a call, with a polygon for a region", "the polygon", "a rectangle")
         fits = jnp.bool_(True) if region is None else _fits(region, rules.region, support)
         if start is not None:
             fits &= _has_room(start, rules.num_started)
@@ -303,6 +309,9 @@ def _is_on_top(region: Region, support: SupportAsset) -> Array:
     """bool: all corners are within the support's reach (`assets.support_map`)."""
     signs = jnp.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
     corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
+    if support.named:
+        surface = support.chosen
+        corners = (corners - jnp.array(surface.position)) @ jnp.array(surface.T_world_surface[:3, :3])
     reach = top_bounds_of(support)
     local = corners[:, :2] @ reach.axes
     return jnp.all((local >= reach.lower - _ROUNDING) & (local <= reach.upper + _ROUNDING))

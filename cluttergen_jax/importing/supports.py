@@ -1,12 +1,16 @@
-"""A user's own table as a support: read, its flat top found and covered with boxes, stored by name.
+"""A user's own furniture as a support: read, its surfaces found, what objects can touch made, stored by name.
 
-Only what objects can touch is made: the top, and what rises above it (rims, risers, screens). Legs, shelves
+Of a table with one top that are boxes which cover it, and what rises above it (rims, risers, screens). Legs
 and all else below the top are drawn but do not collide, since whatever falls past the top has failed already.
+Of furniture with several surfaces, or a sloping one, all boards, walls and legs collide.
 """
 
 from __future__ import annotations
 
 import math
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,8 +21,10 @@ from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
-from cluttergen_jax.assets.shape import Shape
-from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
+from cluttergen_jax.assets.parts import as_meshes
+from cluttergen_jax.assets.shading import box_mesh
+from cluttergen_jax.assets.shape import Piece, Shape
+from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface
 from cluttergen_jax.assets.support_file import (
     embedded_supports,
     is_support_name,
@@ -27,13 +33,29 @@ from cluttergen_jax.assets.support_file import (
     user_supports,
     write_support,
 )
-from cluttergen_jax.assets.support_map import Overhead, Span, cover, largest_rectangle, level_faces, look_down
+from cluttergen_jax.assets.support_map import (
+    Overhead,
+    Span,
+    cover,
+    free_height,
+    largest_rectangle,
+    level_faces,
+    look_down,
+    surface_heights,
+)
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
+from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
+from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
+
+_LARGEST = 4.0
+"""Metres."""
 
 
-def write_table(path: str | Path, name: str | None, options: ReadOptions, force: bool) -> SupportAsset:
+def write_table(
+    path: str | Path, name: str | None, options: ReadOptions, force: bool, joints: Mapping[str, float]
+) -> SupportAsset:
     """The support of a table's file, among the user's own; see `cluttergen_jax.import_support`."""
     sources = find_sources(path)
     if len(sources) > 1:
@@ -45,11 +67,18 @@ def write_table(path: str | Path, name: str | None, options: ReadOptions, force:
     if not is_support_name(name) or name in embedded_supports():
         raise PoolError(
             f"a support called {name!r}",
-            "names of a-z, 0-9, '_' and '-' that are neither embedded nor a cuboid's: not "
-            f"{', '.join(embedded_supports())}, table-WxD",
+            "names of a-z, 0-9, '_' and '-' that are neither embedded nor of any size: not "
+            f"{', '.join(embedded_supports())}, table-WxD, bin-WxD",
             "name='my_table'",
         )
-    support = replace(support_from_mesh(read_shape(sources[0], options)), name=name)
+    shape = read_shape(sources[0], options, joints, _LARGEST)
+    support, notes = support_with_notes(shape)
+    for note in shape.notes:
+        if note.startswith("frozen joints"):
+            print(f"{note} (--joint NAME=VALUE moves one)", file=sys.stderr)
+    for note, count in Counter(notes).items():
+        print(note + (f" ({count} of them)" if count > 1 else ""), file=sys.stderr)
+    support = replace(support, name=name)
     folder = user_supports() / name
     if folder.exists() and not force:
         if _is_same(folder, support):
@@ -72,28 +101,63 @@ _THICKNESS = 0.04
 _RIM = 0.05
 _MAX_CELLS = 300
 _MIN_AREA = 0.01
+_SHEET = 0.005
+"""Metres: a thinner board is not trusted to carry: boxes so thick are laid below it."""
+_SMOOTH, _MOSTLY = 0.0005, 0.98
+_HAIR, _BULGE, _MORE = 0.001, 0.02, 1.05
 
 
 def support_from_mesh(shape: Shape) -> SupportAsset:
-    """Finds a table's top and makes it carry objects.
+    """The first of `support_with_notes`."""
+    return support_with_notes(shape)[0]
+
+
+def support_with_notes(shape: Shape) -> tuple[SupportAsset, list[str]]:
+    """Finds the surfaces of a table, a shelf or a board, and makes it carry objects.
 
     The top is the height at which the largest level area is open to the sky. Its outline is covered with
     boxes to half a centimetre; gaps of up to 2 cm, as between planks, are closed. The region is the largest
-    rectangle on it, along the sides of the smallest rectangle around the top.
+    rectangle on it, along the sides of the smallest rectangle around the top. Other surfaces follow from the
+    highest to the lowest (`importing.surfaces`): shelf_1, shelf_2 ...
 
     Args:
-      shape: a table in metres, z up, as authored or scaled by its reader.
+      shape: furniture in metres, z up, as authored or scaled by its reader.
 
     Returns:
-      The support on the floor, its bounding box centred on the z axis.
+      The support on the floor, its bounding box centred on the z axis; and in words what is no surface of it
+      and what does not collide.
 
     Raises:
-      AssetError: no level area of at least 10 cm x 10 cm.
+      AssetError: nothing level of at least 10 cm x 10 cm that is open to the sky, and no other surface.
     """
     whole = join_meshes([piece.mesh for piece in shape.pieces])
     shift = -np.append(whole.bounds.mean(0)[:2], whole.bounds[0, 2])
     mesh = whole.transform(np.eye(3), shift)
-    top = _top_height(shape.name, mesh)
+    try:
+        height = _top_height(shape.name, mesh)
+    except AssetError:
+        found, notes = find_surfaces(mesh, 0.0)
+        if not found:
+            raise
+        return _several(shape, shift, found[0].surface, found, notes)
+    table = _flat_table(shape, mesh, shift, height)
+    found, notes = find_surfaces(mesh, table.region.yaw)
+    others = [each for each in found if not _is_top(each.surface, height)]
+    if not others:
+        return table, notes
+    # The largest at that height, and more than is open to the sky: what hangs over some of it is real here.
+    top = max((each for each in found if _is_top(each.surface, height)), key=_area, default=None)
+    level = [box for box in table.boxes if box.center[2] < height]
+    if top is not None and _area(top) > _MORE * sum(4 * math.prod(box.half_extents[:2]) for box in level):
+        own = replace(top.surface, region=table.region, position=(0.0, 0.0, height))
+        return _several(shape, shift, own, [replace(top, surface=own), *others], notes)
+    depth = _THICKNESS if top is None else max(top.thickness, _SHEET)
+    level = [_between(box, max(height - depth, 0.0), height) for box in level]
+    (own,) = replace(table, boxes=tuple(level)).surfaces
+    return _several(shape, shift, own, others, notes, level)
+
+
+def _flat_table(shape: Shape, mesh: Mesh, shift: np.ndarray, top: float) -> SupportAsset:
     yaw = _top_yaw(mesh, top)
     aligned = mesh.transform(yaw_matrix(-yaw), np.zeros(3))
     view = _view(aligned, top)
@@ -115,6 +179,105 @@ def support_from_mesh(shape: Shape) -> SupportAsset:
         provenance=shape.provenance,
         pieces=orient_faces([piece.transform(np.eye(3), shift) for piece in shape.pieces], None),
     )
+
+
+def _area(found: FoundSurface) -> float:
+    return found.surface.area
+
+
+def _is_top(surface: Surface, top: float) -> bool:
+    return surface.is_level and abs(surface.position[2] - top) <= 2 * _SAME_HEIGHT
+
+
+def _several(
+    shape: Shape,
+    shift: np.ndarray,
+    top: Surface,
+    found: list[FoundSurface],
+    notes: list[str],
+    level: Sequence[Box] = (),
+) -> tuple[SupportAsset, list[str]]:
+    """Furniture with several surfaces, or with a sloping one.
+
+    Args:
+      top: the surface that comes first.
+      found: all of them, or all others where `level` covers the top.
+    """
+    pieces = orient_faces([piece.transform(np.eye(3), shift) for piece in shape.pieces], None)
+    yaw = top.region.yaw
+    surfaces = [each.surface for each in found]
+    surfaces = [top, *surfaces] if level else surfaces
+    names = ["top", *(f"shelf_{number}" for number in range(1, len(surfaces)))]
+    surfaces = [replace(surface, name=name) for surface, name in zip(surfaces, names, strict=True)]
+    covers = [(surfaces[0], [box_mesh(box).vertices for box in level])] if level else []
+    boxes, parts, lost = collision_of([piece.mesh for piece in pieces], yaw, surfaces)
+    solids = [box_mesh(box).vertices for box in boxes] + parts
+    bare = _support_of(shape, pieces, surfaces, solids, yaw)
+    for each, surface in zip(found, surfaces[-len(found) :], strict=True):
+        if each.thickness < _SHEET or not _is_flat(bare, surface, each):
+            covers.append((surface, _plates(each)))
+    for surface, _ in covers:
+        solids = [kept for points in solids if (kept := _lowered(points, surface)) is not None]
+    plates = [points for _, group in covers for points in group]
+    solids = [points for points in solids if not any(is_inside(points, plate) for plate in plates)]
+    support = _support_of(shape, pieces, surfaces, plates + solids, yaw)
+    heights = [free_height(surface_heights(support, each), each.region) for each in surfaces]
+    named = [replace(each, free_height=free) for each, free in zip(surfaces, heights, strict=True)]
+    return replace(support, named=tuple(named)), notes + lost
+
+
+def _support_of(
+    shape: Shape, pieces: tuple[Piece, ...], surfaces: list[Surface], solids: list[np.ndarray], yaw: float
+) -> SupportAsset:
+    """A support whose collision are the hulls of points f64[V, 3] each: boxes where they are."""
+    boxes = [box for points in solids if (box := as_box(points, yaw)) is not None]
+    parts = [points for points in solids if as_box(points, yaw) is None]
+    return SupportAsset(
+        name=shape.name,
+        label=shape.label,
+        boxes=tuple(boxes),
+        top=surfaces[0].position[2],
+        region=surfaces[0].region,
+        provenance=shape.provenance,
+        pieces=pieces,
+        parts=as_meshes(parts),
+        named=tuple(surfaces),
+    )
+
+
+def _between(box: Box, low: float, high: float) -> Box:
+    return replace(
+        box,
+        center=(*box.center[:2], (low + high) / 2),
+        half_extents=(*box.half_extents[:2], (high - low) / 2),
+    )
+
+
+def _is_flat(support: SupportAsset, surface: Surface, found: FoundSurface) -> bool:
+    """Whether the collision has a surface where the mesh has it."""
+    heights = surface_heights(support, surface)
+    x, y = (heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5) for k in (0, 1))
+    is_on = found.is_on(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
+    return bool(is_on.any() and (np.abs(heights.ground[is_on]) <= _SMOOTH).mean() >= _MOSTLY)
+
+
+def _plates(found: FoundSurface) -> list[np.ndarray]:
+    """f64[8, 3] each: boards that cover a surface."""
+    T, depth = found.surface.T_world_surface, max(found.thickness, _SHEET)
+    flat = [np.column_stack([plate, np.full(4, z)]) for plate in found.plates for z in (0.0, -depth)]
+    pairs = [np.concatenate(flat[k : k + 2]) for k in range(0, len(flat), 2)]
+    return [points @ T[:3, :3].T + T[:3, 3] for points in pairs]
+
+
+def _lowered(points: np.ndarray, surface: Surface) -> np.ndarray | None:
+    """A convex part that ends about a covered surface, cut a millimetre below it; others as they are."""
+    T = surface.T_world_surface
+    local = (points - T[:3, 3]) @ T[:3, :3]
+    end = float(local[:, 2].max())
+    ends_there = -_SMOOTH - _HAIR <= end <= _BULGE and local[:, 2].mean() < 0
+    low, high = surface.polygon.min(0), surface.polygon.max(0)
+    is_over = (local[:, :2].max(0) > low).all() and (local[:, :2].min(0) < high).all()
+    return cut_off(points, T, -_HAIR) if ends_there and is_over else points
 
 
 def _cells(size: np.ndarray, pitch: float) -> np.ndarray:

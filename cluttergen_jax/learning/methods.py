@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cluttergen_jax.assets.pool import without_exclusions
-from cluttergen_jax.config import METHODS, VARIANTS, no_such
+from cluttergen_jax.config import METHODS, PACKED, PILE, VARIANTS, no_such
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
@@ -15,9 +15,13 @@ from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.placement.baselines import BASELINES, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.packed import Packed
+from cluttergen_jax.placement.piles import PileSampler
 from cluttergen_jax.placement.problem import Setup
+from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rules import Proposer, Rules
+from cluttergen_jax.placement.types import Start
 
 DEFAULT_METHOD, FALLBACK_METHOD = "guided", "spread"
 """What a user gets unasked; the second where no checkpoint of the first is embedded."""
@@ -72,7 +76,7 @@ def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Ch
       PoolError: no checkpoint is embedded for it.
     """
     _check_known(method)
-    if method in BASELINES:
+    if method not in VARIANTS:
         if given is not None:
             raise ConfigError(f"`checkpoint` with method {method!r}, which has none", ", ".join(VARIANTS))
         return None
@@ -107,6 +111,8 @@ def with_history_of(placement: PlacementConfig, checkpoint: Checkpoint | None) -
 
 def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Proposer:
     """The method, bound to a world; its checkpoint may be unreadable (PoolError) or unfit (ConfigError)."""
+    if method == PACKED:
+        return Packed(rules)
     if checkpoint is None:
         return make_proposer(method, rules)
     if checkpoint.kind == KIND:
@@ -118,4 +124,13 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
     """Episodes of a method, which looks back on as much as it was trained with; errors: `proposer_of`."""
     rules = setup.problem.rules
     rules = replace(rules, config=with_history_of(rules.config, method.checkpoint))
-    return BlockSampler(rules, proposer_of(*method, rules), setup.keep_out, setup.start)
+    return block_sampler_of(method, rules, setup.keep_out, setup.start)
+
+
+def block_sampler_of(
+    method: Method, rules: Rules, keep_out: KeepOut | None = None, start: Start | None = None
+) -> BlockSampler:
+    """Episodes of a method by these rules; errors: `proposer_of`."""
+    if method.name == PILE:
+        return PileSampler(rules, make_proposer("random", rules), keep_out, start)
+    return BlockSampler(rules, proposer_of(*method, rules), keep_out, start)

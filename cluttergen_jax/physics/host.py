@@ -16,7 +16,7 @@ from jax.experimental.buffer_callback import buffer_callback
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.progress import COMPILING
-from cluttergen_jax.types import Array, Settling, Standing, Verdict
+from cluttergen_jax.types import Array, Piling, Settling, Standing, Verdict
 
 
 def empty_settling(xp: Any, batch: tuple[int, ...], num_objects: int, config: StabilityConfig) -> Settling:
@@ -55,6 +55,26 @@ def _report_shapes(num_objects: int, config: StabilityConfig) -> tuple[Any, Any]
     return (
         jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config)),
         jax.eval_shape(lambda: empty_standing(jnp, (), num_objects)),
+    )
+
+
+def empty_piling(xp: Any, batch: tuple[int, ...], num_objects: int) -> Piling:
+    """The report of scenes that were not piled: verdict NONE, everything else zero."""
+
+    def numbers(*shape: int) -> Any:
+        return xp.zeros((*batch, *shape), dtype=xp.int32)
+
+    return Piling(
+        verdict=xp.full(batch, int(Verdict.NONE), dtype=xp.int32),
+        num_steps=numbers(),
+        check_steps=numbers(),
+        poses=xp.zeros((*batch, num_objects, 7), dtype=xp.float32),
+        releases=numbers(num_objects),
+        steps=numbers(num_objects),
+        drift=xp.zeros(batch, dtype=xp.float32),
+        penetration=xp.zeros(batch, dtype=xp.float32),
+        touches=xp.zeros((*batch, num_objects, num_objects), dtype=xp.bool),
+        level=numbers(num_objects),
     )
 
 
@@ -130,6 +150,10 @@ class BatchEngine(Protocol):
         """`protocol.Physics.stand` for each of them."""
         ...
 
+    def pile_batch(self, *arrays: np.ndarray) -> Piling:
+        """`HostPhysics.pile` for each of them."""
+        ...
+
     def free(self) -> None:
         """Gives back what it holds for its next batches; they are only slower to begin."""
         ...
@@ -150,6 +174,19 @@ class HostPhysics(OneScenePhysics):
         super().__init__(
             config, host_function(self.settle_batch, settling), host_function(self.stand_batch, standing)
         )
+        self._piling = jax.eval_shape(lambda: empty_piling(jnp, (), num_objects))
+
+    def pile(self, *asked: Array) -> Piling:
+        """One pile.
+
+        Args:
+          asked: the arrays of a `physics.piles.PileRequest` for one scene, and bool, whether it is active.
+        """
+        return host_function(self.pile_batch, self._piling)(*asked)
+
+    def pile_batch(self, *arrays: np.ndarray) -> Piling:
+        """`pile` for N scenes held in NumPy arrays with one leading axis."""
+        raise NotImplementedError(f"{type(self).__name__} makes no piles")
 
 
 class SwappablePhysics(HostPhysics):
@@ -186,6 +223,8 @@ class NumberedEngines:
         settling, standing = _report_shapes(num_objects, config)
         self.settle_one = host_function(partial(self._batch, "settle_batch"), settling)
         self.stand_one = host_function(partial(self._batch, "stand_batch"), standing)
+        piling = jax.eval_shape(lambda: empty_piling(jnp, (), num_objects))
+        self.pile_one = host_function(partial(self._batch, "pile_batch"), piling)
 
     def with_number(self, number: Array) -> HostPhysics:
         """The physics of the world of a number, i32."""
@@ -222,6 +261,14 @@ class _Numbered(HostPhysics):
         self._engines, self._number = engines, number
         settle, stand = (partial(each, number) for each in (engines.settle_one, engines.stand_one))
         OneScenePhysics.__init__(self, engines.config, settle, stand)
+
+    def pile(self, *asked: Array) -> Piling:
+        """See `HostPhysics`."""
+        return self._engines.pile_one(self._number, *asked)
+
+    def pile_batch(self, *arrays: np.ndarray) -> Piling:
+        """See `BatchEngine`."""
+        return self._engines.engine(int(self._number)).pile_batch(*arrays)
 
     def settle_batch(self, *arrays: np.ndarray) -> Settling:
         """See `BatchEngine`."""

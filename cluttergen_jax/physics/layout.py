@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -21,6 +22,8 @@ class Layout:
       geom_object: i32[num geoms], the object that a geom belongs to, K for the support.
       center_of_mass: f64[K, 3], in each object's frame, metres.
       top: height of the support's top, metres.
+      compile_walled: compiles the same model with walls of air (`assets.mjcf.add_air_walls`), for piles;
+        None where nothing is piled.
     """
 
     model: mujoco.MjModel
@@ -29,9 +32,12 @@ class Layout:
     geom_object: np.ndarray
     center_of_mass: np.ndarray
     top: float
+    compile_walled: Callable[[], mujoco.MjModel] | None = None
 
     @staticmethod
-    def of(model: mujoco.MjModel, top: float) -> Layout:
+    def of(
+        model: mujoco.MjModel, top: float, compile_walled: Callable[[], mujoco.MjModel] | None = None
+    ) -> Layout:
         """Reads the layout of a model whose only joints are the objects' free joints."""
         body_index = np.asarray(model.jnt_bodyid, np.int32)
         object_of_body = np.full(model.nbody, model.njnt, np.int32)
@@ -43,6 +49,7 @@ class Layout:
             geom_object=object_of_body[model.geom_bodyid],
             center_of_mass=model.body_ipos[body_index].copy(),
             top=top,
+            compile_walled=compile_walled,
         )
 
     @property

@@ -14,6 +14,7 @@ from collections import OrderedDict
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
@@ -23,6 +24,7 @@ from cluttergen_jax.physics.disturbance import disturb
 from cluttergen_jax.physics.host import (
     HostPhysics,
     below_top,
+    empty_piling,
     empty_settling,
     empty_standing,
     mask_scenes,
@@ -31,10 +33,13 @@ from cluttergen_jax.physics.host import (
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_SHIFT, OverlapProbe
+from cluttergen_jax.physics.piles import Piler, PileRequest, walled_simulations
 from cluttergen_jax.physics.simulations import Motion, Simulations, sleeping_model
-from cluttergen_jax.types import Settling, Standing, Verdict
+from cluttergen_jax.types import Piling, Settling, Standing, Verdict
 
 MAX_BATCHES = 3
+PILES_AT_ONCE = 16
+"""Made side by side, as they go on step by step together."""
 _FEW = 4
 """Steps made at once where the next one may decide a scene: some are in vain, but calls cost, too."""
 
@@ -79,7 +84,8 @@ class NativePhysics(HostPhysics):
         self._num_threads, self.max_simulations = num_threads, max_simulations
         self._model = sleeping_model(layout.model)
         self._cache: OrderedDict[int, Simulations] = OrderedDict()
-        self._probe = OverlapProbe(layout)
+        self.probe = OverlapProbe(layout)
+        self._walled: Simulations | None = None
         self._lock = threading.Lock()
 
     def settle_batch(
@@ -101,16 +107,35 @@ class NativePhysics(HostPhysics):
 
     def stand_batch(self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray) -> Standing:
         """`stand` for N scenes held in NumPy arrays with one leading axis."""
+        with self._lock, silent_log():
+            return self.stand_block(poses, is_placed, is_active)
+
+    def stand_block(self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray) -> Standing:
+        """`stand_batch` for what holds the engine already, and is silent."""
         result = empty_standing(np, (len(poses),), self.layout.num_objects)
         is_sound = _is_sound(poses, is_placed)
         result.verdict[is_active & ~is_sound] = Verdict.NON_FINITE
+        for block in self._blocks(is_active & is_sound):
+            self._stand_block(poses[block], is_placed[block], result, block, self.config)
+        # What one detector lets fall need not be asked of the other.
+        is_left = result.verdict == int(Verdict.STABLE)
+        for block in self._blocks(is_left) if self.config.both_detectors else ():
+            self._stand_otherwise(poses[block], is_placed[block], result, block)
+        return result
+
+    def pile_batch(self, *arrays: np.ndarray) -> Piling:
+        """`HostPhysics.pile` for N scenes: arrays of a `PileRequest`, and bool[N], which are active."""
+        *asked, is_active = arrays
+        result = empty_piling(np, (len(is_active),), self.layout.num_objects)
+        indices = np.flatnonzero(is_active)
         with self._lock, silent_log():
-            for block in self._blocks(is_active & is_sound):
-                self._stand_block(poses[block], is_placed[block], result, block, self.config)
-            # What one detector lets fall need not be asked of the other.
-            is_left = result.verdict == int(Verdict.STABLE)
-            for block in self._blocks(is_left) if self.config.both_detectors else ():
-                self._stand_otherwise(poses[block], is_placed[block], result, block)
+            for start in range(0, len(indices), PILES_AT_ONCE):
+                block = indices[start : start + PILES_AT_ONCE]
+                if self._walled is None:
+                    self._walled = walled_simulations(self.layout, PILES_AT_ONCE, self._num_threads)
+                made = Piler(self, self._walled, PileRequest(*(each[block] for each in asked))).run()
+                for into, each in zip(jax.tree.leaves(result), jax.tree.leaves(made), strict=True):
+                    into[block] = each
         return result
 
     def _blocks(self, is_wanted: np.ndarray) -> list[np.ndarray]:
@@ -131,6 +156,7 @@ class NativePhysics(HostPhysics):
         """See `BatchEngine`: the simulations."""
         with self._lock:
             self._cache.clear()
+            self._walled = None
 
     def at_rest(
         self, before: np.ndarray, after: np.ndarray, is_placed: np.ndarray, focus: int, is_moved: np.ndarray
@@ -140,17 +166,17 @@ class NativePhysics(HostPhysics):
         Args:
           before, after: f[K, 7]; is_placed: bool[K]; is_moved: bool[K], whose support margin is wanted.
         """
-        depths = self._probe.depths(after, is_placed)
+        depths = self.probe.depths(after, is_placed)
         if depths is None:
             return None
         deepest, margin = float(depths.max()), np.full(len(is_placed), np.inf)
         moved = np.flatnonzero(is_moved)
-        margin[moved] = self._probe.margins(moved)
-        touches, bears = depths[focus, :-1] > 0, self._probe.bearers(focus)
+        margin[moved] = self.probe.margins(moved)
+        touches, bears = depths[focus, :-1] > 0, self.probe.bearers(focus)
         # No pair is allowed less than this, whatever it overlapped by before.
         if deepest <= min(self.config.max_added_penetration, self.config.max_penetration):
             return AtRest(False, deepest, margin, touches, bears)
-        depths_before = self._probe.depths(before, is_placed & (np.arange(len(is_placed)) != focus))
+        depths_before = self.probe.depths(before, is_placed & (np.arange(len(is_placed)) != focus))
         if depths_before is None:
             return None
         too_much = stability.penetrates(np, depths.ravel(), depths_before.ravel(), self.config)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -40,6 +40,13 @@ def disabled_flags(model: mujoco.MjModel, detector: Detector) -> int:
     """A model's flags with which convex collisions are found by this detector."""
     flag = int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
     return model.opt.disableflags | flag if detector == "libccd" else model.opt.disableflags & ~flag
+
+
+def damping_of(model: mujoco.MjModel, drag: float, turning_drag: float) -> np.ndarray:
+    """f64[6 K]: damping of all free joints with which speeds and angular speeds decay, 1/s."""
+    body = model.jnt_bodyid
+    linear = drag * np.repeat(model.body_mass[body][:, None], 3, axis=1)
+    return np.concatenate([linear, turning_drag * model.body_inertia[body]], axis=1).ravel()
 
 
 class Motion(NamedTuple):
@@ -80,11 +87,18 @@ class Simulations:
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._raised = np.zeros(size, bool)
 
-    def release(self, poses: np.ndarray, is_placed: np.ndarray, never_sleeps: np.ndarray) -> np.ndarray:
+    def release(
+        self,
+        poses: np.ndarray,
+        is_placed: np.ndarray,
+        never_sleeps: np.ndarray,
+        parked: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Puts the first n simulations at rest: placed objects at `poses`, the others parked.
 
         Args:
           poses: f[n, K, 7]; is_placed, never_sleeps: bool[n, K].
+          parked: f[n, K, 7], where those wait that are not placed; at their usual places if None.
 
         Returns:
           f64[n, K, 7], the poses as simulated, quaternions normalised.
@@ -94,7 +108,7 @@ class Simulations:
         self._policy[:num] = np.where(
             never_sleeps, int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER), int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)
         )
-        start = np.where(is_placed[..., None], poses, self._parked)
+        start = np.where(is_placed[..., None], poses, self._parked if parked is None else parked)
         start[..., 3:] /= np.linalg.norm(start[..., 3:], axis=-1, keepdims=True)
         if self._starts_asleep:
             # Reference poses, unlike writes to the state, wake nobody.
@@ -103,6 +117,37 @@ class Simulations:
         self._qpos[:num] = start.reshape(num, -1)
         self._raised[:num] = False
         return start
+
+    def rouse(self, ids: np.ndarray, objects: np.ndarray, poses: np.ndarray) -> None:
+        """Puts one parked object of each of some simulations at a pose, from where on it never sleeps.
+
+        Args:
+          ids, objects: i[n]; poses: f[n, 7].
+        """
+        self._policy[ids, objects] = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
+        # A write to the state wakes it up.
+        self._qpos.reshape(len(self._qpos), -1, 7)[ids, objects] = poses
+
+    def planes(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Where geoms of the world body stand, to be written: f64[size, N, 3] and f64[size, N, 4]."""
+        first = self._batch.model.geom(names[0]).id
+        return tuple(self._batch.expand(f)[:, first : first + len(names)] for f in ("geom_pos", "geom_quat"))
+
+    @contextmanager
+    def eased(self, friction: float, drag: float, turning_drag: float) -> Iterator[None]:
+        """Inside, friction is `friction` times as much, and motion decays; after it all is as it was.
+
+        Args:
+          drag, turning_drag: 1/s, by which speeds and angular speeds decay.
+        """
+        model = self._batch.model
+        self._batch.expand("geom_friction")[:] = friction * model.geom_friction
+        self._batch.expand("dof_damping")[:] = damping_of(model, drag, turning_drag)
+        try:
+            yield
+        finally:
+            for name in ("geom_friction", "dof_damping"):
+                self._batch.expand(name)[:] = getattr(model, name)
 
     def loosen_contacts(self, friction: float) -> None:
         """From now on friction is `friction` times as much, and contacts are as soft as MuJoCo's default."""
@@ -138,6 +183,13 @@ class Simulations:
         """One time step of the simulations `ids`; one that raises is marked, the others go on."""
         try:
             self._batch.step(ids)
+        except SimulationError as error:
+            self._raised[error.ids] = True
+
+    def advance(self, ids: np.ndarray, num_steps: int) -> None:
+        """Several time steps of the simulations `ids`, nothing recorded; one that fails makes no more."""
+        try:
+            self._batch.rollout(num_steps, record=(), ids=ids)
         except SimulationError as error:
             self._raised[error.ids] = True
 

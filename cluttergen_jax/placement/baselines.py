@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.region import action_of_pose
+from cluttergen_jax.placement.region import Region, action_of_pose, is_in_polygon
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.search.candidate_sampler import CandidateSampler, CandidateSet
 from cluttergen_jax.placement.search.search import CLEARANCE, CandidateScores, Search
@@ -22,6 +22,7 @@ _ENOUGH_ON_OBJECTS = 0.8
 _TIPPING_COST = 2.0
 _GAP_SCALE = 0.01
 _CLOSED_IN = 0.05
+_TRIED = 64
 
 
 def cost_of_lying(scores: CandidateScores) -> Array:
@@ -71,16 +72,28 @@ class Random(struct.PyTreeNode, eq=False):
     def __call__(self, key: Array, episode: Episode) -> Array:
         """See `placement.rules.Proposer`."""
         key_position, key_turn = jax.random.split(key)
-        region, focus = episode.region, self.rules.focus(episode)
+        region = episode.region
         xy = jax.random.uniform(key_position, (2,), minval=-1.0) * region.half_extents
+        if self.rules.polygon is not None:
+            xy = self._in_polygon(key_position, region)
         yaw = jax.random.uniform(key_turn, maxval=2 * jnp.pi)
         height, height_range = (
-            self.rules.geometry.half_extents[focus, 2] + CLEARANCE,
+            self.rules.body(episode).height + CLEARANCE,
             self.rules.height_range(episode),
         )
         if self.rules.config.height == "free":
             height = jax.random.uniform(jax.random.fold_in(key, 0), maxval=height_range)
         return action_of_pose(jnp.append(xy, height), yaw, region, height_range)
+
+    def _in_polygon(self, key: Array, region: Region) -> Array:
+        """f32[2]: the first of many uniform points of the region that is in the polygon."""
+        assert self.rules.polygon is not None
+        many = jax.random.uniform(key, (_TRIED, 2), minval=-1.0) * region.half_extents
+        points = region.T_world_region.apply(jnp.pad(many, ((0, 0), (0, 1))))
+        support_map = self.rules.geometry.support_map
+        if support_map is not None and support_map.T_map_world is not None:
+            points = support_map.T_map_world.apply(points)
+        return many[jnp.argmax(is_in_polygon(points[:, :2], self.rules.polygon))]
 
 
 _CLEAR = -10.0

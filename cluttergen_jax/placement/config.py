@@ -6,9 +6,10 @@ from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, get_args
 
-from cluttergen_jax.config import Containment, Height, Order, Overhang, Reward
+from cluttergen_jax.config import Containment, Height, Order, Overhang, Poses, Reward
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
 
 if TYPE_CHECKING:
     from cluttergen_jax.schema import Record
@@ -21,6 +22,8 @@ MAX_MARGIN = 0.1
 MIN_MARGIN = 0.003
 """Metres of support margin that what is generated has by default (`PlacementConfig.min_margin`)."""
 MAX_BUDGET = 10_000
+CLEARANCE, MAX_CLEARANCE = 0.003, 0.1
+"""Metres between objects that are packed, unless another is asked for; and at most."""
 RUIN_AFTER = 5
 """Failed attempts in a row after which a scene is partly taken apart, where that is done."""
 ORDER_POWER = 4.0
@@ -29,7 +32,7 @@ _ALWAYS_RECORDED = 8
 """So many fields come first in every record; the others where they are not at their defaults."""
 CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
 OVERHANGS = get_args(Overhang)
-HEIGHTS = get_args(Height)
+HEIGHTS, POSES = get_args(Height), get_args(Poses)
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,12 @@ class PlacementConfig:
         the cost of `drop`, instead of drawing uniformly.
       height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;
         or "free", anywhere in the region's range of heights.
+      poses: in which objects are released, but for a turn about z: "upright"; "resting", a resting pose drawn
+        anew for each attempt; or "any" (`placement.orientations`).
+      relations: texts that say what must hold of which objects (`placement.relations`); what is related is
+        placed first.
+      roles: names in these, each with the condition of the objects that it may stand for.
+      clearance: metres between the boxes of what `packed` places side by side.
     """
 
     num_objects: int = 10
@@ -83,6 +92,10 @@ class PlacementConfig:
     natural: bool = False
     tidy: bool = False
     height: str = "rest"
+    poses: str = "upright"
+    relations: tuple[str, ...] = ()
+    roles: tuple[tuple[str, str], ...] = ()
+    clearance: float = CLEARANCE
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
@@ -97,6 +110,9 @@ class PlacementConfig:
                 f"0 to {MAX_MARGIN} m",
                 f"{MIN_MARGIN}, or 0 to ask for nothing",
             )
+        if not (isinstance(self.clearance, Real) and 0.001 <= self.clearance <= MAX_CLEARANCE):
+            allowed = f"0.001 to {MAX_CLEARANCE} m"
+            raise ConfigError(f"clearance = {self.clearance!r}", allowed, f"clearance={CLEARANCE}")
         if not 0 <= self.ruin_after <= self.max_attempts:
             raise ConfigError(
                 f"ruin_after = {self.ruin_after} with max_attempts = {self.max_attempts}",
@@ -116,6 +132,7 @@ class PlacementConfig:
             ("reward", self.reward, REWARDS),
             ("overhang", self.overhang, OVERHANGS),
             ("height", self.height, HEIGHTS),
+            ("poses", self.poses, POSES),
         ):
             if value not in allowed:
                 raise ConfigError(
@@ -134,6 +151,16 @@ class PlacementConfig:
             )
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
+        related = parse_relations(self.relations)
+        object.__setattr__(self, "relations", tuple(map(str, related)))
+        object.__setattr__(self, "roles", parse_roles(dict(self.roles)))
+        names = conditions_of(self.roles, related)
+        if len(names) > self.num_objects:
+            raise ConfigError(
+                f"{len(names)} objects in relations ({', '.join(names)}) of scenes of {self.num_objects}",
+                f"up to {self.num_objects}",
+                f"num_objects={len(names)}",
+            )
 
     @property
     def max_scene_attempts(self) -> int:

@@ -11,8 +11,8 @@ from flax import struct
 
 from cluttergen_jax.assets.support_map import VOID, map_cells, reach_beyond
 from cluttergen_jax.placement.region import Region, from_pose
-from cluttergen_jax.placement.support_map import SupportMap, top_boxes_of
-from cluttergen_jax.placement.types import Geometry
+from cluttergen_jax.placement.support_map import make_support_map, top_boxes_of
+from cluttergen_jax.placement.types import Geometry, SupportMap
 from cluttergen_jax.types import Array
 
 _FINEST_CELL = 0.0072
@@ -29,12 +29,14 @@ class HeightMap(struct.PyTreeNode):
       corner: f32[2], where cell (0, 0) begins in the region frame, metres.
       cell: the sides of a cell, metres.
       owner: i32[W, H], whose surface that is, K for the support; None unless asked for.
+      ceiling: f32[W, H], metres up to which the support leaves room; None where nothing of it hangs over.
     """
 
     height: Array
     corner: Array
     cell: tuple[float, float] = struct.field(pytree_node=False)
     owner: Array | None = None
+    ceiling: Array | None = None
 
     def index_of(self, x: Array, y: Array) -> Array:
         """i32[...]: the cells of points f32[...] in the flattened map; off the map, one of its border."""
@@ -78,13 +80,17 @@ class HeightMapper(struct.PyTreeNode):
             that are given the same one have maps of the same size.
         """
         if radius is None:
-            radius = np.linalg.norm(np.asarray(geometry.half_extents)[:, :2], axis=1).max()
+            found = geometry if geometry.orientations is None else geometry.orientations
+            radius = np.linalg.norm(np.asarray(found.half_extents)[..., :2], axis=-1).max()
         half = np.asarray(region.half_extents, np.float64)
-        inverse = np.asarray(region.T_world_region.inverse().as_matrix())
-        cell, shape = map_cells(
-            half + reach_beyond(top_boxes_of(geometry), inverse, half, radius), _FINEST_CELL
-        )
-        return HeightMapper(geometry, SupportMap.of(geometry), cell, shape)
+        support_map = make_support_map(geometry)
+        inverse = np.asarray(support_map.first.place(region.T_world_region).inverse().as_matrix())
+        reach = reach_beyond(top_boxes_of(geometry), inverse, half, radius)
+        if support_map.height.ndim > 2:
+            # One size for the maps of several surfaces.
+            reach = np.full(2, radius)
+        cell, shape = map_cells(half + reach, _FINEST_CELL)
+        return HeightMapper(geometry, support_map, cell, shape)
 
     def __call__(self, region: Region, poses: Array, is_placed: Array, with_owner: bool = False) -> HeightMap:
         """The map of one scene: poses f32[K, 7], world; is_placed bool[K].
@@ -92,38 +98,42 @@ class HeightMapper(struct.PyTreeNode):
         With owners, heights are whole micrometres.
         """
         corner = -jnp.array(self.shape, jnp.float32) / 2 * jnp.array(self.cell)
-        bare = HeightMap(self._bare(region, corner), corner, self.cell)
+        bare = self._bare(region, corner)
         # Poses of objects that are not placed may be anything.
         T_world_object = from_pose(jnp.where(is_placed[:, None], poses, jnp.eye(7)[3]))
         T_region_object = region.T_world_region.inverse() @ T_world_object
-        turn = T_region_object.rotation().as_matrix()[self.geometry.surface_owner]
-        shift = T_region_object.translation()[self.geometry.surface_owner]
-        points = jnp.moveaxis(self.geometry.surface, -1, 0)
+        surface, owner = self.geometry.surfaces_at(poses)
+        turn = T_region_object.rotation().as_matrix()[owner]
+        shift = T_region_object.translation()[owner]
+        points = jnp.moveaxis(surface, -1, 0)
         x, y, z = (
             sum(turn[:, axis, k, None] * points[k] for k in range(3)) + shift[:, axis, None]
             for axis in range(3)
         )
         index = bare.index_of(x, y)
-        height = jnp.where(is_placed[self.geometry.surface_owner][:, None], z, VOID)
+        height = jnp.where(is_placed[owner][:, None], z, VOID)
+        if bare.ceiling is not None:
+            # What lies on a board above is none of this surface's obstacles.
+            height = jnp.where(z > bare.ceiling.reshape(-1).at[index].get(mode="clip"), VOID, height)
         if with_owner:
-            return self._with_owner(bare, index, height)
+            return self._with_owner(bare, index, height, owner)
         raised = bare.height.reshape(-1).at[index.reshape(-1)].max(height.reshape(-1), mode="drop")
         return bare.replace(height=_with_void_border(raised.reshape(self.shape)))
 
-    def _with_owner(self, bare: HeightMap, index: Array, height: Array) -> HeightMap:
+    def _with_owner(self, bare: HeightMap, index: Array, height: Array, owner: Array) -> HeightMap:
         """Height and owner packed into one whole number, so that one pass finds both."""
         nobody = self.geometry.num_objects
         packed = _pack(bare.height, jnp.int32(nobody)).reshape(-1)
-        points = _pack(height, self.geometry.surface_owner[:, None])
+        points = _pack(height, owner[:, None])
         packed = packed.at[index.reshape(-1)].max(points.reshape(-1), mode="drop").reshape(self.shape)
         micrometres, owner = packed >> _OWNER_BITS, packed & (2**_OWNER_BITS - 1)
         height = jnp.where(micrometres <= -_DEEPEST, VOID, micrometres * 1e-6)
         return bare.replace(height=_with_void_border(height), owner=owner)
 
-    def _bare(self, region: Region, corner: Array) -> Array:
-        """f32[W, H]: the heights of the support itself."""
+    def _bare(self, region: Region, corner: Array) -> HeightMap:
+        """The heights of the support itself."""
         support_map = self.support_map
-        T = region.T_world_region
+        T = support_map.place(region.T_world_region)
         turn, shift = T.rotation().as_matrix()[:2, :2], T.translation()[:2] - support_map.corner
         x, y = (corner[axis] + self.cell[axis] * (jnp.arange(self.shape[axis]) + 0.5) for axis in (0, 1))
         i, j = (
@@ -134,8 +144,11 @@ class HeightMapper(struct.PyTreeNode):
             ).astype(jnp.int32)
             for axis in (0, 1)
         )
-        flat = support_map.height.reshape(-1)
-        return _with_void_border(flat.at[i * support_map.height.shape[1] + j].get(mode="clip"))
+        flat, index = support_map.height.reshape(-1), i * support_map.height.shape[1] + j
+        height, ceiling = _with_void_border(flat.at[index].get(mode="clip")), None
+        if support_map.ceiling is not None:
+            ceiling = support_map.ceiling.reshape(-1).at[index].get(mode="clip")
+        return HeightMap(height, corner, self.cell, ceiling=ceiling)
 
 
 def _pack(height: Array, owner: Array) -> Array:

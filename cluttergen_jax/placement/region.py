@@ -43,20 +43,25 @@ class KeepOut(struct.PyTreeNode):
 
 
 @with_own_settings
-def make_region(center: Array, half_extents: Array, yaw: Array, top: Array) -> Region:
-    """A region on a flat top; all arguments may be traced.
+def make_region(
+    center: Array, half_extents: Array, yaw: Array, top: Array, surface: Array | None = None
+) -> Region:
+    """A region on a flat top, or on a surface that is not level; all arguments may be traced.
 
     Args:
       center: f32[2], metres, world x and y.
       half_extents: f32[2], metres, half its sides, along its own x and y.
       yaw: f32, radians, from world x to its own x.
       top: f32, metres, the height of the support's top (`SupportAsset.top`).
+      surface: f32[7], the pose of a surface's frame (`Surface.pose`), in which the others are then, `top`
+        above it; None for the world's.
     """
     position = jnp.append(jnp.asarray(center, jnp.float32), jnp.asarray(top, jnp.float32))
     rotation = jaxlie.SO3.from_z_radians(jnp.asarray(yaw, jnp.float32))
-    return Region(
-        jaxlie.SE3.from_rotation_and_translation(rotation, position), jnp.asarray(half_extents, jnp.float32)
-    )
+    T = jaxlie.SE3.from_rotation_and_translation(rotation, position)
+    if surface is not None:
+        T = from_pose(jnp.asarray(surface, jnp.float32)) @ T
+    return Region(T, jnp.asarray(half_extents, jnp.float32))
 
 
 def no_keep_out() -> KeepOut:
@@ -84,13 +89,19 @@ def action_scale(region: Region, height_range: Array) -> tuple[Array, Array]:
     return lower, jnp.append(2 * region.half_extents, height_range)
 
 
-def pose_of_action(action: Array, region: Region, height_range: Array) -> Array:
-    """The world pose f32[7] that an action in (0,1)^4 proposes for the object's origin (docs/contract.md)."""
+def pose_of_action(
+    action: Array, region: Region, height_range: Array, quaternion: Array | None = None
+) -> Array:
+    """The world pose f32[7] that an action in (0,1)^4 proposes for the object's origin (docs/contract.md).
+
+    Args:
+      quaternion: f32[4], wxyz, the orientation that is turned about z; None for upright.
+    """
     lower, size = action_scale(region, height_range)
-    yaw = 2 * jnp.pi * action[3]
-    T_region_object = jaxlie.SE3.from_rotation_and_translation(
-        jaxlie.SO3.from_z_radians(yaw), lower + action[:3] * size
-    )
+    rotation = jaxlie.SO3.from_z_radians(2 * jnp.pi * action[3])
+    if quaternion is not None:
+        rotation = rotation @ jaxlie.SO3(quaternion)
+    T_region_object = jaxlie.SE3.from_rotation_and_translation(rotation, lower + action[:3] * size)
     return to_pose(region.T_world_region @ T_region_object)
 
 
@@ -119,6 +130,16 @@ def is_inside(pose: Array, half_extents: Array, region: Region, containment: str
     points = pose[None, :3] if containment == "center" else box_corners(pose, half_extents)
     local = jax.vmap(region.T_world_region.inverse().apply)(points)[:, :2]
     return jnp.all(jnp.abs(local) <= region.half_extents + 1e-6)
+
+
+def is_in_polygon(xy: Array, polygon: Array) -> Array:
+    """bool[...]: whether points f32[..., 2] are within a polygon f32[E, 2], by the edges to their right."""
+    start, end = polygon, jnp.roll(polygon, -1, axis=0)
+    x, y = xy[..., 0, None], xy[..., 1, None]
+    is_level = (start[:, 1] > y) != (end[:, 1] > y)
+    rise = jnp.where(start[:, 1] == end[:, 1], 1.0, end[:, 1] - start[:, 1])
+    crossing = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
+    return jnp.sum(is_level & (x < crossing), axis=-1) % 2 == 1
 
 
 def is_kept_out(pose: Array, half_extents: Array, keep_out: KeepOut) -> Array:
@@ -194,13 +215,21 @@ class ChangedRegion:
     base: Rectangle
     bounds: Rectangle
     top: float
+    surface: tuple[float, ...] | None = None
 
     def __call__(self, key: Array) -> Region:
         """See `placement.rules.RegionDraw`."""
-        return draw_region(key, self.change, self.base, self.bounds, self.top)
+        return draw_region(key, self.change, self.base, self.bounds, self.top, self.surface)
 
 
-def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Rectangle, top: float) -> Region:
+def draw_region(
+    key: Array,
+    change: RegionChange,
+    base: Rectangle,
+    bounds: Rectangle,
+    top: float,
+    surface: tuple[float, ...] | None = None,
+) -> Region:
     """A region drawn around `base`, wholly inside `bounds`.
 
     What is too large for the bounds once turned is shrunk, one side or both, so that the most area is left,
@@ -209,7 +238,7 @@ def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Recta
     Args:
       key: consumed.
       base: the region to change; bounds: the part of the top that may be used; both world, metres.
-      top: height of the top, metres.
+      top, surface: see `make_region`.
     """
     key_shift, key_turn, key_size = jax.random.split(key, 3)
     shift = jax.random.uniform(key_shift, (2,), minval=-1.0) * change.translation
@@ -229,7 +258,8 @@ def draw_region(key: Array, change: RegionChange, base: Rectangle, bounds: Recta
     offset = to_world.T @ (jnp.array(base.center) + shift - jnp.array(bounds.center))
     slack = jnp.maximum(room - reach, 0.0)
     center = jnp.array(bounds.center) + to_world @ jnp.clip(offset, -slack, slack)
-    return make_region(center, half, yaw, jnp.float32(top))
+    pose = None if surface is None else jnp.array(surface, jnp.float32)
+    return make_region(center, half, yaw, jnp.float32(top), pose)
 
 
 def _fit_half_extents(half: Array, cos: Array, sin: Array, room: Array) -> Array:

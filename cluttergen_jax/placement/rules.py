@@ -10,15 +10,20 @@ from flax import struct
 
 from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
+from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
+    box_corners,
+    from_pose,
+    is_in_polygon,
     is_inside,
     is_kept_out,
     no_keep_out,
     pose_of_action,
 )
+from cluttergen_jax.placement.related import RelatedObjects, carriers_of, holds_among
 from cluttergen_jax.placement.removal import choose_removal, footprint_area
 from cluttergen_jax.placement.support_graph import (
     empty_graph,
@@ -26,8 +31,18 @@ from cluttergen_jax.placement.support_graph import (
     graph_without,
     supported_by,
 )
-from cluttergen_jax.placement.support_map import SupportMap, most_beyond, shares_beyond
-from cluttergen_jax.placement.types import Counts, Episode, Geometry, History, Start, Transition
+from cluttergen_jax.placement.support_map import most_beyond, on_map, shares_beyond
+from cluttergen_jax.placement.surface_set import SurfaceSet
+from cluttergen_jax.placement.types import (
+    Body,
+    Counts,
+    Episode,
+    Geometry,
+    History,
+    Start,
+    SupportMap,
+    Transition,
+)
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 _OWN_SHARE = 1 / 3
@@ -68,6 +83,10 @@ class Rules(struct.PyTreeNode, eq=False):
         off then; None tells them all. A policy reads histories of the length that it was trained with.
       engine: i32, the number of this world's engine where there are several.
       map_radius: metres, that of the largest object that height maps are made for; its own if None.
+      related: the relations that scenes must fulfil; None for none.
+      surfaces: of which one is drawn for each attempt, with its region; None where there is one.
+      polygon: f32[E, 2], what of the region counts, world x and y, or the surface's frame where it is not
+        level; None for all of it.
     """
 
     config: PlacementConfig = struct.field(pytree_node=False)
@@ -80,6 +99,9 @@ class Rules(struct.PyTreeNode, eq=False):
     support_map: SupportMap | None = None
     engine: Array | None = None
     map_radius: float | None = struct.field(pytree_node=False, default=None)
+    related: RelatedObjects | None = None
+    surfaces: SurfaceSet | None = None
+    polygon: Array | None = None
 
     @property
     def simulator(self) -> Physics:
@@ -111,11 +133,12 @@ class Rules(struct.PyTreeNode, eq=False):
         if region is None and self.draw_region is not None:
             # Orders are those of unchanged regions; `fold_in` of 0 or 1 would be a key of the split again.
             region = self.draw_region(jax.random.fold_in(key, 2))
-        return Episode(
+        roles = None if self.related is None else self.related.draw(jax.random.fold_in(key, 4))
+        episode = Episode(
             key=key_episode,
             region=self.region if region is None else region,
             keep_out=no_keep_out() if keep_out is None else keep_out,
-            object_index=self._draw_slots(key_order, start.is_placed),
+            object_index=self._draw_slots(key_order, start.is_placed, roles),
             first_slot=first_slot,
             slot=first_slot,
             attempt=jnp.int32(0),
@@ -135,11 +158,17 @@ class Rules(struct.PyTreeNode, eq=False):
             verdict=jnp.int32(Verdict.NONE),
             drift=jnp.float32(0),
             support_graph=empty_graph(self.geometry),
+            roles=roles,
+            surface=None if self.surfaces is None else jnp.full(self.geometry.num_objects, -1, jnp.int32),
         )
+        episode = self._with_surface(episode, jax.random.fold_in(key, 5))
+        return self._with_orientation(episode, jax.random.fold_in(key, 3))
 
     @property
     def _num_counted(self) -> int:
         # What is not asked for is not counted, and stored states have the shapes they had.
+        if self.related is not None:
+            return int(Verdict.UNRELATED) + 1
         if self.physics.config.robust_tilt:
             return int(Verdict.FRAGILE) + 1
         last = Verdict.UNSUPPORTED if self.config.min_margin else Verdict.NON_FINITE
@@ -157,19 +186,24 @@ class Rules(struct.PyTreeNode, eq=False):
         """S: slots of those that stand there already, then of those to be placed."""
         return self.num_started + self.config.num_objects
 
-    def _draw_slots(self, key: Array, is_taken: Array) -> Array:
+    def _draw_slots(self, key: Array, is_taken: Array, roles: Array | None) -> Array:
         """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
 
-        Those to place are a uniform subset of the objects not taken, whatever their order but "fixed".
+        Those to place are a uniform subset of the objects not taken, whatever their order but "fixed"; those
+        of roles are among them and come first, each after those to which it is placed.
         """
         ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
         if self.config.order != "fixed":
             ranks = jax.random.uniform(key, ranks.shape)
         ranks = jnp.where(is_taken, jnp.inf, ranks)
+        if roles is not None:
+            ranks = ranks.at[roles].set(-1.0)
         chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
         chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
         if self.config.order in ("largest", "weighted"):
             chosen = chosen[jnp.argsort(-self._weight(key)[chosen])]
+        if roles is not None and self.related is not None:
+            chosen = chosen[jnp.argsort(self.related.priority(roles)[chosen], stable=True)]
         standing = jnp.nonzero(is_taken, size=self.num_started, fill_value=-1)[0].astype(jnp.int32)
         slots = jnp.concatenate([standing, chosen])
         slots = jnp.pad(slots, (0, self.num_slots - slots.shape[0]), constant_values=-1)
@@ -187,6 +221,34 @@ class Rules(struct.PyTreeNode, eq=False):
         """i32: the current object (of a finished episode: some object)."""
         return jnp.maximum(episode.object_index[self._slot(episode)], 0)
 
+    def body(self, episode: Episode) -> Body:
+        """The current object as it is released next (of a finished episode: some object)."""
+        return Body.of(self.geometry, self.focus(episode), episode.orientation)
+
+    def _with_orientation(self, episode: Episode, key: Array) -> Episode:
+        """The episode with an orientation drawn for its current object, where not all are upright."""
+        if self.geometry.orientations is None:
+            return episode
+        return episode.replace(orientation=self.geometry.orientations.draw(key, self.focus(episode)))
+
+    def _with_surface(self, episode: Episode, key: Array) -> Episode:
+        """The episode with a surface drawn for its current object, where there are several."""
+        if self.surfaces is None:
+            return episode
+        assert episode.surface is not None
+        focus = self.focus(episode)
+        drawn = self.surfaces.draw(key, episode, focus, footprint_area(self.geometry))
+        surface = episode.surface.at[focus].set(
+            jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
+        )
+        return episode.replace(surface=surface, region=self.surfaces.region(drawn))
+
+    def support_map_of(self, episode: Episode) -> SupportMap | None:
+        """The map of the surface that the current object goes on; None for a flat top."""
+        if self.geometry.support_map is None or episode.surface is None:
+            return self.geometry.support_map
+        return self.geometry.support_map.of_surface(jnp.maximum(episode.surface[self.focus(episode)], 0))
+
     def _slot(self, episode: Episode) -> Array:
         """i32: the current slot (of a finished episode: some slot)."""
         return jnp.minimum(episode.slot, self.num_slots - 1)
@@ -194,6 +256,8 @@ class Rules(struct.PyTreeNode, eq=False):
     def height_range(self, episode: Episode) -> Array:
         """f32, metres: the tallest placed object's height plus that of the current object."""
         heights = 2 * self.geometry.half_extents[:, 2]
+        if self.geometry.orientations is not None:
+            heights = jnp.max(2 * self.geometry.orientations.half_extents[..., 2], axis=1)
         return jnp.max(jnp.where(episode.is_placed, heights, 0.0)) + heights[self.focus(episode)]
 
     def attempt(self, episode: Episode, action: Array) -> tuple[Episode, Transition]:
@@ -214,7 +278,8 @@ class Rules(struct.PyTreeNode, eq=False):
     def release(self, episode: Episode, action: Array) -> tuple[Array, Array, Array, Array]:
         """What `Physics.settle` is asked in an attempt: its four arguments, in their order."""
         focus = self.focus(episode)
-        proposed = pose_of_action(action, episode.region, self.height_range(episode))
+        quaternion = self.body(episode).quaternion
+        proposed = pose_of_action(action, episode.region, self.height_range(episode), quaternion)
         poses, is_placed = episode.poses.at[focus].set(proposed), episode.is_placed.at[focus].set(True)
         return poses, is_placed, focus, ~episode.is_over
 
@@ -236,6 +301,10 @@ class Rules(struct.PyTreeNode, eq=False):
         after = self._commit(after, focus, settling, is_stable)
         after = self._count(after, episode.slot, settling, verdict, reward)
         after = self._take_apart(after)
+        # Those who step an episode by themselves need not change its key.
+        key = jax.random.fold_in(jax.random.fold_in(episode.key, 3), after.counts.attempts.sum())
+        after = self._with_orientation(after, key)
+        after = self._with_surface(after, jax.random.fold_in(key, 5))
         after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, episode)
         transition = Transition(
             slot=self._slot(episode),
@@ -257,24 +326,68 @@ class Rules(struct.PyTreeNode, eq=False):
             verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
         pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
-        inside &= ~is_kept_out(pose, half_extents, episode.keep_out)
+        support_map = self.support_map_of(episode)
+        inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
+        inside &= self.is_in_polygon(on_map(support_map, pose), half_extents)
+        if self.surfaces is not None:
+            inside &= self.surfaces.has_room(episode, focus)
+        if support_map is not None:
+            center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
+            height = episode.region.T_world_region.inverse().apply(center)[2]
+            # Physics knows the lowest point of a surface alone.
+            is_graver = (verdict == Verdict.OVERFLOW) | (verdict == Verdict.NON_FINITE)
+            has_fallen = (height < 0) & ~is_graver & (verdict != Verdict.NONE)
+            verdict = jnp.where(has_fallen, int(Verdict.FELL), verdict)
+            if support_map.ceiling is not None:
+                xy = on_map(support_map, pose)[:2]
+                ceiling = support_map.ceiling.reshape(-1)[support_map.index_of(xy[0], xy[1])]
+                inside &= height < ceiling
         if self.config.overhang != "any":
             inside &= ~self._is_beyond(episode, focus, settling)
-        return jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
+        verdict = jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
+        if self.related is None:
+            return verdict
+        is_related = self._is_related(self.related, episode, focus, settling)
+        return jnp.where((verdict == Verdict.STABLE) & ~is_related, int(Verdict.UNRELATED), verdict)
+
+    def _is_related(
+        self, related: RelatedObjects, episode: Episode, focus: Array, settling: Settling
+    ) -> Array:
+        """Whether all relations hold of which both objects are placed, the focus object included; bool."""
+        assert episode.roles is not None
+        is_placed = episode.is_placed.at[focus].set(True)
+        poses = jnp.where(is_placed[:, None], settling.poses, empty_start(len(is_placed)).poses)
+        boxes = Boxes.of(self.geometry.half_extents, poses)
+        carriers = carriers_of(related, episode.roles, focus, episode.is_placed)
+        is_carried = jnp.all(settling.bears | ~carriers)
+        return is_carried & holds_among(related, episode.roles, boxes, is_placed, episode.region)
+
+    def is_in_polygon(self, pose: Array, half_extents: Array) -> Array:
+        """bool: whether an object, its pose f32[7] in the polygon's frame, is in it as far as is asked."""
+        if self.polygon is None:
+            return jnp.bool_(True)
+        is_center = self.config.containment == "center"
+        points = pose[None, :2] if is_center else box_corners(pose, half_extents)[:, :2]
+        return jnp.all(is_in_polygon(points, self.polygon))
 
     def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""
         assert self.support_map is not None
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
-        shares = shares_beyond(self.support_map, self.geometry, settling.poses)
+        if episode.surface is None:
+            shares = shares_beyond(self.support_map, self.geometry, settling.poses)
+        else:
+            each = jax.vmap(lambda one: shares_beyond(one, self.geometry, settling.poses))(self.support_map)
+            shares = each[jnp.maximum(episode.surface, 0), jnp.arange(each.shape[1])]
         return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
 
     def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
-        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * self.geometry.own_margin)
+        own = self.geometry.own_margins_at(settling.poses)
+        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * own)
         return ~jnp.any(is_judged & (settling.margin < asked))
 
     def _push(self, episode: Episode, action: Array, height_range: Array, settling: Settling) -> Episode:
@@ -342,7 +455,10 @@ class Rules(struct.PyTreeNode, eq=False):
         is_over = self._is_spent(episode)
         if not config.ruin_after:
             return episode.replace(is_over=is_over | (episode.attempt >= config.max_attempts))
-        ruined = self.remove(episode, choose_removal(episode, self.geometry, self._is_started(episode)))
+        stays = self._is_started(episode)
+        if episode.surface is not None:
+            stays |= episode.surface != episode.surface[self.focus(episode)]
+        ruined = self.remove(episode, choose_removal(episode, self.geometry, stays))
         # What could not be filled again within the budget is not worth taking apart.
         is_ruined = (episode.attempt >= config.ruin_after) & ~self._is_spent(ruined)
         after = jax.tree.map(lambda new, old: jnp.where(is_ruined, new, old), ruined, episode)
@@ -366,7 +482,12 @@ class Rules(struct.PyTreeNode, eq=False):
         slots, index = jnp.arange(self.num_slots), jnp.maximum(episode.object_index, 0)
         is_kept = (slots < episode.slot) & ~which[index]
         group = jnp.where(is_kept, 0, jnp.where(slots == episode.slot, 1, 2))
-        order = jnp.argsort(jnp.where(episode.object_index < 0, 3, group), stable=True)
+        last = 3
+        if self.related is not None and episode.roles is not None:
+            # Nothing comes before that to which it is placed.
+            group = jnp.where(is_kept, 0, 1 + self.related.priority(episode.roles)[index])
+            last = self.related.num_roles + 2
+        order = jnp.argsort(jnp.where(episode.object_index < 0, last, group), stable=True)
         counts = episode.counts
         return episode.replace(
             object_index=episode.object_index[order],

@@ -194,7 +194,8 @@ class Shelves:
         check_region(region, support)
         check_keep_out(keep_out, region)
         check_number(config.placement.num_objects, config.shelf, config.pool)
-        sizes = [0.5 * float(np.hypot(*each.size[:2])) for each in pool.facts]
+        sides = 2 if config.placement.poses == "upright" else 3
+        sizes = [0.5 * float(np.linalg.norm(each.size[:sides])) for each in pool.facts]
         self._worlds = ShelfWorlds(config, support, max(sizes), keep_out_of(keep_out), pool.__getitem__)
         self._numbers = {name: number for number, name in enumerate(pool.names)}
         self._latest: tuple[tuple[str, ...], Setup] | None = None
@@ -205,7 +206,7 @@ class Shelves:
         pool = find_pool(config.pool, names=config.objects)
         if config.objects:
             pool = pool.select(config.objects)
-        return cls(pool, config, find_support(config.support), keep_out)
+        return cls(pool, config, find_support(config.support).on_surface(config.surface), keep_out)
 
     def draw(self, key: Array) -> tuple[str, ...]:
         """The names of the objects of a shelf, drawn with a key."""
@@ -225,7 +226,6 @@ class Shelves:
         if self._latest is None or self._latest[0] != names:
             objects = [self.pool[name] for name in names]
             if self._latest is None:
-                region = self.config.region or self._worlds.support.region
-                check_crowding(objects, self.config.placement.num_objects, region)
+                check_crowding(objects, self.config, self._worlds.support)
             self._latest = names, self._worlds.setup(objects)
         return self._latest[1]

@@ -4,44 +4,73 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import jaxlie
 import numpy as np
-from flax import struct
+from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets.support_map import VOID, ground_heights, top_boxes
-from cluttergen_jax.placement.region import from_pose
-from cluttergen_jax.placement.types import Geometry
+from cluttergen_jax.assets.support import SupportAsset, Surface
+from cluttergen_jax.assets.support_map import (
+    VOID,
+    SurfaceHeights,
+    ground_heights,
+    surface_heights,
+    top_boxes,
+)
+from cluttergen_jax.placement.region import from_pose, to_pose
+from cluttergen_jax.placement.types import Geometry, SupportMap
 from cluttergen_jax.types import Array
 
 _HALF = 0.25
 
 
-class SupportMap(struct.PyTreeNode):
-    """The support alone, in the world frame.
+def make_support_map(geometry: Geometry) -> SupportMap:
+    """The map of a world's support; reads the arrays of `geometry`, outside `jit`."""
+    if geometry.support_map is not None:
+        return geometry.support_map
+    height, corner, cell = ground_heights(top_boxes_of(geometry), float(geometry.top))
+    height, corner = jax.device_put((height.astype(np.float32), corner.astype(np.float32)))
+    return SupportMap(height, corner, cell)
 
-    Attributes:
-      height: f32[W, H], metres above the top, VOID where there is nothing; its border is VOID.
-      corner: f32[2], metres; cell: metres.
+
+def map_of_surfaces(support: SupportAsset) -> SupportMap | None:
+    """The map of the surfaces that are asked for, NumPy arrays; None for a flat top without any of its own.
+
+    Those of several have a leading axis, and the same size.
     """
+    if not support.named:
+        return None
+    surfaces = [surface for surface, _ in support.asked]
+    found = [surface_heights(support, surface) for surface in surfaces]
+    coarsest = max(each.cell for each in found)
+    if len(found) > 1:
+        found = [surface_heights(support, surface, coarsest) for surface in surfaces]
+    shape = np.max([each.ground.shape for each in found], axis=0)
+    maps = [_map_of(*each, shape) for each in zip(surfaces, found, strict=True)]
+    if all(surface.is_level for surface in surfaces):
+        maps = [each.replace(T_map_world=None) for each in maps]
+    if not any(np.isfinite(np.asarray(each.ceiling)).any() for each in maps):
+        maps = [each.replace(ceiling=None) for each in maps]
+    return jax.tree.map(lambda *each: np.stack(each), *maps) if len(maps) > 1 else maps[0]
 
-    height: Array
-    corner: Array
-    cell: float = struct.field(pytree_node=False)
 
-    @staticmethod
-    def of(geometry: Geometry) -> SupportMap:
-        """Reads the arrays of `geometry`, outside `jit`."""
-        height, corner, cell = ground_heights(top_boxes_of(geometry), float(geometry.top))
-        height, corner = jax.device_put((height.astype(np.float32), corner.astype(np.float32)))
-        return SupportMap(height, corner, cell)
+def _map_of(surface: Surface, found: SurfaceHeights, shape: np.ndarray) -> SupportMap:
+    more = [(0, most - own) for most, own in zip(shape, found.ground.shape, strict=True)]
+    inverse = np.linalg.inv(surface.T_world_surface)
+    turn = Rotation.from_matrix(inverse[:3, :3]).as_quat(scalar_first=True)
+    return SupportMap(
+        height=np.pad(found.ground, more, constant_values=VOID),
+        corner=found.origin,
+        cell=found.cell,
+        ceiling=np.pad(found.ceiling, more, constant_values=np.inf),
+        T_map_world=jaxlie.SE3(jnp.append(jnp.asarray(turn), inverse[:3, 3])),
+    )
 
-    def is_under(self, xy: Array) -> Array:
-        """bool[...]: whether the support is below world points f32[..., 2], to half a cell."""
-        shape = self.height.shape
-        i, j = (
-            jnp.clip((xy[..., k] - self.corner[k]) * (1 / self.cell), 0.0, shape[k] - 1.0).astype(jnp.int32)
-            for k in (0, 1)
-        )
-        return self.height.reshape(-1).at[i * shape[1] + j].get(mode="clip") > VOID
+
+def on_map(support_map: SupportMap | None, pose: Array) -> Array:
+    """f32[7]: a world pose in the frame of a surface that is not level; else as it is."""
+    if support_map is None or support_map.T_map_world is None:
+        return pose
+    return to_pose(support_map.place(from_pose(pose)))
 
 
 def most_beyond(overhang: str) -> float:
@@ -53,7 +82,7 @@ def most_beyond(overhang: str) -> float:
 
 
 def share_beyond(support_map: SupportMap, xy: Array, is_point: Array) -> Array:
-    """f32[...]: the share of some points, world f32[..., P, 2], that the support is not below.
+    """f32[...]: the share of some points of the map, f32[..., P, 2], that the support is not below.
 
     Args:
       is_point: bool[..., P], those that count.
@@ -68,13 +97,31 @@ def shares_beyond(support_map: SupportMap, geometry: Geometry, poses: Array) -> 
     The footprint is a sample: its columns, twice as dense along its outline, as in the object's own frame.
     The edge is known to half a cell of `SupportMap`.
     """
-    points = jnp.concatenate([geometry.column_xy, geometry.column_bottom[..., None]], axis=-1)
-    T_world_object = from_pose(poses)
-    turn, shift = T_world_object.rotation().as_matrix()[:, :2], T_world_object.translation()[:, None, :2]
+    points, is_point = _footprints(geometry, poses)
+    T_map_object = support_map.place(from_pose(poses))
+    turn, shift = T_map_object.rotation().as_matrix()[:, :2], T_map_object.translation()[:, None, :2]
     xy = jnp.einsum("kab,kpb->kpa", turn, points) + shift
-    return share_beyond(support_map, xy, geometry.is_column)
+    return share_beyond(support_map, xy, is_point)
+
+
+def _footprints(geometry: Geometry, poses: Array) -> tuple[Array, Array]:
+    """f32[K, C, 3], object frames, and bool[K, C]: the under-sides of objects as they lie at world poses."""
+    found = geometry.orientations
+    if found is None:
+        points = jnp.concatenate([geometry.column_xy, geometry.column_bottom[..., None]], axis=-1)
+        return points, geometry.is_column
+    rows, which = jnp.arange(geometry.num_objects), geometry.orientations_at(poses)
+    points = jnp.concatenate(
+        [found.column_xy[rows, which], found.column_bottom[rows, which][..., None]], axis=-1
+    )
+    turn = jaxlie.SO3(found.quaternion[rows, which]).as_matrix()
+    return jnp.einsum("kpa,kab->kpb", points, turn), found.is_column[rows, which]
 
 
 def top_boxes_of(geometry: Geometry) -> np.ndarray:
-    """f64[B, 7]: the support's boxes that reach up to its top."""
+    """f64[B, 7]: the support's boxes that reach up to its top; one around all of the map of a surface."""
+    if (found := geometry.support_map) is not None:
+        found = found.first
+        half = np.array(found.height.shape) * found.cell / 2
+        return np.array([[*(np.asarray(found.corner, np.float64) + half), 0.0, *half, 0.0, 0.0]])
     return top_boxes(np.asarray(geometry.boxes, np.float64), float(geometry.top))

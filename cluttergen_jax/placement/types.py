@@ -2,10 +2,108 @@
 
 from __future__ import annotations
 
+import jax
+import jax.numpy as jnp
+import jaxlie
 from flax import struct
 
+from cluttergen_jax.assets.support_map import VOID
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.types import Array, Settling
+
+
+class Orientations(struct.PyTreeNode):
+    """K objects in P orientations each; a turn about z follows. The first one is upright.
+
+    The frame of an orientation has the object's origin, and its z axis points up.
+
+    Attributes:
+      is_one: bool[K, P], False for those that fill the arrays up.
+      log_weight: f32[K, P], with which one is drawn; -inf for those in which nothing is released.
+      quaternion: f32[K, P, 4], wxyz, from the object frame to the orientation's.
+      half_extents: f32[K, P, 3], of the box around the object along the orientation's axes, metres.
+      height: f32[K, P], metres, of the origin above the lowest point.
+      center_of_mass: f32[K, P, 3], the orientation's frame, metres.
+      own_margin: f32[K, P], metres, see `Geometry`.
+      column_xy: f32[K, P, C, 2]; column_bottom: f32[K, P, C]; is_column: bool[K, P, C]: the under-side in the
+        orientation's frame, see `Geometry`.
+      surface: f32[M, P, 64, 3]; surface_owner: i32[M]: the upper surface in each orientation, in the object
+        frame, see `Geometry`.
+    """
+
+    is_one: Array
+    log_weight: Array
+    quaternion: Array
+    half_extents: Array
+    height: Array
+    center_of_mass: Array
+    own_margin: Array
+    column_xy: Array
+    column_bottom: Array
+    is_column: Array
+    surface: Array
+    surface_owner: Array
+
+    def draw(self, key: Array, index: Array) -> Array:
+        """i32: an orientation of object `index`, i32."""
+        return jax.random.categorical(key, self.log_weight[index]).astype(jnp.int32)
+
+    def nearest(self, quaternions: Array) -> Array:
+        """i32[K]: the orientation that is nearest to how each object lies, world wxyz f32[K, 4]."""
+        up = _up_in_object(quaternions)
+        likeness = jnp.sum(_up_in_object(self.quaternion) * up[:, None], axis=-1)
+        return jnp.argmax(jnp.where(self.is_one, likeness, -2.0), axis=1).astype(jnp.int32)
+
+
+def _up_in_object(quaternion: Array) -> Array:
+    """f32[..., 3]: which direction of the object points up."""
+    w, x, y, z = (quaternion[..., axis] for axis in range(4))
+    return jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+
+
+class SupportMap(struct.PyTreeNode):
+    """The support alone, in the world frame, or in that of one of its surfaces; a leading axis for several.
+
+    Attributes:
+      height: f32[W, H], metres above the top, VOID where there is nothing; its border is VOID.
+      corner: f32[2], metres; cell: metres.
+      ceiling: f32[W, H], metres above the surface up to which it is free, inf under the open sky; None where
+        nothing hangs over it.
+      T_map_world: from the world to the surface's frame; None where its x and y are the world's.
+    """
+
+    height: Array
+    corner: Array
+    cell: float = struct.field(pytree_node=False)
+    ceiling: Array | None = None
+    T_map_world: jaxlie.SE3 | None = None
+
+    def of_surface(self, index: Array | int) -> SupportMap:
+        """One of several."""
+        return jax.tree.map(lambda leaf: leaf[index], self)
+
+    @property
+    def first(self) -> SupportMap:
+        """The first of several, or the one that it is."""
+        return self.of_surface(0) if self.height.ndim > 2 else self
+
+    def place(self, T_world_x: jaxlie.SE3) -> jaxlie.SE3:
+        """T_map_x; its z may be another where the map has the world's x and y."""
+        return T_world_x if self.T_map_world is None else self.T_map_world @ T_world_x
+
+    def is_under(self, xy: Array) -> Array:
+        """bool[...]: whether the support is below points f32[..., 2] of the map, to half a cell."""
+        return self.height.reshape(-1).at[self.index_of(xy[..., 0], xy[..., 1])].get(mode="clip") > VOID
+
+    def index_of(self, x: Array, y: Array) -> Array:
+        """i32[...]: the cells of points f32[...] of the map, in the flattened map."""
+        i, j = (
+            jnp.clip((value - self.corner[k]) * (1 / self.cell), 0.0, self.height.shape[k] - 1.0).astype(
+                jnp.int32
+            )
+            for k, value in enumerate((x, y))
+        )
+        return i * self.height.shape[1] + j
 
 
 class Geometry(struct.PyTreeNode):
@@ -22,6 +120,8 @@ class Geometry(struct.PyTreeNode):
         object frame, metres, in runs of one object each; a run that is not full repeats a point.
       boxes: f32[B, 7]: the support's boxes: centre, half extents, yaw; world, metres, radians.
       top: f32, height of the support's top, metres.
+      orientations: in which the objects are released; None where all are released upright.
+      support_map: of a surface of the support; None for a flat top, whose map the boxes tell.
     """
 
     half_extents: Array
@@ -35,11 +135,82 @@ class Geometry(struct.PyTreeNode):
     surface_owner: Array
     boxes: Array
     top: Array
+    orientations: Orientations | None = None
+    support_map: SupportMap | None = None
 
     @property
     def num_objects(self) -> int:
         """K."""
         return self.half_extents.shape[0]
+
+    def orientations_at(self, poses: Array) -> Array:
+        """i32[K]: the orientation that is nearest to how each object lies at world poses f32[K, 7]."""
+        assert self.orientations is not None
+        return self.orientations.nearest(poses[:, 3:])
+
+    def own_margins_at(self, poses: Array) -> Array:
+        """f32[K], metres: `own_margin` of the objects as they lie at world poses f32[K, 7]."""
+        if self.orientations is None:
+            return self.own_margin
+        rows = jnp.arange(self.num_objects)
+        return self.orientations.own_margin[rows, self.orientations_at(poses)]
+
+    def surfaces_at(self, poses: Array) -> tuple[Array, Array]:
+        """`surface` and `surface_owner` of the objects as they lie at world poses f32[K, 7]."""
+        found = self.orientations
+        if found is None:
+            return self.surface, self.surface_owner
+        which = self.orientations_at(poses)[found.surface_owner]
+        return found.surface[jnp.arange(len(which)), which], found.surface_owner
+
+
+class Body(struct.PyTreeNode):
+    """One object as it is released, but for its turn about z: in the frame of its orientation.
+
+    Attributes:
+      quaternion: f32[4], wxyz, from the object frame; None where it is upright.
+      half_extents: f32[3], of its box, metres.
+      height: f32, metres, of its origin above its lowest point.
+      center_of_mass: f32[3], metres.
+      own_margin: f32, metres.
+      column_xy: f32[C, 2]; column_bottom: f32[C]; is_column: bool[C]: its under-side.
+    """
+
+    quaternion: Array | None
+    half_extents: Array
+    height: Array
+    center_of_mass: Array
+    own_margin: Array
+    column_xy: Array
+    column_bottom: Array
+    is_column: Array
+
+    @staticmethod
+    def of(geometry: Geometry, index: Array, orientation: Array | None) -> Body:
+        """Object `index`, i32, in an orientation, i32; None where all are upright."""
+        found = geometry.orientations
+        if found is None:
+            half = geometry.half_extents[index]
+            return Body(
+                quaternion=None,
+                half_extents=half,
+                height=half[2],
+                center_of_mass=geometry.center_of_mass[index],
+                own_margin=geometry.own_margin[index],
+                column_xy=geometry.column_xy[index],
+                column_bottom=geometry.column_bottom[index],
+                is_column=geometry.is_column[index],
+            )
+        return Body(
+            quaternion=found.quaternion[index, orientation],
+            half_extents=found.half_extents[index, orientation],
+            height=found.height[index, orientation],
+            center_of_mass=found.center_of_mass[index, orientation],
+            own_margin=found.own_margin[index, orientation],
+            column_xy=found.column_xy[index, orientation],
+            column_bottom=found.column_bottom[index, orientation],
+            is_column=found.is_column[index, orientation],
+        )
 
 
 class Start(struct.PyTreeNode):
@@ -81,7 +252,8 @@ class Counts(struct.PyTreeNode):
         to their end (`StabilityConfig.stop_when_decided` off).
       rest_steps: i32[S], steps of the attempt that succeeded; 0 where the object does not stand.
       verdicts: i32[V], attempts by `Verdict` code: STABLE to NON_FINITE, to UNSUPPORTED where a margin is
-        asked for, or to FRAGILE where it is asked that what stands is robust.
+        asked for, to FRAGILE where it is asked that what stands is robust, or to UNRELATED where relations
+        are asked for.
       simulated_steps: i32, steps simulated, all checks included.
       reward: f32, sum of rewards.
     """
@@ -130,6 +302,11 @@ class Episode(struct.PyTreeNode):
       verdict: i32, the latest attempt's verdict; once all slots are filled, the last check's.
       drift: f32, metres, the largest movement in the last check.
       support_graph: what carries what.
+      surface: i32[K], on which of several surfaces each object is placed, the current one to be; -1 for what
+        stood there when the episode began; None where there is one.
+      orientation: i32, of `Geometry.orientations`, that in which the current object is released next; None
+        where all are released upright.
+      roles: i32[Q], the objects of `Rules.related`'s roles; None where nothing is related.
     """
 
     key: Array
@@ -148,6 +325,9 @@ class Episode(struct.PyTreeNode):
     verdict: Array
     drift: Array
     support_graph: SupportGraph
+    orientation: Array | None = None
+    roles: Array | None = None
+    surface: Array | None = None
 
     @property
     def num_slots(self) -> Array:

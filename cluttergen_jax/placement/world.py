@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
+import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.height_profile import HeightProfile, height_profile_of
-from cluttergen_jax.assets.mjcf import populated_spec
+from cluttergen_jax.assets.mjcf import add_air_walls, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
@@ -70,6 +72,27 @@ def columns_of(asset: ObjectAsset) -> HeightProfile:
     return height_profile_of(asset, COLUMN_SPACING, NUM_COLUMN_SAMPLES)
 
 
+def compile_layout(
+    names: Sequence[str],
+    objects: Sequence[ObjectAsset],
+    support: SupportAsset,
+    stability: StabilityConfig,
+    contact: ContactConfig,
+) -> Layout:
+    """Objects and a support as one model."""
+    make_spec = partial(populated_spec, names, objects, support, stability.timestep, contact)
+    model = make_spec().compile()
+
+    def compile_walled() -> mujoco.MjModel:
+        spec = make_spec()
+        add_air_walls(spec)
+        return spec.compile()
+
+    # Bodies keep their parking place as qpos0, at the identity orientation.
+    assert np.all(model.qpos0.reshape(-1, 7)[:, 3] == 1.0)
+    return Layout.of(model, support.lowest, compile_walled)
+
+
 def make_world(
     objects: Sequence[ObjectAsset],
     support: SupportAsset,
@@ -88,14 +111,11 @@ def make_world(
     if not 1 <= len(objects) <= MAX_OBJECTS:
         raise ConfigError(f"a world of {len(objects)} objects", f"1 to {MAX_OBJECTS}", "a smaller pool")
     names = unique_names([asset.name for asset in objects])
-    model = populated_spec(names, objects, support, stability.timestep, contact).compile()
-    # Bodies keep their parking place as qpos0, at the identity orientation.
-    assert np.all(model.qpos0.reshape(-1, 7)[:, 3] == 1.0)
     columns = {id(asset): cut(asset) for asset in objects}
     return World(
         names=names,
         objects=tuple(objects),
         support=support,
-        layout=Layout.of(model, support.top),
+        layout=compile_layout(names, objects, support, stability, contact),
         columns=tuple(columns[id(asset)] for asset in objects),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -17,15 +18,17 @@ from cluttergen_jax.assets.mjcf import (
     set_surface,
 )
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.shading import collision_pieces
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transform_points
-from cluttergen_jax.rendering.camera import axes
+from cluttergen_jax.rendering.camera import axes, fit_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.rendering.lighting import add_lighting
+from cluttergen_jax.rendering.overlay import Ring, with_rings
 from cluttergen_jax.rendering.picture import distinct_colour, render_model
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.sheet import contact_sheet
@@ -108,6 +111,44 @@ def object_sheet(objects: Sequence[ObjectAsset], columns: int = 4, samples: int 
     return contact_sheet(images, captions, columns)
 
 
+_SURFACE_VIEW = CameraView(elevation=-20.0)
+_LIFTED = 0.003
+
+
+def support_sheet(
+    support: SupportAsset, width: int = 760, height: int = 620, samples: int = 24
+) -> np.ndarray:
+    """A support with its surfaces outlined and numbered, and beside it its collision.
+
+    Thick lines are outlines and the edges of holes, thin ones the regions queried by default.
+    """
+    spec, qpos = scene_spec((), np.zeros((0, 7)), support)
+    points = np.concatenate([piece.mesh.vertices for piece in collision_pieces(support)])
+    trails, spots = [], []
+    for number, surface in enumerate(support.surfaces):
+        rgb = distinct_colour(number)[:3]
+        rings = [(np.array(ring), 0.004) for ring in (surface.outline, *surface.holes)]
+        for ring, radius in (*rings, (surface.region.corners, 0.0015)):
+            lifted = np.column_stack([np.vstack([ring, ring[:1]]), np.full(len(ring) + 1, _LIFTED)])
+            trails.append(Trail(transform_points(surface.pose, lifted), rgb, radius=radius))
+        spots.append(transform_points(surface.pose, np.array([*surface.region.center, 0.0])))
+    images = []
+    draw = partial(
+        render_model, spec.compile(), qpos, width=width, height=height, focus=points, samples=samples
+    )
+    for view in (_SURFACE_VIEW, replace(_SURFACE_VIEW, azimuth=_SURFACE_VIEW.azimuth + 180.0)):
+        image = draw(camera=view, trails=trails)
+        seen = fit_camera(points, view, width, height).project(np.array(spots))[0]
+        labels = [
+            Ring((float(x), float(y)), (2.0, 2.0), distinct_colour(number)[:3], f"{number + 1} {each.name}")
+            for number, ((x, y), each) in enumerate(zip(seen, support.surfaces, strict=True))
+        ]
+        images.append(with_rings(image, labels))
+    images.append(draw(camera=_SURFACE_VIEW, hulls=True))
+    solids = f"collision: {len(support.boxes)} boxes, {len(support.parts)} convex parts"
+    return contact_sheet(images, ["surfaces", "from behind", solids], 3)
+
+
 def scene_spec(
     assets: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
 ) -> tuple[mujoco.MjSpec, np.ndarray]:
@@ -178,7 +219,7 @@ def close_points(
     """
     points = []
     if support is not None:
-        points.append(np.column_stack([support.region.corners, np.full(4, support.top)]))
+        points.append(support.region_points[1:])
     for asset, pose in zip(assets, np.asarray(poses, np.float64), strict=True):
         points.extend(transform_points(pose, part.vertices) for part in asset.parts)
     if not points:

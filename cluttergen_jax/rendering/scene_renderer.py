@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support_map import rim_height
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import close_points, scene_spec
 from cluttergen_jax.rendering.camera import corners, drawn_points, fit_camera
@@ -57,7 +58,7 @@ class PictureConfig:
     Attributes:
       width, height: pixels.
       samples: pictures averaged into one; time is proportional to it.
-      view: from which side.
+      view: from which side; by default from farther above where the support is a deep container.
       whole: show the whole support instead of the objects and the region alone.
       hulls: draw the collision parts instead of the surfaces.
       smoothing: edges are drawn from so many places of each pixel, 0 for one; colours alone, no depth and
@@ -74,6 +75,10 @@ class PictureConfig:
 
     def __post_init__(self) -> None:
         check_size(self.width, self.height, self.samples)
+
+
+_HIGH_RIM, _INTO = 0.05, -55.0
+"""Metres; degrees of elevation."""
 
 
 class SceneRenderer:
@@ -189,6 +194,7 @@ def scene_renderer(
     Raises:
       RendererError: nothing here can draw.
     """
+    picture = _look_over_rim(picture, support)
     model, data, content = _make_scene_model(objects, support, points, picture, materials)
     model.vis.quality.offsamples = picture.smoothing
     width, height = picture.width, picture.height
@@ -202,6 +208,7 @@ def scene_camera(
     objects: Sequence[ObjectAsset], support: SupportAsset | None, points: np.ndarray, picture: PictureConfig
 ) -> Camera:
     """The camera that `scene_renderer` of these begins with; needs no OpenGL."""
+    picture = _look_over_rim(picture, support)
     return _fit_camera(_make_scene_model(objects, support, points, picture)[2], points, picture)
 
 
@@ -222,6 +229,13 @@ def _make_scene_model(
     mujoco.mj_kinematics(model, data)
     is_fixed = is_drawn & (model.body_weldid[model.geom_bodyid] == 0)
     return model, data, np.concatenate([drawn_points(model, data, is_fixed), points])
+
+
+def _look_over_rim(picture: PictureConfig, support: SupportAsset | None) -> PictureConfig:
+    """Into what has a high rim the usual view looks from farther above."""
+    if support is None or picture.view != DEFAULT_VIEW or rim_height(support.region, support) < _HIGH_RIM:
+        return picture
+    return replace(picture, view=replace(picture.view, elevation=_INTO))
 
 
 def _fit_camera(content: np.ndarray, points: np.ndarray, picture: PictureConfig) -> Camera:

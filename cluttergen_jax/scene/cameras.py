@@ -117,7 +117,7 @@ def _looking(
     forward = math.cos(down) * ahead - math.sin(down) * np.array([0.0, 0.0, 1.0])
     # Straight down, what is ahead is up in the picture; at any other angle it is above what is below.
     up = math.sin(down) * ahead + math.cos(down) * np.array([0.0, 0.0, 1.0])
-    target = np.array([*support.region.center, support.top])
+    target = support.region_points[0]
     width, height = SIZE
     focal = height / 2 / math.tan(math.radians(fovy) / 2)
     eye = target - distance * forward

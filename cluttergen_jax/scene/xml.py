@@ -21,7 +21,7 @@ from cluttergen_jax.assets.mjcf import COLLISION_GROUP, SHININESS, SPECULAR, VIS
 from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.world import unique_names
@@ -168,6 +168,12 @@ def _add_support(assets: ET._Element, world: ET._Element, support: SupportAsset)
             size=_text(box.half_extents),
             rgba=_text(box.rgba),
             group=str(COLLISION_GROUP if support.pieces else VISUAL_GROUP),
+        )
+    for index in range(len(support.parts)):
+        name, group = f"support.part-{index}", COLLISION_GROUP if support.pieces else VISUAL_GROUP
+        ET.SubElement(assets, "mesh", name=name, file=f"support/{part_name(index)}")
+        ET.SubElement(
+            body, "geom", name=name, type="mesh", mesh=name, rgba=_text(PART_RGBA), group=str(group)
         )
     for index, piece in enumerate(support.pieces):
         mesh, file = f"support.visual-{index}", f"support/visual-{index}.obj"

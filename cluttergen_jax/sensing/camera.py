@@ -218,4 +218,4 @@ def find_preset(name: str) -> Callable[[SupportAsset, np.random.Generator], Came
 
 def _middle(support: SupportAsset) -> np.ndarray:
     """f64[3]: the region's middle on the support's top, world frame."""
-    return np.array([*support.region.center, support.top], np.float64)
+    return support.region_points[0]

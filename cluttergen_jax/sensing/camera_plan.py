@@ -191,7 +191,7 @@ def _check(path: Path, each: _Stored) -> None:
 
 def _place_camera(stored: _Stored, size: Size, support: SupportAsset, rng: np.random.Generator) -> Camera:
     width, height = size
-    middle = np.array([*support.region.center, support.top])
+    middle = support.region_points[0]
     origin = middle if stored.frame == "region" else np.zeros(3)
     scale = width / stored.width
     if stored.K is not None:

@@ -17,6 +17,7 @@ from cluttergen_jax.assets.support_map import (
     ground_heights,
     map_cells,
     reach_beyond,
+    surface_heights,
     top_boxes,
 )
 from cluttergen_jax.errors import ConfigError
@@ -71,14 +72,22 @@ class Grid:
         region = region or support.region
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = yaw_matrix(region.yaw), (*region.center, support.top)
-        boxes = top_boxes(boxes_of(support), support.top)
+        T_map_region = T
+        if support.named:
+            T_map_region = T * np.array([1, 1, 0, 1])[:, None] + np.diag([0, 0, 1, 0])
+            T = support.chosen.T_world_surface @ T_map_region
+            height, _, low, side = surface_heights(support, support.chosen)
+            middle = np.array(height.shape) * side / 2
+            boxes = np.array([[*(low + middle), 0.0, *middle, 0.0, 0.0]])
+        else:
+            boxes = top_boxes(boxes_of(support), support.top)
+            height, low, side = ground_heights(boxes, support.top)
         half = np.array(region.half_extents, np.float64)
-        sides, shape = map_cells(half + reach_beyond(boxes, np.linalg.inv(T), half, radius), cell)
+        sides, shape = map_cells(half + reach_beyond(boxes, np.linalg.inv(T_map_region), half, radius), cell)
         corner = -np.array(shape) / 2 * sides
         x, y = (corner[axis] + sides[axis] * (np.arange(shape[axis]) + 0.5) for axis in (0, 1))
         xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        height, low, side = ground_heights(boxes, support.top)
-        index = ((xy @ T[:2, :2].T + T[:2, 3] - low) / side).astype(int)
+        index = ((xy @ T_map_region[:2, :2].T + T_map_region[:2, 3] - low) / side).astype(int)
         i, j = (np.clip(index[..., k], 0, height.shape[k] - 1) for k in (0, 1))
         bare = np.full(shape, VOID, np.float32)
         bare[1:-1, 1:-1] = height[i, j][1:-1, 1:-1]

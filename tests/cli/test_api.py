@@ -41,6 +41,8 @@ FUNCTIONS = (
     "robot_grasps",
     "robot_place",
     "rearrange",
+    "judge",
+    "repair",
 )
 # Options and defaults as `--help` told them before commands were made from functions.
 OPTIONS = json.loads((Path(__file__).parent / "options.json").read_text())

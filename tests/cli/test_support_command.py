@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.modeller.furniture import make_support
 from cluttergen_jax.assets.support_file import find_support, user_supports
 from cluttergen_jax.cli.main import main
+from cluttergen_jax.rendering.picture import distinct_colour
 from cluttergen_jax.scene.bank import read_bank
 
 pytestmark = pytest.mark.usefixtures("home")
@@ -60,3 +62,25 @@ def test_a_name_stands_for_one_table(file, tmp_path, capsys):
     assert find_support("mine").top == pytest.approx(0.5)
     np.testing.assert_allclose(sorted(find_support("mine").region.half_extents), [0.15, 0.2], atol=1e-6)
     assert [each.name for each in user_supports().iterdir()] == ["mine"]
+
+
+def test_a_support_is_inspected_by_name(tmp_path, capsys):
+    assert main(["inspect", "bookcase"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[1] for line in lines[2:]] == ["top", "shelf_1", "shelf_2", "shelf_3"]
+    assert "open" in lines[2]
+    assert "0.316 m" in lines[3]
+    assert main(["inspect", "table-0.40x0.50"]) == 0
+    assert "0.200 m^2" in capsys.readouterr().out
+    assert main(["inspect", "bookcase", "--grasps"]) == 2
+    assert main(["inspect", "bookcase", "--out", str(tmp_path / "page.html")]) == 2
+    assert not list(tmp_path.iterdir())
+    assert main(["inspect", "book_case"]) == 2
+
+
+@pytest.mark.slow
+def test_surfaces_are_drawn_and_numbered(tmp_path):
+    assert main(["inspect", "bookcase", "--out", str(tmp_path / "it.png")]) == 0
+    image = np.asarray(Image.open(tmp_path / "it.png"))
+    first = (255 * np.array(distinct_colour(0)[:3])).round()
+    assert (np.abs(image.astype(int) - first).max(-1) < 12).sum() > 200

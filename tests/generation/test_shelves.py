@@ -134,6 +134,7 @@ def test_a_bank_goes_on_and_knows_its_objects(bank, twelve, tmp_path):
         cg.generate(out, str(twelve_again), num_scenes=2 * BLOCK_SIZE + 1, seed=5, **ASKED)
 
 
+@pytest.mark.slow
 def test_everything_takes_such_a_bank(bank, tmp_path):
     loaded = cg.load_bank(bank.path)
     assert len(loaded) == sum(row.is_success for row in bank.scenes())

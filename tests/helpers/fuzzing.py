@@ -24,12 +24,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import trimesh
 
+from cluttergen_jax import bank_reader
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.assets.pool import Pool, read_pool, write_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import read_support, write_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
-from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.importing.readers import find_sources, read_shape
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
@@ -148,6 +149,21 @@ def _read_bank(folder: Path) -> None:
     list(read_scenes(bank))
 
 
+def _stand_alone(folder: Path) -> None:
+    """With the reader that stands alone, whose error is its own."""
+    try:
+        bank = bank_reader.Bank(folder)
+        bank.summary()
+        _ = bank.arrays, bank.labels, bank.xml(0, version="3.17")
+    except bank_reader.BankError as error:
+        raise BankError(error.given) from error
+
+
+def _no_digests(folder: Path) -> None:
+    """A bank of a scene of which bank.json knows no files."""
+    shutil.copytree(CORPUS.parent / "golden" / "bank", folder)
+
+
 def _sign(separators: tuple[str, str] | None) -> Callable[[bytes], bytes]:
     def sign(data: bytes) -> bytes:
         try:
@@ -257,6 +273,10 @@ READERS = {
     "bank_record_signed": Reader(_bank, "bank.json", _read_bank, _sign(None)),
     "bank_block": Reader(_bank, "scenes-000000.parquet", _read_bank),
     "bank_block_plain": Reader(lambda f: _bank(f, checksums=False), "scenes-000000.parquet", _read_bank),
+    "alone_record": Reader(_no_digests, "bank.json", _stand_alone, _sign(None)),
+    "alone_block": Reader(_no_digests, "scenes-000000.parquet", _stand_alone),
+    "alone_object": Reader(_no_digests, "assets/objects/can/object.json", _stand_alone),
+    "alone_support": Reader(_no_digests, "assets/support/support.json", _stand_alone),
     "bank_scene": Reader(
         _scene, "scenes/000000.xml", lambda f: verify_scene(f / "scenes" / "000000.xml", VerifyConfig(0.05))
     ),

@@ -7,13 +7,17 @@ from shapely.geometry import Polygon
 from shapely.ops import unary_union
 
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.modeller.bins import SIZES
 from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.support_map import cover, largest_rectangle
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.supports import support_from_mesh
 
-FURNITURE = [name for name in SUPPORTS if name != "table"]
+# Of a container on a table the table is found.
+FURNITURE = [
+    name for name in SUPPORTS if name != "table" and name not in SIZES and not make_support(name).named
+]
 SOURCE = Provenance("test", "Apache-2.0")
 
 
@@ -41,7 +45,7 @@ def region_of(support):
 
 
 @pytest.mark.parametrize("name", FURNITURE)
-@pytest.mark.parametrize("angle", [0.0, 0.4])
+@pytest.mark.parametrize("angle", [0.0, pytest.param(0.4, marks=pytest.mark.slow)])
 def test_our_tables_are_found_again(name, angle):
     own = make_support(name)
     found = support_from_mesh(shape_of(own, angle, (3.0, -2.0, 0.7)))
@@ -59,7 +63,8 @@ def test_our_tables_are_found_again(name, angle):
         drawn = np.concatenate([piece.mesh.vertices for piece in found.pieces])
         np.testing.assert_allclose(drawn.min(0)[:2] + drawn.max(0)[:2], 0, atol=1e-9)
         assert drawn[:, 2].min() == pytest.approx(0, abs=1e-9)
-        over = [b for b in own.boxes if b.center[2] > own.top]
+        # What hangs over a top is an obstacle; where it is a surface itself, there is room below it.
+        over = [b for b in own.boxes if b.center[2] > own.top and not found.named]
         covered = unary_union([polygon(b.center, b.half_extents, b.yaw) for b in over])
         own_outline = top_outline(own)[0].difference(covered)
         shared = outline.intersection(own_outline).area

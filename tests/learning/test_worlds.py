@@ -10,8 +10,9 @@ from cluttergen_jax.learning.training.worlds import TrainingSetting, WorldMaker
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
-from cluttergen_jax.placement.problem import ProblemConfig, compose, geometry_of, pad_geometry
+from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
+from cluttergen_jax.placement.world_geometry import geometry_of, pad_geometry
 
 SETS = (("dinner_plate", "soup_can", "mug"), ("cutting_board", "cereal_box", "fork"))
 WIDTH = 6

@@ -16,7 +16,7 @@ import cluttergen_jax as cg
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 GUIDES = [DOCS / "start.md", *sorted(DOCS.glob("guide/*.md")), *sorted(DOCS.glob("concepts/*.md"))]
-TEXTS = [ROOT / "README.md", *GUIDES]
+TEXTS = [ROOT / "README.md", ROOT / "AGENTS.md", *GUIDES]
 OPTIONS = json.loads((ROOT / "tests" / "cli" / "options.json").read_text())
 
 
@@ -34,7 +34,7 @@ def anchors(path):
 
 def test_people_need_not_read_much():
     assert len((ROOT / "README.md").read_text().split()) <= 700
-    assert sum(len(path.read_text().split()) for path in GUIDES) <= 12_000
+    assert sum(len(path.read_text().split()) for path in GUIDES) <= 13_500
     assert (DOCS / "images" / "filling.gif").stat().st_size < 3e6
 
 

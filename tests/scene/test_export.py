@@ -2,6 +2,7 @@
 
 import json
 import runpy
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -12,6 +13,7 @@ import trimesh
 
 from cluttergen_jax.assets.shading import linear
 from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.export import FORMATS, export_scenes
@@ -199,3 +201,46 @@ def test_existing_folders_are_left_alone(tmp_path):
     export_scenes([scene], tmp_path / "new", "sdf", overwrite=True)
     assert (tmp_path / "new" / "scenes" / "000000.sdf").is_file()
     assert not (tmp_path / "new" / "scenes" / "000000.xml").exists()
+
+
+@pytest.mark.parametrize("is_drawn", [True, False])
+def test_convex_parts_of_a_support_go_everywhere(tmp_path, is_drawn):
+    support = find_support("tilted_board_10")
+    support = support if is_drawn else replace(support, pieces=())
+    scene = spread(trio()[:1], support)
+    count = len(support.boxes) + 1
+    for format in sorted(FORMATS):
+        if format == "usd":
+            pytest.importorskip("pxr", reason="needs the extra usd")
+        folder = export_scenes([scene], tmp_path / format, format)
+        if format.startswith("mjcf"):
+            model = mujoco.MjModel.from_xml_path(str(next(folder.glob("scenes/*.xml"))))
+            data = mujoco.MjData(model)
+            mujoco.mj_kinematics(model, data)
+            index, mesh = model.geom("support.part-0").id, model.mesh("support.part-0")
+            own = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
+            vertices = own @ data.geom_xmat[index].reshape(3, 3).T + data.geom_xpos[index]
+            apart = np.linalg.norm(vertices[:, None] - support.parts[0].vertices, axis=-1)
+            assert apart.min(0).max() < 1e-5
+        elif format in ("robosuite", "libero"):
+            model = mujoco.MjModel.from_xml_path(str(folder / "assets/support/support.xml"))
+            assert (model.geom_contype > 0).sum() == count
+        elif format == "urdf":
+            link = ET.parse(folder / "assets/support/support.urdf").find("link")
+            assert len(link.findall("collision")) == count
+            assert (
+                folder / "assets/support" / link.find("collision/geometry/mesh").get("filename")
+            ).is_file()
+        elif format == "sdf":
+            root = ET.parse(next(folder.glob("scenes/*.sdf")))
+            assert len(root.findall(".//model[@name='support']/link/collision")) == count
+        elif format == "glb":
+            model = trimesh.load(next(folder.glob("scenes/*.glb")))
+            assert len(model.geometry) > 0
+        elif format == "maniskill":
+            record = json.loads(next(folder.glob("scenes/*.json")).read_text())["support"]
+            assert len(record["boxes"]) + len(record["parts"]) == count
+            assert (folder / record["folder"] / record["parts"][0]).is_file()
+        elif format == "usd":
+            text = (folder / "assets/support/support.usda").read_text()
+            assert text.count("PhysicsCollisionAPI") == count

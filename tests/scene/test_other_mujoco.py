@@ -2,7 +2,6 @@
 
 import re
 import subprocess
-import venv
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from cluttergen_jax.physics.simulations import Simulations
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.export import export_scenes
 from cluttergen_jax.types import Verdict
+from tests.helpers.environments import python_with
 from tests.helpers.exports import dining_scene
 from tests.helpers.worlds import TOP, layout_of, scene, trio
 
@@ -81,14 +81,8 @@ def test_the_last_check_asks_both_detectors(monkeypatch, falls):
 def interpreters(tmp_path_factory):
     """By version of MuJoCo, the Python of an environment that has it alone."""
 
-    def made(version):
-        folder = tmp_path_factory.mktemp("environments") / version
-        venv.create(folder, with_pip=True)
-        words = [folder / "bin/pip", "install", "--quiet", f"mujoco=={version}"]
-        subprocess.run(words, check=True, timeout=240)
-        return folder / "bin/python"
-
-    return {version: made(version) for version in (*VERSIONS, *OLDER)}
+    folder = tmp_path_factory.mktemp("environments")
+    return {version: python_with(folder / version, f"mujoco=={version}") for version in (*VERSIONS, *OLDER)}
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,5 @@
-"""All supports of the modeller: the paper's cuboid and ten pieces of furniture.
+"""All supports of the modeller: the paper's cuboid, tables, furniture with several surfaces or a slope, and
+containers on a table.
 
 The boxes of tops, rims, risers, shelves and benches are where the surfaces are. Legs that lean are upright
 boxes: nothing on the top touches them, and what falls past them has failed already.
@@ -8,11 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from cluttergen_jax.assets.modeller.bins import open_bin, tote, tray
 from cluttergen_jax.assets.modeller.desks import drawer_desk, l_desk, shelf_desk
 from cluttergen_jax.assets.modeller.draw import Rng, vary
+from cluttergen_jax.assets.modeller.shelving import (
+    bookcase,
+    dish_rack,
+    kitchen_drawer,
+    rack,
+    steps,
+    tilted_board,
+)
 from cluttergen_jax.assets.modeller.tables import (
     bar_table,
     coffee_table,
@@ -45,6 +56,16 @@ SUPPORTS: dict[str, Callable[[np.random.Generator | None], SupportAsset]] = {
     "coffee_table": coffee_table,
     "bar_table": bar_table,
     "picnic_table": picnic_table,
+    "bookcase": bookcase,
+    "rack": rack,
+    "kitchen_drawer": kitchen_drawer,
+    "dish_rack": dish_rack,
+    "tilted_board_5": partial(tilted_board, degrees=5),
+    "tilted_board_10": partial(tilted_board, degrees=10),
+    "steps": steps,
+    "bin": open_bin,
+    "tote": tote,
+    "tray": tray,
 }
 
 

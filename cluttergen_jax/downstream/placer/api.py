@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from cluttergen_jax.config import (
     MAX_PAIRS,
+    PILE,
     Method,
     PlacerHead,
     PlacerLoss,
@@ -80,7 +81,7 @@ def placer_data(
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
     from cluttergen_jax.downstream.placer.pairs.store import PAIRS
-    from cluttergen_jax.downstream.samples import SPLITS, bank_or_made
+    from cluttergen_jax.downstream.samples import SPLITS, bank_or_made, check_upright, poses_of
     from cluttergen_jax.scene.bank import AGAIN, Bank
 
     check_folder(out)
@@ -95,6 +96,7 @@ def placer_data(
     def make() -> Bank:
         PAIRS.check_place(Path(out))
         asked = (spec or SceneSpec(pool="household")).replace_given(pool, method, support, num_objects)
+        check_upright(asked.poses, "a placer")
         return generate(
             Path(out) / f"bank-{name}",
             replace(asked, num_threads=num_threads),
@@ -107,8 +109,12 @@ def placer_data(
 
     given = (spec, pool, num_scenes, method, support, num_objects)
     found = bank_or_made(bank, make, "spec pool num_scenes method support num_objects", given)
+    check_upright(poses_of(found), "a placer")
     if "assets" not in found.record:
         raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
+    if found.recipe.get("method") == PILE:
+        hint = "generate --method guided"
+        raise BankError(f"{found.path} holds piles", "scenes placed one object after another", hint)
     of_split = split_of(found, split)
     return write_pairs(out, found, of_split, num_pairs, camera, seed, num_threads, overwrite)
 

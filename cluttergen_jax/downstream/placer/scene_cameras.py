@@ -6,6 +6,7 @@ import threading
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.problem import Problem
@@ -130,7 +131,11 @@ def depth_bytes(depth: np.ndarray) -> bytes:
 
 
 def _is_inside(camera: Camera, support: Any) -> bool:
-    """Whether a camera is inside one of the support's boxes."""
+    """Whether a camera is inside one of the support's boxes or convex parts."""
+    for part in support.parts:
+        planes = ConvexHull(part.vertices).equations
+        if (planes[:, :3] @ camera.eye + planes[:, 3] <= 0).all():
+            return True
     for box in support.boxes:
         cos, sin = np.cos(box.yaw), np.sin(box.yaw)
         x, y, z = camera.eye - np.asarray(box.center)

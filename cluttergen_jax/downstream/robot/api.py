@@ -156,7 +156,7 @@ def robot_place(
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
     from cluttergen_jax.downstream.robot.trials import own_place, run_trials
-    from cluttergen_jax.downstream.samples import bank_or_made
+    from cluttergen_jax.downstream.samples import bank_or_made, check_upright, poses_of
     from cluttergen_jax.learning.methods import checkpoint_of
     from cluttergen_jax.learning.ppo import checkpoint
     from cluttergen_jax.scene.bank import Bank, read_scenes, region_of
@@ -183,6 +183,8 @@ def robot_place(
 
     given = (pool, method, support, num_objects, region)
     found = bank_or_made(bank, make, "pool method support num_objects region", given)
+    if task == "place":
+        check_upright(poses_of(found), "a robot that places")
     recipe = found.record["recipe"]
     queried = region_of(found)
     scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]

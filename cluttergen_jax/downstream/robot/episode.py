@@ -63,12 +63,16 @@ class EpisodeResult(Ending):
 def stand_beside(support: SupportAsset) -> Box:
     """A square on the level of the support's top, beside it at the region's -y, nearer to the arm."""
     region = support.region
-    low = min(_low_side(box, region.yaw, np.asarray(region.center)) for box in support.boxes)
+    center = np.asarray(region.center)
+    parts = [
+        rotate_in_plane(part.vertices[:, :2] - center, -region.yaw)[:, 1].min() for part in support.parts
+    ]
+    low = min([_low_side(box, region.yaw, center) for box in support.boxes] + parts)
     middle = np.array([-_STAND_BEFORE, low - _STAND_GAP - STAND_SIDE / 2])
     x, y = np.asarray(region.center) + rotate_in_plane(middle, region.yaw)
     half = STAND_SIDE / 2
-    center = (float(x), float(y), support.top - _STAND_HALF_HEIGHT)
-    return Box(center, (half, half, _STAND_HALF_HEIGHT), region.yaw)
+    place = (float(x), float(y), support.top - _STAND_HALF_HEIGHT)
+    return Box(place, (half, half, _STAND_HALF_HEIGHT), region.yaw)
 
 
 def _low_side(box: Box, yaw: float, center: np.ndarray) -> float:

@@ -92,7 +92,13 @@ def write_compound(path: Path, asset: ObjectAsset, frames: BodyFrames, index: in
 
 
 def add_support(pybullet: ModuleType, client: int, support: SupportAsset, friction: float) -> None:
-    """Adds a support's boxes, fixed."""
+    """Adds a support's boxes and convex parts, fixed."""
+    for part in support.parts:
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_MESH, vertices=part.vertices.tolist(), physicsClientId=client
+        )
+        body = pybullet.createMultiBody(0, shape, -1, physicsClientId=client)
+        pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=client)
     for box in support.boxes:
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_BOX, halfExtents=box.half_extents, physicsClientId=client

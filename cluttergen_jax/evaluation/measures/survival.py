@@ -230,6 +230,16 @@ class DrakePeer:
             plant.RegisterCollisionGeometry(
                 plant.world_body(), place, shape, f"support-{number}", self._friction(sliding)
             )
+        for number, part in enumerate(self._models.world.support.parts):
+            path = Path(self._files.name) / f"support-{number}.obj"
+            path.write_text(mesh_text(part.hull()), encoding="ascii")
+            plant.RegisterCollisionGeometry(
+                plant.world_body(),
+                drake.RigidTransform(),
+                drake.Convex(str(path)),
+                f"support-part-{number}",
+                self._friction(sliding),
+            )
 
     def _add_object(self, plant: Any, k: int) -> Any:
         drake, asset = self._drake, self._models.world.objects[k]

@@ -32,6 +32,7 @@ def with_rules_of(trial: Trial, spec: SceneSpec) -> Trial:
         budget=decided.budget,
         min_margin=decided.min_margin or 0.0,
         height=spec.height if trial.method == "random" else "rest",
+        poses=spec.poses,
     )
 
 

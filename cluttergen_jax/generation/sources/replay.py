@@ -11,7 +11,7 @@ import numpy as np
 
 from cluttergen_jax.assets.pool import StoredObjects, find_pool
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
-from cluttergen_jax.config import HAND, ContactConfig, StabilityConfig
+from cluttergen_jax.config import PILE, UNPROPOSED, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
@@ -81,7 +81,7 @@ def replay_context_of(bank: Bank) -> ReplayContext:
         method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
     except KeyError as error:
         raise _not_recorded(bank, error) from error
-    trained = None if method == HAND else choose_method(method, pool, checkpoint).checkpoint
+    trained = None if method in UNPROPOSED else choose_method(method, pool, checkpoint).checkpoint
     return ReplayContext(setup, {} if trained is None else {method: trained})
 
 
@@ -142,13 +142,19 @@ def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_p
     """Scene number `index` of a bank with its attempts, made once more; see `Recorder.record`.
 
     Raises:
-      BankError: a person made it; or made again it ends elsewhere: other versions, another machine, changed
-        assets.
+      BankError: a person made it, or it is a pile; or made again it ends elsewhere: other versions, another
+        machine, changed assets.
     """
     recipe = bank.recipe
-    if recipe["method"] == HAND:
+    if recipe["method"] == PILE:
         raise BankError(
-            f"{stored.title} was made by hand: its attempts cannot be made again",
+            f"{stored.title} is a pile, in which all objects fall together",
+            "attempts of scenes that are placed object by object",
+            "the scene itself",
+        )
+    if recipe["method"] in UNPROPOSED:
+        raise BankError(
+            f"{stored.title} was made by {recipe['method']}: its attempts cannot be made again",
             "attempts of scenes that a method made",
             "the scene itself",
         )
@@ -179,6 +185,7 @@ def _problem_config(bank: Bank, recipe: Recipe) -> ProblemConfig:
         weights=tuple((str(name), float(weight)) for name, weight in recipe.get("weights", ())),
         balance=recipe.get("balance", ""),
         region=recorded_rectangle(recipe["region"]),
+        is_piled=recipe.get("method") == PILE,
         engine=recipe.get("engine", "auto"),
         placement=config_of(PlacementConfig, recipe["placement"], bank.path),
         stability=config_of(StabilityConfig, recipe["stability"], bank.path),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import mujoco
@@ -14,7 +14,13 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece, is_convex, roles_of
 from cluttergen_jax.importing.readers.mjcf_pictures import picture_notes
-from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, frozen_note
+from cluttergen_jax.importing.readers.model import (
+    MAX_PARTS,
+    Model,
+    check_joints,
+    frozen_note,
+    opened_joint,
+)
 
 
 def _compile_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
@@ -84,7 +90,9 @@ _JOINT = mujoco.mjtJoint
 _MOVABLE = {_JOINT.mjJNT_HINGE: "hinge", _JOINT.mjJNT_SLIDE: "slide", _JOINT.mjJNT_BALL: "ball"}
 
 
-def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
+def read_mjcf(
+    path: Path, body: str = "", max_side: int = MAX_TEXTURE, opened: Mapping[str, float] | None = None
+) -> Model:
     """One body with all that hangs on it, at the model's reference configuration.
 
     Pieces are the geoms that are seen, parts those that collide (`mjcf_roles`): MuJoCo takes the convex
@@ -94,6 +102,7 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
       path: the MJCF file.
       body: the body's name, or "#N" for the N-th body of the world, or "" for the only one.
       max_side: pixels; larger images are shrunk.
+      opened: where hinges and slides are to be instead, degrees or metres, by name.
 
     Returns:
       The model; its parts are None if there are more than 32 or one is not convex, its mass is what MuJoCo
@@ -107,6 +116,7 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
     if model.nflex and not model.ngeom:
         raise AssetError(f"{path} holds soft bodies alone (flex)", "rigid bodies with geoms")
     data = mujoco.MjData(model)
+    _open_joints(model, data, opened or {}, path)
     mujoco.mj_kinematics(model, data)
     root = _root(model, path, body)
     bodies = [i for i in range(model.nbody) if _hangs_on(model, i, root)]
@@ -125,17 +135,33 @@ def read_mjcf(path: Path, body: str = "", max_side: int = MAX_TEXTURE) -> Model:
         pieces=[geom_piece(model, data, i, max_side) for i in roles.surface],
         parts=tuple(Mesh.points(each.vertices) for each in colliding) if is_usable else None,
         stated=combine_masses([_body_mass(model, data, i) for i in bodies]),
-        notes=(*frozen_note(_frozen_joints(model, bodies)), *roles.notes, *dict.fromkeys(of_pictures)),
+        notes=(*frozen_note(_frozen_joints(model, data, bodies)), *roles.notes, *dict.fromkeys(of_pictures)),
         colliding=colliding,
     )
 
 
-def _frozen_joints(model: mujoco.MjModel, bodies: list[int]) -> Iterator[tuple[str, str, float, bool]]:
+def _open_joints(model: mujoco.MjModel, data: mujoco.MjData, opened: Mapping[str, float], path: Path) -> None:
+    movable = {
+        model.joint(index).name: index
+        for index in range(model.njnt)
+        if model.jnt_type[index] in (_JOINT.mjJNT_HINGE, _JOINT.mjJNT_SLIDE)
+    }
+    check_joints(opened, movable, path)
+    for name, value in opened.items():
+        index = movable[name]
+        lower, upper = model.jnt_range[index].tolist() if model.jnt_limited[index] else (-np.inf, np.inf)
+        is_turn = bool(model.jnt_type[index] == _JOINT.mjJNT_HINGE)
+        data.qpos[model.jnt_qposadr[index]] = opened_joint(name, value, lower, upper, is_turn)
+
+
+def _frozen_joints(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int]
+) -> Iterator[tuple[str, str, float, bool]]:
     for joint in range(model.njnt):
         kind = mujoco.mjtJoint(int(model.jnt_type[joint]))
         if kind in _MOVABLE and int(model.jnt_bodyid[joint]) in bodies:
             is_ball = kind == _JOINT.mjJNT_BALL
-            value = 0.0 if is_ball else float(model.qpos0[model.jnt_qposadr[joint]])
+            value = 0.0 if is_ball else float(data.qpos[model.jnt_qposadr[joint]])
             yield (model.joint(joint).name, _MOVABLE[kind], value, kind != _JOINT.mjJNT_SLIDE)
 
 

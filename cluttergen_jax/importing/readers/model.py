@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -11,8 +13,10 @@ from cluttergen_jax.assets.mass import StatedMass
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.errors import ConfigError, closest
 
 MAX_PARTS = 32
+_HAIR = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,37 @@ def frozen_note(joints: Iterable[tuple[str, str, float, bool]]) -> tuple[str, ..
         place = f"{np.degrees(value) + 0.0:.3g} degrees" if is_turn else f"{value + 0.0:.3g} m"
         described.append(f"{name!r} ({kind}) at {place}")
     return (f"frozen joints: {', '.join(described)}",) if described else ()
+
+
+def opened_joint(name: str, value: float, lower: float, upper: float, is_turn: bool) -> float:
+    """Where a joint is to be, radians or metres, from degrees or metres.
+
+    Args:
+      lower, upper: how far it goes, radians or metres; infinite where there is no limit.
+
+    Raises:
+      ConfigError: it does not go so far.
+    """
+    unit, factor = ("degrees", math.pi / 180) if is_turn else ("m", 1.0)
+    if not lower - _HAIR <= value * factor <= upper + _HAIR:
+        raise ConfigError(
+            f"joint {name!r} at {value:g} {unit}",
+            f"{lower / factor:.4g} to {upper / factor:.4g} {unit}",
+            f"{name}={upper / factor:.4g}" if math.isfinite(upper) else "a value within its limits",
+        )
+    return value * factor
+
+
+def check_joints(asked: Iterable[str], movable: Iterable[str], path: Path) -> None:
+    """Refuses joints that a file does not have, or that do not move (ConfigError)."""
+    names = list(movable)
+    for name in asked:
+        if name not in names:
+            raise ConfigError(
+                f"joint {name!r} of {path.name}",
+                ", ".join(names) or "no joint moves",
+                meant=closest(name, names),
+            )
 
 
 def convex_parts(meshes: list[Mesh], tolerance: float = 0.02) -> tuple[Mesh, ...] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import trimesh
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.mesh_repair.folds import without_folds
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
-from cluttergen_jax.errors import AssetError
+from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
 from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, convex_parts
@@ -29,14 +29,24 @@ NOT_STATED = "not stated"
 _UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "tenths of a millimetre": 0.0001}
 
 
-def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
+def read_shape(
+    source: ObjectFile,
+    options: ReadOptions | None = None,
+    joints: Mapping[str, float] | None = None,
+    largest: float = MAX_SIZE,
+) -> Shape:
     """Reads one object, scaled to metres, z up, its pieces not yet welded.
+
+    Args:
+      joints: where joints of a URDF or MJCF file are to be, metres or degrees.
+      largest: metres that it may measure at most.
 
     Raises:
       AssetError: a file is missing or unreadable (the message names it), or the size is impossible.
+      ConfigError: there is no such joint, or it does not go so far.
     """
     options = options or ReadOptions()
-    model, mass_scale = _model(source, options)
+    model, mass_scale = _model(source, options, joints or {})
     up = options.up if options.up in AXES else own_up(source.path, source.kind).axis
     rotation = turn_of(up, options.front)
     turn = rotation * options.scale
@@ -70,7 +80,7 @@ def read_shape(source: ObjectFile, options: ReadOptions | None = None) -> Shape:
         is_from_file=True,
         keeps_parts=bool(source.parts),
     )
-    _check_size(shape, source.path)
+    _check_size(shape, source.path, largest)
     return shape
 
 
@@ -78,17 +88,21 @@ def _rotate_meshes(meshes: Sequence[Mesh], turn: np.ndarray) -> tuple[Mesh, ...]
     return tuple(mesh.transform(turn, np.zeros(3)) for mesh in meshes)
 
 
-def _model(source: ObjectFile, options: ReadOptions) -> tuple[Model, float]:
+def _model(source: ObjectFile, options: ReadOptions, joints: Mapping[str, float]) -> tuple[Model, float]:
     """What the file holds, and the factor on its masses.
 
     In URDF and SDF a mass is written as it is; most of MJCF's are a density times a volume: that keeps it.
     """
     if source.kind == "urdf":
-        return read_urdf(source.path, options.max_texture), 1.0
+        return read_urdf(source.path, options.max_texture, joints), 1.0
+    if joints and source.kind != "mjcf":
+        raise ConfigError(
+            f"joints of {source.path.name} ({source.kind})", "those of a URDF or MJCF file", "no `joint`"
+        )
     if source.kind == "sdf":
         return read_sdf(source.path, source.body, options.max_texture), 1.0
     if source.kind == "mjcf":
-        return read_mjcf(source.path, source.body, options.max_texture), options.scale**3
+        return read_mjcf(source.path, source.body, options.max_texture, joints), options.scale**3
     pieces, notes = read_mesh_file(source.path, options.max_texture)
     model = Model(pieces, None, None, notes)
     return with_kept_parts(model, source.parts) if source.parts else model, 1.0
@@ -120,7 +134,7 @@ def public_path(path: Path) -> str:
     return "/".join(path.resolve().parts[-3:])
 
 
-def _check_size(shape: Shape, path: Path) -> None:
+def _check_size(shape: Shape, path: Path, largest: float) -> None:
     """Raises AssetError if the shape is empty, not finite, or its largest side is not that of an object."""
     meshes = [piece.mesh for piece in shape.pieces]
     if not any(len(mesh.faces) for mesh in meshes):
@@ -130,10 +144,10 @@ def _check_size(shape: Shape, path: Path) -> None:
         raise AssetError(f"{path} has vertices that are not finite numbers")
     used = whole.vertices[np.unique(whole.faces)]
     size = float(np.ptp(used, axis=0).max())
-    if not MIN_SIZE <= size <= MAX_SIZE:
+    if not MIN_SIZE <= size <= largest:
         raise AssetError(
             f"{path}: {shape.label!r} is {size:.3g} m across",
-            f"a largest side between {MIN_SIZE * 1000:g} mm and {MAX_SIZE:g} m",
+            f"a largest side between {MIN_SIZE * 1000:g} mm and {largest:g} m",
             _likely_cause(size),
         )
 

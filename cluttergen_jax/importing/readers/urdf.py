@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import refuse_stand_in
 from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, rigid
 from cluttergen_jax.importing.readers.materials import GREY
-from cluttergen_jax.importing.readers.model import Model, frozen_note
+from cluttergen_jax.importing.readers.model import Model, check_joints, frozen_note, opened_joint
 from cluttergen_jax.importing.readers.places import mesh_place
 from cluttergen_jax.importing.readers.xml_tree import (
     BROKEN,
@@ -82,13 +83,14 @@ class Joints:
 
     Args:
       path: the file, for messages.
+      opened: where joints are to be instead, metres or degrees, by name.
 
     Attributes:
       notes: what was decided about them, in words.
     """
 
-    def __init__(self, robot: Element, path: Path) -> None:
-        self._path = path
+    def __init__(self, robot: Element, path: Path, opened: Mapping[str, float] | None = None) -> None:
+        self._path, self._opened = path, opened or {}
         self._links = [link.get("name", "") for link in robot.findall("link")]
         self._joints = robot.findall("joint")
         self._by_name = {joint.get("name", ""): joint for joint in self._joints}
@@ -118,11 +120,15 @@ class Joints:
         return factor * self._lower_limit(joint) + offset
 
     def _lower_limit(self, joint: Element) -> float:
-        limit = joint.find("limit")
-        if limit is None or joint.get("type") not in _LIMITED:
-            return 0.0
-        value = number(self._path, limit, "lower", "0", is_finite=False)
-        return value if math.isfinite(value) else 0.0
+        limit, name, kind = joint.find("limit"), joint.get("name", ""), joint.get("type", "")
+        lower, upper = -math.inf, math.inf
+        if limit is not None and kind in _LIMITED:
+            lower, upper = (
+                number(self._path, limit, end, "0", is_finite=False) for end in ("lower", "upper")
+            )
+        if name in self._opened:
+            return opened_joint(name, self._opened[name], lower, upper, kind in _TURNS)
+        return lower if math.isfinite(lower) else 0.0
 
     def link_poses(self) -> dict[str, np.ndarray]:
         """f64[4, 4] from each link to the root link.
@@ -198,7 +204,7 @@ def origin(path: Path, element: Element) -> np.ndarray:
 _MOVABLE = ("revolute", "prismatic", "continuous", "floating", "planar")
 
 
-def read_urdf(path: Path, max_side: int = MAX_TEXTURE) -> Model:
+def read_urdf(path: Path, max_side: int = MAX_TEXTURE, opened: Mapping[str, float] | None = None) -> Model:
     """The model as one rigid thing; its parts are its collision meshes if all of them are convex.
 
     Pieces are the visuals, or the collision elements where there are none. `globalScaling` in a
@@ -207,12 +213,17 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE) -> Model:
 
     Args:
       max_side: pixels; larger images are shrunk.
+      opened: where joints are to be, see `Joints`.
 
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
+      ConfigError: there is no such joint, or it does not go so far.
     """
     robot = _parse(path)
-    joints = Joints(robot, path)
+    movable = (joint for joint in robot.findall("joint") if joint.find("mimic") is None)
+    names = [joint.get("name", "") for joint in movable if joint.get("type") in (*_LIMITED, *_TURNS)]
+    check_joints(opened or (), names, path)
+    joints = Joints(robot, path, opened)
     poses = joints.link_poses()
     scale = _global_scaling(path)
     surfaces = Surfaces(path, max_side, notes=joints.notes)

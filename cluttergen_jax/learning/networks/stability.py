@@ -74,7 +74,7 @@ def features_of(rules: Rules, episode: Episode, candidates: CandidateSet) -> Arr
     region. Nothing says which object it is, or of which pool.
     """
     scores, fit, supporters = candidates.found.scores, candidates.found.scores.fit, candidates.supporters
-    geometry, focus = rules.geometry, rules.focus(episode)
+    body = rules.body(episode)
     cost = sum(costs_of_staying(scores))
     of_candidates = jnp.stack(
         [
@@ -94,8 +94,8 @@ def features_of(rules: Rules, episode: Episode, candidates: CandidateSet) -> Arr
         ],
         axis=1,
     )
-    half, center = geometry.half_extents[focus], geometry.center_of_mass[focus]
-    own = jnp.clip(geometry.own_margin[focus], 0.0, 0.1)
+    half, center, height = body.half_extents, body.center_of_mass, body.height
+    own = jnp.clip(body.own_margin, 0.0, 0.1)
     of_object = jnp.concatenate(
         [
             10 * half,
@@ -104,7 +104,7 @@ def features_of(rules: Rules, episode: Episode, candidates: CandidateSet) -> Arr
                 [
                     20 * own,
                     # How far it may lean on flat ground before it tips.
-                    own / jnp.maximum(half[2] + center[2], 0.005) / 2,
+                    own / jnp.maximum(height + center[2], 0.005) / 2,
                     episode.is_placed.sum() / 20,
                     10 * rules.height_range(episode) / 3,
                     jnp.log(4 * half[0] * half[1] / (4 * jnp.prod(episode.region.half_extents))) / 4,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -77,7 +78,7 @@ class _Before:
 
 
 class HandScene:
-    """One scene in the hands of a person: an episode that they steer, by the rules that methods obey.
+    """One scene in the hands of a person, or of a program: an episode steered by the rules that methods obey.
 
     The current object is held, moved, lowered and dropped; what settled stably is committed, after anything
     else the scene is what it was. A person may try as often as they like, take the objects in any order and
@@ -88,6 +89,7 @@ class HandScene:
       key: draws the objects, and the order in which they are offered.
       number: the scene's own, for people.
       now: the clock's.
+      objects: the world's objects to be placed, in this order, in place of drawn ones.
 
     Attributes:
       held: where the current object is.
@@ -95,12 +97,20 @@ class HandScene:
     """
 
     def __init__(
-        self, setup: Setup, key: Array, number: int = 0, now: Callable[[], float] = time.monotonic
+        self,
+        setup: Setup,
+        key: Array,
+        number: int = 0,
+        now: Callable[[], float] = time.monotonic,
+        objects: Sequence[int] | None = None,
     ) -> None:
         self.setup, self.number, self.clock = setup, number, ActiveClock(now)
         self._rules = setup.problem.rules
-        self._mapper = HeightMapper.of(self._rules.geometry, self._rules.region)
         self._episode: Episode = _begin(self._rules, key, setup.keep_out, setup.start)
+        if objects is not None:
+            index = np.full(self._rules.num_slots, -1, np.int32)
+            index[: len(objects)] = objects
+            self._episode = self._episode.replace(object_index=jnp.asarray(index))
         self._before: list[_Before] = []
         self._failure = Verdict.NONE
         self.is_closed = False
@@ -109,6 +119,10 @@ class HandScene:
         self.clock = ActiveClock(now)
 
     held: Held
+
+    @cached_property
+    def _mapper(self) -> HeightMapper:
+        return HeightMapper.of(self._rules.geometry, self._rules.region)
 
     # What there is.
 
@@ -241,12 +255,19 @@ class HandScene:
         self.held = Held(held.x, held.y, rest + CLEARANCE, held.yaw, is_lowered=True)
         return Lowered(lift, float(fit.hanging[0]))
 
-    def drop(self) -> Drop:
-        """Lets go of the current object where it is held: one attempt; HandError where no object is left."""
+    def drop(self, pose: np.ndarray | None = None) -> Drop:
+        """Lets go of the current object where it is held: one attempt; HandError where no object is left.
+
+        Args:
+          pose: f[7], world frame, in whatever orientation, in place of where it is held; it has no action.
+        """
         self._check_current()
         held, before = self.held, self._episode
-        position = jnp.array([held.x, held.y, held.z])
-        action, asked = _release(self._rules, before, position, jnp.float32(held.yaw))
+        if pose is None:
+            position = jnp.array([held.x, held.y, held.z])
+            action, asked = _release(self._rules, before, position, jnp.float32(held.yaw))
+        else:
+            action, asked = jnp.zeros(4), _release_at(self._rules, before, jnp.asarray(pose, jnp.float32))
         settling = self._rules.simulator.settle(*asked)
         after, transition, _ = _judge(self._rules, before, action, settling)
         verdict = Verdict(int(transition.verdict))
@@ -301,6 +322,23 @@ class HandScene:
             self._failure = verdict
         shift = np.where(self.is_placed, np.asarray(standing.shift), -1.0)
         return Check(verdict, int(np.argmax(shift)), float(shift.max()))
+
+    def keep_as_given(self, poses: np.ndarray, max_shift: float) -> SceneBatch | None:
+        """The scene with all objects at f[K, 7], if it stands the last check and moves `max_shift` at most.
+
+        Nothing is placed for it, so that what lies on what is not known.
+        """
+        is_placed = np.isin(np.arange(len(poses)), self.all)
+        episode = self._episode.replace(
+            poses=jnp.asarray(poses, jnp.float32),
+            is_placed=jnp.asarray(is_placed),
+            slot=jnp.int32(len(self.all)),
+        )
+        standing = self._rules.simulator.stand(episode.poses, episode.is_placed, jnp.bool_(True))
+        if standing.verdict != Verdict.STABLE or standing.shift.max() > max_shift:
+            return None
+        scene = jax.device_get(scene_of(_conclude(self._rules, episode, standing)))
+        return scene.replace(level=None, num_touching=None)
 
     def close(self) -> None:
         """The scene is kept: nothing can be done in it any more, and its time ends."""
@@ -372,13 +410,19 @@ def _begin(rules: Rules, key: Array, keep_out: Any, start: Any) -> Episode:
 @jax.jit
 def _lower(rules: Rules, mapper: HeightMapper, episode: Episode, candidates: Candidates) -> Any:
     heights = mapper(episode.region, episode.poses, episode.is_placed)
-    return lower_onto(under_side(rules, rules.focus(episode)), heights, candidates)
+    return lower_onto(under_side(rules.body(episode)), heights, candidates)
 
 
 @jax.jit
 def _release(rules: Rules, episode: Episode, position: Array, yaw: Array) -> Any:
     action = action_of_pose(position, yaw, episode.region, rules.height_range(episode))
     return action, rules.release(episode, action)
+
+
+@jax.jit
+def _release_at(rules: Rules, episode: Episode, pose: Array) -> Any:
+    focus = rules.focus(episode)
+    return episode.poses.at[focus].set(pose), episode.is_placed.at[focus].set(True), focus, jnp.bool_(True)
 
 
 @jax.jit

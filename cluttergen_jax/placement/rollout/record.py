@@ -67,7 +67,10 @@ class Recorder:
             names=self.world.names,
             support=self.world.support,
             region=rectangle_of(after.region),
-            attempts=tuple(
+            # A pile has no attempts that could be shown one after another.
+            attempts=()
+            if self.sampler.is_whole
+            else tuple(
                 _attempt(before, transition, self._proposals(before, seed, num_proposals))
                 for before, _, transition in steps
             ),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -62,6 +62,9 @@ class BlockSampler(struct.PyTreeNode, eq=False):
     keep_out: KeepOut | None = None
     start: Start | None = None
 
+    is_whole: ClassVar[bool] = False
+    """Each scene is made at once, not object by object (`placement.piles`)."""
+
     @property
     def in_parts(self) -> bool:
         """`Rollout` asks the proposer for some episodes at a time, and for none that are over."""
@@ -107,6 +110,9 @@ grants a process."""
 PART = 16
 """Episodes for which poses are sought together: nothing is sought where all of them are over. A divisor of
 the block, so that a scene's neighbours are always the same."""
+
+WHOLE_AT_ONCE = 16
+"""Scenes of a step where each is made whole, which takes the engine some seconds."""
 
 REFILL = 1 / 8
 """Share of the episodes side by side that have to be over before the next ones take their places."""
@@ -157,7 +163,18 @@ class Rollout:
             after = jax.vmap(sampler.rules.conclude)(after, *checked)
             return after, after.is_over, look(before, after, transition)
 
+        def ask(sampler: Any, episodes: Episode, is_due: Array) -> tuple[Any, ...]:
+            return jax.vmap(sampler.ask)(episodes, is_due)
+
+        def finish_piles(
+            sampler: Any, before: Episode, asking: Episode, piling: Any
+        ) -> tuple[Episode, Array, Any]:
+            after, transition = jax.vmap(sampler.finish_pile)(before, asking, piling)
+            return after, after.is_over, look(before, after, transition)
+
         static = (0,) if is_constant else ()
+        self._ask: Any = jax.jit(ask, static_argnums=static)
+        self._finish_piles: Any = jax.jit(finish_piles, static_argnums=static)
         self._begin: Any = jax.jit(lambda sampler, *args: sampler.begin(*args), static_argnums=static)
         self._step: Any = jax.jit(step, static_argnums=static, donate_argnums=1)
         self._refill: Any = jax.jit(refill, static_argnums=static, donate_argnums=2)
@@ -169,13 +186,13 @@ class Rollout:
     @property
     def num_programs(self) -> int:
         """How many steps are compiled."""
-        return self._step._cache_size() + self._propose._cache_size()
+        return sum(each._cache_size() for each in (self._step, self._propose, self._ask))
 
     def compile(self, sampler: BlockSampler, key: Array, indices: np.ndarray) -> None:
         """Compiles for `run` and `run_all` with arguments like these, by a step without an attempt."""
         if self.num_programs >= MAX_PROGRAMS:
             pieces = (self._step, self._propose, self._judge, self._conclude, self._refill)
-            for function in (self._begin, *pieces, self._finish):
+            for function in (self._begin, *pieces, self._ask, self._finish_piles, self._finish):
                 function.clear_cache()
         episodes = interruptible(self._begin, sampler, key, indices, np.zeros(len(indices), bool))
         episodes, *_ = interruptible(self._step_all, sampler, episodes)
@@ -191,6 +208,11 @@ class Rollout:
         physics = sampler.rules.simulator
         if not isinstance(physics, HostPhysics):
             return self._step(sampler, episodes)
+        if sampler.is_whole:
+            is_left = ~np.asarray(episodes.is_over)
+            is_due = is_left & (np.cumsum(is_left) <= WHOLE_AT_ONCE)
+            asking, *asked = self._ask(sampler, episodes, is_due)
+            return self._finish_piles(sampler, episodes, asking, physics.pile_batch(*map(np.asarray, asked)))
         episodes, action, *asked = self._propose(sampler, episodes)
         settling = physics.settle_batch(*map(np.asarray, asked))
         after, transition, is_filled = self._judge(sampler, episodes, action, settling)

@@ -8,11 +8,13 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.placement.related import carriers_of
 from cluttergen_jax.placement.removal import footprint_area
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.entropy_tilt import shortfall, tilt_logits
 from cluttergen_jax.placement.search.features import Placing, remaining_and_added
 from cluttergen_jax.placement.search.fit import Candidates
+from cluttergen_jax.placement.search.related_candidates import is_related, related_candidates
 from cluttergen_jax.placement.search.search import (
     FORBIDDEN,
     Search,
@@ -28,6 +30,9 @@ _ABOVE = 96
 _MANY_ABOVE = 192
 _MANY = 0.3
 """Candidates over placed objects where some shall lie on others, and where more than `_MANY` of all shall."""
+
+_RELATED = 192
+"""Candidates where relations hold that are asked for."""
 
 _TIDY_FINALISTS = 96
 _CLOSER = 1e-6
@@ -130,7 +135,10 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         if rules.config.clutter is None:
             return logits, asked
         rest = found.scores.fit.rest
-        at = Placing.of(episode, rules.geometry, focus, found.candidates, rest, candidates.supporters)
+        quaternion = rules.body(episode).quaternion
+        at = Placing.of(
+            episode, rules.geometry, focus, quaternion, found.candidates, rest, candidates.supporters
+        )
         remaining, added = remaining_and_added(rules.config.clutter, at)
         least = self.config.least_trust
         missed, missed_by_all = (shortfall(remaining, added, trust >= level) for level in (asked, least))
@@ -159,6 +167,10 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
             drawn.append(search.best(scene, many, number))
         if self.num_above:
             drawn.append(above_objects(keys[2], scene, search.rules, self.num_above))
+        if (related := search.rules.related) is not None:
+            of_relations = jax.random.fold_in(key, 3)
+            geometry = search.rules.geometry
+            drawn.append(related_candidates(of_relations, scene, related, geometry, _RELATED))
         return self._look(scene, jax.tree.map(lambda *parts: jnp.concatenate(parts), *drawn))
 
     def look(self, episode: Episode, candidates: Candidates) -> CandidateSet:
@@ -167,12 +179,16 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
 
     def _look(self, scene: SearchScene, candidates: Candidates) -> CandidateSet:
         search = self.search
-        found = search.closely(scene, candidates)
-        return CandidateSet(
-            found=found,
-            supporters=find_supporters(scene, search.rules.geometry, candidates, found.scores.fit.rest),
-            is_allowed=found.cost < FORBIDDEN / 2,
-        )
+        found, geometry, episode = search.closely(scene, candidates), search.rules.geometry, scene.episode
+        rest = found.scores.fit.rest
+        supporters = find_supporters(scene, geometry, candidates, rest)
+        is_allowed = found.cost < FORBIDDEN / 2
+        if (related := search.rules.related) is not None:
+            assert episode.roles is not None
+            carriers = carriers_of(related, episode.roles, scene.focus, episode.is_placed)
+            is_allowed &= is_related(scene, related, geometry, candidates, rest)
+            is_allowed &= jnp.all(supporters.touched | ~carriers, axis=1)
+        return CandidateSet(found=found, supporters=supporters, is_allowed=is_allowed)
 
 
 def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> Candidates:
@@ -186,8 +202,11 @@ def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> 
     noise = jax.random.gumbel(key_which, (number, len(chance)))
     which = jnp.argmax(chance + noise, axis=1)
     T_region_world = episode.region.T_world_region.inverse()
-    turn, shift = T_region_world.rotation().as_matrix()[:2, :2], T_region_world.translation()[:2]
-    center = episode.poses[which, :2] @ turn.T + shift
+    turn, shift = T_region_world.rotation().as_matrix(), T_region_world.translation()[:2]
+    center = episode.poses[which, :2] @ turn[:2, :2].T + shift
+    support_map = rules.support_map_of(episode)
+    if support_map is not None and support_map.T_map_world is not None:
+        center += episode.poses[which, 2:3] * turn[:2, 2]
     # Boxes are turned about z and sometimes tipped: a square with the box's diagonal is near enough.
     reach = jnp.linalg.norm(half[which, :2], axis=1) / jnp.sqrt(2.0)
     xy = center + reach[:, None] * jax.random.uniform(key_at, (number, 2), minval=-1.0)

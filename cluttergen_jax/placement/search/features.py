@@ -6,10 +6,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import jaxlie
 from flax import struct
 
 from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, nearest_gaps, seen_shares
 from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.scenes import num_touching
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.support_graph import Supporters
@@ -40,30 +42,52 @@ class Placing(struct.PyTreeNode):
         episode: Episode,
         geometry: Geometry,
         focus: Array,
+        quaternion: Array | None,
         candidates: Candidates,
         rest: Array,
         supporters: Supporters,
     ) -> Placing:
-        """Args: focus: i32, the current object; rest: f32[N], from `lower_onto`, metres."""
-        T_world_region = episode.region.T_world_region
-        turn, shift = T_world_region.rotation().as_matrix(), T_world_region.translation()
-        cos, sin = jnp.cos(candidates.yaw), jnp.sin(candidates.yaw)
-        zero = jnp.zeros_like(cos)
-        axes = jnp.stack(
-            [
-                jnp.stack([cos, sin, zero], -1),
-                jnp.stack([-sin, cos, zero], -1),
-                zero[:, None] + jnp.eye(3)[2],
-            ],
-            axis=1,
-        )
-        center = jnp.concatenate([candidates.xy, rest[:, None]], axis=1)
+        """See the attributes.
+
+        Args:
+          focus: i32, the current object; quaternion: its orientation (`Body`).
+          rest: f32[N], from `lower_onto`, metres.
+        """
         return Placing(
             episode=episode,
-            placed=Boxes.of(geometry.half_extents, _safe_poses(episode.poses, episode.is_placed)),
-            proposed=Boxes(center @ turn.T + shift, axes @ turn.T * geometry.half_extents[focus][:, None]),
+            placed=Boxes.of(geometry.half_extents, safe_poses(episode.poses, episode.is_placed)),
+            proposed=proposed_boxes(
+                episode.region, geometry.half_extents[focus], quaternion, candidates, rest
+            ),
             supporters=supporters,
         )
+
+
+def proposed_boxes(
+    region: Region, half_extents: Array, quaternion: Array | None, candidates: Candidates, rest: Array
+) -> Boxes:
+    """The boxes of an object at N candidates.
+
+    Args:
+      half_extents: f32[3], metres; quaternion: the object's orientation (`Body`).
+      rest: f32[N], from `lower_onto`, metres.
+    """
+    T_world_region = region.T_world_region
+    turn, shift = T_world_region.rotation().as_matrix(), T_world_region.translation()
+    cos, sin = jnp.cos(candidates.yaw), jnp.sin(candidates.yaw)
+    zero = jnp.zeros_like(cos)
+    axes = jnp.stack(
+        [
+            jnp.stack([cos, sin, zero], -1),
+            jnp.stack([-sin, cos, zero], -1),
+            zero[:, None] + jnp.eye(3)[2],
+        ],
+        axis=1,
+    )
+    if quaternion is not None:
+        axes = jaxlie.SO3(quaternion).as_matrix().T @ axes
+    center = jnp.concatenate([candidates.xy, rest[:, None]], axis=1)
+    return Boxes(center @ turn.T + shift, axes @ turn.T * half_extents[:, None])
 
 
 class Feature(NamedTuple):
@@ -155,6 +179,6 @@ def remaining_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
     return jnp.stack(remaining), jnp.stack(added, axis=1)
 
 
-def _safe_poses(poses: Array, is_placed: Array) -> Array:
+def safe_poses(poses: Array, is_placed: Array) -> Array:
     """Poses of objects that are not placed may be anything."""
     return jnp.where(is_placed[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])

@@ -40,12 +40,15 @@ class UnderSide(struct.PyTreeNode):
     Attributes:
       xy: f32[C, 2]; bottom: f32[C]; is_column: bool[C].
       center_of_mass: f32[2].
+      lean: f32[2], of the region frame: how far the centre of mass is from there, down the slope, where a
+        plumb line through it meets the base; None on a level surface.
     """
 
     xy: Array
     bottom: Array
     is_column: Array
     center_of_mass: Array
+    lean: Array | None = None
 
     def first(self, number: int) -> UnderSide:
         """A coarser sample."""
@@ -62,17 +65,21 @@ class LoweredFit(struct.PyTreeNode):
       blocked: f32[N], share of its columns over other objects.
       hanging: f32[N], share of its columns over nothing at all.
       gap: f32[N], mean distance from its base, the lowest of its columns, down to what lies below, metres.
+      room: f32[N], the lowest height over its columns at which the support hangs over it; None where it does
+        nowhere.
     """
 
     rest: Array
     blocked: Array
     hanging: Array
     gap: Array
+    room: Array | None = None
 
 
 def lower_onto(under: UnderSide, heights: HeightMap, candidates: Candidates) -> LoweredFit:
     """Lowers an object vertically to first contact with a height map, at each candidate."""
-    below = heights.at(cells_under(under, heights, candidates))
+    cells = cells_under(under, heights, candidates)
+    below = heights.at(cells)
     is_column = under.is_column
     lowest = jnp.min(jnp.where(is_column, under.bottom, jnp.inf))
     is_base = is_column & (under.bottom < lowest + _BASE)
@@ -84,7 +91,11 @@ def lower_onto(under: UnderSide, heights: HeightMap, candidates: Candidates) -> 
     )
     total = jnp.maximum(is_column.sum(), 1)
     gap = rest + lowest - base / jnp.maximum(is_base.sum(), 1)
-    return LoweredFit(rest, blocked / total, hanging / total, gap)
+    room = None
+    if heights.ceiling is not None:
+        above = heights.ceiling.reshape(-1).at[cells].get(mode="clip")
+        room = jnp.min(jnp.where(is_column, above, jnp.inf), axis=1)
+    return LoweredFit(rest, blocked / total, hanging / total, gap, room)
 
 
 def mean_under(under: UnderSide, field: HeightMap, candidates: Candidates) -> Array:
@@ -104,7 +115,8 @@ def support_share(under: UnderSide, heights: HeightMap, candidates: Candidates, 
     touches = touching(under, heights, candidates, rest)
     lowest = jnp.min(jnp.where(under.is_column, under.bottom, jnp.inf))
     on_ground = (under.bottom < lowest + _CONTACT_GAP) & under.is_column
-    return _margin(under, touches) / jnp.maximum(_margin(under, on_ground[None]), 1e-3)
+    yaw = None if under.lean is None else candidates.yaw
+    return _margin(under, touches, yaw) / jnp.maximum(_margin(under, on_ground[None]), 1e-3)
 
 
 def touching(under: UnderSide, heights: HeightMap, candidates: Candidates, rest: Array) -> Array:
@@ -120,12 +132,23 @@ def base_share(under: UnderSide, touches: Array) -> Array:
     return jnp.sum(touches & is_base, axis=1) / jnp.maximum(is_base.sum(), 1)
 
 
-def _margin(under: UnderSide, touches: Array) -> Array:
-    """f32[N], metres: how far the centre of mass is inside the columns that touch, bool[N, C]."""
+def _margin(under: UnderSide, touches: Array, yaw: Array | None = None) -> Array:
+    """f32[N], metres: how far the centre of mass is inside the columns that touch, bool[N, C].
+
+    Args:
+      yaw: f32[N], of the candidates, where it leans down a slope.
+    """
     angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     offset = under.xy - under.center_of_mass
     reach = [np.cos(angle) * offset[:, 0] + np.sin(angle) * offset[:, 1] for angle in angles]
     farthest = _reduce(*((jnp.where(touches, one, -1.0), jnp.maximum, -1.0) for one in reach))
+    if yaw is not None and under.lean is not None:
+        cos, sin = jnp.cos(yaw), jnp.sin(yaw)
+        x, y = cos * under.lean[0] + sin * under.lean[1], cos * under.lean[1] - sin * under.lean[0]
+        farthest = tuple(
+            each - (np.cos(angle) * x + np.sin(angle) * y)
+            for each, angle in zip(farthest, angles, strict=True)
+        )
     return jnp.min(jnp.stack(farthest), axis=0)
 
 

@@ -20,8 +20,8 @@ from cluttergen_jax.placement.search.fit import (
     mean_under,
     support_share,
 )
-from cluttergen_jax.placement.support_map import most_beyond, share_beyond
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.placement.support_map import most_beyond, on_map, share_beyond
+from cluttergen_jax.placement.types import Body, Episode
 from cluttergen_jax.types import Array
 
 CLEARANCE = 0.001
@@ -91,11 +91,12 @@ class SearchScene(struct.PyTreeNode):
       episode: its state; focus: i32, the current object.
       height_range: f32, metres, of actions (`Rules.height_range`).
       heights: the scene from above; crowded: how much of each cell's surroundings is taken (`crowding`).
-      under: the current object's under-side; sparse: some of its columns.
+      body: the current object as it is released; under: its under-side; sparse: some of its columns.
     """
 
     episode: Episode
     focus: Array
+    body: Body
     height_range: Array
     heights: HeightMap
     crowded: HeightMap
@@ -135,12 +136,19 @@ class Search(struct.PyTreeNode, eq=False):
     def scene(self, episode: Episode, with_owner: bool = False) -> SearchScene:
         """What there is to know of an episode before candidates are looked at."""
         focus = self.rules.focus(episode)
-        assert self.mapper is not None
-        heights = self.mapper(episode.region, episode.poses, episode.is_placed, with_owner)
-        under = under_side(self.rules, focus)
+        mapper, support_map = self.mapper, self.rules.support_map_of(episode)
+        assert mapper is not None
+        if episode.surface is not None:
+            mapper = mapper.replace(support_map=support_map)
+        heights = mapper(episode.region, episode.poses, episode.is_placed, with_owner)
+        body = self.rules.body(episode)
+        under = under_side(body)
+        if support_map is not None and support_map.T_map_world is not None:
+            under = under.replace(lean=_lean(body, episode.region))
         return SearchScene(
             episode=episode,
             focus=focus,
+            body=body,
             height_range=self.rules.height_range(episode),
             heights=heights,
             crowded=crowding(heights),
@@ -170,56 +178,62 @@ class Search(struct.PyTreeNode, eq=False):
         self, scene: SearchScene, candidates: Candidates, fit: LoweredFit, support: Array
     ) -> tuple[CandidateScores, Array]:
         """What is known of candidates, and f32[N] what each costs."""
-        episode, focus = scene.episode, scene.focus
         crowd = mean_under(scene.sparse, scene.crowded, candidates)
-        bare_rest = self.rules.geometry.half_extents[focus, 2]
-        scores = CandidateScores(fit, fit.rest - bare_rest, support, crowd, episode.attempt)
-        is_allowed = self._is_allowed(episode, focus, candidates)
+        scores = CandidateScores(fit, fit.rest - scene.body.height, support, crowd, scene.episode.attempt)
+        is_allowed = self._is_allowed(scene, candidates)
         is_allowed &= fit.rest + CLEARANCE <= scene.height_range
+        if fit.room is not None:
+            upper = 2 * scene.body.half_extents[2] - scene.body.height
+            is_allowed &= fit.rest + upper + 2 * CLEARANCE <= fit.room
         cost = self.cost(scores)
         return scores, jnp.where(is_allowed, cost, cost + FORBIDDEN)
 
-    def _is_allowed(self, episode: Episode, focus: Array, candidates: Candidates) -> Array:
+    def _is_allowed(self, scene: SearchScene, candidates: Candidates) -> Array:
         """bool[N]: where the object would count as inside, out of every keep-out box and on the support."""
-        is_in_region = self._is_in_region(episode, focus, candidates)
+        is_in_region = self._is_in_region(scene, candidates)
         if self.rules.config.overhang == "any":
             return is_in_region
-        assert self.rules.support_map is not None
-        under = under_side(self.rules, focus)
+        support_map = self.rules.support_map_of(scene.episode) or self.rules.support_map
+        assert support_map is not None
+        under = scene.under
         cos, sin = jnp.cos(candidates.yaw)[:, None], jnp.sin(candidates.yaw)[:, None]
         x, y = under.xy[:, 0], under.xy[:, 1]
         xy = jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + candidates.xy[:, None]
-        T_world_region = episode.region.T_world_region
-        turn, shift = T_world_region.rotation().as_matrix()[:2, :2], T_world_region.translation()[:2]
-        share = share_beyond(self.rules.support_map, xy @ turn.T + shift, under.is_column)
+        T_map_region = support_map.place(scene.episode.region.T_world_region)
+        turn, shift = T_map_region.rotation().as_matrix()[:2, :2], T_map_region.translation()[:2]
+        share = share_beyond(support_map, xy @ turn.T + shift, under.is_column)
         return is_in_region & (share <= most_beyond(self.rules.config.overhang))
 
-    def _is_in_region(self, episode: Episode, focus: Array, candidates: Candidates) -> Array:
+    def _is_in_region(self, scene: SearchScene, candidates: Candidates) -> Array:
         """bool[N]: where the object would be inside and out of every keep-out box."""
-        half, containment = self.rules.geometry.half_extents[focus], self.rules.config.containment
-        if containment == "center" and not episode.keep_out.yaw.shape[0]:
+        episode = scene.episode
+        half, containment = self.rules.geometry.half_extents[scene.focus], self.rules.config.containment
+        if containment == "center" and not episode.keep_out.yaw.shape[0] and self.rules.polygon is None:
             return jnp.ones_like(candidates.yaw, bool)
 
         def is_allowed(xy: Array, yaw: Array) -> Array:
-            T_region_object = jaxlie.SE3.from_rotation_and_translation(
-                jaxlie.SO3.from_z_radians(yaw), jnp.append(xy, 0.0)
-            )
+            rotation = jaxlie.SO3.from_z_radians(yaw)
+            if scene.body.quaternion is not None:
+                rotation = rotation @ jaxlie.SO3(scene.body.quaternion)
+            T_region_object = jaxlie.SE3.from_rotation_and_translation(rotation, jnp.append(xy, 0.0))
             pose = to_pose(episode.region.T_world_region @ T_region_object)
             is_kept_in = is_inside(pose, half, episode.region, containment)
-            return is_kept_in & ~is_kept_out(pose, half, episode.keep_out)
+            placed = on_map(self.rules.support_map_of(episode), pose)
+            is_kept_in &= self.rules.is_in_polygon(placed, half)
+            return is_kept_in & ~is_kept_out(placed, half, episode.keep_out)
 
         return jax.vmap(is_allowed)(candidates.xy, candidates.yaw)
 
 
-def under_side(rules: Rules, focus: Array) -> UnderSide:
-    """The under-side of object `focus`."""
-    geometry = rules.geometry
-    return UnderSide(
-        geometry.column_xy[focus],
-        geometry.column_bottom[focus],
-        geometry.is_column[focus],
-        geometry.center_of_mass[focus, :2],
-    )
+def under_side(body: Body) -> UnderSide:
+    """The under-side of an object as it is released."""
+    return UnderSide(body.column_xy, body.column_bottom, body.is_column, body.center_of_mass[:2])
+
+
+def _lean(body: Body, region: Region) -> Array:
+    """f32[2]: see `UnderSide`."""
+    down = region.T_world_region.rotation().inverse().apply(jnp.array([0.0, 0.0, -1.0]))
+    return (body.center_of_mass[2] + body.height) * down[:2] / -down[2]
 
 
 def draw_candidates(key: Array, region: Region, number: int) -> Candidates:

@@ -13,7 +13,7 @@ from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import linear, shade
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support import PART_RGBA, Rectangle, SupportAsset
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.density import heat_points
@@ -181,6 +181,9 @@ class SceneNodes:
                     wxyz=yaw_quaternion(box.yaw),
                 )
             )
+        for index, part in enumerate(() if support.pieces else support.parts):
+            drawn = Piece(part.hull(), PART_RGBA)
+            self._fixed.append(_surface(self.server, f"/support/part-{index}", drawn))
         points = top_points(support) + np.array([0.0, 0.0, _LIFT])
         self._top_cloud = scene.add_point_cloud(
             "/cloud", points.astype(np.float32), _BLUE, point_size=0.0035, point_shape="circle"

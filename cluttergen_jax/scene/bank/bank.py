@@ -5,6 +5,7 @@
     scenes-000000-000767.parquet    the same of blocks 0 to 767: a shard, in banks of more than 768 blocks
     assets/objects/NAME/    each object once; assets/support/ the table
     assets/textures/        the objects' images, each once
+    bank_reader.py          reads the bank where this package is not
     scenes/000000.xml .png  successful scenes as MJCF, meshes by relative path, and their pictures
 
 A block is written as a whole or not at all, so an interrupted bank is continued where it stopped

@@ -10,10 +10,10 @@ import pyarrow as pa
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import HAND
+from cluttergen_jax.config import HAND, PILE
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.record import Bits, Recipe
+from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
 from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, CLUTTER, COUNTED, SCHEMA, count_column
 from cluttergen_jax.tables import markdown_table
@@ -106,7 +106,7 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         ),
         _about(bank, stats),
         _figures(stats),
-        _files(BY_HAND if bank.recipe.get("method") == HAND else ()),
+        _files(bank.path, BY_HAND if bank.recipe.get("method") == HAND else ()),
         _recipe_section(bank.recipe, bank.record.get("bits", [])),
         _stability(bank.recipe),
         assets_section(assets, bank.support),
@@ -135,11 +135,13 @@ def front_matter(licences: Sequence[str], tags: Sequence[str], title: str, data_
 
 
 def _about(bank: Bank, stats: BankStats) -> str:
+    how = "placed one after another on a support until all lie still together"
+    if bank.recipe.get("method") == PILE:
+        how = "let fall into a heap until all lie still together"
     return (
         f"# {bank.path.resolve().name}\n\n"
-        f"{stats.scenes} cluttered tabletop scenes, of which {stats.success} stand: objects placed one after "
-        "another on a support until all lie still together, checked in physics. Failures are kept in the "
-        "record, so that success rates can be computed from it."
+        f"{stats.scenes} cluttered tabletop scenes, of which {stats.success} stand: objects {how}, checked "
+        "in physics. Failures are kept in the record, so that success rates can be computed from it."
     )
 
 
@@ -162,7 +164,13 @@ def _figures(stats: BankStats) -> str:
     return "\n".join(["## Figures", "", markdown_table(("", ""), rows)])
 
 
-def _files(added: Iterable[pa.Field]) -> str:
+_ALONE = (
+    "- `bank_reader.py`: reads the bank with NumPy and pyarrow alone, beside any MuJoCo from 2.3.7 on: "
+    "`from bank_reader import Bank`, or `python bank_reader.py`."
+)
+
+
+def _files(folder: Path, added: Iterable[pa.Field]) -> str:
     """The files and the columns, with those that only some banks have."""
     lines = [
         "## Files",
@@ -171,6 +179,7 @@ def _files(added: Iterable[pa.Field]) -> str:
         "- `scenes-*.parquet`: a row per scene, failures included, in row groups of 256; "
         "a file each of those, or one of many in a large bank.",
         "- `assets/`: every object once (surfaces, images, convex parts, mass, inertia), and the support.",
+        *([_ALONE] if (folder / READER).is_file() else []),
         "- `scenes/`: if present, an MJCF file (and a picture) for each scene that stands; poses are in "
         "the bodies and in the keyframe `scene`.",
         "",

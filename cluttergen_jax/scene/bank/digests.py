@@ -1,8 +1,8 @@
 """Whether the files of a bank are still what was written, and say the same.
 
-`bank.json` holds a digest of every file in `assets/`, of every scene's MJCF file and of every file of rows.
-A scene is there twice, as a row and as an MJCF file for other programs: both must have the same objects at
-the same poses.
+`bank.json` holds a digest of every file in `assets/`, of each MJCF file of a scene, of every file of rows
+and of the reader. A scene is there twice, as a row and as an MJCF file for other programs: both must have the
+same objects at the same poses.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, digest_of_file, file_blocks
+from cluttergen_jax.scene.bank.record import READER
 from cluttergen_jax.scene.bank.table import BankRow
 from cluttergen_jax.schema import digest_of
 
@@ -132,6 +133,8 @@ def changes_to_scene(changes: Iterable[Change], file: str, objects: Iterable[str
             return block in blocks
         if parts[0] == _SCENES:
             return parts[1:] == [file]
+        if parts == [READER]:
+            return False
         return parts[1:2] != ["objects"] or len(parts) < 3 or parts[2] in names
 
     return [change.name for change in changes if is_of_scene(change.name.split("/"))]

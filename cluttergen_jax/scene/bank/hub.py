@@ -17,7 +17,8 @@ from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.digests import changes_of, without_digests
 from cluttergen_jax.scene.bank.hubs import FolderHub, Hub, HuggingFaceHub, is_of_a_bank
-from cluttergen_jax.scene.bank.record import INDEX, NewerBankError
+from cluttergen_jax.scene.bank.index import BankIndex
+from cluttergen_jax.scene.bank.record import INDEX, READER, NewerBankError
 from cluttergen_jax.scene.bank.remote import check_is_here, fetch_mirror, is_url
 from cluttergen_jax.schema import digest_of
 
@@ -180,13 +181,18 @@ def _fetch(place: Hub, name: str, revision: str | None, scratch: Path, allow_unc
         if file.relative_to(scratch).as_posix() not in wanted:
             file.unlink()
     try:
-        check_whole(read_bank(scratch), allow_unchecked)
+        bank = read_bank(scratch)
+        check_whole(bank, allow_unchecked)
     except (BankError, UnsafePathError) as error:
         remove(scratch)
         given = error.given.replace(str(scratch), name)
         is_newer = isinstance(error, NewerBankError)
         hint = error.hint if is_newer else "pulling it again, or asking who pushed it"
         raise type(error)(given, hint=hint) from error
+    index = BankIndex.of(bank)
+    # The reader is a program: of a stranger's bank this version's takes its place.
+    if (scratch / READER).is_file() and index.write_reader():
+        index.write()
 
 
 def _check_free(place: Hub, name: str) -> None:

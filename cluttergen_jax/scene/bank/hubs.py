@@ -15,6 +15,7 @@ from cluttergen_jax.files import folder_whole, inside
 PATTERNS = (
     "README.md",
     "bank.json",
+    "bank_reader.py",
     "scenes-*.parquet",
     "assets/*",
     "scenes/*.xml",

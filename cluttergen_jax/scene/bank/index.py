@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from importlib import resources
 from pathlib import Path
 
 import pyarrow as pa
@@ -20,7 +21,7 @@ from cluttergen_jax.scene.bank.blocks import (
     write_block,
     write_shard,
 )
-from cluttergen_jax.scene.bank.record import INDEX, Record, block_record, index_bytes
+from cluttergen_jax.scene.bank.record import INDEX, READER, Record, block_record, index_bytes
 from cluttergen_jax.schema import digest_of
 
 
@@ -63,6 +64,21 @@ class BankIndex:
         self.files |= files
         with writing(self.path):
             self.write()
+
+    def write_reader(self) -> bool:
+        """Puts this version's reader beside the bank, for programs that cannot have this package.
+
+        Its digest is entered, without writing `bank.json`.
+
+        Returns:
+          Whether another one, or none, was there (OSError: it cannot be written).
+        """
+        path, data = self.path / READER, (resources.files("cluttergen_jax") / READER).read_bytes()
+        self.files[READER] = digest_of(data)
+        is_ours = path.is_file() and path.read_bytes() == data
+        if not is_ours:
+            write_atomically(path, data)
+        return not is_ours
 
     def add_unknown_rows(self) -> None:
         """Enters the digests of those files of rows that have none, without writing `bank.json`."""

@@ -17,7 +17,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.schema import digest_of
 
 FORMAT = 1
-INDEX = "bank.json"
+INDEX, READER = "bank.json", "bank_reader.py"
 AGAIN = "the same `cluttergen generate` again, which mends what is damaged and makes what is missing"
 Bits = dict[str, str]
 

@@ -20,12 +20,12 @@ import pyarrow.fs as pafs
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, MissingExtraError
 from cluttergen_jax.files import inside, is_partial, write_atomically
-from cluttergen_jax.scene.bank.record import INDEX
+from cluttergen_jax.scene.bank.record import INDEX, READER
 from cluttergen_jax.schema import digest_of
 
 MARK = ".url"
 """The file of a mirror that says what it stands for."""
-_SMALL = (INDEX, "README.md", "assets/")
+_SMALL = (INDEX, READER, "README.md", "assets/")
 _NOT_OF_THE_BANK = (".lock", MARK)
 _BUFFER = 8 * 2**20
 

@@ -14,7 +14,7 @@ from cluttergen_jax.placement.boxes import spacing_of
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.types import Verdict
 
-_ADDED = (Verdict.UNSUPPORTED, Verdict.FRAGILE)
+_ADDED = (Verdict.UNSUPPORTED, Verdict.FRAGILE, Verdict.UNRELATED)
 COUNTED = (*(Verdict(code) for code in range(int(Verdict.NON_FINITE) + 1)), *_ADDED)
 """Verdicts of attempts."""
 

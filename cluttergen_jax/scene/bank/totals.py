@@ -88,7 +88,7 @@ class Totals:
         ]
         lines.append("rejected   " + ("\n           ".join(rejected) or "nothing"))
         if num_new and seconds > 0:
-            lines.append(f"speed      {num_new} new scenes in {seconds:.1f} s, compilation included")
+            lines.append(f"speed      {num_new} scenes made in {seconds:.1f} s, compilation included")
         return "\n".join(lines)
 
 

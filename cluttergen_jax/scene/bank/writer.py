@@ -38,6 +38,7 @@ from cluttergen_jax.scene.bank.record import (
     FORMAT,
     INDEX,
     NO_ASSETS,
+    READER,
     Bits,
     NewerBankError,
     Record,
@@ -302,6 +303,7 @@ class BankWriter:
             if "/" not in name or (name.startswith("scenes/") and inside(self.path, name).is_file())
         }
         self._index.files = kept | digests_in(self.path, "assets")
+        self._index.write_reader()
 
     def _store_object(self, name: str) -> None:
         """Writes an object's files, unless they are there as they were written."""
@@ -391,7 +393,7 @@ def _remove_bank(path: Path) -> None:
             remote.remove(name)
     for folder in ("assets", "scenes"):
         remove(path / folder)
-    for name in ("overview.png", "verification.json", INDEX):
+    for name in ("overview.png", "verification.json", READER, INDEX):
         (path / name).unlink(missing_ok=True)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.shading import box_mesh, linear, shade
+from cluttergen_jax.assets.shading import collision_pieces, linear, shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.scene import Camera, Scene
@@ -44,10 +44,9 @@ class _Builder:
         self._images: dict[Texture, int] = {}
 
     def of(self, scene: Scene) -> bytes:
-        supports = scene.support.pieces or tuple(
-            Piece(box_mesh(box), box.rgba) for box in scene.support.boxes
-        )
-        boxes = [Piece(box_mesh(box), _PART_RGBA) for box in scene.support.boxes]
+        solids = collision_pieces(scene.support)
+        supports = scene.support.pieces or solids
+        boxes = [Piece(piece.mesh, _PART_RGBA) for piece in solids]
         drawn = {name: self._mesh(name, drawn_pieces(asset)) for name, asset in scene.assets.items()}
         hulls = {
             name: self._mesh(f"{name}/collision", [Piece(part.hull(), _PART_RGBA) for part in asset.parts])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cluttergen_jax.assets.obj import shaded_text, write_parts
+from cluttergen_jax.assets.obj import mesh_text, part_name, shaded_text, write_parts
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import SHARED_IMAGES, write_images
 from cluttergen_jax.assets.shape import Piece
@@ -58,8 +58,10 @@ def write_object_meshes(folder: Path, asset: ObjectAsset) -> None:
 
 
 def write_support_meshes(folder: Path, support: SupportAsset) -> None:
-    """Writes the support's surfaces, if it has any, as OBJ, with materials and images as those of objects."""
+    """Writes the support's parts and surfaces as OBJ, with materials and images as those of objects."""
     folder.mkdir(parents=True, exist_ok=True)
+    for index, part in enumerate(support.parts):
+        (folder / part_name(index)).write_text(mesh_text(part.hull()), encoding="ascii")
     for index, piece in enumerate(support.pieces):
         _write_piece(folder, index, piece, support_image(piece))
     write_support_images(folder, support)

@@ -9,7 +9,7 @@ import numpy as np
 from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene.export.frames import text
@@ -55,6 +55,13 @@ def support_xml(support: SupportAsset, contact: ContactConfig) -> bytes:
         ET.SubElement(body, "geom", place | contact_attributes(contact), group=_COLLIDES, rgba="0 0 0 0")
         if not support.pieces:
             ET.SubElement(body, "geom", place | _unseen(box.rgba))
+    for index in range(len(support.parts)):
+        name = part_name(index).removesuffix(".obj")
+        ET.SubElement(assets, "mesh", name=name, file=part_name(index))
+        place = {"type": "mesh", "mesh": name}
+        ET.SubElement(body, "geom", place | contact_attributes(contact), group=_COLLIDES, rgba="0 0 0 0")
+        if not support.pieces:
+            ET.SubElement(body, "geom", place | _unseen(PART_RGBA))
     for index, piece in enumerate(support.pieces):
         _add_visual(assets, body, index, piece, support_image(piece))
     _add_sites(shell, 0.0, np.array([*support.region.half_extents, support.top]))

@@ -10,8 +10,8 @@ import numpy as np
 
 from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.shading import box_mesh
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.shading import collision_pieces
+from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from cluttergen_jax.scene import Scene
@@ -31,7 +31,7 @@ def scene_bounds(scene: Scene) -> np.ndarray:
 
     Robots are put beside it: an object may reach beyond the support.
     """
-    points = [box_mesh(box).vertices for box in scene.support.boxes]
+    points = [piece.mesh.vertices for piece in collision_pieces(scene.support)]
     for asset, pose in zip(scene.objects, scene.poses, strict=True):
         points += [transform_points(pose, part.vertices) for part in asset.parts]
     corners = np.concatenate(points)
@@ -155,6 +155,8 @@ def _support(support: SupportAsset) -> dict[str, object]:
             }
             for box in support.boxes
         ],
+        "parts": [part_name(index) for index in range(len(support.parts))],
+        "part_rgba": list(PART_RGBA),
         "visuals": [
             {"file": visual_name(index), "rgba": list(piece.rgba), "image": support_image(piece)}
             for index, piece in enumerate(support.pieces)

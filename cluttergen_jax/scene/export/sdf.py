@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
@@ -78,6 +78,15 @@ def _add_support(world: ET.Element, support: SupportAsset, contact: ContactConfi
             if kind == "visual":
                 _add_colour(element, box.rgba)
             else:
+                _add_contact(element, contact, contact.friction[0])
+    for index in range(len(support.parts)):
+        for kind in ["collision"] if support.pieces else ["collision", "visual"]:
+            element = ET.SubElement(link, kind, name=f"part-{index}-{kind}")
+            mesh = _add_mesh(element, f"{SUPPORT_FOLDER}/{part_name(index)}")
+            if kind == "visual":
+                _add_colour(element, PART_RGBA)
+            else:
+                ET.SubElement(mesh, "drake:declare_convex")
                 _add_contact(element, contact, contact.friction[0])
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.scene.export.frames import euler_of, factor_of, friction_of, principal_of, text, xml_bytes
 from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, support_image, visual_name
@@ -38,7 +38,7 @@ def object_urdf(asset: ObjectAsset, contact: ContactConfig) -> bytes:
 
 
 def support_urdf(support: SupportAsset, contact: ContactConfig) -> bytes:
-    """The fixed support in the world frame: boxes, and surfaces where it has them. Its mass is zero."""
+    """The fixed support in the world frame: collision, and surfaces where it has them. Its mass is zero."""
     root, link = _robot(support.name, contact, contact.friction)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value="0")
@@ -54,6 +54,12 @@ def support_urdf(support: SupportAsset, contact: ContactConfig) -> bytes:
             ET.SubElement(ET.SubElement(element, "geometry"), "box", size=size)
             if kind == "visual":
                 _add_colour(element, f"box-{index}", box.rgba)
+    for index in range(len(support.parts)):
+        for kind in ["collision"] if support.pieces else ["collision", "visual"]:
+            element = ET.SubElement(link, kind, name=f"part-{index}")
+            ET.SubElement(ET.SubElement(element, "geometry"), "mesh", filename=part_name(index))
+            if kind == "visual":
+                _add_colour(element, f"part-{index}", PART_RGBA)
     return xml_bytes(root)
 
 

@@ -16,7 +16,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import linear, shade
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import yaw_quaternion
@@ -65,9 +65,7 @@ def write_object_usd(folder: Path, asset: ObjectAsset, contact: ContactConfig) -
     write_object_images(folder, asset)
     material = _add_contact(stage, friction_of(asset, contact)[0], contact)
     for index, part in enumerate(asset.parts):
-        mesh = _add_mesh(stage, f"{_collisions(stage)}/part_{index:02d}", part.hull())
-        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
-        _make_collider(mesh.GetPrim(), material)
+        _add_part(stage, f"{_collisions(stage)}/part_{index:02d}", part, material)
     stage.GetRootLayer().Save()
 
 
@@ -89,6 +87,10 @@ def write_support_usd(folder: Path, support: SupportAsset, contact: ContactConfi
         if not support.pieces:
             _bind(cube.GetPrim(), _colour(stage, box.rgba))
         _make_collider(cube.GetPrim(), material)
+    for index, part in enumerate(support.parts):
+        _add_part(stage, f"{parent}/part_{index:02d}", part, material)
+        if not support.pieces:
+            _bind(stage.GetPrimAtPath(f"{parent}/part_{index:02d}"), _colour(stage, PART_RGBA))
     stage.GetRootLayer().Save()
 
 
@@ -205,6 +207,13 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh, uv: np.ndarray | None = None) -
     result.CreateDoubleSidedAttr(True)
     result.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([vertices.min(0), vertices.max(0)])))
     return result
+
+
+def _add_part(stage: Any, path: str, part: Mesh, material: Any) -> None:
+    """A collider that is the convex hull of a part."""
+    mesh = _add_mesh(stage, path, part.hull())
+    UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
+    _make_collider(mesh.GetPrim(), material)
 
 
 def _colour(stage: Any, rgba: tuple[float, ...], image: str | None = None) -> Any:

@@ -140,7 +140,7 @@ def _episode(rules: Rules, keep_out: KeepOut, order: Array, poses: Array, num_st
 
 def _height_above(mapper: HeightMapper, rules: Rules, episode: Episode, pose: Array) -> Array:
     heights = mapper(episode.region, episode.poses, episode.is_placed)
-    under = under_side(rules, rules.focus(episode))
+    under = under_side(rules.body(episode))
     fit = lower_onto(under, heights, Candidates(pose[None, :2], pose[None, 3]))
     return pose[2] - fit.rest[0] - CLEARANCE
 

@@ -93,6 +93,11 @@ class ClutterGenSceneEnv(BaseEnv):
             builder.add_box_collision(place, box["half_extents"], self._contact)
             if not support["visuals"]:
                 builder.add_box_visual(place, box["half_extents"], self._paint(box["rgba"]))
+        for part in support["parts"]:
+            path = str(ROOT / support["folder"] / part)
+            builder.add_convex_collision_from_file(path, material=self._contact)
+            if not support["visuals"]:
+                builder.add_visual_from_file(path, material=self._paint(support["part_rgba"]))
         self._add_visuals(builder, support)
         builder.initial_pose = sapien.Pose()
         builder.build_static("support")

@@ -1,0 +1,89 @@
+"""Open containers that are piled into, on a table: a bin, a tote and a tray of any size.
+
+Collision is the table, the container's floor and its four walls, which rise above the support's top: the
+floor. The region is the whole floor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cluttergen_jax.assets.modeller import joinery
+from cluttergen_jax.assets.modeller import solids as cad
+from cluttergen_jax.assets.modeller.draw import Rng, hex_colors, shade, vary
+from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
+from cluttergen_jax.errors import ConfigError
+
+SIZES: dict[str, tuple[float, float, float]] = {
+    "bin": (0.40, 0.30, 0.15),
+    "tote": (0.60, 0.40, 0.20),
+    "tray": (0.45, 0.32, 0.04),
+}
+"""Width, depth and height inside, metres."""
+
+WALL, LEAST, MOST = 0.008, 0.02, 2.0
+"""Metres: thickness of walls and floor, the shortest and the longest side inside."""
+
+_TABLE, _AROUND, _HEIGHT = (0.60, 0.70), 0.10, 0.70
+"""Metres: the paper's table, wider where less of it than this would be left around the container."""
+_CORNER = 0.012
+_COLORS = dict(zip(SIZES, hex_colors("4f6d8c 8a9099 b5814f"), strict=True))
+
+
+def open_container(kind: str, size: tuple[float, ...] | None = None, rng: Rng = None) -> SupportAsset:
+    """A bin, a tote or a tray on a table of 0.70 m.
+
+    Args:
+      kind: a key of `SIZES`.
+      size: width, depth and perhaps height inside, metres; those of its kind if not given.
+
+    Raises:
+      ConfigError: a size is out of range or not a number.
+    """
+    width, depth, height = (*(size or ()), *SIZES[kind][len(size or ()) :])
+    given = np.array([width, depth, height], np.float64)
+    if not np.all(np.isfinite(given)) or given.min() < LEAST or given.max() > MOST:
+        raise ConfigError(
+            f"a {kind} of {width} x {depth} x {height} m inside",
+            f"each side between {LEAST:g} and {MOST:g} m",
+            f"{kind}-{'x'.join(f'{side:.2f}' for side in SIZES[kind])}",
+        )
+    width, depth, height = (vary(rng, float(side), 0.1) for side in given)
+    outer, top = (width + 2 * WALL, depth + 2 * WALL), _HEIGHT + WALL
+    table = tuple(max(least, side + 2 * _AROUND) for least, side in zip(_TABLE, outer, strict=True))
+    color, wood = shade(rng, (_COLORS[kind],)), shade(rng, joinery.WOODS)
+    walls: list[Box] = []
+    for sign in (-1, 1):
+        walls.append(joinery.slab((WALL, outer[1], WALL + height), (sign * (width + WALL) / 2, 0), _HEIGHT))
+        walls.append(joinery.slab((width, WALL, WALL + height), (0, sign * (depth + WALL) / 2), _HEIGHT))
+    shell = cad.difference(
+        cad.extrude(cad.rounded_rect(*outer, _CORNER), WALL + height, _HEIGHT),
+        cad.box((width, depth, 2 * height), z=top),
+    )
+    return joinery.table(
+        kind,
+        top,
+        Rectangle((0.0, 0.0), (width / 2, depth / 2)),
+        [
+            joinery.slab((*table, _HEIGHT), (0, 0), 0.0),
+            joinery.slab((width, depth, WALL), (0, 0), _HEIGHT),
+            *walls,
+        ],
+        [(cad.box((*table, _HEIGHT)), wood), (shell, color)],
+        f"{kind} on a table",
+    )
+
+
+def open_bin(rng: Rng = None) -> SupportAsset:
+    """A bin of 0.40 x 0.30 x 0.15 m inside, as robots pick from."""
+    return open_container("bin", rng=rng)
+
+
+def tote(rng: Rng = None) -> SupportAsset:
+    """A tote of 0.60 x 0.40 x 0.20 m inside, as warehouses have them."""
+    return open_container("tote", rng=rng)
+
+
+def tray(rng: Rng = None) -> SupportAsset:
+    """A tray of 0.45 x 0.32 x 0.04 m inside."""
+    return open_container("tray", rng=rng)

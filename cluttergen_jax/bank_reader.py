@@ -1,0 +1,655 @@
+"""Reads a bank of scenes anywhere: one file, which needs NumPy and pyarrow and nothing of cluttergen_jax.
+
+    from bank_reader import Bank             # beside every bank; in the package cluttergen_jax.bank_reader
+
+    bank = Bank("folder")
+    for scene in bank.successes():           # `for scene in bank` has failures, too
+        print(scene.names, scene.poses)
+    scene = bank.reset(0)                    # drawn with a seed, or with a generator of NumPy
+    model = bank.model(scene.index)          # MuJoCo from 2.3.7 on; the keyframe `scene` holds the poses
+    scenes = jax.vmap(bank.reset_jax)(keys)  # arrays of JAX
+
+`python bank_reader.py FOLDER` prints what a bank holds. Poses are T_world_object: metres, quaternion wxyz; z
+points up, the origin is on the floor below the support's centre. Python 3.8 or newer. Long as it is, it stays
+one file, so that it can be copied alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import os
+import re
+import sys
+from collections import Counter
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Callable, Iterable, Iterator, NamedTuple, Sequence
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+if int(pa.__version__.partition(".")[0]) < 15:
+    raise ImportError(f"bank_reader needs pyarrow 15 or newer, and this is {pa.__version__}")
+FORMAT = 1
+"""Of banks; newer ones are refused."""
+_FORMATS = (1, 2)
+"""Of their assets."""
+_BLOCK_SIZE, _AT_ONCE = 256, 32
+"""Scenes of a row group; row groups that are read together."""
+_FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
+_NAME, _IMAGE = re.compile(r"[a-z0-9_-]+(#\d+)?"), re.compile(r"[a-z0-9_-]+\.png")
+_LISTS = ("objects", "is_placed", "poses")
+_COLUMNS = ("index", "is_success", "verdict", *_LISTS)
+_AGAIN = "the same `cluttergen generate` again, which mends a bank, or a copy that is whole"
+_WAIT = (50.0, 10.0, 0.1)
+"""Metres: from which x on and at which z objects wait that a scene lacks, and the gap between two."""
+_NEWEST = "3.17"
+"""MuJoCo whose words are written where none is installed."""
+_TOUCH, _SOLVER = ("friction", "solref", "solimp", "condim"), ("impratio", "iterations", "noslip_iterations")
+_MJCF = """<mujoco model="cluttergen scene">
+<compiler angle="radian" meshdir={assets} texturedir={assets}/>
+<option timestep="{timestep!r}" gravity="0 0 {gravity:.9g}" cone={cone} {solver}>
+<flag multiccd="enable"{flag}/></option>
+<default><geom {touch}/></default>
+<visual><headlight ambient="0.32 0.32 0.33" diffuse="0.28 0.28 0.28" specular="0.05 0.05 0.05"/>
+<global offwidth="1280" offheight="960"/><quality shadowsize="4096"/><map haze="0.6"/>
+<rgba haze="0.90 0.905 0.915 1"/></visual>
+<asset><texture name="sky" type="skybox" builtin="gradient" width="256" height="1536"
+rgb1="0.62 0.69 0.78" rgb2="0.90 0.905 0.915"/>
+{files}
+</asset>
+<worldbody><light name="sun" pos="0.6 -0.8 3" dir="-0.2 0.45 -1" directional="true" diffuse="0.62 0.61 0.59"
+specular="0.15 0.15 0.15"/><geom name="floor" type="plane" size="0 0 0.1" rgba="0.82 0.82 0.83 1"/>
+{bodies}
+</worldbody>
+<keyframe><key name="scene" {qpos}/></keyframe>
+</mujoco>
+"""
+
+
+class BankError(Exception):
+    """A bank cannot be read.
+
+    Args:
+      given: what was given; allowed: what is allowed; hint: what to try.
+    """
+
+    def __init__(self, given: str, allowed: str = "", hint: str = "") -> None:
+        self.given, self.allowed, self.hint = given, allowed, hint
+        parts = (given, allowed and f"Allowed: {allowed}", hint and f"Try: {hint}")
+        super().__init__(" ".join(f"{part}." for part in parts if part))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A scene of N placed objects, in the order of placement.
+
+    Attributes:
+      index: its number in the bank.
+      is_success: every object was placed, and the finished scene is stable.
+      verdict: "stable", or why it failed.
+      names: of the objects, unique: the second mug is `mug#2`.
+      object_index: i32[N], their numbers in `Bank.names`.
+      poses: f64[N, 7], world frame.
+      unplaced: the objects that found no place.
+    """
+
+    index: int
+    is_success: bool
+    verdict: str
+    names: tuple[str, ...]
+    object_index: np.ndarray
+    poses: np.ndarray
+    unplaced: tuple[str, ...]
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """f64[7 N]: the configuration of `Bank.model(index)`."""
+        return self.poses.ravel()
+
+
+class SceneArrays(NamedTuple):
+    """S scenes of up to N objects; or one of them, without the leading axis. To JAX it is a pytree.
+
+    Attributes:
+      index: i32[S], their numbers in the bank.
+      object_index: i32[S, N], numbers in `Bank.names`, -1 for none.
+      is_placed: bool[S, N], whether the object is there.
+      poses: f32[S, N, 7], world frame; the identity where there is none.
+    """
+
+    index: Any
+    object_index: Any
+    is_placed: Any
+    poses: Any
+
+    def reset(self, key: Any) -> SceneArrays:
+        """One of the scenes, all equally likely, drawn with a key of JAX; to be compiled and mapped."""
+        import jax
+
+        place = jax.random.randint(key, (), 0, self.index.shape[0])
+        return SceneArrays(*(each[place] for each in self))
+
+
+class Asset(NamedTuple):
+    """An object or the support, with the paths of its meshes; SI units, in the frame of its poses.
+
+    Attributes:
+      record: of an object `mass`, `center_of_mass`, `inertia` about it, `friction` if it came with one,
+        `resting` poses, `provenance` with the licence; of the support its `top`, and `boxes` that carry.
+      parts: OBJ files of the convex collision parts.
+      surfaces: what is seen: for each piece an OBJ file, its rgba, and an image that it multiplies or None.
+    """
+
+    name: str
+    label: str
+    record: dict[str, Any]
+    parts: tuple[Path, ...]
+    surfaces: tuple[tuple[Path, list[float], Path | None], ...]
+
+
+class _Rows(NamedTuple):
+    """S scenes as columns; the last three hold all their slots in a row, `num_slots` i64[S] of each."""
+
+    number: np.ndarray
+    is_success: np.ndarray
+    verdict: np.ndarray
+    num_slots: np.ndarray
+    object_index: np.ndarray
+    is_placed: np.ndarray
+    poses: np.ndarray
+
+
+class Bank:
+    """A bank in a folder. Opening it reads `bank.json` alone; what is read later is kept.
+
+    Attributes:
+      path: the folder.
+      record: what `bank.json` holds.
+      recipe: how its scenes were made: `pool`, `method`, `seed`, `placement`, `stability`, `contact`.
+      num_asked: how many scenes it was asked for; more than `len` says if it was interrupted.
+
+    Raises:
+      BankError: the folder is no bank, it is damaged, or a newer version of cluttergen_jax made it.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.record = _read_record(self.path)
+        self.recipe: dict[str, Any] = self.record["recipe"]
+        self.num_asked: int = self.record["num_scenes"]
+        self._assets: dict[str, Asset] = {}
+        self._latest: tuple[str, Any] = ("", None)
+
+    def __repr__(self) -> str:
+        return f"Bank({str(self.path)!r}, {len(self)} of {self.num_asked} scenes)"
+
+    def __len__(self) -> int:
+        """How many scenes are there, failures included."""
+        return len(self.indices)
+
+    def __iter__(self) -> Iterator[Scene]:
+        """All scenes that are there, failures included, in order."""
+        return (scene for rows in self._read(self._convert, _COLUMNS) for scene in self._scenes(rows))
+
+    def successes(self) -> Iterator[Scene]:
+        """The scenes that succeeded, in order."""
+        return (scene for scene in self if scene.is_success)
+
+    def scene(self, index: int) -> Scene:
+        """The scene of this number; its block alone is read (BankError: it is not there)."""
+        if index not in self.indices:
+            held = f"{self.indices[0]} to {self.indices[-1]}, {len(self)} scenes" if len(self) else "none yet"
+            raise BankError(f"{self.path} has no scene {index}", held, "a number of `bank.indices`")
+        (rows,) = self._read(self._convert, _COLUMNS, [int(index) // _BLOCK_SIZE])
+        return next(scene for scene in self._scenes(rows) if scene.index == index)
+
+    @cached_property
+    def indices(self) -> np.ndarray:
+        """i64, sorted: the numbers of the scenes that are there."""
+        return np.concatenate([np.zeros(0, np.int64), *map(self._indices_of, self._places)])
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The objects that `object_index` numbers; not every one of them is in a scene."""
+        found = self._read(lambda rows: pc.unique(pc.list_flatten(rows["objects"])).to_pylist(), ("objects",))
+        names = self.recipe.get("names") or [name for each in found for name in each]
+        if not all(isinstance(name, str) and _NAME.fullmatch(name) for name in names):
+            raise BankError(f"{self.path / 'bank.json'} names objects that cannot be", "a-z, 0-9, _ and -")
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """What each object is, by the name of its asset."""
+        return {name: self.asset(name).label for name in self.record["assets"]["objects"]}
+
+    @property
+    def region(self) -> dict[str, Any]:
+        """Where objects were put on the top: `center`, `half_extents` (metres) and `yaw` (radians)."""
+        with _reading(self.path):
+            region = self.recipe.get("region") or self.support.record["region"]
+            sides = {name: tuple(map(float, region[name])) for name in ("center", "half_extents")}
+            return {**sides, "yaw": float(region["yaw"])}
+
+    @cached_property
+    def arrays(self) -> SceneArrays:
+        """All scenes that succeeded, as arrays of NumPy (BankError: there are none)."""
+        parts = list(self._read(self._convert, _COLUMNS))
+        if not any(rows.is_success.any() for rows in parts):
+            raise BankError(f"{self.path}: none of its {len(self)} scenes succeeded", "", "more scenes")
+        rows = _Rows(*map(np.concatenate, zip(*parts)))
+        row = np.repeat(np.arange(len(rows.number)), rows.num_slots)
+        is_kept = rows.is_placed & rows.is_success[row]
+        scene = (np.cumsum(rows.is_success) - 1)[row[is_kept]]
+        slot = np.arange(len(scene)) - np.searchsorted(scene, scene)
+        shape = (int(rows.is_success.sum()), int(slot.max(initial=-1)) + 1)
+        object_index, poses = np.full(shape, -1, np.int32), np.zeros((*shape, 7), np.float32)
+        poses[..., 3] = 1
+        object_index[scene, slot], poses[scene, slot] = rows.object_index[is_kept], rows.poses[is_kept]
+        index = rows.number[rows.is_success].astype(np.int32)
+        return SceneArrays(index, object_index, object_index >= 0, poses)
+
+    def reset(self, rng: np.random.Generator | int) -> Scene:
+        """A scene that succeeded, all equally likely, drawn with a generator of NumPy, or a seed."""
+        place = np.random.default_rng(rng).integers(len(self.arrays.index))
+        index, objects, is_placed, poses = (each[place] for each in self.arrays)
+        names = tuple(self.names[number] for number in objects[is_placed])
+        poses = poses[is_placed].astype(np.float64)
+        return Scene(int(index), True, "stable", names, objects[is_placed], poses, ())
+
+    def reset_jax(self, key: Any) -> SceneArrays:
+        """A scene that succeeded, all equally likely, drawn with a key of JAX; to be compiled and mapped.
+
+        All scenes become a constant of what is compiled. Of a large bank give `jax.device_put(bank.arrays)`
+        to a compiled `lambda arrays, key: arrays.reset(key)`.
+        """
+        return self._device_arrays.reset(key)
+
+    def state(self, scene: SceneArrays) -> tuple[Any, Any]:
+        """How a scene begins in the model of all objects, `model()`: one of `reset_jax`, or of `arrays`.
+
+        Returns:
+          f[7 K], its qpos; f[K, 6], newtons, for `xfrc_applied[2:]`: what holds the objects that it lacks.
+        """
+        used, waiting, weight = self._crowd
+        is_it = (scene.object_index[:, None] == used) & scene.is_placed[:, None]
+        is_there = is_it.any(0)[:, None]
+        poses = (is_it[..., None] * scene.poses[:, None]).sum(0)
+        return (is_there * poses + ~is_there * waiting).ravel(), ~is_there * weight
+
+    @cached_property
+    def _crowd(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Objects of scenes that stand, i32[K]; where they wait, f32[K, 7]; what holds them, f32[K, 6]."""
+        used = np.unique(self.arrays.object_index[self.arrays.is_placed])
+        assets = [self.asset(self.names[number]) for number in used]
+        poses, weight = np.zeros((len(used), 7), np.float32), np.zeros((len(used), 6), np.float32)
+        with _reading(self.path):
+            vertices = [np.concatenate([np.array(part) for part in each.record["parts"]]) for each in assets]
+            radius = np.array([np.linalg.norm(each, axis=1).max() for each in vertices])
+            weight[:, 2] = [asset.record["mass"] * self.recipe["contact"]["gravity"] for asset in assets]
+        poses[:, 0] = _WAIT[0] + np.cumsum(2 * radius + _WAIT[2]) - radius
+        poses[:, 2], poses[:, 3] = _WAIT[1], 1
+        return used, poses, weight
+
+    @cached_property
+    def _device_arrays(self) -> SceneArrays:
+        import jax
+
+        # Asked for within what is being compiled, they are arrays too, and no part of it.
+        with jax.ensure_compile_time_eval():
+            return SceneArrays(*map(jax.numpy.asarray, self.arrays))
+
+    def asset(self, name: str) -> Asset:
+        """The object called `name`, or that of a name such as `mug#2`, from the bank's own copy.
+
+        Raises:
+          BankError: there is none, or a file of it is missing or not what was written.
+        """
+        name = name.partition("#")[0]
+        folder = f"assets/objects/{name}"
+        if not (_NAME.fullmatch(name) and (self.path / folder).is_dir()):
+            known = ", ".join(sorted(self.record["assets"]["objects"]))
+            raise BankError(f"{self.path} has no files of an object {name!r}", known)
+        if name not in self._assets:
+            self._assets[name] = self._read_asset(name, folder, "object.json", "assets/textures")
+        return self._assets[name]
+
+    @cached_property
+    def support(self) -> Asset:
+        """What the objects stand on (BankError: a file of it is missing or not what was written)."""
+        return self._read_asset("support", "assets/support", "support.json", "assets/support")
+
+    def xml(self, index: int | None = None, *, version: str = "", assets: str = "") -> str:
+        """MJCF of a scene: each object a free body, poses in the bodies and in the keyframe `scene`.
+
+        Options, contacts and the detector of collisions are those of files that `cluttergen generate` writes.
+
+        Args:
+          index: of a scene that succeeded. Without it, the text is of all objects that such scenes have, in
+            the order of `names`; they wait in the air, where they touch nothing, for the `state` of a scene.
+          version: of the MuJoCo that will read it, such as "3.5.0"; of the one installed if not given.
+          assets: the folder `assets`, seen from where the text will lie; its absolute path if not given.
+
+        Raises:
+          BankError: there is no such scene, it failed, or an asset is damaged.
+        """
+        if index is None:
+            names, poses = [self.names[number] for number in self._crowd[0]], self._crowd[1]
+        else:
+            scene = self.scene(index)
+            names, poses = list(scene.names), scene.poses
+            if not scene.is_success:
+                raise BankError(
+                    f"scene {index} of {self.path} failed ({scene.verdict})", "those that succeeded"
+                )
+        numbers = tuple(map(int, re.findall(r"\d+", version or _installed())[:3]))
+        if not numbers:
+            raise BankError(f"version {version!r} of MuJoCo", "numbers such as 3.5.0")
+        folder = assets or (self.path / "assets").absolute().as_posix()
+        support, objects = self.support, [self.asset(name) for name in names]
+        with _reading(self.path):
+            return _mjcf(self, names, objects, poses, support, numbers, folder)
+
+    def model(self, index: int | None = None) -> Any:
+        """`xml(index)`, compiled by the MuJoCo installed here (BankError: there is none, or it refuses)."""
+        try:
+            import mujoco
+        except ImportError as error:
+            raise BankError("a model without MuJoCo", "2.3.7 or newer", "pip install mujoco") from error
+        text = self.xml(index)
+        try:
+            return mujoco.MjModel.from_xml_string(text)
+        except (ValueError, mujoco.FatalError) as error:
+            given = f"MuJoCo {mujoco.__version__} refuses a model of {self.path} ({_line(error)})"
+            raise BankError(given, "2.3.7 or newer") from error
+
+    def summary(self) -> str:
+        """What it holds, for people (BankError: it is damaged)."""
+        verdicts: Counter[str] = Counter()
+        used: set[str] = set()
+        number, half = 0, self.region["half_extents"]
+        for rows in self._read(self._convert, _COLUMNS):
+            verdicts.update(rows.verdict.tolist())
+            placed = np.unique(rows.object_index[rows.is_placed])
+            used.update(self.names[each].partition("#")[0] for each in placed)
+            number += int(rows.is_success.sum())
+        recipe, rest = self.recipe, f"; {_AGAIN.partition(',')[0]} makes the others"
+        made = (f"{name} {recipe.get(name)}" for name in ("pool", "support", "method", "seed"))
+        with _reading(self.path):
+            versions = [f"{name} {text}" for name, text in recipe.get("versions", {}).items()]
+        lines = {
+            "bank": ", ".join([str(self.path), *made]),
+            "versions": ", ".join(versions),
+            "scenes": f"{len(self)} of {self.num_asked} are there, {number} succeed",
+            "verdicts": ", ".join(f"{name} {count}" for name, count in verdicts.most_common()),
+            "objects": f"{len(used)}: {', '.join(sorted(used))}",
+            "region": f"{2 * half[0]:g} x {2 * half[1]:g} m",
+        }
+        lines["scenes"] += rest if len(self) < self.num_asked else ""
+        return "".join(f"{name:10} {text}\n" for name, text in lines.items())
+
+    @cached_property
+    def _places(self) -> dict[int, tuple[str, int]]:
+        """By block, in order: its file, and its row group there."""
+        found = [match for match in map(_FILE.fullmatch, os.listdir(self.path)) if match]
+        blocks = {match[0]: range(int(match[1]), int(match[2] or match[1]) + 1) for match in found}
+        places: dict[int, tuple[str, int]] = {}
+        # A file of one block was written after one of many that holds it too.
+        for name in sorted(blocks, key=lambda name: (len(blocks[name]) == 1, blocks[name][-1])):
+            places.update({block: (name, group) for group, block in enumerate(blocks[name])})
+        return dict(sorted(places.items()))
+
+    def _open(self, name: str) -> Any:
+        if self._latest[0] != name:
+            path = str((self.path / name).absolute())
+            self._latest = name, pq.ParquetFile(path, page_checksum_verification=True)
+        return self._latest[1]
+
+    def _indices_of(self, block: int) -> np.ndarray:
+        name, group = self._places[block]
+        with _reading(self.path / name):
+            return block * _BLOCK_SIZE + np.arange(self._open(name).metadata.row_group(group).num_rows)
+
+    def _read(
+        self, convert: Callable[[pa.Table], Any], columns: Sequence[str], blocks: Iterable[int] | None = None
+    ) -> Iterator[Any]:
+        """What `convert` makes of rows, some thousand at a time, of all blocks or these."""
+        order = self._places if blocks is None else blocks
+        for (name, _), run in groupby(order, lambda block: (self._places[block][0], block // _AT_ONCE)):
+            numbers = list(run)
+            with _reading(self.path / name):
+                groups = [self._places[block][1] for block in numbers]
+                rows = self._open(name).read_row_groups(groups, list({"index": 0, **dict.fromkeys(columns)}))
+                rows.validate(full=True)
+                if not np.array_equal(rows["index"], np.concatenate([*map(self._indices_of, numbers)])):
+                    raise ValueError("its scenes are not those that its name says")
+                made = convert(rows)
+            yield made
+
+    def _convert(self, table: pa.Table) -> _Rows:
+        """Rows as arrays (ValueError: they are none of a bank)."""
+        columns = {name: table[name].combine_chunks() for name in _COLUMNS}
+        objects, is_placed, poses = (pc.list_flatten(columns[name]) for name in _LISTS)
+        numbers = pc.list_flatten(poses)
+        if any(each.null_count for each in (*columns.values(), objects, is_placed, poses, numbers)):
+            raise ValueError("it has gaps")
+        num_slots = np.stack([np.array(pc.list_value_length(columns[name]), np.int64) for name in _LISTS])
+        is_there, places = np.array(is_placed, bool), np.array(numbers, np.float32).reshape(-1, 7)
+        if (num_slots != num_slots[0]).any() or len(places) != len(is_there):
+            raise ValueError("its lists of objects are of different lengths")
+        if not (np.abs(np.linalg.norm(places[is_there, 3:], axis=1) - 1) < 1e-3).all():
+            raise ValueError("an object was placed at a pose that is none")
+        coded, known = objects.dictionary_encode(), {name: number for number, name in enumerate(self.names)}
+        object_index = np.array([known.get(name, -1) for name in coded.dictionary.to_pylist()], np.int32)
+        if (object_index < 0).any():
+            raise ValueError("it names an object that bank.json does not name")
+        index, is_success = np.array(columns["index"], np.int64), np.array(columns["is_success"], bool)
+        verdict = np.array(columns["verdict"].to_pylist(), object)
+        object_index = object_index[np.array(coded.indices)]
+        return _Rows(index, is_success, verdict, num_slots[0], object_index, is_there, places)
+
+    def _scenes(self, rows: _Rows) -> Iterator[Scene]:
+        ends = np.cumsum(rows.num_slots)
+        for place, end in enumerate(ends.tolist()):
+            slots = slice(end - int(rows.num_slots[place]), end)
+            is_placed, objects = rows.is_placed[slots], rows.object_index[slots]
+            yield Scene(
+                index=int(rows.number[place]),
+                is_success=bool(rows.is_success[place]),
+                verdict=rows.verdict[place],
+                names=tuple(self.names[each] for each in objects[is_placed]),
+                object_index=objects[is_placed],
+                poses=rows.poses[slots][is_placed].astype(np.float64),
+                unplaced=tuple(self.names[each] for each in objects[~is_placed]),
+            )
+
+    def _read_asset(self, name: str, folder: str, file: str, images: str) -> Asset:
+        path = self._file(f"{folder}/{file}")
+        with _reading(path):
+            record = json.loads(path.read_bytes())
+            if record["format"] not in _FORMATS:
+                raise ValueError(f"its format is {record['format']}, which this file does not know")
+            # A support has its pieces as a list of records, an object as a list of each of their fields.
+            pieces = record.get("pieces") or [{"rgba": rgba} for rgba in record.get("rgba", [])]
+            digests = [piece.get("texture") for piece in pieces]
+            names = record.get("textures") or [digest and f"texture-{digest[:12]}.png" for digest in digests]
+            if not all(each is None or _IMAGE.fullmatch(each) for each in names):
+                raise ValueError(f"it names images {names}")
+            meshes = [self._file(f"{folder}/visual-{number}.obj") for number in range(len(pieces))]
+            textures = [each and self._file(f"{images}/{each}") for each in names]
+            parts = (f"{folder}/part-{number:02d}.obj" for number in range(len(record.get("parts", []))))
+            surfaces = tuple(zip(meshes, [piece["rgba"] for piece in pieces], textures))
+            return Asset(name, record["label"], record, tuple(map(self._file, parts)), surfaces)
+
+    def _file(self, name: str) -> Path:
+        """A file of the bank that is what was written, as far as `bank.json` knows."""
+        path, digest = self.path / name, self.record["files"].get(name)
+        with _reading(path):
+            if digest not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
+                raise ValueError("it is not what was written")
+        return path
+
+
+def _mjcf(
+    bank: Bank,
+    names: Sequence[str],
+    objects: Sequence[Asset],
+    poses: np.ndarray,
+    support: Asset,
+    version: tuple[int, ...],
+    folder: str,
+) -> str:
+    """MJCF in the words of a version of MuJoCo; `folder` is where the bank's assets are."""
+    stability, contact = bank.recipe["stability"], bank.recipe["contact"]
+    both = stability.get("both_detectors", False)
+    # Flat surfaces need the word since MuJoCo 3.3, which those before refuse.
+    shell = ' inertia="shell"' if version >= (3, 3) else ""
+    files: dict[str, str] = {}
+
+    def add_file(kind: str, name: str, file: Path, more: str) -> None:
+        path = file.relative_to(bank.path / "assets").as_posix()
+        files[f"{kind} {name}"] = f'<{kind} name="{name}"{more} file="{path}"/>'
+
+    def geoms(name: str, asset: Asset, part: str) -> Iterator[str]:
+        for number, file in enumerate(asset.parts):
+            add_file("mesh", f"{name}.part-{number}", file, "")
+            yield f'<geom type="mesh" mesh="{name}.part-{number}" {part}/>'
+        for number, (file, rgba, image) in enumerate(asset.surfaces):
+            mesh, material = f"{name}.visual-{number}", ""
+            add_file("mesh", mesh, file, shell)
+            if image is not None:
+                add_file("texture", image.stem, image, ' type="2d"')
+                shown = f'name="{image.stem}" texture="{image.stem}" specular="0.25" shininess="0.35"'
+                files[f"material {image.stem}"] = f"<material {shown}/>"
+                material = f' material="{image.stem}"'
+            unseen = 'contype="0" conaffinity="0" group="2" mass="0"'
+            yield f'<geom type="mesh" mesh="{mesh}" {unseen} {_words(rgba=rgba)}{material}/>'
+
+    group = f'group="{3 if support.surfaces else 2}"'
+    bodies = ['<body name="support">']
+    for number, box in enumerate(support.record["boxes"]):
+        turn = [math.cos(box["yaw"] / 2), 0, 0, math.sin(box["yaw"] / 2)]
+        place = _words(pos=box["center"], quat=turn, size=box["half_extents"], rgba=box["rgba"])
+        bodies.append(f'<geom name="support.box-{number}" type="box" {place} {group}/>')
+    bodies += [*geoms("support", support, f'{group} rgba="0.72 0.55 0.38 1"'), "</body>"]
+    for name, asset, pose in zip(names, objects, poses):
+        record, (x, y, z), part = asset.record, asset.record["inertia"], 'group="3"'
+        if (friction := record.get("friction")) is not None:
+            # It holds against all that has none of its own; of two such objects the more slippery decides.
+            own = np.array(contact["friction"]) * (friction / 0.5)
+            part += f' {_words(friction=own)} priority="{max(1, round(100_000 * (1 - friction / 10)))}"'
+        full = [x[0], y[1], z[2], x[1], x[2], y[2]]
+        inertial = _words(pos=record["center_of_mass"], mass=record["mass"], fullinertia=full)
+        bodies += [f'<body name="{name}" {_words(pos=pose[:3], quat=pose[3:])}><freejoint name="{name}"/>']
+        bodies += [f"<inertial {inertial}/>", *geoms(asset.name, asset, part), "</body>"]
+    margin = {"margin": 5e-5} if both and stability.get("robust_tilt") else {}
+    return _MJCF.format(
+        assets=quoteattr(folder),
+        timestep=stability["timestep"] / (2 if both else 1),
+        gravity=-contact["gravity"],
+        cone=quoteattr(contact["cone"]),
+        solver=_words(**{name: contact[name] for name in _SOLVER}),
+        # The older detector, which before was the only one.
+        flag=' nativeccd="disable"' if both and version >= (3, 2, 3) else "",
+        touch=_words(**margin, **{name: contact[name] for name in _TOUCH}),
+        files="\n".join(files.values()),
+        bodies="\n".join(bodies),
+        qpos=_words(qpos=poses),
+    )
+
+
+def _words(**numbers: Any) -> str:
+    """Attributes of XML."""
+    texts = {name: np.asarray(values, np.float64).ravel().tolist() for name, values in numbers.items()}
+    return " ".join(f'{name}="{" ".join(f"{x:.9g}" for x in values)}"' for name, values in texts.items())
+
+
+def _installed() -> str:
+    try:
+        import mujoco
+    except ImportError:
+        return _NEWEST
+    return str(mujoco.__version__)
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())
+
+
+_CAUSES = (
+    pa.ArrowException,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Inside, whatever a damaged file causes becomes a BankError that names it."""
+    try:
+        yield
+    except _CAUSES as error:
+        reason = f"no {error}" if isinstance(error, KeyError) else _line(error)
+        raise BankError(f"{path} is damaged ({reason})", "", _AGAIN) from error
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    """What the `bank.json` of a folder holds (BankError)."""
+    index = path / "bank.json"
+    if not index.is_file():
+        raise BankError(f"{path} is not a bank: it has no bank.json", "a folder of `cluttergen generate`")
+    with _reading(index):
+        record = json.loads(index.read_bytes())
+        number = record["format"]
+        if isinstance(number, int) and number > FORMAT:
+            given = f"{path} was made by a newer version (format {number}; this file reads {FORMAT})"
+            raise BankError(given, "", "the bank_reader.py of a newer cluttergen_jax")
+        digest = record.pop("hash", None)
+        if digest not in (None, hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()):
+            raise ValueError("it does not match its own digest")
+        objects = record.setdefault("assets", {"objects": {}})["objects"]
+        parts, asked = (objects, record["recipe"], record.setdefault("files", {})), record["num_scenes"]
+        if (
+            number != FORMAT
+            or not all(isinstance(each, dict) for each in parts)
+            or not isinstance(asked, int)
+        ):
+            raise ValueError(f"it is not the record of a bank of format {FORMAT}")
+    return record
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(description="What a bank of scenes holds, or one of its scenes as MJCF.")
+    parser.add_argument("folder", nargs="?", default=Path(__file__).parent, help="default: this file's own")
+    parser.add_argument("--xml", type=int, metavar="INDEX", help="print this scene, for the MuJoCo here")
+    given = parser.parse_args(words)
+    try:
+        bank = Bank(given.folder)
+        print(bank.summary() if given.xml is None else bank.xml(given.xml), end="", flush=True)
+    except BankError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        # Whoever read it has seen enough, `head` for instance.
+        os._exit(1)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

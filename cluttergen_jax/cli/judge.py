@@ -1,0 +1,23 @@
+"""`cluttergen judge`: anybody's scenes by one strict rule."""
+
+from __future__ import annotations
+
+from tyro.conf import Positional
+
+from cluttergen_jax.cli.options import Options, options_from
+from cluttergen_jax.evaluation.api import judge
+
+
+@options_from(judge, paths=Positional[tuple[str, ...]], states=str | None)
+class Judge(Options):
+    """Judge anybody's scenes by one strict rule: MJCF, URDF or USD files, or arrays of starts.
+
+    Exit status 1 only if nothing could be judged.
+
+    Example: `cluttergen judge kitchen.xml --states starts.npz --hold-joints --out judged`
+    """
+
+    def run(self) -> int:
+        report = self.call(judge)
+        print(report)
+        return 0 if report.starts else 1

@@ -1,0 +1,1 @@
+"""The neutral judge: anybody's scenes by one strict rule."""

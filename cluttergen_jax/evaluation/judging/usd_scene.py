@@ -1,0 +1,142 @@
+"""A USD stage with UsdPhysics as a MuJoCo model: free rigid bodies, and static colliders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from cluttergen_jax.errors import AssetError, MissingExtraError
+
+try:
+    from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
+except ImportError:  # pragma: no cover - depends on what is installed
+    Usd = None
+
+_GEOM = mujoco.mjtGeom
+_TURNS = {"X": ((0, 1, 0), 90), "Y": ((1, 0, 0), -90), "Z": ((0, 0, 1), 0)}
+_ROUND = {"Capsule": _GEOM.mjGEOM_CAPSULE, "Cylinder": _GEOM.mjGEOM_CYLINDER}
+_FILLED = 0.99
+"""Share of its hull that a mesh fills which counts as convex."""
+
+
+def read_usd(path: Path) -> mujoco.MjModel:
+    """The bodies and colliders of a stage, in metres, z up, with MuJoCo's default time step and contacts.
+
+    Meshes collide as their convex hulls, where that is what the stage asks for or what they are.
+
+    Raises:
+      AssetError: it cannot be opened, has joints, or a collider that is not convex or of another kind.
+      MissingExtraError: usd-core is not installed.
+      ValueError: MuJoCo refuses it.
+    """
+    if Usd is None:
+        raise MissingExtraError("usd", "reading USD")
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Exception as error:  # pxr's own kind has no public name.
+        raise AssetError("it cannot be opened as USD", "a stage") from error
+    spec, cache, unit = mujoco.MjSpec(), UsdGeom.XformCache(), UsdGeom.GetStageMetersPerUnit(stage)
+    to_world = Gf.Matrix4d(1.0).SetScale(unit)
+    if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
+        to_world *= Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(1, 0, 0), 90))
+    bodies: dict[Any, tuple[mujoco.MjsBody, Any]] = {}
+    masses: dict[str, float] = {}
+    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+        if prim.IsA(UsdPhysics.Joint):
+            raise AssetError(f"{prim.GetPath()} is a joint", "scenes of bodies without joints")
+        place = cache.GetLocalToWorldTransform(prim) * to_world
+        if prim.HasAPI(UsdPhysics.RigidBodyAPI) and _is_moved(UsdPhysics.RigidBodyAPI(prim)):
+            body = spec.worldbody.add_body(name=str(prim.GetPath()))
+            body.add_freejoint()
+            _put(body, place)
+            bodies[prim.GetPath()] = body, place.RemoveScaleShear()
+            mass = _weigh(body, UsdPhysics.MassAPI(prim), unit)
+            masses |= {body.name: mass} if mass else {}
+        if (
+            prim.HasAPI(UsdPhysics.CollisionAPI)
+            and UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get()
+        ):
+            above = [each for each in prim.GetPath().GetAncestorsRange() if each in bodies]
+            body, frame = bodies[above[-1]] if above else (spec.worldbody, Gf.Matrix4d(1.0))
+            _add_collider(spec, body, prim, place * frame.GetInverse())
+    model = spec.compile()
+    for name, mass in masses.items():
+        index = model.body(name).id
+        model.body_inertia[index] *= mass / model.body_mass[index]
+        model.body_mass[index] = mass
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def _is_moved(body: Any) -> bool:
+    return bool(body.GetRigidBodyEnabledAttr().Get()) and not body.GetKinematicEnabledAttr().Get()
+
+
+def _put(thing: Any, matrix: Any) -> None:
+    """Gives a body or a geom the position and the orientation of a frame."""
+    turn = matrix.RemoveScaleShear().ExtractRotationQuat()
+    thing.pos, thing.quat = matrix.ExtractTranslation(), (turn.GetReal(), *turn.GetImaginary())
+
+
+def _weigh(body: mujoco.MjsBody, api: Any, unit: float) -> float:
+    """Gives a body its inertia where that is stated; else the mass that its colliders' is to be scaled to."""
+    mass, moments = api.GetMassAttr().Get() or 0.0, api.GetDiagonalInertiaAttr().Get()
+    if not (mass and moments and min(moments) > 0):
+        return float(mass)
+    center, axes = api.GetCenterOfMassAttr().Get(), api.GetPrincipalAxesAttr().Get()
+    body.mass, body.inertia, body.explicitinertial = mass, np.array(moments) * unit**2, True
+    body.ipos = np.array(center) * unit if np.isfinite(center).all() else np.zeros(3)
+    body.iquat = (axes.GetReal(), *axes.GetImaginary()) if axes.GetLength() else (1, 0, 0, 0)
+    return 0.0
+
+
+def _add_collider(spec: mujoco.MjSpec, body: mujoco.MjsBody, prim: Any, place: Any) -> None:
+    """A collider as a geom of a body, at `place` in its frame."""
+    geom, kind = body.add_geom(name=str(prim.GetPath())), str(prim.GetTypeName())
+    rigid = place.RemoveScaleShear()
+    scale = np.abs(np.array(place * rigid.GetInverse())[:3, :3].diagonal())
+    _put(geom, rigid)
+    if kind == "Cube":
+        geom.type, geom.size = _GEOM.mjGEOM_BOX, scale * UsdGeom.Cube(prim).GetSizeAttr().Get() / 2
+    elif kind == "Plane":
+        geom.type, geom.size = _GEOM.mjGEOM_PLANE, (0, 0, 1)
+    elif kind == "Mesh":
+        mesh = spec.add_mesh(name=geom.name)
+        mesh.uservert = (_hull_points(prim) * scale).astype(np.float32).ravel()
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        geom.type, geom.meshname = _GEOM.mjGEOM_MESH, mesh.name
+    elif kind == "Sphere" and np.ptp(scale) < 1e-6:
+        radius = UsdGeom.Sphere(prim).GetRadiusAttr().Get()
+        geom.type, geom.size = _GEOM.mjGEOM_SPHERE, (radius * scale[0], 0, 0)
+    elif kind in _ROUND and np.ptp(scale) < 1e-6:
+        shape = getattr(UsdGeom, kind)(prim)
+        axis, angle = _TURNS[shape.GetAxisAttr().Get()]
+        _put(geom, Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(axis), angle)) * rigid)
+        radius, height = shape.GetRadiusAttr().Get(), shape.GetHeightAttr().Get()
+        geom.type, geom.size = _ROUND[kind], (radius * scale[0], height / 2 * scale[0], 0)
+    else:
+        allowed = "cubes, planes, meshes, and spheres, capsules and cylinders that are not stretched"
+        raise AssetError(f"the collider {prim.GetPath()} is a {kind or 'prim without a type'}", allowed)
+    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+    if material and (friction := UsdPhysics.MaterialAPI(material).GetDynamicFrictionAttr().Get()) is not None:
+        geom.friction = (friction, *geom.friction[1:])
+
+
+def _hull_points(prim: Any) -> np.ndarray:
+    """f64[V, 3]: the points of a mesh that collides as its hull."""
+    mesh, approximation = UsdGeom.Mesh(prim), UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr()
+    points = np.array(mesh.GetPointsAttr().Get(), np.float64)
+    if approximation and approximation.Get() == "convexHull":
+        return points
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get())
+    faces = np.split(np.array(mesh.GetFaceVertexIndicesAttr().Get()), np.cumsum(counts)[:-1])
+    fans = [(face[0], face[i], face[i + 1]) for face in faces for i in range(1, len(face) - 1)]
+    a, b, c = points[np.array(fans)].transpose(1, 0, 2)
+    if abs((a * np.cross(b, c)).sum()) / 6 < _FILLED * ConvexHull(points).volume:
+        allowed = "meshes that are convex or collide as their hull"
+        raise AssetError(f"the collider {prim.GetPath()} is a mesh that is not convex", allowed)
+    return points

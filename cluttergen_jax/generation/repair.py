@@ -1,0 +1,365 @@
+"""Broken layouts from JSON files or a bank, repaired, into a bank or a JSON file."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.config import REPAIR, ContactConfig, StabilityConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.files import file_whole, write_atomically, writing
+from cluttergen_jax.generation.files import write_files
+from cluttergen_jax.generation.generate import recipe_of
+from cluttergen_jax.geometry import turn_between
+from cluttergen_jax.learning.methods import Method
+from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
+from cluttergen_jax.placement.problem import ProblemConfig, Setup, make_setup
+from cluttergen_jax.placement.repair import LayoutRepair, RepairConfig
+from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of
+from cluttergen_jax.placement.world import base_name
+from cluttergen_jax.progress import COMPILING, Progress
+from cluttergen_jax.scene.bank import Bank, BankRow, BankWriter, read_bank
+from cluttergen_jax.scene.bank.card import write_card
+from cluttergen_jax.scene.bank.record import INDEX
+from cluttergen_jax.scene.bank.reference import missing_text, parse_reference
+from cluttergen_jax.scene.bank.scene import config_of, region_of
+from cluttergen_jax.scene.bank.table import rows_of, table_of
+from cluttergen_jax.scene.bank.writer import names_of
+from cluttergen_jax.schema import SchemaError, convert, digest_of, parse_json
+from cluttergen_jax.types import small_length
+
+_FORM = '{"pool": "dining", "support": "table", "objects": [{"name": "mug", "position": [0.1, 0, 0.75]}]}'
+_SHOWN = 20
+
+
+class _Entry(msgspec.Struct):
+    name: str
+    position: tuple[float, float, float]
+    quaternion_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    asset: str = ""
+
+
+class _Region(msgspec.Struct):
+    half_extents: tuple[float, float]
+
+
+class _Support(msgspec.Struct):
+    """As exports tell it."""
+
+    name: str
+    region: _Region
+
+
+class _File(msgspec.Struct):
+    objects: list[_Entry]
+    pool: str = ""
+    support: str | _Support = ""
+
+
+class BrokenLayout(NamedTuple):
+    """N objects where they are.
+
+    Attributes:
+      source: the file or the scene.
+      names: as the source has them; objects: their assets.
+      poses: f64[N, 7], T_world_object, metres, wxyz.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    objects: tuple[ObjectAsset, ...]
+    poses: np.ndarray
+
+
+class LayoutSet(NamedTuple):
+    """Broken layouts on one support, and what decides how they are repaired."""
+
+    layouts: tuple[BrokenLayout, ...]
+    support: SupportAsset
+    config: ProblemConfig
+
+
+def read_layouts(
+    source: str | Path, pool: str | None, support: str | None, scenes: Sequence[int] | None
+) -> LayoutSet:
+    """The layouts of a bank (failures included), of a JSON file, or of a folder of JSON files.
+
+    Raises:
+      ConfigError: nothing is there, a file says something else, or layouts are of several pools or supports.
+      BankError, PoolError: a bank, a pool, an object or a support cannot be found or read.
+    """
+    path = Path(source)
+    named = None if path.suffix == ".json" else parse_reference(str(source))
+    if named is not None and (named[1] is not None or (named[0] / INDEX).is_file() or not path.is_dir()):
+        if pool is not None or support is not None:
+            raise ConfigError("`pool` or `support` with a bank", "the bank's own", "leaving it out")
+        return _layouts_of_bank(read_bank(named[0]), scenes if named[1] is None else [named[1]])
+    if scenes is not None:
+        raise ConfigError("`scenes` of JSON files", "scenes of a bank", "the files that are meant")
+    folder = path / "scenes" if (path / "scenes").is_dir() else path
+    files = [path] if path.is_file() else sorted(folder.glob("*.json"))
+    if not files:
+        raise ConfigError(f"{source}, in which there is no layout", f"a bank, or JSON files such as {_FORM}")
+    return _layouts_of_files(files, pool, support)
+
+
+def _layouts_of_bank(bank: Bank, numbers: Sequence[int] | None) -> LayoutSet:
+    rows = list(bank.scenes() if numbers is None else bank.rows(numbers).values())
+    if numbers is not None and len(rows) < len(set(numbers)):
+        held = [int(index) for each in bank.tables(["index"]) for index in each["index"].to_numpy()]
+        raise ConfigError(f"{bank.path}: {missing_text(sorted(set(numbers)), held)}", "scenes of the bank")
+    if empty := [row.index for row in rows if not row.objects]:
+        raise ConfigError(f"{bank.path}: no object stands in scene {empty[0]}", "others", "`scenes`")
+    asset_of, recipe = lru_cache(maxsize=None)(bank.object), bank.recipe
+    layouts = []
+    for row in rows:
+        objects = tuple(asset_of(base_name(name)) for name in row.objects)
+        layouts.append(
+            BrokenLayout(f"{bank.path.name}:{row.index}", row.objects, objects, row.poses.astype(float))
+        )
+    config = ProblemConfig(
+        pool=str(recipe.get("pool", "")),
+        support=str(recipe.get("support", "")),
+        region=region_of(bank),
+        stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
+        contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
+    )
+    return LayoutSet(tuple(layouts), bank.support, config)
+
+
+def _layouts_of_files(files: Sequence[Path], pool: str | None, support: str | None) -> LayoutSet:
+    read = {file: _read_file(file) for file in files}
+    pool = _only("pool", {pool or each.pool for each in read.values()})
+    named = (each.support if isinstance(each.support, str) else each.support.name for each in read.values())
+    support = _only("support", {support or each for each in named})
+    assets, table, layouts = find_pool(pool), find_support(support), []
+    for file, each in read.items():
+        if isinstance(each.support, _Support):
+            theirs, ours = (np.array(one.region.half_extents) for one in (each.support, table))
+            if np.abs(theirs - ours).max() > 1e-4:
+                given = f"{file}: a support with a region of {2 * theirs[0]:g} x {2 * theirs[1]:g} m"
+                raise ConfigError(given, f"{2 * ours[0]:g} x {2 * ours[1]:g} m, as {support!r}", "`support`")
+        objects = tuple(assets[entry.asset or base_name(entry.name)] for entry in each.objects)
+        poses = np.array([[*entry.position, *entry.quaternion_wxyz] for entry in each.objects], float)
+        length = np.linalg.norm(poses[:, 3:], axis=1)
+        if not (np.isfinite(poses).all() and (length > 1e-3).all()):
+            raise ConfigError(f"{file}: a pose that is not finite or has no direction", "metres; w, x, y, z")
+        poses[:, 3:] /= length[:, None]
+        layouts.append(BrokenLayout(file.name, tuple(e.name for e in each.objects), objects, poses))
+    return LayoutSet(tuple(layouts), table, ProblemConfig(pool=pool, support=support))
+
+
+def _only(what: str, found: set[str]) -> str:
+    """The one pool or support of all layouts."""
+    if len(found) > 1 or "" in found:
+        given = f"a layout that names no {what}" if "" in found else f"layouts of the {what}s {sorted(found)}"
+        raise ConfigError(given, f"one {what}", f"`{what}`")
+    return next(iter(found))
+
+
+def _read_file(file: Path) -> _File:
+    try:
+        read = convert(parse_json(file.read_bytes()), _File)
+    except (SchemaError, OSError) as error:
+        raise ConfigError(f"{file} is no layout ({error})", f"JSON such as {_FORM}") from error
+    if not read.objects:
+        raise ConfigError(f"{file} holds no objects", "one or more")
+    return read
+
+
+@dataclass(frozen=True, eq=False)
+class RepairedLayout:
+    """What became of a layout of N objects.
+
+    Attributes:
+      layout: as it was; verdict: the last word on it.
+      poses: f64[N, 7], where they are now; as given where an object could not be placed.
+      is_placed: bool[N].
+      is_stable: all are placed, and stand together in the final check.
+    """
+
+    layout: BrokenLayout
+    verdict: str
+    poses: np.ndarray
+    is_placed: np.ndarray
+    is_stable: bool
+
+    @property
+    def shift(self) -> np.ndarray:
+        """f64[N], metres from where they were."""
+        return np.linalg.norm(self.poses[:, :3] - self.layout.poses[:, :3], axis=1)
+
+    @property
+    def turn(self) -> np.ndarray:
+        """f64[N], radians."""
+        return turn_between(np, self.poses[:, 3:], self.layout.poses[:, 3:])
+
+    def records(self) -> list[dict[str, Any]]:
+        """What became of each object, as JSON values."""
+        layout, each_one = self.layout, zip(self.poses.tolist(), self.is_placed.tolist(), strict=True)
+        motion = zip(self.shift.tolist(), self.turn.tolist(), strict=True)
+        return [
+            {
+                "name": name,
+                "asset": asset.name,
+                "position": pose[:3],
+                "quaternion_wxyz": pose[3:],
+                "is_placed": is_placed,
+                "shift": shift,
+                "turn": turn,
+            }
+            for name, asset, (pose, is_placed), (shift, turn) in zip(
+                layout.names, layout.objects, each_one, motion, strict=True
+            )
+        ]
+
+    def __str__(self) -> str:
+        if self.is_stable:
+            return f"{self.layout.source}: stable"
+        names = [name for name, there in zip(self.layout.names, self.is_placed, strict=True) if not there]
+        why = (
+            f"no stable place near its own for {', '.join(names)}" if names else f"{self.verdict} as a whole"
+        )
+        return f"not repaired: {self.layout.source}: {why}"
+
+
+@dataclass(frozen=True, eq=False)
+class RepairReport:
+    """What `repair` did; printed, it says what is stable now, what moved by how much, what is left broken.
+
+    Attributes:
+      path: the bank or the file that was written.
+      layouts: in the order of the source.
+    """
+
+    path: Path
+    layouts: tuple[RepairedLayout, ...]
+
+    @property
+    def rows(self) -> pa.Table:
+        """A row for each object: its layout and name, whether it could be placed, metres and radians."""
+        return pa.Table.from_pylist(
+            [
+                {"layout": each.layout.source, "is_stable": each.is_stable, **record}
+                for each in self.layouts
+                for record in each.records()
+            ]
+        ).drop_columns(["position", "quaternion_wxyz"])
+
+    def __str__(self) -> str:
+        moved = [record for each in self.layouts for record in each.records() if record["is_placed"]]
+        stable = sum(each.is_stable for each in self.layouts)
+        lines = [f"{stable} of {len(self.layouts)} layouts are stable now, in {self.path}"]
+        if moved:
+            shift, turn = (np.array([record[name] for record in moved]) for name in ("shift", "turn"))
+            lines.append(
+                f"motion of {len(moved)} objects: median {small_length(np.median(shift))} and "
+                f"{np.degrees(np.median(turn)):.1f} deg, most {small_length(shift.max())} and "
+                f"{np.degrees(turn.max()):.1f} deg"
+            )
+        if len(self.layouts) == 1:
+            each_one = ((r["name"], small_length(r["shift"]), np.degrees(r["turn"])) for r in moved)
+            lines += [f"  {name}: {shift}, {turn:.1f} deg" for name, shift, turn in each_one]
+        broken = [str(each) for each in self.layouts if not each.is_stable]
+        more = [f"and {len(broken) - _SHOWN} more"] if len(broken) > _SHOWN else []
+        return "\n".join([*lines, *broken[:_SHOWN], *more])
+
+
+def repair_layouts(given: LayoutSet, out: Path, limits: RepairConfig, overwrite: bool) -> RepairReport:
+    """See `cluttergen_jax.repair`."""
+    if out.suffix == ".json" and len(given.layouts) > 1:
+        raise ConfigError(f"out = '{out}' for {len(given.layouts)} layouts", "a bank", "out='repaired'")
+    setup, indices = _setup_of(given)
+    world, mend = setup.problem.world, LayoutRepair(setup, limits)
+    half_extents = np.asarray(setup.problem.rules.geometry.half_extents)
+
+    def row_of(number: int) -> pa.Table:
+        scene = mend(indices[number], given.layouts[number].poses)
+        batch = jax.tree.map(lambda leaf: np.asarray(leaf)[None], scene)
+        progress.update()
+        return table_of(np.array([number]), batch, world.names, half_extents)
+
+    def report(path: Path, rows: Iterable[BankRow]) -> RepairReport:
+        return RepairReport(path, tuple(map(partial(_compare, world.names), given.layouts, indices, rows)))
+
+    with Progress("repairing", len(given.layouts), "layout") as progress:
+        progress.note(COMPILING)
+        if out.suffix == ".json":
+            found = report(out, rows_of(row_of(0)))
+            (only,) = found.layouts
+            record = {"pool": given.config.pool, "support": given.config.support, "is_stable": only.is_stable}
+            data = json.dumps(record | {"objects": only.records()}, indent=1) + "\n"
+            write_atomically(out, data.encode())
+            return found
+        poses = b"".join(each.poses.tobytes() + repr(each.names).encode() for each in given.layouts)
+        recipe = recipe_of(setup.problem, Method(REPAIR)) | {
+            **dict.fromkeys(("start", "checkpoint", "seed")),
+            "keep_out": [],
+            "limits": asdict(limits),
+            "layouts": digest_of(poses),
+        }
+        objects = names_of(world.objects)
+        with BankWriter(out, recipe, len(given.layouts), objects, world.support, overwrite) as writer:
+            for block, number in blocks_of(len(given.layouts)):
+                if writer.has_block(block, number):
+                    progress.update(number)
+                    continue
+                rows = map(row_of, range(block * BLOCK_SIZE, block * BLOCK_SIZE + number))
+                writer.write_block(block, pa.concat_tables(rows).combine_chunks())
+            writer.finish()
+            bank = read_bank(writer.path)
+            found = report(bank.path, bank.scenes())
+            with writing(bank.path):
+                write_files(bank, len(found.layouts), setup.problem.config, False, writer.keep_digests)
+                write_card(read_bank(bank.path))
+                with file_whole(bank.path / "repair.csv") as fresh:
+                    pyarrow.csv.write_csv(found.rows, fresh)
+    return found
+
+
+def _setup_of(given: LayoutSet) -> tuple[Setup, list[list[int]]]:
+    """The problem of one world with the objects of all layouts, and which of these each layout has."""
+    assets = {asset.name: asset for each in given.layouts for asset in each.objects}
+    most: Counter[str] = Counter()
+    for each in given.layouts:
+        most |= Counter(asset.name for asset in each.objects)
+    names = [name for name, number in most.items() for _ in range(number)]
+    number = max(len(each.names) for each in given.layouts)
+    config = replace(
+        given.config,
+        placement=PlacementConfig(number, order="fixed", min_margin=MIN_MARGIN, history_stride=0),
+        stability=replace(given.config.stability, both_detectors=True),
+        repeat=True,
+        engine="native",
+    )
+    setup = make_setup(config, assets=([assets[name] for name in names], given.support))
+    indices = []
+    for each in given.layouts:
+        free = {name: [i for i, other in enumerate(names) if other == name] for name in most}
+        indices.append([free[asset.name].pop(0) for asset in each.objects])
+    return setup, indices
+
+
+def _compare(
+    names: Sequence[str], layout: BrokenLayout, indices: Sequence[int], row: BankRow
+) -> RepairedLayout:
+    """A layout before and after."""
+    placed = dict(zip(row.objects, row.poses.astype(float), strict=True))
+    is_placed = np.array([names[index] in placed for index in indices])
+    poses = np.array([placed.get(names[i], pose) for i, pose in zip(indices, layout.poses, strict=True)])
+    return RepairedLayout(layout, row.verdict, poses, is_placed, row.is_success)

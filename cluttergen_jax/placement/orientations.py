@@ -1,0 +1,244 @@
+"""The orientations in which objects are released, where they are not all released upright."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cluttergen_jax.assets.height_profile import HeightProfile
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.settle import upright_turn
+from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.geometry import product, rotation_matrix, yaw_quaternion
+from cluttergen_jax.physics import make_physics
+from cluttergen_jax.physics.host import BatchEngine
+from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.placement.types import Orientations
+from cluttergen_jax.placement.world_geometry import own_margin_of, surface_runs
+from cluttergen_jax.types import Verdict
+
+MAX_RESTING = 8
+"""Resting poses of an object, at most; those in which it ends least often are left out."""
+NUM_SPREAD = 24
+"""Directions, evenly spread, of which any may point up where objects are released in any orientation."""
+_LEAST_WEIGHT = 0.05
+"""Of a resting pose, in which few or none of the random releases ended."""
+_TRIALS = 4
+_GAP = 0.001
+_NEAR, _SAME = np.cos(np.radians([15.0, 3.0])).tolist()
+"""Cosines: a recorded pose is rounded, and of other contacts; after it has settled it stays."""
+
+
+def make_orientations(
+    objects: Sequence[ObjectAsset],
+    layout: Layout,
+    stability: StabilityConfig,
+    kind: str,
+    cut: Callable[[ObjectAsset], HeightProfile],
+) -> Orientations:
+    """The orientations in which objects may be released, upright first; NumPy arrays.
+
+    Args:
+      layout: the compiled world of these objects, in their order.
+      kind: "resting": the resting poses of each, verified: released so, alone, in four turns, it is stable
+        and stays within 3 degrees. One is drawn as often as random releases end in it. "any": directions
+        spread evenly over the sphere, of which any may point up.
+      cut: makes columns.
+    """
+    engine = cast(BatchEngine, make_physics(layout, replace(stability, robust_tilt=0.0), "native"))
+    lying = _verified([_recorded(asset) for asset in objects], objects, layout, engine)
+    engine.free()
+    number = MAX_RESTING
+    if kind == "any":
+        # Resting poses only tell how an object came to lie.
+        number += NUM_SPREAD
+        spread = [_Pose(_quaternion_of(upright_turn(up)), 1.0) for up in _spread()]
+        lying = [[*(replace(pose, weight=0.0) for pose in poses), *spread] for poses in lying]
+    bodies = [
+        [_Body.of(asset, pose, cut) for pose in poses] for asset, poses in zip(objects, lying, strict=True)
+    ]
+    return _stacked(bodies, number)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    """An orientation: wxyz f64[4], from the object frame, and with which weight it is drawn."""
+
+    quaternion: np.ndarray
+    weight: float
+    is_stable: bool = True
+
+    @property
+    def matrix(self) -> np.ndarray:
+        return rotation_matrix(self.quaternion)
+
+    @property
+    def up(self) -> np.ndarray:
+        """f64[3]: which direction of the object points up."""
+        return self.matrix[2]
+
+
+def _recorded(asset: ObjectAsset) -> list[_Pose]:
+    """An object's resting poses as its file has them."""
+    upright, *others = asset.resting
+    kept = [upright, *sorted(others, key=lambda pose: -pose.likelihood)[: MAX_RESTING - 1]]
+    return [_Pose(np.array(pose.quaternion), max(pose.likelihood, _LEAST_WEIGHT)) for pose in kept]
+
+
+def _verified(
+    recorded: list[list[_Pose]], objects: Sequence[ObjectAsset], layout: Layout, engine: BatchEngine
+) -> list[list[_Pose]]:
+    """Those resting poses that are stable, each as the object lies after it has settled; upright always."""
+    settled = _settled(recorded, objects, layout, engine, _NEAR)
+    result = []
+    for index, poses in enumerate(_settled(settled, objects, layout, engine, _SAME)):
+        kept = [recorded[index][0]]
+        for before, pose in list(zip(settled[index], poses, strict=True))[1:]:
+            is_new = max(float(pose.up @ other.up) for other in kept) < _SAME
+            if before.is_stable and pose.is_stable and is_new:
+                kept.append(pose)
+        result.append(kept)
+    return result
+
+
+def _settled(
+    poses: list[list[_Pose]],
+    objects: Sequence[ObjectAsset],
+    layout: Layout,
+    engine: BatchEngine,
+    likeness: float,
+) -> list[list[_Pose]]:
+    """How each object lies after it has settled alone from each of its poses, without a turn about z.
+
+    Stable are those that stand, by the rule of attempts, in every turn, with an up that is as near as
+    `likeness`, a cosine, to what it was.
+    """
+    which = [(k, p) for k, each in enumerate(poses) for p in range(len(each))]
+    focus = np.repeat([k for k, _ in which], _TRIALS)
+    rows = np.arange(len(focus))
+    start = np.tile(np.eye(7, dtype=np.float32)[3], (len(rows), len(objects), 1))
+    for row, (k, p) in enumerate(which):
+        pose = poses[k][p]
+        height = layout.top + _height(objects[k], pose.matrix) + _GAP
+        for trial in range(_TRIALS):
+            yaw = 2 * np.pi * (trial + 0.1) / _TRIALS
+            turned = product(np.array(yaw_quaternion(yaw)), pose.quaternion)
+            start[row * _TRIALS + trial, k] = [0.0, 0.0, height, *turned]
+    is_placed = focus[:, None] == np.arange(len(objects))
+    settling = engine.settle_batch(start, is_placed, focus, np.ones(len(rows), bool))
+    ended = settling.poses[rows, focus, 3:].astype(np.float64).reshape(-1, _TRIALS, 4)
+    is_stable = (settling.verdict == int(Verdict.STABLE)).reshape(-1, _TRIALS).all(1)
+    result: list[list[_Pose]] = [[] for _ in objects]
+    for row, (k, p) in enumerate(which):
+        pose = poses[k][p]
+        ups = np.array([rotation_matrix(each)[2] for each in ended[row]])
+        stays = bool((ups @ pose.up > likeness).all())
+        lies = _quaternion_of(upright_turn(ups[0]))
+        result[k].append(_Pose(lies, pose.weight, bool(is_stable[row]) and stays))
+    return result
+
+
+def _quaternion_of(matrix: np.ndarray) -> np.ndarray:
+    return np.asarray(Rotation.from_matrix(matrix).as_quat(scalar_first=True))
+
+
+def _height(asset: ObjectAsset, matrix: np.ndarray) -> float:
+    """Metres from the lowest point up to the origin, after a turn."""
+    return -min(float((part.vertices @ matrix[2]).min()) for part in asset.parts)
+
+
+def _spread() -> np.ndarray:
+    """f64[N, 3]: unit vectors spread evenly over the sphere (Fibonacci's lattice)."""
+    place = np.arange(NUM_SPREAD) + 0.5
+    z, angle = 1 - 2 * place / NUM_SPREAD, np.pi * (1 + 5**0.5) * place
+    flat = np.sqrt(1 - z**2)
+    return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """An object in one orientation; `Orientations` says what its arrays are."""
+
+    pose: _Pose
+    half_extents: np.ndarray
+    height: float
+    center_of_mass: np.ndarray
+    own_margin: float
+    columns: HeightProfile
+    surface: np.ndarray
+
+    @staticmethod
+    def of(asset: ObjectAsset, pose: _Pose, cut: Callable[[ObjectAsset], HeightProfile]) -> _Body:
+        matrix = pose.matrix
+        vertices = np.concatenate([part.vertices for part in asset.parts]) @ matrix.T
+        middle = (vertices.min(0) + vertices.max(0)) / 2
+        # Columns are cut of what is centred on its origin.
+        turned = replace(
+            asset,
+            parts=tuple(part.transform(matrix, -middle) for part in asset.parts),
+            center_of_mass=matrix @ asset.center_of_mass - middle,
+        )
+        columns = cut(turned)
+        return _Body(
+            pose=pose,
+            half_extents=turned.half_extents,
+            height=-float(vertices[:, 2].min()),
+            center_of_mass=matrix @ asset.center_of_mass,
+            own_margin=own_margin_of(turned),
+            columns=replace(
+                columns,
+                xy=columns.xy + middle[:2],
+                bottom=columns.bottom + middle[2],
+                top=columns.top + middle[2],
+            ),
+            surface=surface_runs((columns.surface + middle) @ matrix),
+        )
+
+
+def _stacked(bodies: list[list[_Body]], number: int) -> Orientations:
+    """Arrays of the orientations of K objects, `number` of each: the first one again for those missing."""
+    full = [[*each, *[each[0]] * (number - len(each))] for each in bodies]
+
+    def stack(of_body: Callable[[_Body], np.ndarray | float]) -> np.ndarray:
+        return np.array([[of_body(body) for body in each] for each in full])
+
+    def pad(array: np.ndarray, length: int) -> np.ndarray:
+        return np.pad(array, [(0, length - len(array))] + [(0, 0)] * (array.ndim - 1))
+
+    most = max(len(body.columns.sample) for each in bodies for body in each)
+    runs = [max(len(body.surface) for body in each) for each in bodies]
+    is_one = np.arange(number) < np.array([len(each) for each in bodies])[:, None]
+    with np.errstate(divide="ignore"):
+        log_weight = np.log(np.where(is_one, stack(lambda body: body.pose.weight), 0.0))
+    return Orientations(
+        is_one=is_one,
+        log_weight=log_weight,
+        quaternion=stack(lambda body: body.pose.quaternion),
+        half_extents=stack(lambda body: body.half_extents),
+        height=stack(lambda body: body.height),
+        center_of_mass=stack(lambda body: body.center_of_mass),
+        own_margin=stack(lambda body: body.own_margin),
+        column_xy=stack(lambda body: pad(body.columns.xy[body.columns.sample], most)),
+        column_bottom=stack(lambda body: pad(body.columns.bottom[body.columns.sample], most)),
+        is_column=stack(lambda body: pad(np.ones(len(body.columns.sample), bool), most)),
+        # A shorter surface shows its last run again.
+        surface=np.concatenate(
+            [
+                np.stack(
+                    [body.surface[np.minimum(np.arange(rows), len(body.surface) - 1)] for body in each],
+                    axis=1,
+                )
+                for each, rows in zip(full, runs, strict=True)
+            ]
+        ),
+        surface_owner=np.repeat(np.arange(len(full), dtype=np.int32), runs),
+    )
+
+
+def _repeated(runs: np.ndarray, number: int) -> np.ndarray:
+    """So many runs, the last one again for those missing."""
+    return runs[np.minimum(np.arange(number), len(runs) - 1)]

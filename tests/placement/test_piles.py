@@ -1,0 +1,148 @@
+"""Piles and packed scenes as users ask for them: what is refused, and scenes that every door gives alike."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+
+import cluttergen_jax as cg
+from cluttergen_jax.assets.pool import Pool, write_pool
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.assets.support_map import rim_height
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.generation.sampler import set_up_bank
+from cluttergen_jax.generation.sources.replay import replay, replay_context_of
+from cluttergen_jax.learning.methods import sampler_of
+from cluttergen_jax.placement.boxes import Boxes, gaps
+from cluttergen_jax.placement.problem import ProblemConfig, check_crowding
+from cluttergen_jax.placement.region import make_region
+from cluttergen_jax.placement.rollout import Rollout
+from cluttergen_jax.scene.bank import read_bank
+from tests.helpers.worlds import box, prism
+
+
+def test_a_container_has_the_size_of_its_name():
+    support = find_support("bin-0.50x0.30x0.20")
+    assert support.region.half_extents == pytest.approx((0.25, 0.15))
+    assert rim_height(support.region, support) == pytest.approx(0.20)
+    assert rim_height(find_support("tray").region, find_support("tray")) == pytest.approx(0.04)
+    inner = Rectangle((0.0, 0.0), (0.1, 0.1))
+    assert rim_height(inner, support) == 0
+    assert rim_height(find_support("table").region, find_support("table")) == 0
+    for name in ("bin-0.50x9", "tote-0.001x0.4", "tray-0.3x0.3x0.0"):
+        with pytest.raises(ConfigError, match="each side between"):
+            find_support(name)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"keep_out": ("0,0,0.1,0.1",)},
+        {"start": "bank:0"},
+        {"ruin_after": 3},
+        {"min_margin": 0.003},
+        {"robust": True},
+        {"overhang": "half"},
+        {"engine": "warp"},
+        {"natural": True},
+        {"height": "free"},
+        {"clearance": 0.01},
+    ],
+)
+def test_a_pile_refuses_what_it_cannot_give(options):
+    with pytest.raises(ConfigError, match="pile"):
+        cg.make_sampler(support="bin", method="pile", **options)
+
+
+def test_clearance_is_for_packed_scenes_and_within_limits():
+    with pytest.raises(ConfigError, match="packed"):
+        cg.SceneSpec(clearance=0.01).check_method("guided")
+    for clearance in (0.0, float("nan"), 1.0):
+        with pytest.raises(ConfigError, match="clearance"):
+            cg.SceneSpec(method="packed", clearance=clearance)
+
+
+def test_an_overfull_bin_is_refused_with_the_number_that_fits():
+    cubes = [box(f"cube-{i}", (0.0499, 0.0499, 0.0499)) for i in range(40)]
+    support = find_support("bin")
+    config = cg.SceneSpec(method="pile", support="bin", num_objects=10).problem_config("pile")
+    assert isinstance(config, ProblemConfig)
+    check_crowding(cubes, config, support)
+    crowded = replace(config, placement=replace(config.placement, num_objects=30))
+    # 18 litres hold 18 cubes of nearly a litre.
+    with pytest.raises(ConfigError, match="up to 18 "):
+        check_crowding(cubes, crowded, support)
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    objects = [box(f"box-{i}", (0.02 + 0.004 * i, 0.03, 0.02)) for i in range(5)] + [prism("can", 0.03, 0.02)]
+    return str(write_pool(tmp_path_factory.mktemp("pools") / "blocks", Pool("blocks", tuple(objects))))
+
+
+def pile_of(pool, **options):
+    given = {"num_objects": 4, "support": "bin-0.20x0.16x0.10", "method": "pile"} | options
+    return cg.SceneSpec(pool=pool, **given)
+
+
+@pytest.mark.slow
+def test_sampler_rollout_and_bank_give_the_same_piles(pool, tmp_path):
+    spec = pile_of(pool)
+    sample = cg.make_sampler(spec)
+    keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(0), i))(np.arange(3))
+    scenes = jax.jit(jax.vmap(sample))(keys)
+    assert scenes.is_success.all()
+    assert scenes.is_placed.all()
+    np.testing.assert_array_equal(jax.jit(sample)(keys[2]).poses, scenes.poses[2])
+    counts = scenes.counts
+    assert (counts.attempts.sum(1) == counts.verdicts.sum(1)).all()
+    assert (counts.verdicts[:, 0] == 4).all()
+    method, setup, _ = set_up_bank(spec, 0)
+    rolled = Rollout().run(sampler_of(setup, method), jax.random.key(0), np.arange(3), np.ones(3, bool))
+    np.testing.assert_array_equal(rolled.poses, scenes.poses)
+    cg.generate(tmp_path / "bank", spec, num_scenes=3, render=False)
+    bank = read_bank(tmp_path / "bank")
+    stored = next(iter(bank.tables(["poses", "is_success"])))
+    np.testing.assert_array_equal(np.stack(stored["poses"].to_pylist()), scenes.poses)
+    assert bank.spec.method == "pile"
+    with pytest.raises(BankError, match="pile"):
+        replay(bank, replay_context_of(bank), 0, SimpleNamespace(title="scene 0"))
+    with pytest.raises(ConfigError, match="generate"):
+        cg.evaluate(("pile",), trials=1)
+
+
+@pytest.mark.slow
+def test_a_pile_follows_its_region_and_its_shelf(pool):
+    sample = cg.make_sampler(pile_of(pool, support="table", region="0.3x0.3", containment="footprint"))
+    region = make_region((0.1, -0.05), (0.1, 0.14), 0.5, sample.problem.world.support.top)
+    scenes = jax.jit(jax.vmap(lambda key: sample(key, region=region)))(jax.random.split(jax.random.key(1), 4))
+    local = jax.vmap(jax.vmap(region.T_world_region.inverse().apply))(scenes.poses[..., :3])
+    good = np.asarray(scenes.is_success)
+    assert good.any()
+    assert (np.abs(local)[good][..., :2] <= region.half_extents).all()
+    shelf = cg.make_sampler(pile_of(pool, shelf=5))
+    many = jax.jit(lambda sample, keys: jax.vmap(sample)(keys))
+    for key in jax.random.split(jax.random.key(2), 2):
+        shelf = shelf.reshelve(key)
+        assert many(shelf, jax.random.split(key, 2)).is_success.all()
+
+
+@pytest.mark.slow
+def test_packed_objects_are_a_clearance_apart_and_in_the_region(pool):
+    sample = cg.make_sampler(pile_of(pool, num_objects=6, method="packed", clearance=0.005))
+    scenes = jax.jit(jax.vmap(sample))(jax.random.split(jax.random.key(0), 4))
+    assert scenes.is_success.all()
+    half = np.array([asset.half_extents for asset in sample.problem.world.objects])
+    for poses, index in zip(scenes.poses, scenes.object_index, strict=True):
+        boxes = Boxes.of(half[index], poses)
+        gap = np.asarray(gaps(boxes, boxes)) + np.eye(6)
+        assert gap.min() > 0.004
+        # Shoulder to shoulder: each is as near to another, or to a wall, as was asked for.
+        reach = np.abs(boxes.sides).sum(1)[:, :2]
+        wall = (np.array(scenes.region.half_extents[0]) - np.abs(poses[:, :2]) - reach).min(1)
+        assert wall.min() > 0.004
+        assert np.minimum(gap.min(1), wall).max() < 0.007
+        assert np.allclose(poses[:, 2], 0.708 + half[index, 2], atol=1e-3)

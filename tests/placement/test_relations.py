@@ -1,0 +1,193 @@
+"""Relations: their words, who takes which role, and scenes judged by contacts and polygons of their own."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from shapely import MultiPoint
+
+from cluttergen_jax.api.generate import generate
+from cluttergen_jax.assets.facts import ObjectFacts
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation.layouts import list_layouts, read_layout
+from cluttergen_jax.placement.boxes import Boxes
+from cluttergen_jax.placement.region import make_region
+from cluttergen_jax.placement.related import RelatedObjects, hold
+from cluttergen_jax.placement.relations import Relation, order_of, parse_relations, parse_roles
+from cluttergen_jax.scene.bank import read_scenes
+from cluttergen_jax.spec import SceneSpec
+
+
+def facts(*names: str) -> list[ObjectFacts]:
+    return [ObjectFacts(name, name, (0.1, 0.1, 0.1), 1e-3, 0.1, "", "", 1, False) for name in names]
+
+
+@pytest.mark.parametrize(
+    ("texts", "words"),
+    [
+        (["mug on mug"], "to itself"),
+        (["a on b", "b on c", "c on a"], "circle"),
+        (["a over b"], "'over'"),
+        (["a on b:0.2"], "none with the others"),
+        (["a next_to b:9"], "up to 2 m"),
+        (["table on a"], "aligned table"),
+        (["a rigt_of b"], "Did you mean 'right_of'"),
+        (["a on"], "SUBJECT KIND REFERENCE"),
+        ("a on b", "a sequence of texts"),
+    ],
+)
+def test_what_is_no_relation_is_refused_in_words(texts, words):
+    with pytest.raises(ConfigError, match=words):
+        parse_relations(texts)
+
+
+def test_relations_are_read_and_written():
+    texts = ["fork under plate", "cup next_to jar", "jar left_of plate:0.3", "fork aligned table"]
+    found = parse_relations(texts)
+    assert [str(each) for each in found] == [
+        "plate on fork",
+        "cup next_to jar:0.05",
+        "jar left_of plate:0.3",
+        "fork aligned table",
+    ]
+    assert parse_relations(list(map(str, found))) == found
+    order = order_of(found)
+    assert all(
+        order.index(each.subject) > order.index(each.reference) for each in found if each.reference in order
+    )
+
+
+def test_every_role_has_its_own_object_that_fits():
+    related = RelatedObjects.of(
+        parse_relations(["a on b", "c next_to b"]),
+        parse_roles("a=mug*; b=any_of*; c=*"),
+        facts("mug", "mug_2", "any_of_1", "other"),
+    )
+    drawn = np.asarray(jax.jit(jax.vmap(related.draw))(jax.random.split(jax.random.key(0), 40)))
+    fits = np.asarray(related.candidates)
+    for objects in drawn:
+        assert len(set(objects.tolist())) == 3
+        assert all(fits[role, each] for role, each in enumerate(objects))
+    assert len({tuple(each) for each in drawn.tolist()}) > 2
+
+
+def test_too_few_objects_for_the_roles_are_refused():
+    with pytest.raises(ConfigError, match="2 roles"):
+        RelatedObjects.of(parse_relations(["a on b"]), parse_roles("a=mug; b=mug"), facts("mug", "jar"))
+    with pytest.raises(ConfigError, match="Did you mean 'mug'"):
+        RelatedObjects.of(parse_relations(["mgu on jar"]), (), facts("mug", "jar"))
+    with pytest.raises(ConfigError, match="num_objects=3"):
+        SceneSpec(num_objects=2, relations=("mug on bowl", "fork next_to mug"))
+
+
+def boxes(center, yaw: float = 0.0, half=(0.02, 0.05, 0.03)) -> Boxes:
+    half_quaternion = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
+    return Boxes.of(jnp.array([half]), jnp.array([[*center, *half_quaternion]]))
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "expected"),
+    [
+        ("a right_of b", (0.18, 0.05, 0.0), True),
+        ("a right_of b", (0.18, 0.2, 0.0), False),
+        ("a right_of b", (0.3, 0.0, 0.0), False),
+        ("a left_of b", (-0.18, 0.05, 0.0), True),
+        ("a behind b", (0.05, 0.2, 0.0), True),
+        ("a in_front_of b", (0.05, -0.2, 0.0), True),
+        ("a in_front_of b", (0.05, 0.2, 0.0), False),
+        ("a next_to b", (0.08, 0.0, 0.0), True),
+        ("a next_to b", (0.10, 0.0, 0.0), False),
+        ("a next_to b", (0.01, 0.0, 0.06), False),
+        ("a far_from b", (0.25, 0.0, 0.0), True),
+        ("a far_from b", (0.20, 0.0, 0.0), False),
+        ("a in b", (0.01, 0.0, 0.02), True),
+        ("a in b", (0.01, 0.0, 0.06), False),
+    ],
+)
+@pytest.mark.parametrize("yaw", [0.0, 1.1])
+def test_what_holds_is_told_in_the_frame_of_the_region(text, place, expected, yaw):
+    related = RelatedObjects.of([Relation.parse(text)], (), facts("a", "b"))
+    turned = Rotation.from_euler("z", yaw).apply(place)
+    region = make_region(jnp.zeros(2), jnp.ones(2), yaw, 0.0)
+    assert bool(hold(related, boxes(turned, yaw), boxes((0, 0, 0), yaw), region)[0]) == expected
+
+
+@pytest.mark.parametrize(
+    ("degrees", "expected"), [(0, True), (9, True), (14, False), (90, False), (180, True)]
+)
+def test_longer_sides_are_aligned(degrees, expected):
+    region = make_region(jnp.zeros(2), jnp.ones(2), 0.3, 0.0)
+    to_object = RelatedObjects.of([Relation.parse("a aligned b")], (), facts("a", "b"))
+    to_table = RelatedObjects.of([Relation.parse("a aligned table")], (), facts("a", "b"))
+    turned, other = boxes((0, 0.3, 0), 0.3 + np.radians(degrees)), boxes((0, 0, 0), 0.3)
+    assert bool(hold(to_object, turned, other, region)[0]) == expected
+    assert bool(hold(to_table, turned, other, region)[0]) == (expected or degrees == 90)
+
+
+def test_layouts_are_read_and_errors_say_where():
+    assert len(list_layouts()) == 12
+    for name in list_layouts():
+        spec = read_layout(name)
+        assert spec.relations
+        assert spec.num_objects >= len(parse_roles(spec.roles))
+    with pytest.raises(ConfigError, match="Did you mean 'picnic'"):
+        read_layout("picnik")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("objects: {a: mug}\nrelations: [b on a]", "'b' in a relation"),
+        ("objects: {a: mug}\nrelatoins: [b on a]", "relatoins"),
+        ("- a", "a mapping with"),
+        ("objects: {a: mug", "YAML"),
+    ],
+)
+def test_a_layout_with_a_mistake_is_refused(tmp_path, text, words):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        read_layout(path)
+
+
+def corners(scene, index) -> np.ndarray:
+    asset, pose = scene.objects[index], scene.poses[index]
+    vertices = np.concatenate([part.vertices for part in asset.parts])
+    return Rotation.from_quat(pose[3:], scalar_first=True).apply(vertices) + pose[:3]
+
+
+@pytest.mark.slow
+def test_relations_hold_in_scenes_that_succeed(tmp_path):
+    bank = generate(
+        tmp_path / "bank",
+        pool="dining",
+        relations=(
+            "bowl on dinner_plate",
+            "fork left_of dinner_plate",
+            "mug next_to bottle:0.05",
+            "wine_glass behind dinner_plate",
+        ),
+        num_scenes=64,
+        seed=5,
+        render=False,
+        max_files=0,
+    )
+    scenes = read_scenes(bank)
+    assert len(scenes) >= 60
+    for scene in scenes:
+        place = {name: index for index, name in enumerate(scene.names)}
+        points = {name: corners(scene, index) for name, index in place.items()}
+        plans = {name: MultiPoint(each[:, :2]).convex_hull for name, each in points.items()}
+        # Of hulls, which are within the boxes: gaps are larger by what a box has beyond its hull.
+        assert points["bowl"][:, 2].min() > points["dinner_plate"][:, 2].min() + 0.002
+        assert plans["bowl"].centroid.within(plans["dinner_plate"])
+        assert plans["mug"].distance(plans["bottle"]) < 0.05 + 0.06
+        x, y, _ = (scene.poses[place["fork"]] - scene.poses[place["dinner_plate"]])[:3]
+        assert x < 0
+        assert abs(y) <= -x + 1e-5
+        x, y, _ = (scene.poses[place["wine_glass"]] - scene.poses[place["dinner_plate"]])[:3]
+        assert y > 0
+        assert abs(x) <= y + 1e-5
