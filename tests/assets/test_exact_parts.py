@@ -88,7 +88,7 @@ def test_a_hole_across_is_not_lost():
 
 def test_components_are_taken_one_by_one():
     ball = manifold3d.Manifold.sphere(0.02, 24)
-    dent = ball - ball.translate((0.03, 0, 0))
+    dent = ball - ball.translate((0.03, 0, 0)) - ball.translate((0, 0.03, 0.01))
     meshes = [each.to_mesh64() for each in (dent, block(0.02, 0.02, 0.02).translate((-0.02, 0, 0)))]
     found = exact_parts(solid_of([Mesh(each.vert_properties[:, :3], each.tri_verts) for each in meshes]), 32)
     assert len(found.parts) == len(found.rest) == 1
