@@ -27,6 +27,7 @@ from cluttergen_jax.evaluation.running import Show, command_with, write_each
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.evaluation.studies.study import Study
 from cluttergen_jax.evaluation.suites import check_only
+from cluttergen_jax.numerics import fast_compilation
 from cluttergen_jax.scene.bank import read_bank
 
 NAME = "downstream"
@@ -75,7 +76,8 @@ def run_downstream(
         panda_folder()
         need_gicp()
     suite = SuiteFolder(folder, scale, num_threads, fresh)
-    return write_each((run_study(study, suite) for study in studies), folder, show)
+    with fast_compilation(scale.quick):
+        return write_each((run_study(study, suite) for study in studies), folder, show)
 
 
 def run_study(study: Study, suite: SuiteFolder) -> Result:
@@ -110,7 +112,7 @@ def result_of(study: Study, found: Found, command: str, quick: bool) -> Result:
         "format": FORMAT,
         "suite": NAME,
         "name": study.name,
-        "title": study.title,
+        "title": f"{study.title} (quick: fewer rows, few trials)" if quick else study.title,
         "place": list(STUDIES).index(study.name),
         "command": command,
         "quick": quick,
