@@ -27,7 +27,6 @@ from cluttergen_jax.evaluation.running import Show, command_with, write_each
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.evaluation.studies.study import Study
 from cluttergen_jax.evaluation.suites import check_only
-from cluttergen_jax.numerics import fast_compilation
 from cluttergen_jax.scene.bank import read_bank
 
 NAME = "downstream"
@@ -76,8 +75,7 @@ def run_downstream(
         panda_folder()
         need_gicp()
     suite = SuiteFolder(folder, scale, num_threads, fresh)
-    with fast_compilation(scale.quick):
-        return write_each((run_study(study, suite) for study in studies), folder, show)
+    return write_each((run_study(study, suite) for study in studies), folder, show)
 
 
 def run_study(study: Study, suite: SuiteFolder) -> Result:

@@ -47,8 +47,10 @@ def _title(result: Result, title: str) -> str:
 
 def _quick_words(result: Result) -> str:
     """Whether a result is quick, and has fewer rows than the whole study."""
+    if not result["quick"]:
+        return ""
     quick, whole = (len(STUDIES[result["name"]].trials(Scale(quick=each))) for each in (True, False))
-    return "" if not result["quick"] else "quick: fewer rows, " if quick < whole else "quick: "
+    return "quick: fewer rows, " if quick < whole else "quick: "
 
 
 def provenance(result: Result) -> str:
