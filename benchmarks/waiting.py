@@ -25,6 +25,8 @@ from benchmarks.section import ROOT, prose, report, table
 COMMANDS: dict[str, tuple[str, ...]] = {
     "first scene": ("generate", "-n", "1", "--no-render", "--out", "OUT"),
     "20 scenes": ("generate", "-n", "20", "--no-render", "--out", "OUT"),
+    "20 scenes and pictures": ("generate", "-n", "20", "--out", "OUT"),
+    "verify": ("verify", "BANK"),
     "20 pictures": ("render", "BANK", "--scenes", "0-19", "--size", "640x480", "--out", "OUT"),
     "20 drafts": (
         *("render", "BANK", "--scenes", "0-19", "--size", "640x480", "--quality", "draft"),
@@ -90,6 +92,8 @@ class Version:
         out = self.folder / "out"
         shutil.rmtree(out, ignore_errors=True)
         places = {"OUT": str(out), "BANK": str(self.folder / "bank")}
+        if "BANK" in words and not (self.folder / "bank").is_dir():
+            self.seconds(("generate", "-n", "20", "--no-render", "--out", str(self.folder / "bank")))
         command = [sys.executable, "-m", "cluttergen_jax", *(places.get(word, word) for word in words)]
         before = _used()
         done = subprocess.run(command, env=self._env, cwd=self.folder, capture_output=True, timeout=_LONGEST)
@@ -110,8 +114,6 @@ def main(config: Waiting) -> None:
             folder = Path(name, f"version-{len(versions)}")
             folder.mkdir()
             versions.append(Version(each, folder))
-        for version in versions:
-            version.seconds(("generate", "-n", "20", "--no-render", "--out", "BANK"))
         for row in config.only or COMMANDS:
             # A first time in the one is beside a first time in the other.
             turns = [[version.seconds(COMMANDS[row]) for version in versions] for _ in range(2)]

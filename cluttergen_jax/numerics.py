@@ -27,6 +27,7 @@ OF_THIS_PACKAGE = {"JAX_ENABLE_X64": "0", "JAX_THREEFRY_PARTITIONABLE": "1"}
 
 _IMPLEMENTATION = "threefry2x32"
 _LOW = 0xFFFFFFFF
+_UNOPTIMIZED = "jax_disable_most_optimizations"
 _OF_VECTORS = ("sse", "ssse", "avx", "fma", "f16c", "amx", "asimd", "sve", "vsx", "vx")
 """How features of a processor begin that decide in which order and how exactly numbers are added."""
 _NO_MATTER = ("xla_dump", "xla_force_host_platform_device_count", "xla_gpu_cuda_data_dir", "xla_hlo_")
@@ -78,6 +79,27 @@ def with_own_settings(function: Callable[P, T]) -> Callable[P, T]:
     return run
 
 
+@contextmanager
+def fast_compilation(is_wanted: bool = True) -> Iterator[None]:
+    """Within it XLA optimises hardly anything, for programs that take longer to compile than to run.
+
+    The last bits of what they compute differ. At the end all programs of this process are forgotten, so that
+    nothing later runs one of these.
+    """
+    import jax
+
+    config: Any = jax.config
+    if not is_wanted or config.read(_UNOPTIMIZED):
+        yield
+        return
+    config.update(_UNOPTIMIZED, True)
+    try:
+        yield
+    finally:
+        config.update(_UNOPTIMIZED, False)
+        jax.clear_caches()
+
+
 def as_float32(tree: T) -> T:
     """A pytree with its float64 arrays as float32: what a program that computes in 64 bits hands over."""
     import jax
@@ -100,7 +122,7 @@ def bits_of_here() -> dict[str, str]:
     # Settings that are the user's to choose.
     settings = {
         "default_matmul_precision": config.jax_default_matmul_precision,
-        "disable_most_optimizations": config.read("jax_disable_most_optimizations"),
+        "disable_most_optimizations": config.read(_UNOPTIMIZED),
     }
     return {
         "jaxlib": version("jaxlib"),

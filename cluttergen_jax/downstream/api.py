@@ -49,7 +49,9 @@ def evaluate_suite(
         scenes there, ten queries and one chain each, or views, or episodes); what the studies' own is cannot
         be given then: supports, objects, attempts, rules, repeats and changes.
       only: names of studies of the suite; all of them if not given.
-      quick: a few trials a row: the whole paper suite in minutes.
+      quick: every table at some of its rows, a few trials each: the whole paper suite in minutes. Its figures
+        say nothing. Programs of the suites of methods are hardly optimised; at the end all that this process
+        has compiled is forgotten.
       seeds: training seeds where a table asks for several, 3 if not given, 1 if quick; those without a
         checkpoint are left out, and those of placers are trained.
       heads: of suite "downstream": of the placers that a study trains; the study's own if not given.

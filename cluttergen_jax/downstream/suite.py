@@ -110,7 +110,7 @@ def result_of(study: Study, found: Found, command: str, quick: bool) -> Result:
         "format": FORMAT,
         "suite": NAME,
         "name": study.name,
-        "title": study.title,
+        "title": f"{study.title} (quick: fewer rows, few trials)" if quick else study.title,
         "place": list(STUDIES).index(study.name),
         "command": command,
         "quick": quick,

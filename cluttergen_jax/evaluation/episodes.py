@@ -81,7 +81,7 @@ def run_episodes(
     width = width_of(num_scenes)
     started = time.perf_counter()
     key = new_key(seed)
-    rollout.compile(sampler, key, np.arange(width))
+    rollout.compile(sampler, key, np.arange(width), is_refilled=num_scenes > width)
     compiled, cpu = time.perf_counter(), time.process_time()
     made: list[Attempts] = []
 

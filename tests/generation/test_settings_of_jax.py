@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import suppress
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.numerics import new_key
+from cluttergen_jax.numerics import bits_of_here, fast_compilation, new_key
 from cluttergen_jax.scene.bank import read_bank
 
 BASELINES = ("random", "clear", "drop", "spread", "guided")
@@ -72,3 +73,15 @@ def test_a_bank_is_the_same(pool, tmp_path):
 def rows_of(bank):
     """All that a bank's table says."""
     return [row for table in bank.tables() for row in table.to_pylist()]
+
+
+def test_fast_compilation_is_told_and_ends_with_what_asked_for_it():
+    double, usual = jax.jit(lambda x: 2 * x), bits_of_here()
+    with fast_compilation(False):
+        assert bits_of_here() == usual
+    with suppress(KeyError), fast_compilation():
+        assert "disable_most_optimizations=True" in bits_of_here()["jax_settings"]
+        assert double(3) == 6
+        raise KeyError
+    assert bits_of_here() == usual
+    assert double._cache_size() == 0, "a program that was compiled in between"

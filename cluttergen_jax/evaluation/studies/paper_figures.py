@@ -250,8 +250,9 @@ def _by_attempts(scale: Scale) -> tuple[Trial, ...]:
 
     `train --suite paper` makes a `policy` for each of them; the paper's was trained with five.
     """
-    base, pools = scale.trial_by_both_counts(1000, 4), scale.pools_or("dining")
-    return grid(base, pool=pools, method=("random", CLUTTERGEN, "policy"), attempts=TABLE_ATTEMPTS)
+    base, pools = scale.trial_by_both_counts(1000, 6), scale.pools_or("dining")
+    attempts = scale.values(TABLE_ATTEMPTS, (1, DEFAULT_ATTEMPTS))
+    return grid(base, pool=pools, method=("random", CLUTTERGEN, "policy"), attempts=attempts)
 
 
 def _trained_with(row: Row) -> str:

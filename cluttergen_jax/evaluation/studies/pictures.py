@@ -140,7 +140,9 @@ def _crowded_scenes(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 def _first_failures(scale: Scale) -> tuple[Trial, ...]:
     """The paper's method; others in its place where it is not trained, or never fails twice and stands."""
-    of_pool = [trial for trial in first_seed(scale) if trial.pool == scale.pools_or("office")[0]]
+    trials = first_seed(scale)
+    pool = scale.pools_or(scale.values("office", trials[0].pool))[0]
+    of_pool = [trial for trial in trials if trial.pool == pool]
     return tuple(t for method in (CLUTTERGEN, "policy", "random") for t in of_pool if t.method == method)
 
 

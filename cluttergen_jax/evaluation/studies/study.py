@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from cluttergen_jax.placement.world import World
 from cluttergen_jax.tables import Table
 
 _LEAST_SCENES = 2
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Scale:
     """How much is to be done.
 
     Attributes:
-      quick: a look at everything within minutes; its figures say nothing.
+      quick: a look at every table within minutes, at some of its rows; its figures say nothing.
       trials: of every row, whatever the suite says; None leaves it to the suite.
       seeds: training seeds where a table asks for several; 3 if None, 1 if quick.
       pools: names or folders; each study's own if empty.
@@ -66,8 +67,12 @@ class Scale:
         return self.trial(full, quick, whole_attempts=True, paper_count=True, **fields)
 
     def pools_or(self, *default: str) -> tuple[str, ...]:
-        """The pools that were asked for, else a study's own."""
-        return self.pools or default
+        """The pools that were asked for, else a study's own; the first of these alone if quick."""
+        return self.pools or default[: self.values(None, 1)]
+
+    def values(self, full: T, quick: T) -> T:
+        """What rows differ in, in the whole study and in a quick one."""
+        return quick if self.quick else full
 
 
 def grid(base: Trial, **values: Iterable[Any]) -> tuple[Trial, ...]:

@@ -51,7 +51,8 @@ def _changes(scale: Scale) -> tuple[Trial, ...]:
     own = [pool for pool, _ in scale.imported if pool == f"{IMPORTED}{POOL}"]
     base = scale.trial_by_both_counts(500, 4, support="table-1.40x1.40", region=(0.60, 0.70))
     methods = ("policy", CLUTTERGEN, "random")
-    return grid(base, pool=scale.pools_or(POOL, *own), method=methods, change=REGION_CHANGES)
+    changes = scale.values(tuple(REGION_CHANGES), ("none", "all"))
+    return grid(base, pool=scale.pools_or(POOL, *own), method=methods, change=changes)
 
 
 def _table2(result: Result) -> list[Table]:
@@ -119,24 +120,20 @@ TOPS = (
 ROWS = ("drop", "drop, ruin", "spread", "guided")
 """Compared at equal support margins; `policy` has the paper's rules, beside the paper's figure."""
 ALL_TABLES = "all"
+_QUICK_TABLES = 2
 PAPER = 0.70
 """The paper's success over ten furniture tables and all groups, 50 episodes each."""
 
 
 def _trials(supports: tuple[str, ...], *policies: str) -> Callable[[Scale], tuple[Trial, ...]]:
-    """Every table with every pool; quick, each with one of them by turns."""
+    """Every table with every pool; the first tables if quick."""
 
     def trials(scale: Scale) -> tuple[Trial, ...]:
-        pools = scale.pools_or(*EMBEDDED)
+        places = {"pool": scale.pools_or(*EMBEDDED), "support": supports[: scale.values(None, _QUICK_TABLES)]}
         base = scale.trial(50, 2, change="all", paper_count=not scale.quick)
-        learned = grid(base, method=policies, pool=pools, support=supports)
-        bases = grid(replace(base, paper_count=False), pool=pools, support=supports)
-        ours = [row for name in ROWS for row in named_rows(bases, name)]
-        return tuple(
-            row
-            for row in (*learned, *ours)
-            if not scale.quick or supports.index(row.support) % len(pools) == pools.index(row.pool)
-        )
+        learned = grid(base, method=policies, **places)
+        bases = grid(replace(base, paper_count=False), **places)
+        return (*learned, *(row for name in ROWS for row in named_rows(bases, name)))
 
     return trials
 

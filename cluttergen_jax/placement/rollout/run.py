@@ -188,15 +188,23 @@ class Rollout:
         """How many steps are compiled."""
         return sum(each._cache_size() for each in (self._step, self._propose, self._ask))
 
-    def compile(self, sampler: BlockSampler, key: Array, indices: np.ndarray) -> None:
-        """Compiles for `run` and `run_all` with arguments like these, by a step without an attempt."""
+    def compile(
+        self, sampler: BlockSampler, key: Array, indices: np.ndarray, is_refilled: bool = True
+    ) -> None:
+        """Compiles for `run` and `run_all` with arguments like these, by a step without an attempt.
+
+        Args:
+          is_refilled: more scenes than places will be asked for.
+        """
         if self.num_programs >= MAX_PROGRAMS:
             pieces = (self._step, self._propose, self._judge, self._conclude, self._refill)
             for function in (self._begin, *pieces, self._ask, self._finish_piles, self._finish):
                 function.clear_cache()
         episodes = interruptible(self._begin, sampler, key, indices, np.zeros(len(indices), bool))
         episodes, *_ = interruptible(self._step_all, sampler, episodes)
-        episodes = interruptible(self._refill, sampler, key, episodes, indices, np.zeros(len(indices), bool))
+        if is_refilled:
+            nothing = np.zeros(len(indices), bool)
+            episodes = interruptible(self._refill, sampler, key, episodes, indices, nothing)
         jax.block_until_ready(interruptible(self._finish, sampler, episodes))
 
     def _step_all(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, Array, Any]:

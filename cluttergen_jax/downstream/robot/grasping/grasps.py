@@ -34,7 +34,7 @@ from cluttergen_jax.tables import aligned_table
 
 MIN_GRASPS = 8
 """As many an object needs; one with fewer is named."""
-_VERSION = 3
+_VERSION = 4
 _NUM_LINES = 6000
 _CANDIDATES, _LEAST_CANDIDATES = 4, 128
 """Candidates that are tested at most, for each grasp that is wanted; and at least, where few are wanted."""
@@ -96,11 +96,12 @@ def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Gr
     rng = np.random.default_rng([seed, int(content[:12], 16)])
     candidates = candidates_of(asset, max(_CANDIDATES * number, _LEAST_CANDIDATES), _NUM_LINES, rng)
     tests: list[GraspCheck] = []
-    for first in range(0, len(candidates.width), _AT_ONCE):
-        tests.append(verify_grasps(asset, candidates.take(slice(first, first + _AT_ONCE)), pool))
-        if sum(int(test.is_held.sum()) for test in tests) >= number:
-            break
-    num_tested = sum(len(test.is_held) for test in tests)
+    num_tested, missing = 0, number
+    while missing > 0 and num_tested < len(candidates.width):
+        # Few where few are missing, but not one by one, which would leave threads idle.
+        batch = candidates.take(slice(num_tested, num_tested + min(_AT_ONCE, max(missing, _AT_ONCE // 2))))
+        tests.append(verify_grasps(asset, batch, pool))
+        num_tested, missing = num_tested + len(batch.width), missing - int(tests[-1].is_held.sum())
     result = GraspCheck(*(np.concatenate(each) for each in zip(*tests, strict=True))) if tests else _NO_TEST
     held = np.flatnonzero(result.is_held)
     chosen = held[spread(candidates.pose[held], min(number, len(held)), rng)]
@@ -122,7 +123,7 @@ def verify_grasps(asset: ObjectAsset, candidates: Candidates, pool: Rollout) -> 
     held = np.flatnonzero(test.is_held)
     if len(held):
         short = candidates.take(held)
-        test.is_held[held] = check_grasps(asset, short._replace(pose=short.pose @ _SHORT), pool).is_held
+        test.is_held[held] = check_grasps(asset, short._replace(pose=short.pose @ _SHORT), pool, True).is_held
     return test
 
 
