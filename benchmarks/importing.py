@@ -1,4 +1,4 @@
-"""What importing an object costs, by kind, in this version and in an earlier one, and how good the bodies are.
+"""What importing an object costs, by kind, in this version and an earlier one, and how good the bodies are.
 
 Both import the same files with `cluttergen import`, one worker, whose lines tell the cost of each object. The
 earlier version is a commit of this repository. Ten minutes on two quiet cores; `--only` takes some kinds,
@@ -226,9 +226,9 @@ def main(config: Importing) -> None:
                 rows.append(row_of(f"{kind}, {when}", outcome))
                 print(rows[-1], file=sys.stderr, flush=True)
     text = prose(f"""
-        CPU-seconds of each object by the import's own lines, start of the worker aside; what was not made after
-        {config.limit} CPU-seconds counts with what it cost. Deviation is of the parts from the surface, over the
-        diagonal. MB are the most that a process held.
+        CPU-seconds of each object by the import's own lines, start of the worker aside; what was not made
+        after {config.limit} CPU-seconds counts with what it cost. Deviation is of the parts from the
+        surface, over the diagonal. MB are the most that a process held.
     """)
     report("importing", f"## Import\n\n{text}\n\n{table(_HEADER, rows)}", write=config.write)
 

@@ -93,9 +93,9 @@ def make_object(shape: Shape, config: BodyConfig | None = None) -> ObjectAsset:
     """The body of a shape: parts, mass, resting frame, cloud and what was measured about them.
 
     The author's own parts are taken if they are sound: nowhere farther than 5 % of the diagonal from the
-    mesh, any cavity open, and upright by themselves. Else parts that follow from its shape (`exact_parts`), else
-    CoACD's, and if those are not sound, a finer decomposition's; the best of them is kept and its faults are
-    flagged.
+    mesh, any cavity open, and upright by themselves. Else parts that follow from its shape (`exact_parts`),
+    else CoACD's, and if those are not sound, a finer decomposition's; the best of them is kept and its faults
+    are flagged.
 
     Raises:
       AssetError: nothing with a volume can be made of the surfaces.

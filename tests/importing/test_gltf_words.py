@@ -44,7 +44,9 @@ def test_the_file_goes_before_its_mesh_and_of_several_meshes_none_counts(tmp_pat
     assert words_of(several.write(tmp_path / "b.glb")) == {}
 
 
-@pytest.mark.parametrize("extras", [None, [], "text", {"label": 3, "synset": "", "licence": None}, {"name": " "}])
+@pytest.mark.parametrize(
+    "extras", [None, [], "text", {"label": 3, "synset": "", "licence": None}, {"name": " "}]
+)
 def test_other_extras_say_nothing(tmp_path, extras):
     assert words_of(gltf(tmp_path / "a.glb", asset=extras)) == {}
 
