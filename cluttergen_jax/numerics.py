@@ -6,6 +6,7 @@ shell or the program around has. What cannot be chosen here, `bits_of_here` tell
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 from collections.abc import Callable, Iterator
@@ -15,6 +16,8 @@ from importlib.metadata import version
 from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from cluttergen_jax.files import cache_home
 
 if TYPE_CHECKING:
     from cluttergen_jax.types import Array
@@ -74,6 +77,60 @@ def with_own_settings(function: Callable[P, T]) -> Callable[P, T]:
     @wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> T:
         with own_settings():
+            return function(*args, **kwargs)
+
+    return run
+
+
+def program_folder() -> Path:
+    """Where compiled programs are kept.
+
+    A program is made for one kind of processor: machines that share a home have a folder for each kind.
+    """
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
+    kind = {line for line in lines if line.startswith(("model name", "flags", "Features"))}
+    digest = hashlib.sha256("\n".join(sorted(kind) or [platform.processor()]).encode()).hexdigest()
+    return cache_home() / "programs" / f"{platform.machine()}-{digest[:12]}"
+
+
+@contextmanager
+def kept_programs() -> Iterator[None]:
+    """Within it JAX keeps on disk what it compiles, so that a later process need not.
+
+    Nothing changes where the user has chosen a folder, or none (`JAX_COMPILATION_CACHE_DIR`). The setting is
+    one of the process; at the end JAX has its own back.
+    """
+    import jax
+    from jax.experimental.compilation_cache import compilation_cache
+
+    config: Any = jax.config
+    if config.jax_compilation_cache_dir is not None:
+        yield
+        return
+    ours = {
+        "jax_compilation_cache_dir": str(program_folder()),
+        # By itself it keeps what took a second; a call has dozens that together take longer.
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+    }
+    theirs = {name: getattr(config, name) for name in ours}
+    try:
+        for name, value in ours.items():
+            config.update(name, value)
+        # JAX looks at the folder once.
+        compilation_cache.reset_cache()
+        yield
+    finally:
+        for name, value in theirs.items():
+            config.update(name, value)
+        compilation_cache.reset_cache()
+
+
+def with_kept_programs(function: Callable[P, T]) -> Callable[P, T]:
+    """A decorator for functions that compile and run by themselves: `own_settings` and `kept_programs`."""
+
+    @wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> T:
+        with own_settings(), kept_programs():
             return function(*args, **kwargs)
 
     return run

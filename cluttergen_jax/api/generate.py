@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from cluttergen_jax.config import check_range
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ MAX_SCENES = 2_000_000_000
 _MOST = 2**32 - 1
 
 
-@with_own_settings
+@with_kept_programs
 @takes_spec(SceneOptions)
 def generate(
     out: str | Path = "out",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from cluttergen_jax.config import check_range
-from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.spec import PlaceOptions, spec_of, takes_spec
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _MOST = 2**32 - 1
 
 
-@with_own_settings
+@with_kept_programs
 @takes_spec(PlaceOptions)
 def place_by_hand(
     out: str | Path = "out/hand",

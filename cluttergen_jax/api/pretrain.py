@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.config import Encoder
-from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.numerics import with_kept_programs
 
 if TYPE_CHECKING:
     from cluttergen_jax.learning.training.pretrain import PretrainReport
 
 
-@with_own_settings
+@with_kept_programs
 def pretrain(
     encoder: Encoder = "pointnet2",
     out: str | Path | None = None,

@@ -10,7 +10,7 @@ from cluttergen_jax.api.text import parse_size, scene_numbers
 from cluttergen_jax.config import FilmFormat, PixelOrigin, check_range
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
-from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.rendering.config import QUALITIES, CameraView, FilmConfig, Quality
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _MOST_VIEWS, _MOST_COLUMNS = 10_000, 1000
 
 
-@with_own_settings
+@with_kept_programs
 def render(
     source: str | Path,
     out: str | Path = "out/pictures",

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.api.text import scene_numbers
-from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.numerics import with_kept_programs
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.repair import RepairReport
 
 
-@with_own_settings
+@with_kept_programs
 def repair(
     source: str | Path,
     out: str | Path = "out/repaired",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 from cluttergen_jax.config import Change, Encoder, Engine, EvalAction, Preset, Reward, Suite, Variant
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS
-from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.spec import SceneSpec, TrainOptions, spec_of, takes_spec
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.learning.training.train import TrainConfig
 
 
-@with_own_settings
+@with_kept_programs
 @takes_spec(TrainOptions, num_objects=10)
 def train(
     spec: SceneSpec | str | Path | None = None,
@@ -146,7 +146,7 @@ def _check_guided(config: TrainConfig, more: Mapping[str, object]) -> None:
         )
 
 
-@with_own_settings
+@with_kept_programs
 def train_suite(
     suite: Suite,
     *,

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cluttergen_jax.config import Method
-from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.numerics import with_kept_programs
 
 
-@with_own_settings
+@with_kept_programs
 def view(
     source: str | Path | None = None,
     *,

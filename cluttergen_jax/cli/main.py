@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import gc
-import hashlib
 import os
-import platform
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import is_dataclass
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -20,7 +17,7 @@ from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
 from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
-from cluttergen_jax.numerics import OF_THIS_PACKAGE
+from cluttergen_jax.numerics import OF_THIS_PACKAGE, program_folder
 from cluttergen_jax.progress import stop_asked
 from cluttergen_jax.rendering.gl import check_importable
 
@@ -125,15 +122,8 @@ def run(command: Any) -> int:
 
 
 def _keep_programs() -> None:
-    """Lets JAX keep what it compiles for the next command, unless the user has said where, or nowhere.
-
-    A program is made for one kind of processor: machines that share a home have a folder for each kind.
-    """
-    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
-    kind = {line for line in lines if line.startswith(("model name", "flags", "Features"))}
-    digest = hashlib.sha256("\n".join(sorted(kind) or [platform.processor()]).encode()).hexdigest()
-    folder = cache_home() / "programs" / f"{platform.machine()}-{digest[:12]}"
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
+    """Lets JAX keep what it compiles for the next command, unless the user has said where, or nowhere."""
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(program_folder()))
     # By itself it keeps what took a second; a command has dozens that together take longer.
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.config import Engine, Method, PlacerHead, Suite, check_names, check_whole, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
-from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.numerics import with_kept_programs
 
 if TYPE_CHECKING:
     from cluttergen_jax.evaluation.records import Result
 
 
-@with_own_settings
+@with_kept_programs
 def evaluate_suite(
     suite: Suite,
     *,

@@ -21,7 +21,7 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
-from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.spec import EvaluateOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _TRIALS = 1000
 _SUPPORTS = ("table",)
 
 
-@with_own_settings
+@with_kept_programs
 @takes_spec(EvaluateOptions, num_objects=10)
 def evaluate(
     methods: Sequence[Method] = (),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.numerics import bits_of_here, fast_compilation, new_key
+from cluttergen_jax.numerics import bits_of_here, fast_compilation, kept_programs, new_key, program_folder
 from cluttergen_jax.scene.bank import read_bank
 
 BASELINES = ("random", "clear", "drop", "spread", "guided")
@@ -85,3 +85,23 @@ def test_fast_compilation_is_told_and_ends_with_what_asked_for_it():
         raise KeyError
     assert bits_of_here() == usual
     assert double._cache_size() == 0, "a program that was compiled in between"
+
+
+def test_programs_of_functions_are_kept_and_those_of_users_are_not(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path))
+    folder, chosen = "jax_compilation_cache_dir", jax.config.jax_compilation_cache_dir
+    num_kept = lambda: len(list(program_folder().glob("*"))) if program_folder().is_dir() else 0  # noqa: E731
+    try:
+        with kept_programs():
+            jax.jit(lambda x: 3 * x)(1)
+        assert num_kept() == 0, "where the user has chosen a folder, it is used"
+        jax.config.update(folder, None)
+        with suppress(KeyError), kept_programs():
+            jax.jit(lambda x: 5 * x)(1)
+            raise KeyError
+        assert num_kept() > 0
+        before = num_kept()
+        jax.jit(lambda x: 7 * x)(1)
+        assert (num_kept(), jax.config.jax_compilation_cache_dir) == (before, None)
+    finally:
+        jax.config.update(folder, chosen)
