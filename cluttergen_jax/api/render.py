@@ -82,8 +82,9 @@ def render(
       view: from which side the scene is seen; the defaults of `CameraView` if not given.
       whole: show the whole support instead of the objects and the region alone.
       hulls: draw the collision parts instead of the surfaces.
-      cameras: that see each scene, for pictures, depth, segmentation and bop: "free:4", "overhead", "side",
-        or JSON files with cameras of your own (docs/guide/datasets.md); files are named after them.
+      cameras: that see each scene, for pictures, films, depth, segmentation and bop: "free:4", "overhead",
+        "side", or JSON files with cameras of your own (docs/guide/datasets.md), which go around for a
+        turntable; files are named after them.
       quality: "draft" has sharp shadows, "fine" soft ones for some five times the time; fine, and draft for
         films, bop and sheets of more than a dozen, if not given.
       samples: pictures averaged into one, in place of the quality's.

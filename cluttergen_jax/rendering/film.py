@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from cluttergen_jax.rendering.scene_renderer import (
     scene_renderer,
     turntable_points,
 )
+from cluttergen_jax.sensing.camera import Camera
 
 _TINT = 0.72
 
@@ -120,13 +121,21 @@ def _ending(recording: Replay) -> tuple[str, tuple[float, float, float]]:
 
 
 def replay(
-    recording: Replay, config: FilmConfig | None = None, picture: PictureConfig | None = None
+    recording: Replay,
+    config: FilmConfig | None = None,
+    picture: PictureConfig | None = None,
+    camera: Camera | None = None,
 ) -> Iterator[np.ndarray]:
-    """The pictures of `replay_frames`, uint8[height, width, 3] each, drawn as they are asked for."""
-    picture = picture or PictureConfig(samples=8)
+    """The pictures of `replay_frames`, uint8[height, width, 3] each, drawn as they are asked for.
+
+    Args:
+      camera: that sees it; the picture's view if None.
+    """
+    picture = _sized_like(picture or PictureConfig(samples=8), camera)
     frames = replay_frames(recording, config)
     points = _end_points(recording)
     with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
+        renderer.camera = camera or renderer.camera
         image, shown = None, None
         for frame in frames:
             # The end stands still: it is drawn once.
@@ -137,10 +146,18 @@ def replay(
 
 
 def turntable(
-    recording: Replay, config: FilmConfig | None = None, picture: PictureConfig | None = None
+    recording: Replay,
+    config: FilmConfig | None = None,
+    picture: PictureConfig | None = None,
+    camera: Camera | None = None,
 ) -> Iterator[np.ndarray]:
-    """Once around the finished scene, uint8[height, width, 3] each; the last picture leads to the first."""
-    config, picture = config or FilmConfig(seconds=6.0), picture or PictureConfig(samples=8)
+    """Once around the finished scene, uint8[height, width, 3] each; the last picture leads to the first.
+
+    Args:
+      camera: that goes around the middle of the region; the picture's view if None.
+    """
+    config = config or FilmConfig(seconds=6.0)
+    picture = _sized_like(picture or PictureConfig(samples=8), camera)
     count = max(2, round(config.fps * config.seconds))
     styles = _standing(recording, recording.poses, recording.is_placed)
     points = _end_points(recording)
@@ -148,9 +165,24 @@ def turntable(
         around = turntable_points(renderer.content if picture.whole else points)
         for number in range(count):
             turn = 360.0 * number / count
-            renderer.aim(around, replace(picture.view, azimuth=picture.view.azimuth + turn))
+            if camera is None:
+                renderer.aim(around, replace(picture.view, azimuth=picture.view.azimuth + turn))
+            else:
+                renderer.camera = _turned_about(camera, recording.region.center, math.radians(turn))
             # The lights go with the camera: it is the table that turns.
             yield renderer.picture(styles, light_yaw=math.radians(turn))
+
+
+def _sized_like(picture: PictureConfig, camera: Camera | None) -> PictureConfig:
+    return picture if camera is None else replace(picture, width=camera.width, height=camera.height)
+
+
+def _turned_about(camera: Camera, middle: Sequence[float], angle: float) -> Camera:
+    """The camera somewhere else on its circle around a vertical axis through `middle` (x, y), metres."""
+    turn, (cos, sin) = np.eye(4), (math.cos(angle), math.sin(angle))
+    turn[:2, :2] = [[cos, -sin], [sin, cos]]
+    turn[:2, 3] = middle - turn[:2, :2] @ middle
+    return replace(camera, T_world_camera=turn @ camera.T_world_camera)
 
 
 def _end_points(recording: Replay) -> np.ndarray:

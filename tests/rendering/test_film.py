@@ -9,12 +9,13 @@ from cluttergen_jax.rendering import video
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN as GREEN_RING
 from cluttergen_jax.rendering.figure import closed_loop_figure
-from cluttergen_jax.rendering.film import replay_frames
+from cluttergen_jax.rendering.film import replay, replay_frames, turntable
 from cluttergen_jax.rendering.scene_renderer import (
     RED,
     PictureConfig,
 )
 from cluttergen_jax.rendering.video import save_film
+from cluttergen_jax.sensing.camera import Camera
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
 
@@ -52,6 +53,26 @@ def test_closed_loop_figure_rings_failures_red_and_the_end_green():
     assert (np.abs(image.astype(int) - green).max(-1) < 12).sum() > 20
     red = np.round(255 * np.array(RED)).astype(int)
     assert (np.abs(image.astype(int) - red).max(-1) < 12).sum() > 60
+
+
+@needs_gl
+def test_a_camera_of_ones_own_stays_or_goes_around():
+    recording, picture = cubes(), PictureConfig(width=64, height=48, samples=2)
+    middle = np.append(recording.region.center, recording.support.top)
+    one, other = (
+        Camera.looking(middle + np.array([side * 0.5, 0.1 * side, 0.4]), middle, 80, 60, 90.0)
+        for side in (1, -1)
+    )
+    pace = FilmConfig(fps=4, seconds=1)
+    around, from_other = ([*turntable(recording, pace, picture, each)] for each in (one, other))
+    plain = FilmConfig(fps=4, seconds=1, captions=False)
+    ends = [[*replay(recording, plain, picture, each)][-1] for each in (one, other)]
+    assert {image.shape for image in (*around, *ends)} == {(60, 80, 3)}
+    # Half a turn leads to where the other camera begins; only the light has gone along.
+    near, far = (np.abs(around[2].astype(int) - image).mean() for image in (from_other[0], around[0]))
+    assert near < 0.8 * far
+    np.testing.assert_array_equal(ends[0], around[0])
+    np.testing.assert_array_equal(ends[1], from_other[0])
 
 
 def moving_square(count=6, size=(48, 64)):

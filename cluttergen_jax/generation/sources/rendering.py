@@ -192,14 +192,14 @@ class Rendering:
             yield "-bop", lambda path: dataset.add(recording, number)
         if self._makes("points"):
             yield "-points.ply", lambda path: [_write(path, _cloud(recording))]
-        if self._makes("turntable"):
+        for ending, camera in cameras.items() if self._makes("turntable") else ():
             count = max(2, round(self.pace.fps * self.pace.seconds))
-            turns = turntable(recording, self.pace, small)
-            yield f"-turntable.{self.film}", lambda path: [self._write_film(turns, count, path)]
-        if self._makes("replay") and has_attempts:
-            steps = replay(recording, self.pace, small)
+            turns = turntable(recording, self.pace, small, camera)
+            yield f"{ending}-turntable.{self.film}", partial(self._write_film, turns, count)
+        for ending, camera in cameras.items() if self._makes("replay") and has_attempts else ():
+            steps = replay(recording, self.pace, small, camera)
             length = len(replay_frames(recording, self.pace))
-            yield f"-replay.{self.film}", lambda path: [self._write_film(steps, length, path)]
+            yield f"{ending}-replay.{self.film}", partial(self._write_film, steps, length)
 
     def _camera(self, plan: CameraPlan, recording: Replay, number: int) -> Camera:
         """Where a camera is for a scene, drawn for its number."""
@@ -227,9 +227,8 @@ class Rendering:
         yield _write(_path_with(stem, "-camera.json"), camera_json(sensed))
         yield _write(path, npz_of(sensed))
 
-    def _write_film(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Path:
-        shown = track(frames, path.name, count, "frame")
-        return save_film(shown, path, self.pace.fps)
+    def _write_film(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Iterator[Path]:
+        yield save_film(track(frames, path.name, count, "frame"), path, self.pace.fps)
 
     def _sheet(self, source: SceneSource, numbers: list[int], title: str) -> np.ndarray:
         picture = self._picture(_CELL, "draft" if len(numbers) > _SHEET else "fine")
