@@ -121,6 +121,7 @@ def test_rows_number_objects_as_the_record_does(bank, twelve):
     assert bank.spec.shelf == 4
 
 
+@pytest.mark.slow
 def test_a_bank_goes_on_and_knows_its_objects(bank, twelve, tmp_path):
     out = tmp_path / "bank"
     cg.generate(out, twelve, num_scenes=40, seed=5, max_files=0, **ASKED)

@@ -97,6 +97,7 @@ def test_a_value_is_checked_when_it_is_given(asked, said):
         SceneSpec(**asked)
 
 
+@pytest.mark.slow
 def test_a_bank_gives_its_request_back(tmp_path):
     spec = SceneSpec(
         num_objects=2,
