@@ -68,8 +68,8 @@ def movement_elsewhere(
 
     Hulls, masses, inertias, sliding friction, gravity and time step are the scene's own (two objects that
     both have a friction of their own slide by the engine's rule for two bodies); everything else is the other
-    engine's default but for the hulls' margin in PyBullet (`BULLET_MARGIN`, metres) and the bodies'
-    stiffness in Drake (`scene.export.sdf.HYDROELASTIC_MODULUS`).
+    engine's default but for the hulls' margin in PyBullet (`BULLET_MARGIN`, metres) and, in Drake, the bodies'
+    stiffness (`scene.export.sdf.HYDROELASTIC_MODULUS`) and the approximation of contact, which is `sap`.
 
     Args:
       engine: "pybullet" or "drake" (extra `peers`).
@@ -184,6 +184,8 @@ class DrakePeer:
         builder = drake.DiagramBuilder()
         plant, graph = drake.AddMultibodyPlantSceneGraph(builder, models.stability.timestep)
         plant.set_contact_model(drake.ContactModel.kHydroelasticWithFallback)
+        # By its default, `lagged`, what stands creeps, turns and falls.
+        plant.set_discrete_contact_approximation(drake.DiscreteContactApproximation.kSap)
         graph.set_config(self._contact_config())
         plant.mutable_gravity_field().set_gravity_vector([0, 0, -models.contact.gravity])
         self._add_support(plant)
