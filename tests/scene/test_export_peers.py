@@ -6,11 +6,8 @@ without them the tests are skipped. Drake, which comes with the extra peers, is 
 `tests/peers` holds what is run; it prints JSON.
 """
 
-import json
 import os
-import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,9 +15,9 @@ import pytest
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.scene.export import export_scenes
+from tests.helpers.environments import ask_peer
 from tests.helpers.exports import NAMES, assert_same_pose, spread
 
-PEERS = Path(__file__).parents[1] / "peers"
 SECONDS = 2.0
 WITH_TALL = ("mug", "bottle", "dinner_plate", "mug#2")
 """One stands as high as the hand of a robot beside the table."""
@@ -40,16 +37,7 @@ def asked(peer, format, names, tmp_path):
         for index, (own, turn) in enumerate([(names, 0.7), (names[1:] + names[:1], 0.2)])
     ]
     folder = export_scenes(scenes, tmp_path / "out", format)
-    return scenes, read_by(peer, python, folder)
-
-
-def read_by(peer, python, folder):
-    """What a peer reports of an export."""
-    command = [python, str(PEERS / f"read_in_{peer}.py"), str(folder), str(SECONDS)]
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    ran = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=280)
-    assert ran.returncode == 0, ran.stderr[-3000:]
-    return json.loads(ran.stdout.splitlines()[-1])
+    return scenes, ask_peer(peer, python, folder, SECONDS)
 
 
 @pytest.mark.parametrize(

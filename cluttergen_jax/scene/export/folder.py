@@ -26,7 +26,7 @@ from cluttergen_jax.kept_folder import lock_beside
 from cluttergen_jax.scene import Scene, scene_cameras
 from cluttergen_jax.scene.collection import check_alike
 from cluttergen_jax.scene.export.formats import Format, find_format
-from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER, object_folder
+from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER
 from cluttergen_jax.scene.export.scene_json import cameras_record, objects_record
 
 MANIFEST = "MANIFEST.json"
@@ -113,7 +113,7 @@ class _Folder:
                 self._kind.write_support(place, scene.support, scene.contact)
         for asset in scene.assets.values():
             self._assets.setdefault(asset.name, asset)
-            folder = object_folder(asset.name)
+            folder = self._kind.object_folder(asset)
             is_there = inside(self._path, folder).exists()
             if self._kind.write_object and not is_there:
                 self._kind.write_object(self._make_folder(folder), asset, scene.contact)
@@ -135,7 +135,7 @@ class _Folder:
             generator = version("cluttergen_jax")
         except PackageNotFoundError:
             generator = "unknown"
-        record = manifest(self._kind.name, generator, assets, first, self._records)
+        record = manifest(self._kind, generator, assets, first, self._records)
         self._save(MANIFEST, json.dumps(record, indent=1) + "\n")
         self._save(LICENCES, licences_text(first.support, assets, self._kind.script))
         self._save("README.txt", _readme(self._kind, len(self._records), first))
@@ -164,7 +164,7 @@ def _readme(kind: Format, num_scenes: int, first: Scene) -> str:
 
 
 def manifest(
-    format_name: str,
+    kind: Format,
     generator: str,
     assets: Sequence[ObjectAsset],
     first: Scene,
@@ -175,7 +175,7 @@ def manifest(
     return {
         "format": 1,
         "kind": "cluttergen export",
-        "export_format": format_name,
+        "export_format": kind.name,
         "generator": {"cluttergen_jax": generator},
         "conventions": "metres, kilograms, seconds; quaternions wxyz; z up; origin on the floor",
         "physics": {"timestep": first.stability.timestep, **asdict(first.contact)},
@@ -192,7 +192,7 @@ def manifest(
             {
                 "name": asset.name,
                 "label": asset.label,
-                "folder": object_folder(asset.name),
+                "folder": kind.object_folder(asset),
                 **asdict(asset.provenance),
                 "hash": object_hash(asset),
                 "tier": asset.tier,

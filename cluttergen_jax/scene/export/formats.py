@@ -15,7 +15,12 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.glb import glb_bytes
-from cluttergen_jax.scene.export.meshes import write_object_meshes, write_support_meshes
+from cluttergen_jax.scene.export.meshes import (
+    object_folder,
+    registry_folder,
+    write_object_meshes,
+    write_support_meshes,
+)
 from cluttergen_jax.scene.export.robosuite import robosuite_xml, support_xml
 from cluttergen_jax.scene.export.scene_json import maniskill_json, scene_json
 from cluttergen_jax.scene.export.sdf import sdf_text
@@ -38,6 +43,7 @@ class Format:
       write_object, write_support: write what all scenes share into a folder; None where a scene holds all.
       write_scene: writes a scene's file.
       script: a stand-alone loader that travels along, in `export/scripts`; "" for none.
+      object_folder: where an object's files lie, relative to the export's folder.
       notes: more for the README: the settings that the program needs, and what it takes from the files.
       require: raises MissingExtraError if a package that the format needs is not installed.
     """
@@ -49,6 +55,7 @@ class Format:
     write_support: WriteSupport | None
     write_scene: WriteScene
     script: str = ""
+    object_folder: Callable[[ObjectAsset], str] = lambda asset: object_folder(asset.name)
     notes: str = ""
     require: Callable[[], None] = lambda: None
 
@@ -57,13 +64,14 @@ def _files(
     meshes: Callable[[Path, Any], None],
     model: Callable[[Any, ContactConfig], bytes] | None = None,
     ending: str = "",
+    name: str = "",
 ) -> Callable[[Path, Any, ContactConfig], None]:
-    """Writes what all scenes share of an object or the support: meshes, and a model named as its folder."""
+    """Writes an object or the support: meshes, and a model called `name`, or as its folder."""
 
     def write(folder: Path, asset: Any, contact: ContactConfig) -> None:
         meshes(folder, asset)
         if model is not None:
-            (folder / f"{folder.name}.{ending}").write_bytes(model(asset, contact))
+            (folder / f"{name or folder.name}.{ending}").write_bytes(model(asset, contact))
 
     return write
 
@@ -91,6 +99,10 @@ def _mjcf_text(scene: Scene, names_detector: bool = True) -> bytes:
 def _usd(function: str) -> Callable[..., None]:
     """A function of `scene.export.usd`, imported when it is called: USD's library takes a while to load."""
     return lambda *args: getattr(importlib.import_module("cluttergen_jax.scene.export.usd"), function)(*args)
+
+
+def _robocasa_file(asset: ObjectAsset) -> str:
+    return f"{registry_folder(asset)}/model.xml"
 
 
 _DRAKE_NOTES = (
@@ -182,6 +194,17 @@ _ALL = (
         "json",
         *_ROBOSUITE,
         script="cluttergen_libero.py",
+    ),
+    Format(
+        "robocasa",
+        "RoboCasa: import cluttergen_robocasa, then cluttergen_robocasa.register(); tasks draw these objects "
+        "with robosuite.make(TASK, obj_registries=('cluttergen',), obj_groups='cluttergen', ...).",
+        "json",
+        _files(write_object_meshes, partial(robosuite_xml, region=True), "xml", "model"),
+        _ROBOSUITE[1],
+        _scene_writer(partial(scene_json, ending="xml", file_of=_robocasa_file)),
+        script="cluttergen_robocasa.py",
+        object_folder=registry_folder,
     ),
 )
 FORMATS = {each.name: each for each in _ALL}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from cluttergen_jax.assets.obj import mesh_text, part_name, shaded_text, write_parts
@@ -14,6 +15,19 @@ from cluttergen_jax.assets.support import SupportAsset
 def object_folder(name: str) -> str:
     """Where an asset's files lie, relative to the export's folder."""
     return f"assets/objects/{name}"
+
+
+def category(asset: ObjectAsset) -> str:
+    """What kind of thing an asset is, in one word of a-z, 0-9 and _: that of its synset, or its own name."""
+    return _NO_WORD.sub("_", (asset.synset.partition(".")[0] or asset.name).lower())
+
+
+def registry_folder(asset: ObjectAsset) -> str:
+    """Where RoboCasa looks for an asset: objects/REGISTRY/CATEGORY/OBJECT."""
+    return f"objects/cluttergen/{category(asset)}/{asset.name}"
+
+
+_NO_WORD = re.compile("[^a-z0-9]+")
 
 
 SUPPORT_FOLDER = "assets/support"
