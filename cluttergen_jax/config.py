@@ -95,7 +95,17 @@ PlacerNoise = Literal["on", "off", "both"]
 SegmenterInput = Literal["colour", "depth"]
 RobotObserver = Literal["true", "perception"]
 ExportFormat = Literal[
-    "mjcf", "mjcf-old", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero", "robocasa"
+    "mjcf",
+    "mjcf-old",
+    "urdf",
+    "sdf",
+    "usd",
+    "glb",
+    "maniskill",
+    "robosuite",
+    "libero",
+    "robocasa",
+    "molmospaces",
 ]
 
 

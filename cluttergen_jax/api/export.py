@@ -19,6 +19,7 @@ def export(
     *,
     scenes: Sequence[int] | str | None = None,
     cameras: Sequence[CameraName] = (),
+    grasps: str | Path | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Writes scenes of a bank as a self-contained folder for another program (`cluttergen export`).
@@ -29,9 +30,11 @@ def export(
       source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml.
       out: the folder to make.
       format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
-        "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite" or "libero".
+        "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite", "libero", "robocasa" or
+        "molmospaces".
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given. In Python also a list.
       cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
+      grasps: grasps to write beside objects, with "molmospaces": a file of `cluttergen robot grasps --out`.
       overwrite: replace an earlier export.
 
     Returns:
@@ -40,7 +43,7 @@ def export(
     Raises:
       BankError: there is no such bank or scene, or none that succeeds; or another export is being written to
         `out`.
-      ConfigError: there is no such format or camera, or two answers to one question.
+      ConfigError: there is no such format or camera, two answers to one question, or grasps of other objects.
       MissingExtraError: the format needs an extra that is not installed.
     """
     from cluttergen_jax.progress import track
@@ -62,4 +65,4 @@ def export(
     total = len(select_rows(bank, numbers))
     read = read_scenes(bank, numbers)
     shown = read if total <= _MANY else track(read, "exporting", total, "scene")
-    return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras))
+    return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps)

@@ -1,7 +1,7 @@
 """Reads exported objects as RoboCasa does; needs robosuite 1.5, and robocasa where it is. Prints JSON.
 
-robocasa is not on the package index. Its `MJCFObject` is robosuite's `MujocoXMLObject`, with a free joint and a
-scale, plus regions: boxes called reg_*, whose pos, size and rgba it reads.
+robocasa is not on the package index. Its `MJCFObject` is robosuite's `MujocoXMLObject`, with a free joint and
+a scale, plus regions: boxes called reg_*, whose pos, size and rgba it reads.
 """
 
 import json
@@ -34,7 +34,9 @@ def body(name, path, scale=1.0):
         scales = np.array([scale] * 3)
         thing = MujocoXMLObject(path, name, joints, "all", duplicate_collision_geoms=False, scale=scales)
     boxes = [geom for geom in thing.worldbody.iter("geom") if str(geom.get("name")).endswith("reg_bbox")]
-    (box,) = ({key: np.fromstring(each.get(key), sep=" ") for key in ("pos", "size", "rgba")} for each in boxes)
+    (box,) = (
+        {key: np.fromstring(each.get(key), sep=" ") for key in ("pos", "size", "rgba")} for each in boxes
+    )
     return thing, box
 
 

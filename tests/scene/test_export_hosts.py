@@ -11,10 +11,21 @@ from types import ModuleType
 
 import mujoco
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.environments import ask_peer, peer_python
-from tests.helpers.exports import dining_scene, exporter
+from tests.helpers.exports import dining_scene, exporter, matrix
+
+POSES = {
+    "mug": [[0.01, 0.02, 0.03, 0.5, 0.5, 0.5, 0.5], [0, 0, 0.05, 0, 1, 0, 0]],
+    "fork": [[0, 0, 0.01, 0, 1, 0, 0]],
+}
+"""T_object_tool of grasps."""
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +60,9 @@ def test_robocasa_is_told_of_objects_by_kind(folder_of, monkeypatch):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setitem(sys.modules, "robocasa.models.objects", package)
     module = runpy.run_path(str(folder_of("robocasa") / "cluttergen_robocasa.py"))
-    assert module["register"](washable=True) == module["register"](washable=True) == ["fork", "mug", "soup_can"]
+    assert (
+        module["register"](washable=True) == module["register"](washable=True) == ["fork", "mug", "soup_can"]
+    )
     assert kitchen.OBJ_GROUPS["cluttergen"] == ["fork", "mug", "soup_can"]
     assert set(kitchen.OBJ_CATEGORIES["mug"]) == {"objaverse", "cluttergen"}
     kind = kitchen.OBJ_CATEGORIES["mug"]["cluttergen"]
@@ -71,3 +84,83 @@ def test_robocasa_objects_load_as_robosuite_objects(folder_of, scene, tmp_path):
         assert told["bottom"][2] == pytest.approx(-asset.half_extents[2], rel=1e-5)
         assert told["mass"] == pytest.approx(asset.mass, rel=1e-5)
         assert told["num_colliding"] == len(asset.parts)
+
+
+@pytest.fixture(scope="module")
+def grasps(scene, tmp_path_factory):
+    """A file as `robot grasps` writes it, with the columns that are read."""
+    rows = [(name, object_hash(scene.assets[name]), pose) for name, poses in POSES.items() for pose in poses]
+    names, hashes, poses = zip(*rows, strict=True)
+    kinds = (pa.string(), pa.string(), pa.list_(pa.float64(), 7))
+    arrays = [pa.array(each, kind) for each, kind in zip((names, hashes, poses), kinds, strict=True)]
+    path = tmp_path_factory.mktemp("grasps") / "grasps.parquet"
+    pq.write_table(pa.table(arrays, names=["object", "hash", "pose"]), path)
+    return path
+
+
+def test_grasps_lie_beside_their_objects(scene, grasps, tmp_path):
+    folder = export_scenes([scene], tmp_path / "out", "molmospaces", grasps=grasps)
+    found = {path.parts[-3]: np.load(path)["transforms"] for path in folder.rglob("*/franka/grasps.npz")}
+    assert set(found) == set(POSES)
+    for name, transforms in found.items():
+        np.testing.assert_allclose(transforms, [matrix(np.array(pose)) for pose in POSES[name]], atol=1e-12)
+
+
+def test_grasps_that_cannot_be_written_are_refused(scene, grasps, tmp_path):
+    def refused(match, path=grasps, format="molmospaces"):
+        with pytest.raises(ConfigError, match=match):
+            export_scenes([scene], tmp_path / "out", format, grasps=path)
+        assert not (tmp_path / "out").exists()
+
+    refused("grasps with: molmospaces", format="mjcf")
+    refused("No such file", tmp_path / "none.parquet")
+    table = pq.read_table(grasps)
+    bad, other = tmp_path / "bad.parquet", tmp_path / "other.parquet"
+    pq.write_table(table.set_column(1, "hash", [["0" * 64] * len(table)]), other)
+    refused("of none of the objects", other)
+    pq.write_table(table.drop_columns("pose"), bad)
+    refused("cluttergen robot grasps", bad)
+    turns = pa.array([[0.0] * 7] * len(table), pa.list_(pa.float64(), 7))
+    pq.write_table(table.set_column(2, "pose", turns), bad)
+    refused("a turn is none", bad)
+    bad.write_bytes(grasps.read_bytes()[:-20])
+    refused("cluttergen robot grasps", bad)
+
+
+def test_molmospaces_is_told_what_objects_are(folder_of, scene):
+    folder = folder_of("molmospaces")
+    about = json.loads((folder / "scenes" / "000000_metadata.json").read_text())["objects"]
+    model = mujoco.MjModel.from_xml_path(str(folder / "scenes" / "000000.xml"))
+    assert {name: each["asset_id"] for name, each in about.items()} == {
+        name: asset.name for name, asset in zip(scene.names, scene.objects, strict=True)
+    }
+    assert all(model.body(name).jntnum == 1 for name in about)
+    for name, asset in scene.assets.items():
+        record = json.loads((folder / "assets" / "objects" / name / f"{name}.json").read_text())
+        assert (record["assetId"], record["description"]) == (name, f"A {asset.label}.")
+        assert asset.label.endswith(record["description_short"]["one_word"])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_molmospaces_loads_objects_scenes_and_grasps(scene, grasps, tmp_path):
+    # Of what it asks for, what these loaders use: the whole has PyTorch.
+    needs = (
+        "boto3 compress-json einops h5py huggingface_hub imageio lmdb~=1.7.5 lxml matplotlib mujoco~=3.5.0 "
+        "mujoco-warp==3.5.0 networkx nltk~=3.9.2 numpy-quaternion omegaconf opencv-python-headless psutil "
+        "pydantic scipy shapely stringcase tyro zstandard~=0.25.0"
+    )
+    alone = ("molmo-spaces==0.2.9", "molmospaces-resources==0.0.2")
+    python = peer_python("molmospaces", tmp_path / "env", *needs.split(), alone=alone)
+    folder = export_scenes([scene], tmp_path / "out", "molmospaces", grasps=grasps)
+    report = ask_peer("molmospaces", python, folder, 2.0)
+    assert set(report["objects"]) == set(scene.assets)
+    for name, told in report["objects"].items():
+        assert (told["package"], told["nbody"], told["category"]) == ("cluttergen", 2, name)
+        assert told["mass"] == pytest.approx(scene.assets[name].mass, rel=1e-6)
+        assert (np.array(told["box"]) > np.array(told["size"]) - 1e-6).all()
+    for name, poses in POSES.items():
+        np.testing.assert_allclose(report["grasps"][name], [matrix(np.array(pose)) for pose in poses])
+    for name, pose in zip(scene.names, scene.poses, strict=True):
+        np.testing.assert_allclose(report["bodies"][name]["pose"], matrix(pose), atol=1e-5)
+        assert report["bodies"][name]["shift"] < 0.002

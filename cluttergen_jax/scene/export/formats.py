@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import SHARED_IMAGES
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError, closest
@@ -21,11 +22,12 @@ from cluttergen_jax.scene.export.meshes import (
     write_object_meshes,
     write_support_meshes,
 )
+from cluttergen_jax.scene.export.molmospaces import asset_json, scene_metadata
 from cluttergen_jax.scene.export.robosuite import robosuite_xml, support_xml
 from cluttergen_jax.scene.export.scene_json import maniskill_json, scene_json
 from cluttergen_jax.scene.export.sdf import sdf_text
 from cluttergen_jax.scene.export.urdf import object_urdf, support_urdf
-from cluttergen_jax.scene.xml import scene_xml
+from cluttergen_jax.scene.xml import object_xml, scene_xml
 
 WriteObject = Callable[[Path, ObjectAsset, ContactConfig], None]
 WriteSupport = Callable[[Path, SupportAsset, ContactConfig], None]
@@ -44,6 +46,7 @@ class Format:
       write_scene: writes a scene's file.
       script: a stand-alone loader that travels along, in `export/scripts`; "" for none.
       object_folder: where an object's files lie, relative to the export's folder.
+      takes_grasps: grasps are written into objects' folders.
       notes: more for the README: the settings that the program needs, and what it takes from the files.
       require: raises MissingExtraError if a package that the format needs is not installed.
     """
@@ -56,6 +59,7 @@ class Format:
     write_scene: WriteScene
     script: str = ""
     object_folder: Callable[[ObjectAsset], str] = lambda asset: object_folder(asset.name)
+    takes_grasps: bool = False
     notes: str = ""
     require: Callable[[], None] = lambda: None
 
@@ -96,6 +100,17 @@ def _mjcf_text(scene: Scene, names_detector: bool = True) -> bytes:
     )
 
 
+def _write_molmospaces_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
+    write_object_meshes(folder, asset)
+    (folder / f"{asset.name}.xml").write_bytes(object_xml(asset, contact, SHARED_IMAGES))
+    (folder / f"{asset.name}.json").write_bytes(asset_json(asset))
+
+
+def _write_molmospaces_scene(path: Path, scene: Scene) -> None:
+    path.write_bytes(_mjcf_text(scene))
+    path.with_name(f"{path.stem}_metadata.json").write_bytes(scene_metadata(scene))
+
+
 def _usd(function: str) -> Callable[..., None]:
     """A function of `scene.export.usd`, imported when it is called: USD's library takes a while to load."""
     return lambda *args: getattr(importlib.import_module("cluttergen_jax.scene.export.usd"), function)(*args)
@@ -105,6 +120,11 @@ def _robocasa_file(asset: ObjectAsset) -> str:
     return f"{registry_folder(asset)}/model.xml"
 
 
+_MOLMOSPACES_NOTES = (
+    "With grasps (assets/objects/UID/franka/grasps.npz): python -m "
+    "molmo_spaces.resources.generate_user_grasp_library_index assets/objects, then "
+    "register_user_grasp_library('cluttergen', Path('assets/objects'), 'cluttergen')."
+)
 _DRAKE_NOTES = (
     "For Drake (1.40 or newer) parts and boxes are compliant hydroelastic bodies of 1e9 Pa with the friction "
     "of the scene (drake:proximity_properties); other readers skip this. The plant needs the time step named "
@@ -205,6 +225,18 @@ _ALL = (
         _scene_writer(partial(scene_json, ending="xml", file_of=_robocasa_file)),
         script="cluttergen_robocasa.py",
         object_folder=registry_folder,
+    ),
+    Format(
+        "molmospaces",
+        "MolmoSpaces 0.2: python -m molmo_spaces.resources.generate_user_asset_library_index assets/objects, "
+        "then register_user_asset_library('cluttergen', Path('assets/objects')) and, with scene_dataset "
+        "'user', scene_xml_paths=['scenes/NUMBER.xml'].",
+        "xml",
+        _write_molmospaces_object,
+        _files(write_support_meshes),
+        _write_molmospaces_scene,
+        notes=_MOLMOSPACES_NOTES,
+        takes_grasps=True,
     ),
 )
 FORMATS = {each.name: each for each in _ALL}
