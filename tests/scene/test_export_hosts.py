@@ -164,3 +164,16 @@ def test_molmospaces_loads_objects_scenes_and_grasps(scene, grasps, tmp_path):
     for name, pose in zip(scene.names, scene.poses, strict=True):
         np.testing.assert_allclose(report["bodies"][name]["pose"], matrix(pose), atol=1e-5)
         assert report["bodies"][name]["shift"] < 0.002
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_dm_control_opens_scenes(folder_of, scene, tmp_path):
+    # Its newest version asks for fields that MuJoCo 4 has no more.
+    python = peer_python("dm_control", tmp_path, "dm-control==1.0.50", "mujoco==3.17.0")
+    report = ask_peer("dm_control", python, folder_of("mjcf") / "scenes" / "000000.xml", 2.0)
+    for kind in ("file", "tree"):
+        for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
+            np.testing.assert_allclose(report[kind]["before"][name], [*pose[:3], *pose[:3]], atol=1e-6)
+            assert report[kind]["mass"][name] == pytest.approx(asset.mass, rel=1e-6)
+            assert report[kind]["shift"][name] < 0.002

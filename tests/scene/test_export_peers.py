@@ -23,7 +23,7 @@ WITH_TALL = ("mug", "bottle", "dinner_plate", "mug#2")
 """One stands as high as the hand of a robot beside the table."""
 
 
-def asked(peer, format, names, tmp_path):
+def asked(peer, format, names, tmp_path, *words):
     """Two scenes of the same objects, and what a peer reports of their export, chiefly of the first."""
     python = os.environ.get(f"CLUTTERGEN_{peer.upper()}_PYTHON")
     if peer == "drake":
@@ -37,20 +37,21 @@ def asked(peer, format, names, tmp_path):
         for index, (own, turn) in enumerate([(names, 0.7), (names[1:] + names[:1], 0.2)])
     ]
     folder = export_scenes(scenes, tmp_path / "out", format)
-    return scenes, ask_peer(peer, python, folder, SECONDS)
+    return scenes, ask_peer(peer, python, folder, SECONDS, *words)
 
 
 @pytest.mark.parametrize(
-    ("peer", "format", "names"),
+    ("peer", "format", "names", "words"),
     [
-        ("drake", "sdf", NAMES),
-        ("maniskill", "maniskill", NAMES),
-        ("robosuite", "robosuite", NAMES),
-        ("libero", "libero", WITH_TALL),
+        ("drake", "sdf", NAMES, [".sdf"]),
+        pytest.param("drake", "sdf", NAMES, [".dmd.yaml"], marks=pytest.mark.slow),
+        ("maniskill", "maniskill", NAMES, []),
+        ("robosuite", "robosuite", NAMES, []),
+        ("libero", "libero", WITH_TALL, []),
     ],
 )
-def test_peers_read_poses_and_masses_and_the_scene_stands(peer, format, names, tmp_path):
-    scenes, report = asked(peer, format, names, tmp_path)
+def test_peers_read_poses_and_masses_and_the_scene_stands(peer, format, names, words, tmp_path):
+    scenes, report = asked(peer, format, names, tmp_path, *words)
     scene = scenes[0]
     for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
         for moment in ("before", "restored"):

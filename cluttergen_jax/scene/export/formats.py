@@ -25,7 +25,7 @@ from cluttergen_jax.scene.export.meshes import (
 from cluttergen_jax.scene.export.molmospaces import asset_json, scene_metadata
 from cluttergen_jax.scene.export.robosuite import robosuite_xml, support_xml
 from cluttergen_jax.scene.export.scene_json import maniskill_json, scene_json
-from cluttergen_jax.scene.export.sdf import sdf_text
+from cluttergen_jax.scene.export.sdf import PACKAGE_XML, model_directives, object_sdf, sdf_text, support_sdf
 from cluttergen_jax.scene.export.urdf import object_urdf, support_urdf
 from cluttergen_jax.scene.xml import object_xml, scene_xml
 
@@ -111,6 +111,16 @@ def _write_molmospaces_scene(path: Path, scene: Scene) -> None:
     path.with_name(f"{path.stem}_metadata.json").write_bytes(scene_metadata(scene))
 
 
+def _write_sdf_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
+    _files(write_support_meshes, support_sdf, "sdf")(folder, support, contact)
+    (folder.parents[1] / "package.xml").write_text(PACKAGE_XML, encoding="ascii")
+
+
+def _write_sdf_scene(path: Path, scene: Scene) -> None:
+    path.write_bytes(sdf_text(scene))
+    path.with_suffix(".dmd.yaml").write_bytes(model_directives(scene))
+
+
 def _usd(function: str) -> Callable[..., None]:
     """A function of `scene.export.usd`, imported when it is called: USD's library takes a while to load."""
     return lambda *args: getattr(importlib.import_module("cluttergen_jax.scene.export.usd"), function)(*args)
@@ -128,7 +138,9 @@ _MOLMOSPACES_NOTES = (
 _DRAKE_NOTES = (
     "For Drake (1.40 or newer) parts and boxes are compliant hydroelastic bodies of 1e9 Pa with the friction "
     "of the scene (drake:proximity_properties); other readers skip this. The plant needs the time step named "
-    "above, and all else as Drake has it: contact hydroelastic_with_fallback, approximation lagged."
+    "above, and all else as Drake has it: contact hydroelastic_with_fallback, approximation lagged. "
+    "scenes/NUMBER.dmd.yaml are the same as model directives, after "
+    "parser.package_map().AddPackageXml('package.xml')."
 )
 _ROBOSUITE = (
     _files(write_object_meshes, robosuite_xml, "xml"),
@@ -168,9 +180,9 @@ _ALL = (
         "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'), the plant made by "
         "AddMultibodyPlantSceneGraph(builder, time_step=1/240); Gazebo: gz sim scenes/NUMBER.sdf.",
         "sdf",
-        _files(write_object_meshes),
-        _files(write_support_meshes),
-        _scene_writer(sdf_text),
+        _files(write_object_meshes, object_sdf, "sdf"),
+        _write_sdf_support,
+        _write_sdf_scene,
         notes=_DRAKE_NOTES,
     ),
     Format(
