@@ -7,6 +7,7 @@ the test. `tests/peers` holds what runs there; RoboCasa, which no index has, is 
 import json
 import runpy
 import sys
+from dataclasses import replace
 from types import ModuleType
 
 import mujoco
@@ -14,12 +15,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets.pool import EMBEDDED, find_pool
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.environments import ask_peer, peer_python
-from tests.helpers.exports import dining_scene, exporter, matrix
+from tests.helpers.exports import dining_scene, exporter, matrix, spread
 
 POSES = {
     "mug": [[0.01, 0.02, 0.03, 0.5, 0.5, 0.5, 0.5], [0, 0, 0.05, 0, 1, 0, 0]],
@@ -177,3 +182,28 @@ def test_dm_control_opens_scenes(folder_of, scene, tmp_path):
             np.testing.assert_allclose(report[kind]["before"][name], [*pose[:3], *pose[:3]], atol=1e-6)
             assert report[kind]["mass"][name] == pytest.approx(asset.mass, rel=1e-6)
             assert report[kind]["shift"][name] < 0.002
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_embedded_objects_are_simready_props(tmp_path):
+    pytest.importorskip("pxr", reason="needs the extra usd")
+    packages = ("simready-validate==2026.8.0", "simready-foundation-tier-core==2026.8.0")
+    python = peer_python("simready", tmp_path / "env", *packages, "usd-validation-nvidia[usd]==1.22.0")
+    objects = [each for pool in EMBEDDED for each in find_pool(pool).objects]
+    assert len(objects) == 50
+    folder = export_scenes([spread(objects, cuboid_table())], tmp_path / "out", "usd")
+    mug = objects[0]
+    image = Texture.of(Image.new("RGB", (8, 8), "red"))
+    painted = [replace(each, uv=each.mesh.vertices[:, :2], texture=image) for each in mug.pieces]
+    one = spread([replace(mug, name="painted", pieces=tuple(painted))], cuboid_table())
+    one = export_scenes([one], tmp_path / "one", "usd")
+    report = ask_peer("simready", python, folder, "4.0.0", seconds=600)
+    report |= ask_peer("simready", python, one, "3.0.0", "3.1.0", "3.2.0", "3.3.0")
+    assert len(report) == 54
+    for name, told in report.items():
+        assert told["is_passed"], (name, told["issues"])
+        assert told["issues"] == []
+        required = ("FET_000_STANDARD", "FET_001_STANDARD", "FET_003_STANDARD")
+        physics = () if name.endswith("3.0.0") else ("FET_003_MUJOCO", "FET_003_NEWTON", "FET_003_PHYSX")
+        assert all(told["features"][each] for each in required + physics), (name, told["features"])

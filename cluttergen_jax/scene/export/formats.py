@@ -19,6 +19,7 @@ from cluttergen_jax.scene.export.glb import glb_bytes
 from cluttergen_jax.scene.export.meshes import (
     object_folder,
     registry_folder,
+    usd_folder,
     write_object_meshes,
     write_support_meshes,
 )
@@ -193,6 +194,7 @@ _ALL = (
         _usd("write_support_usd"),
         _usd("write_scene_usd"),
         require=_usd("require_usd"),
+        object_folder=usd_folder,
     ),
     Format(
         "glb",

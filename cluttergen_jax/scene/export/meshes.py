@@ -27,6 +27,11 @@ def registry_folder(asset: ObjectAsset) -> str:
     return f"objects/cluttergen/{category(asset)}/{asset.name}"
 
 
+def usd_folder(asset: ObjectAsset) -> str:
+    """Where an object's USD lies: SimReady asks for a folder between it and the one called as the object."""
+    return f"{object_folder(asset.name)}/usd"
+
+
 _NO_WORD = re.compile("[^a-z0-9]+")
 
 
