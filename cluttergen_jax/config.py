@@ -106,6 +106,7 @@ ExportFormat = Literal[
     "libero",
     "robocasa",
     "molmospaces",
+    "arena",
 ]
 
 

@@ -30,8 +30,8 @@ def export(
       source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml.
       out: the folder to make.
       format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
-        "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite", "libero", "robocasa" or
-        "molmospaces".
+        "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite", "libero", "robocasa",
+        "molmospaces" or "arena" (Isaac Lab-Arena).
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given. In Python also a list.
       cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
       grasps: grasps to write beside objects, with "molmospaces": a file of `cluttergen robot grasps --out`.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene.export.arena import write_layout
 from cluttergen_jax.scene.export.glb import glb_bytes
 from cluttergen_jax.scene.export.meshes import (
     object_folder,
@@ -122,6 +123,11 @@ def _write_sdf_scene(path: Path, scene: Scene) -> None:
     path.with_suffix(".dmd.yaml").write_bytes(model_directives(scene))
 
 
+def _write_arena_scene(path: Path, scene: Scene) -> None:
+    _usd("write_scene_usd")(path, scene)
+    write_layout(path.parents[1], scene)
+
+
 def _usd(function: str) -> Callable[..., None]:
     """A function of `scene.export.usd`, imported when it is called: USD's library takes a while to load."""
     return lambda *args: getattr(importlib.import_module("cluttergen_jax.scene.export.usd"), function)(*args)
@@ -149,6 +155,16 @@ _ROBOSUITE = (
     _scene_writer(partial(scene_json, ending="xml")),
 )
 """Objects, support and scene as robosuite reads them, and LIBERO, which is built on it."""
+_USD = Format(
+    "usd",
+    "Isaac Sim, Omniverse or usdview: open scenes/NUMBER.usda. Physics is UsdPhysics.",
+    "usda",
+    _usd("write_object_usd"),
+    _usd("write_support_usd"),
+    _usd("write_scene_usd"),
+    require=_usd("require_usd"),
+    object_folder=usd_folder,
+)
 _ALL = (
     Format(
         "mjcf",
@@ -186,16 +202,7 @@ _ALL = (
         _write_sdf_scene,
         notes=_DRAKE_NOTES,
     ),
-    Format(
-        "usd",
-        "Isaac Sim, Omniverse or usdview: open scenes/NUMBER.usda. Physics is UsdPhysics.",
-        "usda",
-        _usd("write_object_usd"),
-        _usd("write_support_usd"),
-        _usd("write_scene_usd"),
-        require=_usd("require_usd"),
-        object_folder=usd_folder,
-    ),
+    _USD,
     Format(
         "glb",
         "any glTF viewer; the second glTF scene shows the collision parts.",
@@ -251,6 +258,15 @@ _ALL = (
         _write_molmospaces_scene,
         notes=_MOLMOSPACES_NOTES,
         takes_grasps=True,
+    ),
+    replace(
+        _USD,
+        name="arena",
+        opens_in="Isaac Lab-Arena 0.4: cluttergen_arena.register() once Isaac has started, then "
+        "environment_runner.py --env_spec layouts/NAME.yaml --placement_layouts layouts/NAME.jsonl.",
+        write_scene=_write_arena_scene,
+        script="cluttergen_arena.py",
+        notes="Scenes of the same objects are rows of the same file.",
     ),
 )
 FORMATS = {each.name: each for each in _ALL}

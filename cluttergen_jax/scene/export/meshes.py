@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from cluttergen_jax.assets.obj import mesh_text, part_name, shaded_text, write_parts
@@ -30,6 +31,23 @@ def registry_folder(asset: ObjectAsset) -> str:
 def usd_folder(asset: ObjectAsset) -> str:
     """Where an object's USD lies: SimReady asks for a folder between it and the one called as the object."""
     return f"{object_folder(asset.name)}/usd"
+
+
+def identifier(name: str) -> str:
+    """A name as USD and Python allow it."""
+    own = re.sub("[^A-Za-z0-9_]", "_", name)
+    return f"_{own}" if own[:1].isdigit() else own
+
+
+def identifiers(names: Sequence[str]) -> list[str]:
+    """Names as `identifier` makes them, still unique."""
+    result: list[str] = []
+    for name in names:
+        own = identifier(name)
+        while own in result:
+            own += "_"
+        result.append(own)
+    return result
 
 
 _NO_WORD = re.compile("[^a-z0-9]+")

@@ -28,6 +28,7 @@ from cluttergen_jax.scene.export.meshes import (
     SUPPORT_FOLDER,
     category,
     drawn_pieces,
+    identifiers,
     support_image,
     usd_folder,
     write_support_images,
@@ -117,7 +118,7 @@ def write_scene_usd(path: Path, scene: Scene) -> None:
     support = UsdGeom.Xform.Define(stage, "/World/support").GetPrim()
     support.GetReferences().AddReference(f"../{SUPPORT_FOLDER}/support.usda")
     UsdGeom.Xform.Define(stage, "/World/objects")
-    names = _identifiers(scene.names)
+    names = identifiers(scene.names)
     for name, own, asset, pose in zip(scene.names, names, scene.objects, scene.poses, strict=True):
         body = UsdGeom.Xform.Define(stage, f"/World/objects/{own}")
         body.GetPrim().SetDisplayName(name)
@@ -136,17 +137,6 @@ def _add_camera(stage: Any, camera: Camera) -> None:
     prim.CreateHorizontalApertureAttr(2 * _FOCAL_LENGTH * np.tan(np.radians(camera.fovx) / 2))
     prim.CreateVerticalApertureAttr(2 * _FOCAL_LENGTH * np.tan(np.radians(camera.fovy) / 2))
     prim.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
-
-
-def _identifiers(names: Sequence[str]) -> list[str]:
-    """Names as USD allows them, still unique."""
-    result: list[str] = []
-    for name in names:
-        own = Tf.MakeValidIdentifier(name)
-        while own in result:
-            own += "_"
-        result.append(own)
-    return result
 
 
 def _new_stage(path: Path) -> Any:
