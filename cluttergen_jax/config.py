@@ -107,6 +107,9 @@ ExportFormat = Literal[
     "robocasa",
     "molmospaces",
     "arena",
+    "mjlab",
+    "playground",
+    "lerobot",
 ]
 
 

@@ -31,7 +31,8 @@ def export(
       out: the folder to make.
       format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
         "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite", "libero", "robocasa",
-        "molmospaces" or "arena" (Isaac Lab-Arena).
+        "molmospaces" or "arena" (Isaac Lab-Arena). "mjlab", "playground" (MuJoCo Playground) and "lerobot"
+        (EnvHub) are the whole bank with a script that uses it there.
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given. In Python also a list.
       cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
       grasps: grasps to write beside objects, with "molmospaces": a file of `cluttergen robot grasps --out`.
@@ -50,7 +51,7 @@ def export(
     from cluttergen_jax.scene.bank import read_bank
     from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
     from cluttergen_jax.scene.bank.scene import read_scenes, select_rows
-    from cluttergen_jax.scene.export import export_scenes
+    from cluttergen_jax.scene.export import BANK_FORMATS, export_bank, export_scenes
 
     numbers = scene_numbers(scenes)
     named = parse_reference(str(source))
@@ -62,6 +63,13 @@ def export(
             raise ConfigError(f"`scenes` beside the single scene {source}", "one of the two")
         numbers = [own]
     bank = read_bank(path)
+    if format in BANK_FORMATS:
+        given = {"scenes": numbers, "cameras": tuple(cameras), "grasps": grasps}
+        if named := [name for name, value in given.items() if value]:
+            given_text = f"`{named[0]}` with the format {format!r}, which takes the whole bank"
+            raise ConfigError(given_text, "a bank of just these scenes", "`cluttergen generate`")
+        indices = [row.index for row in select_rows(bank)]
+        return export_bank(bank.path, indices, out, format, overwrite)
     total = len(select_rows(bank, numbers))
     read = read_scenes(bank, numbers)
     shown = read if total <= _MANY else track(read, "exporting", total, "scene")

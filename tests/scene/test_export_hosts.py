@@ -156,7 +156,7 @@ def test_molmospaces_loads_objects_scenes_and_grasps(scene, grasps, tmp_path):
     needs = (
         "boto3 compress-json einops h5py huggingface_hub imageio lmdb~=1.7.5 lxml matplotlib mujoco~=3.5.0 "
         "mujoco-warp==3.5.0 networkx nltk~=3.9.2 numpy-quaternion omegaconf opencv-python-headless psutil "
-        "pydantic scipy shapely stringcase tyro zstandard~=0.25.0"
+        "pydantic requests scipy shapely stringcase tyro zstandard~=0.25.0"
     )
     alone = ("molmo-spaces==0.2.9", "molmospaces-resources==0.0.2")
     python = peer_python("molmospaces", tmp_path / "env", *needs.split(), alone=alone)

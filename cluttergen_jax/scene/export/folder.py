@@ -70,10 +70,10 @@ def export_scenes(
         allowed = ", ".join(each.name for each in FORMATS.values() if each.takes_grasps)
         raise ConfigError(f"grasps in the format {format!r}", f"grasps with: {allowed}")
     transforms = {} if grasps is None else read_grasps(grasps)
-    _check_place(out, overwrite)
+    check_place(out, overwrite)
     with lock_beside(out):
         # The process that held the lock may have made it meanwhile.
-        _check_place(out, overwrite)
+        check_place(out, overwrite)
         with folder_whole(out) as fresh:
             if cameras:
                 scenes = (replace(each, cameras=scene_cameras(each.support, cameras)) for each in scenes)
@@ -85,11 +85,20 @@ def export_scenes(
                     given, "grasps of the same objects", "`cluttergen robot grasps` of their pool"
                 )
             # Where the file system knows no locks, another export may have been faster.
-            _check_place(out, overwrite)
+            check_place(out, overwrite)
     return out
 
 
-def _check_place(out: Path, overwrite: bool) -> None:
+def generator_version() -> str:
+    """This package's own."""
+    try:
+        return version("cluttergen_jax")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def check_place(out: Path, overwrite: bool) -> None:
+    """Refuses a place where something is, but for an earlier export that is to be replaced (ConfigError)."""
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     if not overwrite:
@@ -151,11 +160,7 @@ class _Folder:
 
     def _add_papers(self, first: Scene) -> None:
         assets = list(self._assets.values())
-        try:
-            generator = version("cluttergen_jax")
-        except PackageNotFoundError:
-            generator = "unknown"
-        record = manifest(self._kind, generator, assets, first, self._records)
+        record = manifest(self._kind, generator_version(), assets, first, self._records)
         self._save(MANIFEST, json.dumps(record, indent=1) + "\n")
         self._save(LICENCES, licences_text(first.support, assets, self._kind.script))
         self._save("README.txt", _readme(self._kind, len(self._records), first))
