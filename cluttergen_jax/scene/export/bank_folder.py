@@ -40,8 +40,8 @@ class BankFormat:
 _ALL = (
     BankFormat(
         "mjlab",
-        "mjlab 1.6: from cluttergen_mjlab import Clutter; its entities(), events() and simulation() go into the "
-        "configuration of an environment.",
+        "mjlab 1.6: from cluttergen_mjlab import Clutter; its entities(), events() and simulation() go into "
+        "the configuration of an environment.",
         "cluttergen_mjlab.py",
     ),
     BankFormat(

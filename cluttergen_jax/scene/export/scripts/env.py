@@ -3,7 +3,7 @@
     envs = lerobot.envs.make_env("OWNER/REPOSITORY", n_envs=4, trust_remote_code=True)
 
 This file, `bank_reader.py` and `bank/` are the repository; it needs mujoco, pyarrow and gymnasium. The
-gripper moves along x, y and z and turns about z. Actions: five numbers in [-1, 1], how fast and, above 0, open.
+gripper moves along x, y and z and turns about z. Actions: four speeds and, above 0, open, all in [-1, 1].
 """
 
 import os
@@ -59,8 +59,8 @@ def _complete():
 class ClutterLift(gym.Env):
     """Lift the target by 10 cm. Every reset draws a scene of the bank, and one of its objects.
 
-    Observations: `pixels` of the cameras `front` and `wrist`, and `agent_pos`: the gripper's position from the
-    region's centre, its turn, and how far each finger is from the middle. Rewards: 1 at success, else 0.
+    Observations: `pixels` of the cameras `front` and `wrist`, and `agent_pos`: the gripper's position from
+    the region's centre, its turn, and how far each finger is from the middle. Rewards: 1 at success, else 0.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": _CONTROL}  # noqa: RUF012
