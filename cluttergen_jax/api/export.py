@@ -64,10 +64,10 @@ def export(
         numbers = [own]
     bank = read_bank(path)
     if format in BANK_FORMATS:
-        given = {"scenes": numbers, "cameras": tuple(cameras), "grasps": grasps}
-        if named := [name for name, value in given.items() if value]:
-            given_text = f"`{named[0]}` with the format {format!r}, which takes the whole bank"
-            raise ConfigError(given_text, "a bank of just these scenes", "`cluttergen generate`")
+        options = {"scenes": numbers, "cameras": tuple(cameras), "grasps": grasps}
+        for name in (name for name, value in options.items() if value):
+            given = f"`{name}` with the format {format!r}, which takes the whole bank"
+            raise ConfigError(given, "a bank of just these scenes", "`cluttergen generate`")
         indices = [row.index for row in select_rows(bank)]
         return export_bank(bank.path, indices, out, format, overwrite)
     total = len(select_rows(bank, numbers))
