@@ -32,6 +32,7 @@ from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.drawing import needs_gl
 from tests.helpers.environments import ask_peer, peer_python
 from tests.helpers.exports import assert_same_pose, dining_scene, exporter, fourteen_scenes, matrix, spread
+from tests.helpers.worlds import trio
 
 POSES = {
     "mug": [[0.01, 0.02, 0.03, 0.5, 0.5, 0.5, 0.5], [0, 0, 0.05, 0, 1, 0, 0]],
@@ -289,21 +290,23 @@ def named(peer):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_mjlab_worlds_have_the_objects_of_scenes(tmp_path):
+def test_mjlab_worlds_are_scenes(bank, tmp_path):
+    """Worlds of other objects each, and worlds of the same objects, which are drawn among all scenes."""
     python = named("mjlab")
-    path = cg.generate(
-        tmp_path / "bank", pool="dining", num_objects=3, num_scenes=6, seed=1, render=False
-    ).path
-    told = ask_peer("mjlab", python, cg.export(path, tmp_path / "out", "mjlab"), 3, 60, seconds=800)
-    scenes = list(Bank(path).successes())
-    pool = find_pool("dining")
-    for world in told["worlds"]:
-        (scene,) = (each for each in scenes if set(each.names) == set(world["objects"]))
-        for name, pose, mass in zip(world["objects"], world["poses"], world["mass"], strict=True):
-            assert_same_pose(pose[:3], pose[3:], scene.poses[scene.names.index(name)])
-            assert mass == pytest.approx(pool[name].mass, rel=1e-5)
-        assert max(world["shift"]) < 0.002
-    assert len({tuple(world["objects"]) for world in told["worlds"]}) > 1
+    options = {"pool": "dining", "num_objects": 3, "num_scenes": 6, "seed": 1}
+    other = cg.generate(tmp_path / "bank", **options, render=False).path
+    masses = {asset.name: asset.mass for asset in (*find_pool("dining").objects, *trio())}
+    for path, num_sets in ((other, 3), (bank, 1)):
+        folder = cg.export(path, tmp_path / f"{num_sets}", "mjlab")
+        told = ask_peer("mjlab", python, folder, 3, 60, seconds=500)
+        scenes = [dict(zip(each.names, each.poses, strict=True)) for each in Bank(path)]
+        for world in told["worlds"]:
+            same = [each for each in scenes if set(each) == set(world["objects"])]
+            wanted = [[each[name] for name in world["objects"]] for each in same]
+            assert min(np.abs(np.array(wanted) - world["poses"]).max((1, 2))) < 1e-5
+            assert world["mass"] == pytest.approx([masses[name] for name in world["objects"]], rel=1e-5)
+            assert max(world["shift"]) < 0.002
+        assert len({tuple(world["objects"]) for world in told["worlds"]}) == num_sets
 
 
 @pytest.mark.slow
