@@ -83,8 +83,10 @@ def scene_json(
       support: more about the support.
       file_of: where an object's model lies, if not in its folder, called as it.
     """
-    if file_of is None:
-        file_of = lambda asset: f"{object_folder(asset.name)}/{asset.name}.{ending}"  # noqa: E731
+
+    def model(asset: ObjectAsset) -> str:
+        return file_of(asset) if file_of else f"{object_folder(asset.name)}/{asset.name}.{ending}"
+
     contact = scene.contact
     sliding, torsional, rolling = contact.friction
     record = {
@@ -107,8 +109,8 @@ def scene_json(
         },
         "assets": {
             name: {
-                "folder": posixpath.dirname(file_of(asset)),
-                **({"file": file_of(asset)} if ending else {}),
+                "folder": posixpath.dirname(model(asset)),
+                **({"file": model(asset)} if ending else {}),
                 **(more or {}).get(name, {}),
             }
             for name, asset in scene.assets.items()
