@@ -63,16 +63,17 @@ _MJCF = """<mujoco model="cluttergen scene">
 <visual><headlight ambient="0.32 0.32 0.33" diffuse="0.28 0.28 0.28" specular="0.05 0.05 0.05"/>
 <global offwidth="1280" offheight="960"/><quality shadowsize="4096"/><map haze="0.6"/>
 <rgba haze="0.90 0.905 0.915 1"/></visual>
-<asset><texture name="sky" type="skybox" builtin="gradient" width="256" height="1536"
-rgb1="0.62 0.69 0.78" rgb2="0.90 0.905 0.915"/>
-{files}
+<asset>{files}
 </asset>
-<worldbody><light name="sun" pos="0.6 -0.8 3" dir="-0.2 0.45 -1" directional="true" diffuse="0.62 0.61 0.59"
-specular="0.15 0.15 0.15"/><geom name="floor" type="plane" size="0 0 0.1" rgba="0.82 0.82 0.83 1"/>
-{bodies}
+<worldbody>{bodies}
 </worldbody>
-<keyframe><key name="scene" {qpos}/></keyframe>
-</mujoco>
+{key}</mujoco>
+"""
+_SKY = """<texture name="sky" type="skybox" builtin="gradient" width="256" height="1536"
+rgb1="0.62 0.69 0.78" rgb2="0.90 0.905 0.915"/>
+"""
+_FLOOR = """<light name="sun" pos="0.6 -0.8 3" dir="-0.2 0.45 -1" directional="true" diffuse="0.62 0.61 0.59"
+specular="0.15 0.15 0.15"/><geom name="floor" type="plane" size="0 0 0.1" rgba="0.82 0.82 0.83 1"/>
 """
 
 
@@ -351,13 +352,37 @@ class Bank:
                 raise BankError(
                     f"scene {index} of {self.path} failed ({scene.verdict})", "those that succeeded"
                 )
+        return self._text(names, [self.asset(name) for name in names], poses, self.support, version, assets)
+
+    def object_xml(self, name: str, body: str = "", *, version: str = "", assets: str = "") -> str:
+        """MJCF of one object, a free body at the origin called `body` or as it, to be attached to a model.
+
+        Raises:
+          BankError: there is no such object, or a file of it is damaged.
+        """
+        pose = np.array([[0, 0, 0, 1, 0, 0, 0]])
+        return self._text([body or name], [self.asset(name)], pose, None, version, assets)
+
+    def support_xml(self, *, version: str = "", assets: str = "") -> str:
+        """MJCF of the support alone, a fixed body called `support`, likewise."""
+        return self._text([], [], np.zeros((0, 7)), self.support, version, assets, alone=True)
+
+    def _text(
+        self,
+        names: Sequence[str],
+        objects: Sequence[Asset],
+        poses: np.ndarray,
+        support: Asset | None,
+        version: str,
+        assets: str,
+        alone: bool = False,
+    ) -> str:
         numbers = tuple(map(int, re.findall(r"\d+", version or _installed())[:3]))
         if not numbers:
             raise BankError(f"version {version!r} of MuJoCo", "numbers such as 3.5.0")
         folder = assets or (self.path / "assets").absolute().as_posix()
-        support, objects = self.support, [self.asset(name) for name in names]
         with _reading(self.path):
-            return _mjcf(self, names, objects, poses, support, numbers, folder)
+            return _mjcf(self, names, objects, poses, support, numbers, folder, alone or support is None)
 
     def model(self, index: int | None = None) -> Any:
         """`xml(index)`, compiled by the MuJoCo installed here (BankError: there is none, or it refuses)."""
@@ -504,11 +529,15 @@ def _mjcf(
     names: Sequence[str],
     objects: Sequence[Asset],
     poses: np.ndarray,
-    support: Asset,
+    support: Asset | None,
     version: tuple[int, ...],
     folder: str,
+    alone: bool,
 ) -> str:
-    """MJCF in the words of a version of MuJoCo; `folder` is where the bank's assets are."""
+    """MJCF in the words of a version of MuJoCo; `folder` is where the bank's assets are.
+
+    What stands `alone` comes without floor, light and keyframe.
+    """
     stability, contact = bank.recipe["stability"], bank.recipe["contact"]
     both = stability.get("both_detectors", False)
     # Flat surfaces need the word since MuJoCo 3.3, which those before refuse.
@@ -534,13 +563,15 @@ def _mjcf(
             unseen = 'contype="0" conaffinity="0" group="2" mass="0"'
             yield f'<geom type="mesh" mesh="{mesh}" {unseen} {_words(rgba=rgba)}{material}/>'
 
-    group = f'group="{3 if support.surfaces else 2}"'
-    bodies = ['<body name="support">']
-    for number, box in enumerate(support.record["boxes"]):
-        turn = [math.cos(box["yaw"] / 2), 0, 0, math.sin(box["yaw"] / 2)]
-        place = _words(pos=box["center"], quat=turn, size=box["half_extents"], rgba=box["rgba"])
-        bodies.append(f'<geom name="support.box-{number}" type="box" {place} {group}/>')
-    bodies += [*geoms("support", support, f'{group} rgba="0.72 0.55 0.38 1"'), "</body>"]
+    bodies = [] if alone else [_FLOOR]
+    if support is not None:
+        group = f'group="{3 if support.surfaces else 2}"'
+        bodies.append('<body name="support">')
+        for number, box in enumerate(support.record["boxes"]):
+            turn = [math.cos(box["yaw"] / 2), 0, 0, math.sin(box["yaw"] / 2)]
+            place = _words(pos=box["center"], quat=turn, size=box["half_extents"], rgba=box["rgba"])
+            bodies.append(f'<geom name="support.box-{number}" type="box" {place} {group}/>')
+        bodies += [*geoms("support", support, f'{group} rgba="0.72 0.55 0.38 1"'), "</body>"]
     for name, asset, pose in zip(names, objects, poses):
         record, (x, y, z), part = asset.record, asset.record["inertia"], 'group="3"'
         if (friction := record.get("friction")) is not None:
@@ -561,9 +592,9 @@ def _mjcf(
         # The older detector, which before was the only one.
         flag=' nativeccd="disable"' if both and version >= (3, 2, 3) else "",
         touch=_words(**margin, **{name: contact[name] for name in _TOUCH}),
-        files="\n".join(files.values()),
+        files=("" if alone else _SKY) + "\n".join(files.values()),
         bodies="\n".join(bodies),
-        qpos=_words(qpos=poses),
+        key="" if alone else f'<keyframe><key name="scene" {_words(qpos=poses)}/></keyframe>\n',
     )
 
 

@@ -94,7 +94,23 @@ PlacerLoss = Literal["printed", "symmetric"]
 PlacerNoise = Literal["on", "off", "both"]
 SegmenterInput = Literal["colour", "depth"]
 RobotObserver = Literal["true", "perception"]
-ExportFormat = Literal["mjcf", "mjcf-old", "urdf", "sdf", "usd", "glb", "maniskill", "robosuite", "libero"]
+ExportFormat = Literal[
+    "mjcf",
+    "mjcf-old",
+    "urdf",
+    "sdf",
+    "usd",
+    "glb",
+    "maniskill",
+    "robosuite",
+    "libero",
+    "robocasa",
+    "molmospaces",
+    "arena",
+    "mjlab",
+    "playground",
+    "lerobot",
+]
 
 
 def no_such(what: str, name: str, known: Iterable[str]) -> ConfigError:

@@ -19,6 +19,7 @@ def export(
     *,
     scenes: Sequence[int] | str | None = None,
     cameras: Sequence[CameraName] = (),
+    grasps: str | Path | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Writes scenes of a bank as a self-contained folder for another program (`cluttergen export`).
@@ -29,9 +30,12 @@ def export(
       source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml.
       out: the folder to make.
       format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
-        "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite" or "libero".
+        "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite", "libero", "robocasa",
+        "molmospaces" or "arena" (Isaac Lab-Arena). "mjlab", "playground" (MuJoCo Playground) and "lerobot"
+        (EnvHub) are the whole bank with a script that uses it there.
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given. In Python also a list.
       cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
+      grasps: grasps to write beside objects, with "molmospaces": a file of `cluttergen robot grasps --out`.
       overwrite: replace an earlier export.
 
     Returns:
@@ -40,14 +44,14 @@ def export(
     Raises:
       BankError: there is no such bank or scene, or none that succeeds; or another export is being written to
         `out`.
-      ConfigError: there is no such format or camera, or two answers to one question.
+      ConfigError: there is no such format or camera, two answers to one question, or grasps of other objects.
       MissingExtraError: the format needs an extra that is not installed.
     """
     from cluttergen_jax.progress import track
     from cluttergen_jax.scene.bank import read_bank
     from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
     from cluttergen_jax.scene.bank.scene import read_scenes, select_rows
-    from cluttergen_jax.scene.export import export_scenes
+    from cluttergen_jax.scene.export import BANK_FORMATS, export_bank, export_scenes
 
     numbers = scene_numbers(scenes)
     named = parse_reference(str(source))
@@ -59,7 +63,14 @@ def export(
             raise ConfigError(f"`scenes` beside the single scene {source}", "one of the two")
         numbers = [own]
     bank = read_bank(path)
+    if format in BANK_FORMATS:
+        options = {"scenes": numbers, "cameras": tuple(cameras), "grasps": grasps}
+        for name in (name for name, value in options.items() if value):
+            given = f"`{name}` with the format {format!r}, which takes the whole bank"
+            raise ConfigError(given, "a bank of just these scenes", "`cluttergen generate`")
+        indices = [row.index for row in select_rows(bank)]
+        return export_bank(bank.path, indices, out, format, overwrite)
     total = len(select_rows(bank, numbers))
     read = read_scenes(bank, numbers)
     shown = read if total <= _MANY else track(read, "exporting", total, "scene")
-    return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras))
+    return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps)

@@ -18,10 +18,10 @@ class Export(Options):
     """
 
     def run(self) -> int:
-        from cluttergen_jax.scene.export import FORMATS
+        from cluttergen_jax.scene.export import BANK_FORMATS, FORMATS
         from cluttergen_jax.scene.export.folder import MANIFEST
 
         folder = self.call(export)
         scenes = json.loads((folder / MANIFEST).read_text())["scenes"]
-        print(f"{len(scenes)} scenes in {folder}: open with {FORMATS[self.format].opens_in}")
+        print(f"{len(scenes)} scenes in {folder}: open with {(FORMATS | BANK_FORMATS)[self.format].opens_in}")
         return 0

@@ -66,13 +66,25 @@ def scene_xml(
     for name, asset, pose in zip(names, objects, poses, strict=True):
         if asset.name not in stored:
             stored.add(asset.name)
-            _add_meshes(assets, asset)
+            _add_meshes(assets, asset, f"objects/{asset.name}/")
         _add_body(assets, world, name, asset, pose, contact)
     for each in cameras:
         pose = {"pos": _text(each.position), "quat": _text(each.quaternion)}
         ET.SubElement(world, "camera", pose, name=each.name, fovy=_text([each.fovy]))
     keyframe = ET.SubElement(root, "keyframe")
     ET.SubElement(keyframe, "key", name="scene", qpos=_text(np.asarray(poses).ravel()))
+    ET.indent(root)
+    return ET.tostring(root, encoding="utf-8") + os.linesep.encode()
+
+
+def object_xml(asset: ObjectAsset, contact: ContactConfig, images: str) -> bytes:
+    """MJCF text of one free object, to be saved in the folder of its meshes; `images` leads to its images."""
+    root = ET.Element("mujoco", model=asset.name)
+    ET.SubElement(root, "compiler", angle="radian")
+    ET.SubElement(ET.SubElement(root, "default"), "geom", contact_attributes(contact))
+    assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
+    _add_meshes(assets, asset, "")
+    _add_body(assets, world, asset.name, asset, np.array([0, 0, 0, 1, 0, 0, 0]), contact, images)
     ET.indent(root)
     return ET.tostring(root, encoding="utf-8") + os.linesep.encode()
 
@@ -181,12 +193,12 @@ def _add_support(assets: ET._Element, world: ET._Element, support: SupportAsset)
         _add_visual_geom(assets, body, mesh, piece, "support/")
 
 
-def _add_meshes(assets: ET._Element, asset: ObjectAsset) -> None:
+def _add_meshes(assets: ET._Element, asset: ObjectAsset, folder: str) -> None:
     for index in range(len(asset.parts)):
-        file = f"objects/{asset.name}/{part_name(index)}"
+        file = folder + part_name(index)
         ET.SubElement(assets, "mesh", name=f"{asset.name}.part-{index}", file=file)
     for index, piece in enumerate(asset.pieces):
-        file = f"objects/{asset.name}/visual-{index}.obj"
+        file = f"{folder}visual-{index}.obj"
         ET.SubElement(assets, "mesh", weightless(piece), name=f"{asset.name}.visual-{index}", file=file)
 
 
@@ -197,6 +209,7 @@ def _add_body(
     asset: ObjectAsset,
     pose: np.ndarray,
     contact: ContactConfig,
+    images: str = "textures/",
 ) -> None:
     body = ET.SubElement(world, "body", name=name, pos=_text(pose[:3]), quat=_text(pose[3:]))
     ET.SubElement(body, "freejoint", name=name)
@@ -214,7 +227,7 @@ def _add_body(
             body, "geom", own, type="mesh", mesh=f"{asset.name}.part-{index}", group=str(COLLISION_GROUP)
         )
     for index, piece in enumerate(asset.pieces):
-        _add_visual_geom(assets, body, f"{asset.name}.visual-{index}", piece, "textures/")
+        _add_visual_geom(assets, body, f"{asset.name}.visual-{index}", piece, images)
 
 
 def _add_visual_geom(assets: ET._Element, body: ET._Element, mesh: str, piece: Piece, images: str) -> None:

@@ -1,4 +1,4 @@
-"""Reads an exported SDFormat world in Drake; needs pydrake alone. Prints JSON: see test_export_peers."""
+"""Reads a scene in Drake, as a world or directives; needs pydrake. Prints JSON: see test_export_peers."""
 
 import json
 import sys
@@ -7,10 +7,13 @@ from pathlib import Path
 from pydrake.all import AddMultibodyPlantSceneGraph, DiagramBuilder, Parser, Simulator
 
 folder, seconds = Path(sys.argv[1]), float(sys.argv[2])
+ending = sys.argv[3] if len(sys.argv) > 3 else ".sdf"
 own = json.loads((folder / "MANIFEST.json").read_text())["scenes"][0]
 builder = DiagramBuilder()
 plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=1 / 240)
-Parser(plant).AddModels(str(folder / own["file"]))
+parser = Parser(plant)
+parser.package_map().AddPackageXml(str(folder / "package.xml"))
+parser.AddModels(str((folder / own["file"]).with_suffix(ending)))
 plant.Finalize()
 simulator = Simulator(builder.Build())
 context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())

@@ -166,6 +166,25 @@ def test_its_models_are_those_of_the_scene_files(rich):
     np.testing.assert_allclose(model.key("scene").qpos.reshape(-1, 7), scene.poses, atol=1e-6)
 
 
+def test_objects_and_the_support_come_alone_too(rich):
+    path, scene = rich
+    reader = bank_reader.Bank(path)
+    whole = reader.model(0)
+    for name, asset in scene.assets.items():
+        alone = mujoco.MjModel.from_xml_string(reader.object_xml(name, "object"))
+        assert (alone.nbody, alone.njnt, alone.nlight, alone.nkey) == (2, 1, 0, 0)
+        assert alone.joint("object").type == mujoco.mjtJoint.mjJNT_FREE
+        assert alone.body("object").mass == pytest.approx(asset.mass, rel=1e-6)
+        same = whole.geom_bodyid == whole.body(name).id
+        for field in ("geom_friction", "geom_solref", "geom_priority", "geom_group", "geom_rgba"):
+            np.testing.assert_array_equal(getattr(alone, field), getattr(whole, field)[same])
+    support = mujoco.MjModel.from_xml_string(reader.support_xml())
+    assert (support.nbody, support.njnt) == (2, 0)
+    assert support.ngeom == whole.body("support").geomnum
+    with pytest.raises(bank_reader.BankError, match="no files of an object"):
+        reader.object_xml("nothing")
+
+
 def test_an_old_bank_gives_the_models_of_its_scene_files():
     bank = bank_reader.Bank(GOLDEN)
     for index in bank.arrays.index.tolist():

@@ -6,11 +6,8 @@ without them the tests are skipped. Drake, which comes with the extra peers, is 
 `tests/peers` holds what is run; it prints JSON.
 """
 
-import json
 import os
-import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,15 +15,15 @@ import pytest
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.scene.export import export_scenes
+from tests.helpers.environments import ask_peer
 from tests.helpers.exports import NAMES, assert_same_pose, spread
 
-PEERS = Path(__file__).parents[1] / "peers"
 SECONDS = 2.0
 WITH_TALL = ("mug", "bottle", "dinner_plate", "mug#2")
 """One stands as high as the hand of a robot beside the table."""
 
 
-def asked(peer, format, names, tmp_path):
+def asked(peer, format, names, tmp_path, *words):
     """Two scenes of the same objects, and what a peer reports of their export, chiefly of the first."""
     python = os.environ.get(f"CLUTTERGEN_{peer.upper()}_PYTHON")
     if peer == "drake":
@@ -40,29 +37,21 @@ def asked(peer, format, names, tmp_path):
         for index, (own, turn) in enumerate([(names, 0.7), (names[1:] + names[:1], 0.2)])
     ]
     folder = export_scenes(scenes, tmp_path / "out", format)
-    return scenes, read_by(peer, python, folder)
-
-
-def read_by(peer, python, folder):
-    """What a peer reports of an export."""
-    command = [python, str(PEERS / f"read_in_{peer}.py"), str(folder), str(SECONDS)]
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    ran = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=280)
-    assert ran.returncode == 0, ran.stderr[-3000:]
-    return json.loads(ran.stdout.splitlines()[-1])
+    return scenes, ask_peer(peer, python, folder, SECONDS, *words)
 
 
 @pytest.mark.parametrize(
-    ("peer", "format", "names"),
+    ("peer", "format", "names", "words"),
     [
-        ("drake", "sdf", NAMES),
-        ("maniskill", "maniskill", NAMES),
-        ("robosuite", "robosuite", NAMES),
-        ("libero", "libero", WITH_TALL),
+        ("drake", "sdf", NAMES, [".sdf"]),
+        pytest.param("drake", "sdf", NAMES, [".dmd.yaml"], marks=pytest.mark.slow),
+        ("maniskill", "maniskill", NAMES, []),
+        ("robosuite", "robosuite", NAMES, []),
+        ("libero", "libero", WITH_TALL, []),
     ],
 )
-def test_peers_read_poses_and_masses_and_the_scene_stands(peer, format, names, tmp_path):
-    scenes, report = asked(peer, format, names, tmp_path)
+def test_peers_read_poses_and_masses_and_the_scene_stands(peer, format, names, words, tmp_path):
+    scenes, report = asked(peer, format, names, tmp_path, *words)
     scene = scenes[0]
     for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
         for moment in ("before", "restored"):

@@ -1,11 +1,13 @@
 """Scenes that travel: self-contained folders for MuJoCo, PyBullet, Drake, Isaac, glTF viewers and others.
 
 folder: `export_scenes`, licences and origin; its cameras are those of `scene.cameras`. formats: what there
-is. urdf, sdf, usd, glb, robosuite: one kind of file each (MJCF is `scene.xml`). scene_json: that of loaders,
+is. bank_folder: formats that take a whole bank. urdf, sdf, usd, glb, robosuite, molmospaces, arena: one kind
+of file each (MJCF is `scene.xml`). simready: what USD objects say of themselves. scene_json: that of loaders,
 ManiSkill's included. meshes, frames: what they share. scripts: data, not code: loaders that travel along.
 """
 
+from cluttergen_jax.scene.export.bank_folder import BANK_FORMATS, export_bank
 from cluttergen_jax.scene.export.folder import export_scenes
 from cluttergen_jax.scene.export.formats import FORMATS, Format
 
-__all__ = ["FORMATS", "Format", "export_scenes"]
+__all__ = ["BANK_FORMATS", "FORMATS", "Format", "export_bank", "export_scenes"]

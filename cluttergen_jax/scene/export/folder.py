@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import importlib.resources
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
@@ -25,8 +27,9 @@ from cluttergen_jax.files import folder_whole, inside
 from cluttergen_jax.kept_folder import lock_beside
 from cluttergen_jax.scene import Scene, scene_cameras
 from cluttergen_jax.scene.collection import check_alike
-from cluttergen_jax.scene.export.formats import Format, find_format
-from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER, object_folder
+from cluttergen_jax.scene.export.formats import FORMATS, Format, find_format
+from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER
+from cluttergen_jax.scene.export.molmospaces import read_grasps, write_grasps
 from cluttergen_jax.scene.export.scene_json import cameras_record, objects_record
 
 MANIFEST = "MANIFEST.json"
@@ -40,6 +43,7 @@ def export_scenes(
     *,
     overwrite: bool = False,
     cameras: Sequence[str] = (),
+    grasps: str | Path | None = None,
 ) -> Path:
     """Writes scenes as a self-contained folder.
 
@@ -49,31 +53,52 @@ def export_scenes(
       format: a key of `FORMATS`.
       overwrite: replace an earlier export that is there.
       cameras: of `scene.CAMERAS`, to be added to every scene; `scene.scene_cameras` says where they stand.
+      grasps: a file of `cluttergen robot grasps --out`, for formats that have grasps: "molmospaces".
 
     Returns:
       The folder.
 
     Raises:
-      ConfigError: no such format, no such camera, no scenes, scenes that do not go together, or `out` exists.
+      ConfigError: no such format, no such camera, no scenes, scenes that do not go together, or `out` exists;
+        grasps that the format does not take, that cannot be read, or that are of other objects.
       BankError: another export is being written there.
       MissingExtraError: the format needs a package that is not installed.
       UnsafePathError: an object's name is a path that leads out of the folder.
     """
     kind, out = find_format(format), Path(out)
-    _check_place(out, overwrite)
+    if grasps is not None and not kind.takes_grasps:
+        allowed = ", ".join(each.name for each in FORMATS.values() if each.takes_grasps)
+        raise ConfigError(f"grasps in the format {format!r}", f"grasps with: {allowed}")
+    transforms = {} if grasps is None else read_grasps(grasps)
+    check_place(out, overwrite)
     with lock_beside(out):
         # The process that held the lock may have made it meanwhile.
-        _check_place(out, overwrite)
+        check_place(out, overwrite)
         with folder_whole(out) as fresh:
             if cameras:
                 scenes = (replace(each, cameras=scene_cameras(each.support, cameras)) for each in scenes)
-            _Folder(fresh, kind).write(scenes)
+            folder = _Folder(fresh, kind, transforms)
+            folder.write(scenes)
+            if grasps is not None and not folder.num_grasped:
+                given = f"grasps {str(grasps)!r}, of none of the objects in these scenes"
+                raise ConfigError(
+                    given, "grasps of the same objects", "`cluttergen robot grasps` of their pool"
+                )
             # Where the file system knows no locks, another export may have been faster.
-            _check_place(out, overwrite)
+            check_place(out, overwrite)
     return out
 
 
-def _check_place(out: Path, overwrite: bool) -> None:
+def generator_version() -> str:
+    """This package's own."""
+    try:
+        return version("cluttergen_jax")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def check_place(out: Path, overwrite: bool) -> None:
+    """Refuses a place where something is, but for an earlier export that is to be replaced (ConfigError)."""
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     if not overwrite:
@@ -89,8 +114,9 @@ def _check_place(out: Path, overwrite: bool) -> None:
 class _Folder:
     """The folder while it grows."""
 
-    def __init__(self, path: Path, kind: Format) -> None:
-        self._path, self._kind = path, kind
+    def __init__(self, path: Path, kind: Format, grasps: Mapping[str, np.ndarray]) -> None:
+        self._path, self._kind, self._grasps = path, kind, grasps
+        self.num_grasped = 0
         self._assets: dict[str, ObjectAsset] = {}
         self._records: list[dict[str, object]] = []
         self._taken: set[int] = set()
@@ -113,10 +139,13 @@ class _Folder:
                 self._kind.write_support(place, scene.support, scene.contact)
         for asset in scene.assets.values():
             self._assets.setdefault(asset.name, asset)
-            folder = object_folder(asset.name)
+            folder = self._kind.object_folder(asset)
             is_there = inside(self._path, folder).exists()
             if self._kind.write_object and not is_there:
                 self._kind.write_object(self._make_folder(folder), asset, scene.contact)
+                if (transforms := self._grasps.get(object_hash(asset))) is not None:
+                    write_grasps(self._path / folder, transforms)
+                    self.num_grasped += 1
         # The scene's own number, or the next that is free.
         number = scene.origin.index if scene.origin.index not in self._taken else max(self._taken) + 1
         self._taken.add(number)
@@ -131,11 +160,7 @@ class _Folder:
 
     def _add_papers(self, first: Scene) -> None:
         assets = list(self._assets.values())
-        try:
-            generator = version("cluttergen_jax")
-        except PackageNotFoundError:
-            generator = "unknown"
-        record = manifest(self._kind.name, generator, assets, first, self._records)
+        record = manifest(self._kind, generator_version(), assets, first, self._records)
         self._save(MANIFEST, json.dumps(record, indent=1) + "\n")
         self._save(LICENCES, licences_text(first.support, assets, self._kind.script))
         self._save("README.txt", _readme(self._kind, len(self._records), first))
@@ -164,7 +189,7 @@ def _readme(kind: Format, num_scenes: int, first: Scene) -> str:
 
 
 def manifest(
-    format_name: str,
+    kind: Format,
     generator: str,
     assets: Sequence[ObjectAsset],
     first: Scene,
@@ -175,7 +200,7 @@ def manifest(
     return {
         "format": 1,
         "kind": "cluttergen export",
-        "export_format": format_name,
+        "export_format": kind.name,
         "generator": {"cluttergen_jax": generator},
         "conventions": "metres, kilograms, seconds; quaternions wxyz; z up; origin on the floor",
         "physics": {"timestep": first.stability.timestep, **asdict(first.contact)},
@@ -192,7 +217,7 @@ def manifest(
             {
                 "name": asset.name,
                 "label": asset.label,
-                "folder": object_folder(asset.name),
+                "folder": kind.object_folder(asset),
                 **asdict(asset.provenance),
                 "hash": object_hash(asset),
                 "tier": asset.tier,

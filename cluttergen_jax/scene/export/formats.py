@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import SHARED_IMAGES
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene.export.arena import write_layout
 from cluttergen_jax.scene.export.glb import glb_bytes
-from cluttergen_jax.scene.export.meshes import write_object_meshes, write_support_meshes
+from cluttergen_jax.scene.export.meshes import (
+    object_folder,
+    registry_folder,
+    usd_folder,
+    write_object_meshes,
+    write_support_meshes,
+)
+from cluttergen_jax.scene.export.molmospaces import asset_json, scene_metadata
 from cluttergen_jax.scene.export.robosuite import robosuite_xml, support_xml
 from cluttergen_jax.scene.export.scene_json import maniskill_json, scene_json
-from cluttergen_jax.scene.export.sdf import sdf_text
+from cluttergen_jax.scene.export.sdf import PACKAGE_XML, model_directives, object_sdf, sdf_text, support_sdf
 from cluttergen_jax.scene.export.urdf import object_urdf, support_urdf
-from cluttergen_jax.scene.xml import scene_xml
+from cluttergen_jax.scene.xml import object_xml, scene_xml
 
 WriteObject = Callable[[Path, ObjectAsset, ContactConfig], None]
 WriteSupport = Callable[[Path, SupportAsset, ContactConfig], None]
@@ -38,6 +47,8 @@ class Format:
       write_object, write_support: write what all scenes share into a folder; None where a scene holds all.
       write_scene: writes a scene's file.
       script: a stand-alone loader that travels along, in `export/scripts`; "" for none.
+      object_folder: where an object's files lie, relative to the export's folder.
+      takes_grasps: grasps are written into objects' folders.
       notes: more for the README: the settings that the program needs, and what it takes from the files.
       require: raises MissingExtraError if a package that the format needs is not installed.
     """
@@ -49,6 +60,8 @@ class Format:
     write_support: WriteSupport | None
     write_scene: WriteScene
     script: str = ""
+    object_folder: Callable[[ObjectAsset], str] = lambda asset: object_folder(asset.name)
+    takes_grasps: bool = False
     notes: str = ""
     require: Callable[[], None] = lambda: None
 
@@ -57,13 +70,14 @@ def _files(
     meshes: Callable[[Path, Any], None],
     model: Callable[[Any, ContactConfig], bytes] | None = None,
     ending: str = "",
+    name: str = "",
 ) -> Callable[[Path, Any, ContactConfig], None]:
-    """Writes what all scenes share of an object or the support: meshes, and a model named as its folder."""
+    """Writes an object or the support: meshes, and a model called `name`, or as its folder."""
 
     def write(folder: Path, asset: Any, contact: ContactConfig) -> None:
         meshes(folder, asset)
         if model is not None:
-            (folder / f"{folder.name}.{ending}").write_bytes(model(asset, contact))
+            (folder / f"{name or folder.name}.{ending}").write_bytes(model(asset, contact))
 
     return write
 
@@ -88,15 +102,52 @@ def _mjcf_text(scene: Scene, names_detector: bool = True) -> bytes:
     )
 
 
+def _write_molmospaces_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
+    write_object_meshes(folder, asset)
+    (folder / f"{asset.name}.xml").write_bytes(object_xml(asset, contact, SHARED_IMAGES))
+    (folder / f"{asset.name}.json").write_bytes(asset_json(asset))
+
+
+def _write_molmospaces_scene(path: Path, scene: Scene) -> None:
+    path.write_bytes(_mjcf_text(scene))
+    path.with_name(f"{path.stem}_metadata.json").write_bytes(scene_metadata(scene))
+
+
+def _write_sdf_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
+    _files(write_support_meshes, support_sdf, "sdf")(folder, support, contact)
+    (folder.parents[1] / "package.xml").write_text(PACKAGE_XML, encoding="ascii")
+
+
+def _write_sdf_scene(path: Path, scene: Scene) -> None:
+    path.write_bytes(sdf_text(scene))
+    path.with_suffix(".dmd.yaml").write_bytes(model_directives(scene))
+
+
+def _write_arena_scene(path: Path, scene: Scene) -> None:
+    _usd("write_scene_usd")(path, scene)
+    write_layout(path.parents[1], scene)
+
+
 def _usd(function: str) -> Callable[..., None]:
     """A function of `scene.export.usd`, imported when it is called: USD's library takes a while to load."""
     return lambda *args: getattr(importlib.import_module("cluttergen_jax.scene.export.usd"), function)(*args)
 
 
+def _robocasa_file(asset: ObjectAsset) -> str:
+    return f"{registry_folder(asset)}/model.xml"
+
+
+_MOLMOSPACES_NOTES = (
+    "With grasps (assets/objects/UID/franka/grasps.npz): python -m "
+    "molmo_spaces.resources.generate_user_grasp_library_index assets/objects, then "
+    "register_user_grasp_library('cluttergen', Path('assets/objects'), 'cluttergen')."
+)
 _DRAKE_NOTES = (
     "For Drake (1.40 or newer) parts and boxes are compliant hydroelastic bodies of 1e9 Pa with the friction "
     "of the scene (drake:proximity_properties); other readers skip this. The plant needs the time step named "
-    "above, and all else as Drake has it: contact hydroelastic_with_fallback, approximation lagged."
+    "above, and all else as Drake has it: contact hydroelastic_with_fallback, approximation lagged. "
+    "scenes/NUMBER.dmd.yaml are the same as model directives, after "
+    "parser.package_map().AddPackageXml('package.xml')."
 )
 _ROBOSUITE = (
     _files(write_object_meshes, robosuite_xml, "xml"),
@@ -104,6 +155,16 @@ _ROBOSUITE = (
     _scene_writer(partial(scene_json, ending="xml")),
 )
 """Objects, support and scene as robosuite reads them, and LIBERO, which is built on it."""
+_USD = Format(
+    "usd",
+    "Isaac Sim, Omniverse or usdview: open scenes/NUMBER.usda. Physics is UsdPhysics.",
+    "usda",
+    _usd("write_object_usd"),
+    _usd("write_support_usd"),
+    _usd("write_scene_usd"),
+    require=_usd("require_usd"),
+    object_folder=usd_folder,
+)
 _ALL = (
     Format(
         "mjcf",
@@ -136,20 +197,12 @@ _ALL = (
         "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'), the plant made by "
         "AddMultibodyPlantSceneGraph(builder, time_step=1/240); Gazebo: gz sim scenes/NUMBER.sdf.",
         "sdf",
-        _files(write_object_meshes),
-        _files(write_support_meshes),
-        _scene_writer(sdf_text),
+        _files(write_object_meshes, object_sdf, "sdf"),
+        _write_sdf_support,
+        _write_sdf_scene,
         notes=_DRAKE_NOTES,
     ),
-    Format(
-        "usd",
-        "Isaac Sim, Omniverse or usdview: open scenes/NUMBER.usda. Physics is UsdPhysics.",
-        "usda",
-        _usd("write_object_usd"),
-        _usd("write_support_usd"),
-        _usd("write_scene_usd"),
-        require=_usd("require_usd"),
-    ),
+    _USD,
     Format(
         "glb",
         "any glTF viewer; the second glTF scene shows the collision parts.",
@@ -182,6 +235,38 @@ _ALL = (
         "json",
         *_ROBOSUITE,
         script="cluttergen_libero.py",
+    ),
+    Format(
+        "robocasa",
+        "RoboCasa: import cluttergen_robocasa, then cluttergen_robocasa.register(); tasks draw these objects "
+        "with robosuite.make(TASK, obj_registries=('cluttergen',), obj_groups='cluttergen', ...).",
+        "json",
+        _files(write_object_meshes, partial(robosuite_xml, region=True), "xml", "model"),
+        _ROBOSUITE[1],
+        _scene_writer(partial(scene_json, ending="xml", file_of=_robocasa_file)),
+        script="cluttergen_robocasa.py",
+        object_folder=registry_folder,
+    ),
+    Format(
+        "molmospaces",
+        "MolmoSpaces 0.2: python -m molmo_spaces.resources.generate_user_asset_library_index assets/objects, "
+        "then register_user_asset_library('cluttergen', Path('assets/objects')) and, with scene_dataset "
+        "'user', scene_xml_paths=['scenes/NUMBER.xml'].",
+        "xml",
+        _write_molmospaces_object,
+        _files(write_support_meshes),
+        _write_molmospaces_scene,
+        notes=_MOLMOSPACES_NOTES,
+        takes_grasps=True,
+    ),
+    replace(
+        _USD,
+        name="arena",
+        opens_in="Isaac Lab-Arena 0.4: cluttergen_arena.register() once Isaac has started, then "
+        "environment_runner.py --env_spec layouts/NAME.yaml --placement_layouts layouts/NAME.jsonl.",
+        write_scene=_write_arena_scene,
+        script="cluttergen_arena.py",
+        notes="Scenes of the same objects are rows of the same file.",
     ),
 )
 FORMATS = {each.name: each for each in _ALL}

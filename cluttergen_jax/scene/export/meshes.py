@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from cluttergen_jax.assets.obj import mesh_text, part_name, shaded_text, write_parts
@@ -14,6 +16,41 @@ from cluttergen_jax.assets.support import SupportAsset
 def object_folder(name: str) -> str:
     """Where an asset's files lie, relative to the export's folder."""
     return f"assets/objects/{name}"
+
+
+def category(asset: ObjectAsset) -> str:
+    """What kind of thing an asset is, in one word of a-z, 0-9 and _: that of its synset, or its own name."""
+    return _NO_WORD.sub("_", (asset.synset.partition(".")[0] or asset.name).lower())
+
+
+def registry_folder(asset: ObjectAsset) -> str:
+    """Where RoboCasa looks for an asset: objects/REGISTRY/CATEGORY/OBJECT."""
+    return f"objects/cluttergen/{category(asset)}/{asset.name}"
+
+
+def usd_folder(asset: ObjectAsset) -> str:
+    """Where an object's USD lies: SimReady asks for a folder between it and the one called as the object."""
+    return f"{object_folder(asset.name)}/usd"
+
+
+def identifier(name: str) -> str:
+    """A name as USD and Python allow it."""
+    own = re.sub("[^A-Za-z0-9_]", "_", name)
+    return f"_{own}" if own[:1].isdigit() else own
+
+
+def identifiers(names: Sequence[str]) -> list[str]:
+    """Names as `identifier` makes them, still unique."""
+    result: list[str] = []
+    for name in names:
+        own = identifier(name)
+        while own in result:
+            own += "_"
+        result.append(own)
+    return result
+
+
+_NO_WORD = re.compile("[^a-z0-9]+")
 
 
 SUPPORT_FOLDER = "assets/support"

@@ -20,8 +20,12 @@ _COLLIDES, _DRAWN = "0", "1"
 """robosuite's geom groups."""
 
 
-def robosuite_xml(asset: ObjectAsset, contact: ContactConfig) -> bytes:
-    """A free object; robosuite adds the joint."""
+def robosuite_xml(asset: ObjectAsset, contact: ContactConfig, region: bool = False) -> bytes:
+    """A free object; robosuite adds the joint.
+
+    Args:
+      region: add the box `reg_bbox`, by which RoboCasa knows an object's size.
+    """
     root, assets, body, shell = _model(asset.name)
     moments = np.asarray(asset.inertia)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     ET.SubElement(
@@ -38,6 +42,9 @@ def robosuite_xml(asset: ObjectAsset, contact: ContactConfig) -> bytes:
         ET.SubElement(body, "geom", touch | place, group=_COLLIDES, rgba="0 0 0 0")
     for index, piece in enumerate(drawn_pieces(asset)):
         _add_visual(assets, body, index, piece, object_image(piece))
+    if region:
+        box = {"type": "box", "pos": "0 0 0", "size": text(asset.half_extents)}
+        ET.SubElement(body, "geom", _unseen((0.0, 0.0, 0.0, 0.0)) | box, name="reg_bbox")
     _add_sites(shell, -asset.half_extents[2], asset.half_extents)
     return _bytes(root)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import posixpath
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,11 @@ def cameras_record(scene: Scene) -> dict[str, object]:
 
 
 def scene_json(
-    scene: Scene, ending: str = "", more: Mapping[str, Any] | None = None, support: Any = None
+    scene: Scene,
+    ending: str = "",
+    more: Mapping[str, Any] | None = None,
+    support: Any = None,
+    file_of: Callable[[ObjectAsset], str] | None = None,
 ) -> bytes:
     """A scene's file for a loader; paths are relative to the export's folder.
 
@@ -76,7 +81,12 @@ def scene_json(
       ending: of the model file that each object and the support have; "" for none.
       more: more about each asset, by its name.
       support: more about the support.
+      file_of: where an object's model lies, if not in its folder, called as it.
     """
+
+    def model(asset: ObjectAsset) -> str:
+        return file_of(asset) if file_of else f"{object_folder(asset.name)}/{asset.name}.{ending}"
+
     contact = scene.contact
     sliding, torsional, rolling = contact.friction
     record = {
@@ -99,11 +109,11 @@ def scene_json(
         },
         "assets": {
             name: {
-                "folder": object_folder(name),
-                **({"file": f"{object_folder(name)}/{name}.{ending}"} if ending else {}),
+                "folder": posixpath.dirname(model(asset)),
+                **({"file": model(asset)} if ending else {}),
                 **(more or {}).get(name, {}),
             }
-            for name in scene.assets
+            for name, asset in scene.assets.items()
         },
         "objects": objects_record(scene),
         **cameras_record(scene),

@@ -1,7 +1,8 @@
 """USD with UsdPhysics: one file per object and one for the support, referenced by one stage per scene.
 
 Metres, kilograms, z up. An object is a rigid body with a mass; its parts are undrawn meshes whose collider is
-their convex hull, bound to a physics material. This needs the optional extra `usd`.
+their convex hull, bound to a physics material; and it is a SimReady prop: folder, metadata, labels, picture.
+This needs the optional extra `usd`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import write_images
 from cluttergen_jax.assets.shading import linear, shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
@@ -24,13 +26,14 @@ from cluttergen_jax.scene import Camera, Scene
 from cluttergen_jax.scene.export.frames import friction_of, principal_of
 from cluttergen_jax.scene.export.meshes import (
     SUPPORT_FOLDER,
+    category,
     drawn_pieces,
-    object_folder,
-    object_image,
+    identifiers,
     support_image,
-    write_object_images,
+    usd_folder,
     write_support_images,
 )
+from cluttergen_jax.scene.export.simready import MATERIAL, QCODE, SIZE, metadata, thumbnail
 
 try:
     from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, Vt
@@ -60,12 +63,18 @@ def write_object_usd(folder: Path, asset: ObjectAsset, contact: ContactConfig) -
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*principal.moments.tolist()))
     mass.CreatePrincipalAxesAttr(Gf.Quatf(*principal.turn.tolist()))
     _note(prim, asset.label, asset.provenance)
+    _add_metadata(stage, metadata(asset))
+    _add_label(prim, "class", category(asset))
+    _add_label(prim, "wikidata_qcode", QCODE)
     pieces = drawn_pieces(asset)
-    _add_visuals(stage, pieces, [object_image(piece) for piece in pieces])
-    write_object_images(folder, asset)
+    _add_visuals(stage, pieces, [support_image(piece) for piece in pieces], "./textures/")
+    write_images(folder / "textures", asset.textures)
+    picture = folder / ".thumbs" / f"{SIZE}x{SIZE}" / f"{asset.name}.usda.png"
+    picture.parent.mkdir(parents=True)
+    picture.write_bytes(thumbnail(asset))
     material = _add_contact(stage, friction_of(asset, contact)[0], contact)
     for index, part in enumerate(asset.parts):
-        _add_part(stage, f"{_collisions(stage)}/part_{index:02d}", part, material)
+        _add_part(stage, f"{_collisions(stage)}/part_{index:02d}", part, material, contact)
     stage.GetRootLayer().Save()
 
 
@@ -86,9 +95,9 @@ def write_support_usd(folder: Path, support: SupportAsset, contact: ContactConfi
         cube.CreateDisplayColorAttr([Gf.Vec3f(*linear(box.rgba)[:3])])
         if not support.pieces:
             _bind(cube.GetPrim(), _colour(stage, box.rgba))
-        _make_collider(cube.GetPrim(), material)
+        _make_collider(cube.GetPrim(), material, contact)
     for index, part in enumerate(support.parts):
-        _add_part(stage, f"{parent}/part_{index:02d}", part, material)
+        _add_part(stage, f"{parent}/part_{index:02d}", part, material, contact)
         if not support.pieces:
             _bind(stage.GetPrimAtPath(f"{parent}/part_{index:02d}"), _colour(stage, PART_RGBA))
     stage.GetRootLayer().Save()
@@ -109,11 +118,11 @@ def write_scene_usd(path: Path, scene: Scene) -> None:
     support = UsdGeom.Xform.Define(stage, "/World/support").GetPrim()
     support.GetReferences().AddReference(f"../{SUPPORT_FOLDER}/support.usda")
     UsdGeom.Xform.Define(stage, "/World/objects")
-    names = _identifiers(scene.names)
+    names = identifiers(scene.names)
     for name, own, asset, pose in zip(scene.names, names, scene.objects, scene.poses, strict=True):
         body = UsdGeom.Xform.Define(stage, f"/World/objects/{own}")
         body.GetPrim().SetDisplayName(name)
-        body.GetPrim().GetReferences().AddReference(f"../{object_folder(asset.name)}/{asset.name}.usda")
+        body.GetPrim().GetReferences().AddReference(f"../{usd_folder(asset)}/{asset.name}.usda")
         _place(body, pose[:3], pose[3:])
     for each in scene.cameras:
         _add_camera(stage, each)
@@ -128,17 +137,6 @@ def _add_camera(stage: Any, camera: Camera) -> None:
     prim.CreateHorizontalApertureAttr(2 * _FOCAL_LENGTH * np.tan(np.radians(camera.fovx) / 2))
     prim.CreateVerticalApertureAttr(2 * _FOCAL_LENGTH * np.tan(np.radians(camera.fovy) / 2))
     prim.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
-
-
-def _identifiers(names: Sequence[str]) -> list[str]:
-    """Names as USD allows them, still unique."""
-    result: list[str] = []
-    for name in names:
-        own = Tf.MakeValidIdentifier(name)
-        while own in result:
-            own += "_"
-        result.append(own)
-    return result
 
 
 def _new_stage(path: Path) -> Any:
@@ -183,8 +181,22 @@ def _place(xformable: Any, position: np.ndarray, quaternion: np.ndarray) -> None
     xformable.AddOrientOp(double).Set(Gf.Quatd(*quaternion.tolist()))
 
 
-def _add_visuals(stage: Any, pieces: Sequence[Piece], images: Sequence[str | None]) -> None:
-    for index, (piece, image) in enumerate(zip(pieces, images, strict=True)):
+def _add_metadata(stage: Any, fields: dict[str, Any]) -> None:
+    """In the layer, and once more in a dictionary, since rules of different versions look in either."""
+    fields = fields | {"asset_extents": Gf.Vec3f(*fields["asset_extents"])}
+    stage.GetRootLayer().customLayerData = fields | {"SimReady_Metadata": fields}
+
+
+def _add_label(prim: Any, taxonomy: str, label: str) -> None:
+    """Labels need no schema to be read, and older USD has none for them."""
+    prim.AddAppliedSchema(f"SemanticsLabelsAPI:{taxonomy}")
+    kind = Sdf.ValueTypeNames.TokenArray
+    prim.CreateAttribute(f"semantics:labels:{taxonomy}", kind, custom=False).Set([label])
+
+
+def _add_visuals(stage: Any, pieces: Sequence[Piece], images: Sequence[str | None], folder: str = "") -> None:
+    for index, (piece, name) in enumerate(zip(pieces, images, strict=True)):
+        image = None if name is None else folder + name
         mesh = _add_mesh(stage, f"{_root(stage)}/visuals/piece_{index:02d}", piece.mesh, piece.uv)
         mesh.CreateDisplayColorAttr([Gf.Vec3f(*linear(piece.mean_rgba)[:3])])
         mesh.CreateDisplayOpacityAttr([piece.rgba[3]])
@@ -209,11 +221,12 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh, uv: np.ndarray | None = None) -
     return result
 
 
-def _add_part(stage: Any, path: str, part: Mesh, material: Any) -> None:
+def _add_part(stage: Any, path: str, part: Mesh, material: Any, contact: ContactConfig) -> None:
     """A collider that is the convex hull of a part."""
     mesh = _add_mesh(stage, path, part.hull())
     UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
-    _make_collider(mesh.GetPrim(), material)
+    mesh.GetPrim().AddAppliedSchema("NewtonMeshCollisionAPI")
+    _make_collider(mesh.GetPrim(), material, contact)
 
 
 def _colour(stage: Any, rgba: tuple[float, ...], image: str | None = None) -> Any:
@@ -226,6 +239,7 @@ def _colour(stage: Any, rgba: tuple[float, ...], image: str | None = None) -> An
         return existing
     UsdGeom.Scope.Define(stage, f"{_root(stage)}/materials")
     material = UsdShade.Material.Define(stage, path)
+    _add_label(material.GetPrim(), "material", MATERIAL)
     shader = UsdShade.Shader.Define(stage, f"{path}/surface")
     shader.CreateIdAttr("UsdPreviewSurface")
     red, green, blue, alpha = linear(rgba)
@@ -266,6 +280,7 @@ def _bind(prim: Any, material: Any) -> None:
 def _add_contact(stage: Any, sliding: float, contact: ContactConfig) -> Any:
     UsdGeom.Scope.Define(stage, f"{_root(stage)}/materials")
     material = UsdShade.Material.Define(stage, f"{_root(stage)}/materials/contact")
+    _add_label(material.GetPrim(), "material", MATERIAL)
     physics = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
     physics.CreateStaticFrictionAttr(sliding)
     physics.CreateDynamicFrictionAttr(sliding)
@@ -280,7 +295,18 @@ def _add_contact(stage: Any, sliding: float, contact: ContactConfig) -> Any:
     return material
 
 
-def _make_collider(prim: Any, material: Any) -> None:
+def _make_collider(prim: Any, material: Any, contact: ContactConfig) -> None:
+    """A collider with the words of MuJoCo's and Newton's own schemas, which are no part of USD."""
     UsdPhysics.CollisionAPI.Apply(prim)
+    for schema in ("MjcCollisionAPI", "NewtonCollisionAPI"):
+        prim.AddAppliedSchema(schema)
+    numbers = Sdf.ValueTypeNames.DoubleArray
+    for name, kind, value in (
+        ("condim", Sdf.ValueTypeNames.Int, contact.condim),
+        ("solref", numbers, Vt.DoubleArray(contact.solref)),
+        ("solimp", numbers, Vt.DoubleArray(contact.solimp)),
+    ):
+        uniform = Sdf.VariabilityUniform
+        prim.CreateAttribute(f"mjc:{name}", kind, False, uniform).Set(value)
     binding = UsdShade.MaterialBindingAPI.Apply(prim)
     binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
