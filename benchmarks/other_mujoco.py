@@ -11,6 +11,7 @@ of convex collisions it wants; `--libccd` and `--native` take the older and the 
 from __future__ import annotations
 
 import argparse
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -63,8 +64,13 @@ def main() -> None:
     check = partial(stands, detector=given.detector)
     for bank in given.banks:
         files = sorted((bank / "scenes").glob("*.xml"))
+        number = 0
         with ThreadPoolExecutor(given.threads) as threads:
-            number = sum(threads.map(check, files))
+            for place, (file, is_stable) in enumerate(zip(files, threads.map(check, files), strict=True), 1):
+                number += is_stable
+                if not is_stable or place % 50 == 0:
+                    text = f"{number} of {place} stand" if is_stable else f"{file.name} does not stand"
+                    print(text, file=sys.stderr, flush=True)
         print(f"{bank}: {number} of {len(files)} scenes stand 10 s in MuJoCo {mujoco.__version__}")
 
 

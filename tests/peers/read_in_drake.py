@@ -4,13 +4,14 @@ import json
 import sys
 from pathlib import Path
 
-from pydrake.all import AddMultibodyPlantSceneGraph, DiagramBuilder, Parser, Simulator
+from pydrake.all import AddMultibodyPlant, DiagramBuilder, MultibodyPlantConfig, Parser, Simulator
 
 folder, seconds = Path(sys.argv[1]), float(sys.argv[2])
 ending = sys.argv[3] if len(sys.argv) > 3 else ".sdf"
 own = json.loads((folder / "MANIFEST.json").read_text())["scenes"][0]
 builder = DiagramBuilder()
-plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=1 / 240)
+config = MultibodyPlantConfig(time_step=1 / 240, discrete_contact_approximation="sap")
+plant, _ = AddMultibodyPlant(config, builder)
 parser = Parser(plant)
 parser.package_map().AddPackageXml(str(folder / "package.xml"))
 parser.AddModels(str((folder / own["file"]).with_suffix(ending)))

@@ -68,8 +68,8 @@ def movement_elsewhere(
 
     Hulls, masses, inertias, sliding friction, gravity and time step are the scene's own (two objects that
     both have a friction of their own slide by the engine's rule for two bodies); everything else is the other
-    engine's default but for the hulls' margin in PyBullet (`BULLET_MARGIN`, metres) and, in Drake, the bodies'
-    stiffness (`scene.export.sdf.HYDROELASTIC_MODULUS`) and the approximation of contact, which is `sap`.
+    engine's default but for the hulls' margin in PyBullet (`BULLET_MARGIN`, metres) and, in Drake, the
+    bodies' stiffness (`scene.export.sdf.HYDROELASTIC_MODULUS`) and the solver, SAP.
 
     Args:
       engine: "pybullet" or "drake" (extra `peers`).

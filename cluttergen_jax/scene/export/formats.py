@@ -145,7 +145,7 @@ _MOLMOSPACES_NOTES = (
 _DRAKE_NOTES = (
     "For Drake (1.40 or newer) parts and boxes are compliant hydroelastic bodies of 1e9 Pa with the friction "
     "of the scene (drake:proximity_properties); other readers skip this. The plant needs the time step named "
-    "above, and all else as Drake has it: contact hydroelastic_with_fallback, approximation lagged. "
+    "above and the solver SAP, in which scenes stand; by the default, lagged, objects creep and turn. "
     "scenes/NUMBER.dmd.yaml are the same as model directives, after "
     "parser.package_map().AddPackageXml('package.xml')."
 )
@@ -195,7 +195,8 @@ _ALL = (
     Format(
         "sdf",
         "Drake: Parser(plant).AddModels('scenes/NUMBER.sdf'), the plant made by "
-        "AddMultibodyPlantSceneGraph(builder, time_step=1/240); Gazebo: gz sim scenes/NUMBER.sdf.",
+        "AddMultibodyPlant(MultibodyPlantConfig(time_step=1/240, discrete_contact_approximation='sap'), "
+        "builder); Gazebo: gz sim scenes/NUMBER.sdf.",
         "sdf",
         _files(write_object_meshes, object_sdf, "sdf"),
         _write_sdf_support,
