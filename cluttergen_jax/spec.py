@@ -187,9 +187,9 @@ class SceneSpec:
       overhang: how much of an object's footprint may reach beyond the edge of the support once it rests:
         "any"; "half", at most 25 % (a uniform body tips at 50 %); or "none".
       clutter: what scenes should have on average (methods "guided", "spread"): stack, number of objects on
-        others; depth, sum over objects of those below; contacts, touching pairs; near, mean distance to the
-        nearest object (m); occlusion, mean hidden share of an object. As text "stack=3,near=0.02"; in Python
-        also a mapping.
+        others; contained, number of objects inside of hollow others, such as bowls and pots; depth, sum over
+        objects of those below; contacts, touching pairs; near, mean distance to the nearest object (m);
+        occlusion, mean hidden share of an object. As text "stack=3,near=0.02"; in Python also a mapping.
       natural: prefer wide, flat objects below and small ones on top (methods "guided", "spread").
       tidy: keep room instead of spreading objects out: more objects fit, but scenes are less diverse (methods
         "guided", "spread").

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -24,11 +25,12 @@ from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
-from cluttergen_jax.placement.related import relate_objects
+from cluttergen_jax.placement.related import IN, relate_objects
 from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.search.hollows import find_hollows
 from cluttergen_jax.placement.support_map import make_support_map
 from cluttergen_jax.placement.surface_set import SurfaceSet, check_surface
-from cluttergen_jax.placement.types import Start
+from cluttergen_jax.placement.types import Geometry, Start
 from cluttergen_jax.placement.world import (
     NUM_COLUMN_SAMPLES,
     World,
@@ -222,6 +224,11 @@ def compose(
             layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
         orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
     geometry = geometry_of(world, orientations)
+    wants_contained = bool(clutter and clutter.contained)
+    if wants_contained or (related is not None and bool(jnp.any(related.kind == IN))):
+        geometry = geometry.replace(hollows=find_hollows(world.objects, geometry))
+    if wants_contained and sizes is None:
+        check_contained(world, geometry)
     if sizes is None:
         physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
     else:
@@ -255,6 +262,16 @@ def compose(
         polygon=on_device(np.array(config.polygon)) if config.polygon else None,
     )
     return Problem(config, world, rules, region)
+
+
+def check_contained(world: World, geometry: Geometry) -> None:
+    """Refuses objects inside of others where none fits into any (ConfigError)."""
+    assert geometry.hollows is not None
+    if not bool(geometry.hollows.fits.any()):
+        names = [world.names[index] for index in np.flatnonzero(geometry.hollows.is_container)]
+        found = f"the hollow ones are {', '.join(names)}" if names else "none is hollow"
+        given = f"clutter contained with objects of which none fits into another; {found}"
+        raise ConfigError(given, "bowls, pots, cups or boxes, and smaller objects", "pool='dining+kitchen'")
 
 
 def _round_up(number: int) -> int:

@@ -11,11 +11,12 @@ from flax import struct
 
 from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, nearest_gaps, seen_shares
 from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.containers import contained, pairs_in
 from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.scenes import num_touching
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.support_graph import Supporters
-from cluttergen_jax.placement.types import Episode, Geometry
+from cluttergen_jax.placement.types import Episode, Geometry, Hollows
 from cluttergen_jax.types import Array
 
 _EARLY = 0.5
@@ -30,12 +31,16 @@ class Placing(struct.PyTreeNode):
       placed: the boxes of all objects.
       proposed: those of the current object at the candidates.
       supporters: what would carry it there.
+      openings: of all objects (`containers.openings_of`); hollows: which are hollow, and what fits into them;
+        None where nothing is asked of it.
     """
 
     episode: Episode
     placed: Boxes
     proposed: Boxes
     supporters: Supporters
+    openings: Boxes | None = None
+    hollows: Hollows | None = None
 
     @staticmethod
     def of(
@@ -53,13 +58,16 @@ class Placing(struct.PyTreeNode):
           focus: i32, the current object; quaternion: its orientation (`Body`).
           rest: f32[N], from `lower_onto`, metres.
         """
+        poses, hollows = safe_poses(episode.poses, episode.is_placed), geometry.hollows
         return Placing(
             episode=episode,
-            placed=Boxes.of(geometry.half_extents, safe_poses(episode.poses, episode.is_placed)),
+            placed=Boxes.of(geometry.half_extents, poses),
             proposed=proposed_boxes(
                 episode.region, geometry.half_extents[focus], quaternion, candidates, rest
             ),
             supporters=supporters,
+            openings=None if hollows is None else hollows.boxes(poses),
+            hollows=hollows,
         )
 
 
@@ -97,11 +105,13 @@ class Feature(NamedTuple):
       total: of the placed objects of an episode, f32.
       added: f32[N], by how much each candidate would change it.
       is_mean: its target is a mean over the objects, of which `total` is the sum.
+      num_able: of the objects that are left those that can add to it, f32; None for all.
     """
 
     total: Callable[[Placing], Array]
     added: Callable[[Placing], Array]
     is_mean: bool = False
+    num_able: Callable[[Placing], Array] | None = None
 
 
 def _num_on(at: Placing) -> Array:
@@ -118,6 +128,31 @@ def _levels(at: Placing) -> Array:
 
 def _num_touching(at: Placing) -> Array:
     return num_touching(at.episode.support_graph.leans_on, at.episode.is_placed).astype(jnp.float32)
+
+
+def _num_contained(at: Placing) -> Array:
+    hollows, openings = _hollows(at)
+    inside = contained(at.placed, openings, at.episode.is_placed, hollows.is_container)
+    return inside.sum().astype(jnp.float32)
+
+
+def _contained_added(at: Placing) -> Array:
+    hollows, openings = _hollows(at)
+    holds = hollows.is_container & at.episode.is_placed
+    return jnp.any(pairs_in(at.proposed, openings) & holds, axis=1).astype(jnp.float32)
+
+
+def _num_able_to_be_contained(at: Placing) -> Array:
+    hollows, _ = _hollows(at)
+    index = at.episode.object_index
+    is_left = (index >= 0) & (jnp.arange(len(index)) >= at.episode.slot)
+    fits = jnp.any(hollows.fits & at.episode.is_placed, axis=1)
+    return jnp.sum(fits[jnp.maximum(index, 0)] & is_left).astype(jnp.float32)
+
+
+def _hollows(at: Placing) -> tuple[Hollows, Boxes]:
+    assert at.hollows is not None and at.openings is not None
+    return at.hollows, at.openings
 
 
 def _sum_of_gaps(at: Placing) -> Array:
@@ -153,6 +188,7 @@ def _hidden_added(at: Placing) -> Array:
 
 FEATURES: dict[str, Feature] = {
     "stack": Feature(_num_on, lambda at: at.supporters.is_on.astype(jnp.float32)),
+    "contained": Feature(_num_contained, _contained_added, num_able=_num_able_to_be_contained),
     "depth": Feature(_depth, lambda at: at.supporters.level),
     "contacts": Feature(_num_touching, lambda at: at.supporters.touched.sum(1).astype(jnp.float32)),
     "near": Feature(_sum_of_gaps, _gaps_added, is_mean=True),
@@ -173,7 +209,8 @@ def remaining_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
         feature = FEATURES[name]
         asked = target * episode.num_slots if feature.is_mean else target
         # Not every object finds something to lie on: what is counted is asked of the first to come.
-        share = left if feature.is_mean else jnp.maximum(_EARLY * left, 1.0)
+        able = left if feature.num_able is None else feature.num_able(at)
+        share = left if feature.is_mean else jnp.maximum(_EARLY * able, 1.0)
         remaining.append((asked - feature.total(at)) / share)
         added.append(feature.added(at))
     return jnp.stack(remaining), jnp.stack(added, axis=1)
