@@ -15,6 +15,8 @@ BELOW_RIM = 0.005
 """Metres by which the lowest point of what is in a thing is below that one's rim."""
 INNER = 0.8
 """Of a box in plan: the part over which the middle of what is in a thing without a hollow has to be."""
+_FULL = 0.4
+"""Of a hollow, seen from above: so much of it several things together may fill that are drawn for it."""
 _MOST_WIDE = 1.5
 """Times the sides of an opening: so wide what leans in it, box and all, may be."""
 _MOST_TILTED = np.cos(np.radians(45.0)).item()
@@ -83,7 +85,7 @@ def draw_contents(
     """
     hollows, area = geometry.hollows, footprint_area(geometry)
     assert hollows is not None
-    room = 4 * hollows.half_extents[:, 0] * hollows.half_extents[:, 1]
+    room = 4 * _FULL * hollows.half_extents[:, 0] * hollows.half_extents[:, 1]
 
     def add(place: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         is_content, is_container, filled = state

@@ -192,8 +192,8 @@ class Rules(struct.PyTreeNode, eq=False):
         """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
 
         Those to place are a uniform subset of the objects not taken, whatever their order but "fixed"; those
-        of roles are among them and come first, each after those to which it is placed. Where objects are asked
-        for inside of others, so many that fit are among them, and what they fit into comes first.
+        of roles are among them and come first, each after those to which it is placed. Where objects are to
+        be inside of others, so many that fit are among them, and what they fit into comes first.
         """
         ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
         if self.config.order != "fixed":

@@ -30,13 +30,11 @@ _ABOVE = 96
 _MANY_ABOVE = 192
 _MANY = 0.3
 """Candidates over placed objects where some shall lie on others, and where more than `_MANY` of all shall."""
-_INSIDE = 96
+_INSIDE = 128
 
 _RELATED = 192
 """Candidates where relations hold that are asked for."""
 
-_WITHIN = 0.7
-"""Of a hollow's half sides: over so much of it."""
 _TIDY_FINALISTS = 96
 _CLOSER = 1e-6
 
@@ -221,13 +219,23 @@ def inside_objects(key: Array, scene: SearchScene, rules: Rules, number: int) ->
     openings = hollows.boxes(safe_poses(episode.poses, episode.is_placed))
     chance = jnp.where(episode.is_placed & hollows.fits[scene.focus], 0.0, -jnp.inf)
     reach = jnp.linalg.norm(hollows.half_extents[:, :2], axis=1) / jnp.sqrt(2.0)
-    return _over(key, scene, rules, (openings.center, _WITHIN * reach, chance), number)
+    # Round floors are flat in the middle alone.
+    return _over(key, scene, rules, (openings.center, reach, chance), number, number // 4)
 
 
 def _over(
-    key: Array, scene: SearchScene, rules: Rules, places: tuple[Array, Array, Array], number: int
+    key: Array,
+    scene: SearchScene,
+    rules: Rules,
+    places: tuple[Array, Array, Array],
+    number: int,
+    num_central: int = 0,
 ) -> Candidates:
-    """Candidates over K places: f32[K, 3], centres, world; f32[K], half sides; f32[K], log chances."""
+    """Candidates over K places: f32[K, 3], centres, world; f32[K], half sides; f32[K], log chances.
+
+    Args:
+      num_central: so many of them are the nearer to the centre.
+    """
     episode, (middle, reach, chance) = scene.episode, places
     key_which, key_at, key_yaw = jax.random.split(key, 3)
     noise = jax.random.gumbel(key_which, (number, len(chance)))
@@ -238,7 +246,10 @@ def _over(
     support_map = rules.support_map_of(episode)
     if support_map is not None and support_map.T_map_world is not None:
         center += middle[which, 2:3] * turn[:2, 2]
-    xy = center + reach[which, None] * jax.random.uniform(key_at, (number, 2), minval=-1.0)
+    offset = jax.random.uniform(key_at, (number, 2), minval=-1.0)
+    if num_central:
+        offset *= jnp.append(jnp.linspace(0.0, 1.0, num_central), jnp.ones(number - num_central))[:, None]
+    xy = center + reach[which, None] * offset
     xy = jnp.where(jnp.any(jnp.isfinite(chance)), xy, 0.0)
     limit = episode.region.half_extents
     yaw = jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi)

@@ -16,7 +16,7 @@ from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.scenes import num_touching
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.support_graph import Supporters
-from cluttergen_jax.placement.types import Episode, Geometry, Hollows
+from cluttergen_jax.placement.types import Episode, Geometry
 from cluttergen_jax.types import Array
 
 _EARLY = 0.5
@@ -31,8 +31,8 @@ class Placing(struct.PyTreeNode):
       placed: the boxes of all objects.
       proposed: those of the current object at the candidates.
       supporters: what would carry it there.
-      openings: of all objects (`containers.openings_of`); hollows: which are hollow, and what fits into them;
-        None where nothing is asked of it.
+      openings: of all objects (`containers.openings_of`); is_container: bool[K], which are hollow; can_hold:
+        bool[K], those into which the current object fits. None where nothing is asked of it.
     """
 
     episode: Episode
@@ -40,7 +40,8 @@ class Placing(struct.PyTreeNode):
     proposed: Boxes
     supporters: Supporters
     openings: Boxes | None = None
-    hollows: Hollows | None = None
+    is_container: Array | None = None
+    can_hold: Array | None = None
 
     @staticmethod
     def of(
@@ -67,7 +68,8 @@ class Placing(struct.PyTreeNode):
             ),
             supporters=supporters,
             openings=None if hollows is None else hollows.boxes(poses),
-            hollows=hollows,
+            is_container=None if hollows is None else hollows.is_container,
+            can_hold=None if hollows is None else hollows.fits[focus],
         )
 
 
@@ -105,13 +107,14 @@ class Feature(NamedTuple):
       total: of the placed objects of an episode, f32.
       added: f32[N], by how much each candidate would change it.
       is_mean: its target is a mean over the objects, of which `total` is the sum.
-      num_able: of the objects that are left those that can add to it, f32; None for all.
+      hinders: bool[N], the candidates that take the room that others need which are to add to it. Where it is
+        given, what remains is sought at once.
     """
 
     total: Callable[[Placing], Array]
     added: Callable[[Placing], Array]
     is_mean: bool = False
-    num_able: Callable[[Placing], Array] | None = None
+    hinders: Callable[[Placing], Array] | None = None
 
 
 def _num_on(at: Placing) -> Array:
@@ -131,28 +134,27 @@ def _num_touching(at: Placing) -> Array:
 
 
 def _num_contained(at: Placing) -> Array:
-    hollows, openings = _hollows(at)
-    inside = contained(at.placed, openings, at.episode.is_placed, hollows.is_container)
+    assert at.is_container is not None
+    assert at.openings is not None
+    inside = contained(at.placed, at.openings, at.episode.is_placed, at.is_container)
     return inside.sum().astype(jnp.float32)
 
 
 def _contained_added(at: Placing) -> Array:
-    hollows, openings = _hollows(at)
-    holds = hollows.is_container & at.episode.is_placed
-    return jnp.any(pairs_in(at.proposed, openings) & holds, axis=1).astype(jnp.float32)
+    return jnp.any(_inside(at), axis=1).astype(jnp.float32)
 
 
-def _num_able_to_be_contained(at: Placing) -> Array:
-    hollows, _ = _hollows(at)
-    index = at.episode.object_index
-    is_left = (index >= 0) & (jnp.arange(len(index)) >= at.episode.slot)
-    fits = jnp.any(hollows.fits & at.episode.is_placed, axis=1)
-    return jnp.sum(fits[jnp.maximum(index, 0)] & is_left).astype(jnp.float32)
+def _inside(at: Placing) -> Array:
+    """bool[N, K]: the placed containers in which the current object would be."""
+    assert at.is_container is not None
+    assert at.openings is not None
+    return pairs_in(at.proposed, at.openings) & at.episode.is_placed & at.is_container
 
 
-def _hollows(at: Placing) -> tuple[Hollows, Boxes]:
-    assert at.hollows is not None and at.openings is not None
-    return at.hollows, at.openings
+def _hinders_containing(at: Placing) -> Array:
+    """bool[N]: it would lie upon a container, or in one into which others fit better."""
+    touches = at.supporters.touched & at.is_container
+    return jnp.any(touches | _inside(at), axis=1) & ~jnp.any(_inside(at) & at.can_hold, axis=1)
 
 
 def _sum_of_gaps(at: Placing) -> Array:
@@ -188,7 +190,7 @@ def _hidden_added(at: Placing) -> Array:
 
 FEATURES: dict[str, Feature] = {
     "stack": Feature(_num_on, lambda at: at.supporters.is_on.astype(jnp.float32)),
-    "contained": Feature(_num_contained, _contained_added, num_able=_num_able_to_be_contained),
+    "contained": Feature(_num_contained, _contained_added, hinders=_hinders_containing),
     "depth": Feature(_depth, lambda at: at.supporters.level),
     "contacts": Feature(_num_touching, lambda at: at.supporters.touched.sum(1).astype(jnp.float32)),
     "near": Feature(_sum_of_gaps, _gaps_added, is_mean=True),
@@ -209,10 +211,13 @@ def remaining_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
         feature = FEATURES[name]
         asked = target * episode.num_slots if feature.is_mean else target
         # Not every object finds something to lie on: what is counted is asked of the first to come.
-        able = left if feature.num_able is None else feature.num_able(at)
-        share = left if feature.is_mean else jnp.maximum(_EARLY * able, 1.0)
-        remaining.append((asked - feature.total(at)) / share)
-        added.append(feature.added(at))
+        share = left if feature.is_mean else jnp.maximum(_EARLY * left, 1.0)
+        missing, change = asked - feature.total(at), feature.added(at)
+        if feature.hinders is not None:
+            share = 1.0
+            change = jnp.where((missing > 0) & feature.hinders(at), -1.0, change)
+        remaining.append(missing / share)
+        added.append(change)
     return jnp.stack(remaining), jnp.stack(added, axis=1)
 
 

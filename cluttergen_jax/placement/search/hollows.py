@@ -11,17 +11,20 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.quality.hollow import hollow_of
 from cluttergen_jax.assets.support_map import VOID
+from cluttergen_jax.placement.baselines import costs_of_staying
 from cluttergen_jax.placement.containers import BELOW_RIM, INNER
 from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.orientations import MAX_RESTING
 from cluttergen_jax.placement.search.fit import Candidates, UnderSide, lower_onto, support_share
+from cluttergen_jax.placement.search.search import CandidateScores
 from cluttergen_jax.placement.types import Geometry, Hollows
 from cluttergen_jax.types import Array
 
 _CELL = 0.0072
 _PLACES, _TURNS = 7, 4
 """Along each side of a hollow, and of half a turn, at which it is looked whether an object fits."""
-_LEAST_SUPPORT = 0.2
+_LEAST_TRUST = 0.25
+"""In what is lowered into a hollow, as `spread` has it, of the best place that was tried."""
 
 
 def find_hollows(objects: Sequence[ObjectAsset], geometry: Geometry) -> Hollows:
@@ -36,10 +39,14 @@ def find_hollows(objects: Sequence[ObjectAsset], geometry: Geometry) -> Hollows:
     *bodies, owner = _bodies_of(geometry)
     for index in np.flatnonzero(is_container).tolist():
         at = Candidates(jnp.array(grid[:, :2] * half[index, :2] + center[index, :2]), jnp.array(grid[:, 2]))
-        opening = jnp.array([*np.sort(half[index, :2]), center[index, 2] + half[index, 2]])
+        rim = center[index, 2] + half[index, 2] + objects[index].half_extents[2]
+        opening = jnp.array([*np.sort(half[index, :2]), rim])
         heights = _map_of(geometry, index, reach)
         np.logical_or.at(fits[:, index], owner, np.asarray(_fit_into(heights, at, tuple(bodies), opening)))
         fits[index, index] = False
+    # A bowl in a pot takes the place of many things; it has to where nothing else fits.
+    is_leaf = ~fits.any(0)
+    fits &= is_leaf[:, None] | ~fits[is_leaf].any()
     return jax.tree.map(
         jnp.asarray, Hollows(center.astype(np.float32), half.astype(np.float32), is_container, fits)
     )
@@ -55,12 +62,12 @@ def _hollow_box(asset: ObjectAsset) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _map_of(geometry: Geometry, index: int, reach: float) -> HeightMap:
-    """The heights of one object, in its own frame."""
+    """The heights of one object above the floor on which it stands, in its own frame."""
     surface = np.asarray(geometry.surface)[np.asarray(geometry.surface_owner) == index].reshape(-1, 3)
     side = 2 * int(np.ceil(reach / _CELL))
     height = np.full((side, side), VOID, np.float32)
     cells = np.clip(np.floor(surface[:, :2] / _CELL).astype(int) + side // 2, 1, side - 2)
-    np.maximum.at(height, tuple(cells.T), surface[:, 2])
+    np.maximum.at(height, tuple(cells.T), surface[:, 2] + float(geometry.half_extents[index, 2]))
     corner = jnp.full(2, -side // 2 * _CELL, jnp.float32)
     return HeightMap(jnp.asarray(height), corner, (_CELL, _CELL))
 
@@ -93,9 +100,12 @@ def _fit_into(
         under, half = body
         fit = lower_onto(under, heights, candidates)
         low = fit.rest + jnp.min(jnp.where(under.is_column, under.bottom, jnp.inf))
-        share = support_share(under, heights, candidates, fit.rest)
+        support = support_share(under, heights, candidates, fit.rest)
+        nothing = jnp.zeros_like(support)
+        scores = CandidateScores(fit, nothing + 1.0, support, nothing, jnp.int32(0))
+        trust = jnp.exp(-sum(costs_of_staying(scores)))
         # What is wider stands across it.
         is_narrow = jnp.all(jnp.sort(half[:2]) <= opening[:2])
-        return is_narrow & jnp.any((low < opening[2] - BELOW_RIM) & (share > _LEAST_SUPPORT))
+        return is_narrow & jnp.any((low < opening[2] - BELOW_RIM) & (trust > _LEAST_TRUST))
 
     return jax.lax.map(fits, bodies)
