@@ -227,9 +227,10 @@ class Rules(struct.PyTreeNode, eq=False):
 
     @property
     def _num_contained(self) -> int:
-        """Objects that are asked for inside of others, at least."""
+        """Objects that are drawn to be inside of others: one more than are asked for, for want of room."""
         clutter = self.config.clutter
-        return math.ceil((clutter and clutter.contained) or 0)
+        asked = math.ceil((clutter and clutter.contained) or 0)
+        return min(asked + 1, self.config.num_objects - 1) if asked else 0
 
     def _weight(self, key: Array) -> Array:
         """f32[K]: who comes first, highest first. With noise of Gumbel's it is a draw by Plackett-Luce."""

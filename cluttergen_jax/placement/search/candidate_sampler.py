@@ -30,7 +30,7 @@ _ABOVE = 96
 _MANY_ABOVE = 192
 _MANY = 0.3
 """Candidates over placed objects where some shall lie on others, and where more than `_MANY` of all shall."""
-_INSIDE = 128
+_INSIDE = 192
 
 _RELATED = 192
 """Candidates where relations hold that are asked for."""
@@ -220,7 +220,7 @@ def inside_objects(key: Array, scene: SearchScene, rules: Rules, number: int) ->
     chance = jnp.where(episode.is_placed & hollows.fits[scene.focus], 0.0, -jnp.inf)
     reach = jnp.linalg.norm(hollows.half_extents[:, :2], axis=1) / jnp.sqrt(2.0)
     # Round floors are flat in the middle alone.
-    return _over(key, scene, rules, (openings.center, reach, chance), number, number // 4)
+    return _over(key, scene, rules, (openings.center, reach, chance), number, number // 2)
 
 
 def _over(

@@ -23,7 +23,7 @@ from cluttergen_jax.types import Array
 _CELL = 0.0072
 _PLACES, _TURNS = 7, 4
 """Along each side of a hollow, and of half a turn, at which it is looked whether an object fits."""
-_LEAST_TRUST = 0.25
+_LEAST_TRUST = 0.6
 """In what is lowered into a hollow, as `spread` has it, of the best place that was tried."""
 
 
