@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
 SHELF, MOST_ON_SHELF = 64, 200
 SETTINGS, BALANCES = get_args(Setting), get_args(Balance)
+_POSES_OF = {PACKED: ", which stands all of them side by side", PILE: ", which drops them in any as it is"}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -401,6 +402,7 @@ class SceneSpec:
         """Refuses poses with a method that sees clouds of upright objects (ConfigError)."""
         if self.poses != "upright" and method not in GEOMETRIC_METHODS:
             given, allowed = f"poses = {self.poses!r} with method {method!r}", ", ".join(GEOMETRIC_METHODS)
+            given += _POSES_OF.get(method, "")
             raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
 
     def check_method(self, method: str) -> None:
@@ -513,6 +515,9 @@ class SceneSpec:
             else:
                 region = parse_region(region, support.region)
         stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
+        if self.poses == "any":
+            # What is let go in any orientation falls over, and rolls, before it comes to rest.
+            stability = replace(stability, settle_steps=stability.max_steps - stability.quiet_steps)
         engine: Engine = "native" if is_piled else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
         return ProblemConfig(

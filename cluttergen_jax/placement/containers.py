@@ -15,7 +15,7 @@ BELOW_RIM = 0.005
 """Metres by which the lowest point of what is in a thing is below that one's rim."""
 INNER = 0.8
 """Of a box in plan: the part over which the middle of what is in a thing without a hollow has to be."""
-_FULL = 0.4
+_FULL = 0.35
 """Of a hollow, seen from above: so much of it several things together may fill that are drawn for it."""
 _MOST_WIDE = 1.5
 """Times the sides of an opening: so wide what leans in it, box and all, may be."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -23,6 +24,7 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.containers import draw_contents
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, relate_objects
@@ -45,6 +47,8 @@ SMALLEST_REGION = 0.02
 MOST_CROWDED = 8.0
 """Footprints over the region's area from which a request is refused. Objects overhang and stand on others:
 `drop` fills 2 of 16 tables with ten of dining at 1.7, none at 4.2; only a stack of plates gets farther."""
+_TRIED = 16
+"""Draws of objects that fit into others, to know how many there can be."""
 MOST_FULL = 1.0
 """Volume of the smallest objects' hulls over that of what holds them, from which a pile is refused."""
 
@@ -224,11 +228,13 @@ def compose(
             layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
         orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
     geometry = geometry_of(world, orientations)
-    wants_contained = bool(clutter and clutter.contained)
-    if wants_contained or (related is not None and bool(jnp.any(related.kind == IN))):
+    asked = clutter.contained if clutter is not None else None
+    if asked or (related is not None and bool(jnp.any(related.kind == IN))):
         geometry = geometry.replace(hollows=find_hollows(world.objects, geometry))
-    if wants_contained and sizes is None:
-        check_contained(world, geometry)
+    if asked:
+        if sizes is None:
+            check_contained(asked, wanted, world, geometry)
+        geometry = with_upright_containers(geometry)
     if sizes is None:
         physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
     else:
@@ -264,14 +270,32 @@ def compose(
     return Problem(config, world, rules, region)
 
 
-def check_contained(world: World, geometry: Geometry) -> None:
-    """Refuses objects inside of others where none fits into any (ConfigError)."""
-    assert geometry.hollows is not None
-    if not bool(geometry.hollows.fits.any()):
-        names = [world.names[index] for index in np.flatnonzero(geometry.hollows.is_container)]
-        found = f"the hollow ones are {', '.join(names)}" if names else "none is hollow"
-        given = f"clutter contained with objects of which none fits into another; {found}"
-        raise ConfigError(given, "bowls, pots, cups or boxes, and smaller objects", "pool='dining+kitchen'")
+def check_contained(asked: float, num_objects: int, world: World, geometry: Geometry) -> None:
+    """Refuses more objects inside of others than fit into any (ConfigError)."""
+    hollows, number = geometry.hollows, math.ceil(asked)
+    assert hollows is not None
+    nothing = jnp.zeros(world.num_objects, bool)
+    keys = jax.random.split(jax.random.key(0), _TRIED)
+    drawn = jax.vmap(lambda key: draw_contents(key, geometry, nothing, number, num_objects)[0].sum())(keys)
+    if (most := int(drawn.max())) < number:
+        named = [world.names[index] for index in np.flatnonzero(hollows.fits.any(0))]
+        given = (
+            f"clutter contained={asked:g} with {num_objects} objects of which up to {most} fit into others"
+        )
+        found = f"up to {most}, in {', '.join(named)}" if most else "objects of which some fit into others"
+        raise ConfigError(given, found, "more bowls, pots or pans and smaller objects, as of dining+kitchen")
+
+
+def with_upright_containers(geometry: Geometry) -> Geometry:
+    """The same objects, where those into which others fit are always released upright."""
+    found, hollows = geometry.orientations, geometry.hollows
+    if found is None or hollows is None:
+        return geometry
+    upright = jnp.where(jnp.arange(found.log_weight.shape[1]) == 0, 0.0, -jnp.inf)
+    holds = jnp.any(hollows.fits, axis=0)[:, None]
+    return geometry.replace(
+        orientations=found.replace(log_weight=jnp.where(holds, upright, found.log_weight))
+    )
 
 
 def _round_up(number: int) -> int:

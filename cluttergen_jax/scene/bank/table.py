@@ -58,8 +58,8 @@ CLUTTER = pa.schema(
         ("num_in", pa.int32()),
     ]
 )
-"""How cluttered a scene is, of what is placed: null in banks of older versions, `num_in` where nothing was asked
-to be in something. `levels` has an entry per slot, -1 where nothing is placed."""
+"""How cluttered a scene is, of what is placed: null in banks of older versions; `num_in` wherever nothing is
+asked to be in something. `levels` has an entry per slot, -1 where nothing is placed."""
 
 BY_HAND = pa.schema([("seconds", pa.float32())])
 """What banks made by hand have besides: the seconds that a person spent on the scene, pauses left out."""
