@@ -29,7 +29,7 @@ from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, relate_objects
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.hollows import find_hollows
+from cluttergen_jax.placement.hollows import find_hollows
 from cluttergen_jax.placement.support_map import make_support_map
 from cluttergen_jax.placement.surface_set import SurfaceSet, check_surface
 from cluttergen_jax.placement.types import Geometry, Start

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.relations import _inside
+from cluttergen_jax.evaluation.measures import relations
 from cluttergen_jax.generation.sampler import make_sampler
 from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.clutter import Clutter
@@ -123,7 +123,9 @@ TOGETHER = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("asked", TOGETHER, ids=str)
-def test_objects_are_inside_of_others_by_another_measure_too(asked):
+def test_objects_are_inside_of_others_by_another_measure_too(asked, monkeypatch):
+    # What is tall stands in a pan with little of its surface.
+    monkeypatch.setattr(relations, "SURFACE_SHARE", 0.05)
     sample = make_sampler(pool="dining+kitchen", num_objects=8, method="spread", **asked)
     scenes = jax.jit(jax.vmap(sample))(jax.random.split(jax.random.key(0), 16))
     assert scenes.is_success.mean() > 0.8
@@ -135,7 +137,6 @@ def test_objects_are_inside_of_others_by_another_measure_too(asked):
         hollows = geometry.hollows.take(index)
         counts.append(int(num_contained(geometry.half_extents[index], hollows, scenes.poses[place], placed)))
         here = [objects[each] for each in index]
-        others.append(int(_inside(here, np.asarray(scenes.poses[place]), placed).any(1).sum()))
+        others.append(int(relations._inside(here, np.asarray(scenes.poses[place]), placed).any(1).sum()))
     assert np.mean(counts) == pytest.approx(wanted, abs=0.5)
-    # That one asks for a quarter of the surface below the rim; what stands in a pan is taller.
-    assert np.mean(others) > 0.3 * np.mean(counts)
+    assert np.mean(others) > 0.85 * np.mean(counts)
