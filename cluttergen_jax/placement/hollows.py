@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import jax
@@ -11,8 +12,9 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.quality.hollow import hollow_of
 from cluttergen_jax.assets.support_map import VOID
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.baselines import costs_of_staying
-from cluttergen_jax.placement.containers import BELOW_RIM, INNER
+from cluttergen_jax.placement.containers import BELOW_RIM, INNER, draw_contents
 from cluttergen_jax.placement.heightmap import HeightMap
 from cluttergen_jax.placement.orientations import MAX_RESTING
 from cluttergen_jax.placement.search.fit import Candidates, UnderSide, lower_onto, support_share
@@ -23,6 +25,8 @@ from cluttergen_jax.types import Array
 _CELL = 0.0072
 _PLACES, _TURNS = 7, 4
 """Along each side of a hollow, and of half a turn, at which it is looked whether an object fits."""
+_TRIED = 16
+"""Draws of objects that fit into others, to know how many there can be."""
 _LEAST_TRUST = 0.6
 """In what is lowered into a hollow, as `spread` has it, of the best place that was tried."""
 
@@ -33,7 +37,7 @@ def find_hollows(objects: Sequence[ObjectAsset], geometry: Geometry) -> Hollows:
     center, half = (np.array([box[part] for box in boxes]) for part in (0, 1))
     is_container = np.array([hollow_of(asset) is not None for asset in objects])
     fits = np.zeros((len(objects), len(objects)), bool)
-    reach = max((np.linalg.norm(asset.half_extents[:2]) for asset in objects), default=0.0) + 3 * _CELL
+    reach = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects) + 3 * _CELL
     steps = (np.arange(_PLACES) + 0.5) / _PLACES * 2 - 1
     grid = np.stack(np.meshgrid(steps, steps, np.pi * np.arange(_TURNS) / _TURNS), -1).reshape(-1, 3)
     *bodies, owner = _bodies_of(geometry)
@@ -45,10 +49,39 @@ def find_hollows(objects: Sequence[ObjectAsset], geometry: Geometry) -> Hollows:
         np.logical_or.at(fits[:, index], owner, np.asarray(_fit_into(heights, at, tuple(bodies), opening)))
         fits[index, index] = False
     # A bowl in a pot takes the place of many things; it has to where nothing else fits.
-    is_leaf = ~fits.any(0)
-    fits &= is_leaf[:, None] | ~fits[is_leaf].any()
+    is_leaf = np.logical_not(fits.any(0))
+    if fits[is_leaf].any():
+        fits[~is_leaf] = False
     return jax.tree.map(
         jnp.asarray, Hollows(center.astype(np.float32), half.astype(np.float32), is_container, fits)
+    )
+
+
+def check_contained(asked: float, num_objects: int, names: Sequence[str], geometry: Geometry) -> None:
+    """Refuses more objects inside of others than fit into any (ConfigError)."""
+    hollows, number = geometry.hollows, math.ceil(asked)
+    assert hollows is not None
+    nothing = jnp.zeros(geometry.num_objects, bool)
+    keys = jax.random.split(jax.random.key(0), _TRIED)
+    drawn = jax.vmap(lambda key: draw_contents(key, geometry, nothing, number, num_objects)[0].sum())(keys)
+    if (most := int(drawn.max())) < number:
+        named = [names[index] for index in np.flatnonzero(hollows.fits.any(0))]
+        given = (
+            f"clutter contained={asked:g} with {num_objects} objects of which up to {most} fit into others"
+        )
+        found = f"up to {most}, in {', '.join(named)}" if most else "objects of which some fit into others"
+        raise ConfigError(given, found, "more bowls, pots or pans and smaller objects, as of dining+kitchen")
+
+
+def with_upright_containers(geometry: Geometry) -> Geometry:
+    """The same objects, where those into which others fit are always released upright."""
+    found, hollows = geometry.orientations, geometry.hollows
+    if found is None or hollows is None:
+        return geometry
+    upright = jnp.where(jnp.arange(found.log_weight.shape[1]) == 0, 0.0, -jnp.inf)
+    holds = jnp.any(hollows.fits, axis=0)[:, None]
+    return geometry.replace(
+        orientations=found.replace(log_weight=jnp.where(holds, upright, found.log_weight))
     )
 
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -24,15 +23,14 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
-from cluttergen_jax.placement.containers import draw_contents
+from cluttergen_jax.placement.hollows import check_contained, find_hollows, with_upright_containers
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, relate_objects
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.hollows import find_hollows
 from cluttergen_jax.placement.support_map import make_support_map
 from cluttergen_jax.placement.surface_set import SurfaceSet, check_surface
-from cluttergen_jax.placement.types import Geometry, Start
+from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import (
     NUM_COLUMN_SAMPLES,
     World,
@@ -47,8 +45,6 @@ SMALLEST_REGION = 0.02
 MOST_CROWDED = 8.0
 """Footprints over the region's area from which a request is refused. Objects overhang and stand on others:
 `drop` fills 2 of 16 tables with ten of dining at 1.7, none at 4.2; only a stack of plates gets farther."""
-_TRIED = 16
-"""Draws of objects that fit into others, to know how many there can be."""
 MOST_FULL = 1.0
 """Volume of the smallest objects' hulls over that of what holds them, from which a pile is refused."""
 
@@ -233,7 +229,7 @@ def compose(
         geometry = geometry.replace(hollows=find_hollows(world.objects, geometry))
     if asked:
         if sizes is None:
-            check_contained(asked, wanted, world, geometry)
+            check_contained(asked, wanted, world.names, geometry)
         geometry = with_upright_containers(geometry)
     if sizes is None:
         physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
@@ -268,34 +264,6 @@ def compose(
         polygon=on_device(np.array(config.polygon)) if config.polygon else None,
     )
     return Problem(config, world, rules, region)
-
-
-def check_contained(asked: float, num_objects: int, world: World, geometry: Geometry) -> None:
-    """Refuses more objects inside of others than fit into any (ConfigError)."""
-    hollows, number = geometry.hollows, math.ceil(asked)
-    assert hollows is not None
-    nothing = jnp.zeros(world.num_objects, bool)
-    keys = jax.random.split(jax.random.key(0), _TRIED)
-    drawn = jax.vmap(lambda key: draw_contents(key, geometry, nothing, number, num_objects)[0].sum())(keys)
-    if (most := int(drawn.max())) < number:
-        named = [world.names[index] for index in np.flatnonzero(hollows.fits.any(0))]
-        given = (
-            f"clutter contained={asked:g} with {num_objects} objects of which up to {most} fit into others"
-        )
-        found = f"up to {most}, in {', '.join(named)}" if most else "objects of which some fit into others"
-        raise ConfigError(given, found, "more bowls, pots or pans and smaller objects, as of dining+kitchen")
-
-
-def with_upright_containers(geometry: Geometry) -> Geometry:
-    """The same objects, where those into which others fit are always released upright."""
-    found, hollows = geometry.orientations, geometry.hollows
-    if found is None or hollows is None:
-        return geometry
-    upright = jnp.where(jnp.arange(found.log_weight.shape[1]) == 0, 0.0, -jnp.inf)
-    holds = jnp.any(hollows.fits, axis=0)[:, None]
-    return geometry.replace(
-        orientations=found.replace(log_weight=jnp.where(holds, upright, found.log_weight))
-    )
 
 
 def _round_up(number: int) -> int:

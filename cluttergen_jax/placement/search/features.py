@@ -214,7 +214,7 @@ def remaining_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
         share = left if feature.is_mean else jnp.maximum(_EARLY * left, 1.0)
         missing, change = asked - feature.total(at), feature.added(at)
         if feature.hinders is not None:
-            share = 1.0
+            share = jnp.float32(1.0)
             change = jnp.where((missing > 0) & feature.hinders(at), -1.0, change)
         remaining.append(missing / share)
         added.append(change)
