@@ -32,8 +32,8 @@ def openings_of(geometry: Geometry, poses: Array) -> Boxes:
 def is_in(subjects: Boxes, openings: Boxes) -> Array:
     """bool[N]: the first of each pair is in the other, of which the opening is given (`openings_of`).
 
-    Its middle is over the opening, its lowest point below the rim, it is not much wider than the opening, as
-    what stands across it is, and the opening faces upwards.
+    Its middle is over the opening, its lowest point between floor and rim, it is not much wider than the
+    opening, as what stands across it is, and the opening faces upwards.
     """
     wide, room = (
         jnp.sort(jnp.linalg.norm(each.sides[..., :2], axis=-1))[:, 1:] for each in (subjects, openings)
@@ -41,9 +41,13 @@ def is_in(subjects: Boxes, openings: Boxes) -> Array:
     is_narrow = jnp.all(wide <= _MOST_WIDE * room, axis=1)
     low = subjects.center[:, 2] - reach_up(subjects)
     rim = openings.center[:, 2] + reach_up(openings)
+    # Nor is in a thing what stands on a board below it.
+    is_above = low > openings.center[:, 2] - reach_up(openings) - BELOW_RIM
     up = openings.sides[:, 2]
     is_upright = up[:, 2] > _MOST_TILTED * jnp.linalg.norm(up, axis=-1)
-    return is_over(subjects.center, openings, 1.0) & (low < rim - BELOW_RIM) & is_narrow & is_upright
+    return (
+        is_over(subjects.center, openings, 1.0) & (low < rim - BELOW_RIM) & is_above & is_narrow & is_upright
+    )
 
 
 def pairs_in(subjects: Boxes, openings: Boxes) -> Array:

@@ -65,7 +65,7 @@ def check_contained(asked: float, num_objects: int, names: Sequence[str], geomet
     keys = jax.random.split(jax.random.key(0), _TRIED)
     drawn = jax.vmap(lambda key: draw_contents(key, geometry, nothing, number, num_objects)[0].sum())(keys)
     if (most := int(drawn.max())) < number:
-        named = [names[index] for index in np.flatnonzero(hollows.fits.any(0))]
+        named = [names[index] for index in np.flatnonzero(hollows.fits.any(0)).tolist()]
         given = (
             f"clutter contained={asked:g} with {num_objects} objects of which up to {most} fit into others"
         )

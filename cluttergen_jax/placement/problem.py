@@ -225,7 +225,7 @@ def compose(
         orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
     geometry = geometry_of(world, orientations)
     asked = clutter.contained if clutter is not None else None
-    if asked or (related is not None and bool(jnp.any(related.kind == IN))):
+    if asked is not None or (related is not None and bool(jnp.any(related.kind == IN))):
         geometry = geometry.replace(hollows=find_hollows(world.objects, geometry))
     if asked:
         if sizes is None:

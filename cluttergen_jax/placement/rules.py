@@ -13,7 +13,7 @@ from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
-from cluttergen_jax.placement.containers import draw_contents, openings_of
+from cluttergen_jax.placement.containers import draw_contents, num_contained, openings_of
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
@@ -261,10 +261,27 @@ class Rules(struct.PyTreeNode, eq=False):
         assert episode.surface is not None
         focus = self.focus(episode)
         drawn = self.surfaces.draw(key, episode, focus, footprint_area(self.geometry))
+        if self._num_contained and self.surfaces.number is None:
+            drawn = self._beside_container(key, episode, drawn)
         surface = episode.surface.at[focus].set(
             jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
         )
         return episode.replace(surface=surface, region=self.surfaces.region(drawn))
+
+    def _beside_container(self, key: Array, episode: Episode, drawn: Array) -> Array:
+        """i32: a surface with something into which the current object fits, while more is to be inside."""
+        hollows, clutter, surfaces = self.geometry.hollows, self.config.clutter, self.surfaces
+        assert hollows is not None
+        assert clutter is not None
+        assert surfaces is not None
+        assert episode.surface is not None
+        focus = self.focus(episode)
+        inside = num_contained(self.geometry.half_extents, hollows, episode.poses, episode.is_placed)
+        surface = jnp.maximum(episode.surface, 0)
+        holds = hollows.fits[focus] & episode.is_placed & surfaces.fits[focus][surface]
+        noise = jax.random.gumbel(jax.random.fold_in(key, 1), holds.shape)
+        chosen = surface[jnp.argmax(jnp.where(holds, noise, -jnp.inf))]
+        return jnp.where(jnp.any(holds) & (inside < (clutter.contained or 0)), chosen, drawn)
 
     def support_map_of(self, episode: Episode) -> SupportMap | None:
         """The map of the surface that the current object goes on; None for a flat top."""

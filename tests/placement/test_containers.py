@@ -39,6 +39,7 @@ def at(*place: float, up: float = 0.0) -> list[float]:
         ((0.09, 0.0, 0.05), 0.0, False),
         ((0.0, 0.06, 0.05), 0.0, False),
         ((0.0, 0.0, 0.08), 0.0, False),
+        ((0.0, 0.0, -0.2), 0.0, False),
         ((0.0, 0.0, 0.02), np.pi, False),
     ],
 )
@@ -96,7 +97,7 @@ REFUSED = [
 def test_what_does_not_go_together_is_refused_at_once(asked, allowed):
     spec = SceneSpec(num_objects=6, **asked)
     with pytest.raises(ConfigError, match=allowed):
-        spec.check_method(spec.method)
+        spec.check_method(asked["method"])
 
 
 def test_more_than_there_are_others_is_refused():
@@ -130,6 +131,7 @@ def test_objects_are_inside_of_others_by_another_measure_too(asked, monkeypatch)
     scenes = jax.jit(jax.vmap(sample))(jax.random.split(jax.random.key(0), 16))
     assert scenes.is_success.mean() > 0.8
     geometry, objects = sample.problem.rules.geometry, sample.problem.world.objects
+    assert geometry.hollows is not None
     wanted = int(asked["clutter"].split("=")[1][0])
     counts, others = [], []
     for place in np.flatnonzero(scenes.is_success):
