@@ -113,7 +113,7 @@ def test_more_than_fits_is_refused():
 
 TOGETHER = [
     {"clutter": "contained=2"},
-    {"clutter": "contained=2", "poses": "resting"},
+    {"clutter": "contained=2", "poses": "resting", "method": "guided"},
     {"clutter": "contained=2,near=0.02", "support": "tote"},
     {"clutter": "contained=1,stack=2", "relations": ("knife next_to pot:0.2",)},
     {"clutter": "contained=2", "support": "bookcase", "surface": "all"},
@@ -127,9 +127,9 @@ TOGETHER = [
 def test_objects_are_inside_of_others_by_another_measure_too(asked, monkeypatch):
     # What is tall stands in a pan with little of its surface.
     monkeypatch.setattr(relations, "SURFACE_SHARE", 0.05)
-    sample = make_sampler(pool="dining+kitchen", num_objects=8, method="spread", **asked)
+    sample = make_sampler(pool="dining+kitchen", num_objects=8, **{"method": "spread"} | asked)
     scenes = jax.jit(jax.vmap(sample))(jax.random.split(jax.random.key(0), 16))
-    assert scenes.is_success.mean() > 0.8
+    assert scenes.is_success.mean() > 0.7
     geometry, objects = sample.problem.rules.geometry, sample.problem.world.objects
     assert geometry.hollows is not None
     wanted = int(asked["clutter"].split("=")[1][0])
