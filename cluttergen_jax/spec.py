@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 
 SHELF, MOST_ON_SHELF = 64, 200
 SETTINGS, BALANCES = get_args(Setting), get_args(Balance)
+_POSES_OF = {PACKED: ", which stands all of them side by side", PILE: ", which drops them in any as it is"}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -187,9 +188,9 @@ class SceneSpec:
       overhang: how much of an object's footprint may reach beyond the edge of the support once it rests:
         "any"; "half", at most 25 % (a uniform body tips at 50 %); or "none".
       clutter: what scenes should have on average (methods "guided", "spread"): stack, number of objects on
-        others; depth, sum over objects of those below; contacts, touching pairs; near, mean distance to the
-        nearest object (m); occlusion, mean hidden share of an object. As text "stack=3,near=0.02"; in Python
-        also a mapping.
+        others; contained, number of objects inside of hollow others, such as bowls and pots; depth, sum over
+        objects of those below; contacts, touching pairs; near, mean distance to the nearest object (m);
+        occlusion, mean hidden share of an object. As text "stack=3,near=0.02"; in Python also a mapping.
       natural: prefer wide, flat objects below and small ones on top (methods "guided", "spread").
       tidy: keep room instead of spreading objects out: more objects fit, but scenes are less diverse (methods
         "guided", "spread").
@@ -401,6 +402,7 @@ class SceneSpec:
         """Refuses poses with a method that sees clouds of upright objects (ConfigError)."""
         if self.poses != "upright" and method not in GEOMETRIC_METHODS:
             given, allowed = f"poses = {self.poses!r} with method {method!r}", ", ".join(GEOMETRIC_METHODS)
+            given += _POSES_OF.get(method, "")
             raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
 
     def check_method(self, method: str) -> None:
@@ -513,6 +515,9 @@ class SceneSpec:
             else:
                 region = parse_region(region, support.region)
         stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
+        if self.poses == "any":
+            # What is let go in any orientation falls over, and rolls, before it comes to rest.
+            stability = replace(stability, settle_steps=stability.max_steps - stability.quiet_steps)
         engine: Engine = "native" if is_piled else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
         return ProblemConfig(

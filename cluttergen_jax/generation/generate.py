@@ -118,8 +118,9 @@ def _rows(
       numbers: i32[K], of the world's objects among those that the bank's record names; as there if None.
     """
     _give_back_memory()
-    half_extents = np.asarray(problem.rules.geometry.half_extents)
-    return table_of(indices, scenes, problem.world.names, half_extents, numbers)
+    geometry = problem.rules.geometry
+    half_extents = np.asarray(geometry.half_extents)
+    return table_of(indices, scenes, problem.world.names, half_extents, numbers, geometry.hollows)
 
 
 def _give_back_memory() -> None:

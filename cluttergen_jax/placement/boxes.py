@@ -38,6 +38,24 @@ class Boxes(struct.PyTreeNode):
         return jnp.abs(jnp.einsum("nax,dx->nda", self.sides, directions)).sum(-1)
 
 
+def reach_up(boxes: Boxes) -> Array:
+    """f32[N], metres: from the centre of each box to its top."""
+    return jnp.abs(boxes.sides[:, :, 2]).sum(1)
+
+
+def is_over(points: Array, boxes: Boxes, share: float) -> Array:
+    """bool[N]: the point is over the middle part of the box, in plan; tipped boxes as if they lay flat."""
+    offset = (points - boxes.center)[:, :2]
+    flat = boxes.sides[:, :, :2]
+    # Of the three sides the two that are longest in plan span it.
+    length = jnp.linalg.norm(flat, axis=-1)
+    order = jnp.argsort(-length, axis=1)[:, :2]
+    sides = jnp.take_along_axis(flat, order[..., None], axis=1)
+    reach = jnp.maximum(jnp.take_along_axis(length, order, axis=1), 1e-6)
+    along = jnp.abs(jnp.einsum("nax,nx->na", sides / reach[..., None], offset))
+    return jnp.all(along <= share * reach, axis=1)
+
+
 class Views(struct.PyTreeNode):
     """The rectangles that bound N boxes in the pictures of C cameras far away, metres.
 

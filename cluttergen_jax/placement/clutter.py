@@ -18,6 +18,7 @@ class Clutter:
 
     Attributes:
       stack: objects that rest on another object, 0 to N - 1.
+      contained: objects inside of a hollow other one, 0 to N - 1 (`placement.containers`).
       depth: the sum over all objects of how many others are below each, one upon the other; a tower of three
         counts 0 + 1 + 2.
       contacts: pairs of objects that touch, 0 to N (N - 1) / 2.
@@ -28,6 +29,7 @@ class Clutter:
     """
 
     stack: float | None = None
+    contained: float | None = None
     depth: float | None = None
     contacts: float | None = None
     near: float | None = None
@@ -62,7 +64,7 @@ class Clutter:
     def check(self, num_objects: int) -> None:
         """Refuses what no scene of so many objects can have (ConfigError)."""
         pairs = num_objects * (num_objects - 1) // 2
-        most = {"stack": num_objects - 1, "depth": pairs, "contacts": pairs}
+        most = {"stack": num_objects - 1, "contained": num_objects - 1, "depth": pairs, "contacts": pairs}
         for name, value in self.targets.items():
             if value > most.get(name, math.inf):
                 given = f"clutter {name}={value:g} with {num_objects} objects"

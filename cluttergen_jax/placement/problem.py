@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -22,9 +23,10 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.hollows import check_contained, find_hollows, with_upright_containers
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
-from cluttergen_jax.placement.related import relate_objects
+from cluttergen_jax.placement.related import IN, relate_objects
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.support_map import make_support_map
 from cluttergen_jax.placement.surface_set import SurfaceSet, check_surface
@@ -222,6 +224,13 @@ def compose(
             layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
         orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
     geometry = geometry_of(world, orientations)
+    asked = clutter.contained if clutter is not None else None
+    if asked is not None or (related is not None and bool(jnp.any(related.kind == IN))):
+        geometry = geometry.replace(hollows=find_hollows(world.objects, geometry))
+    if asked:
+        if sizes is None:
+            check_contained(asked, wanted, world.names, geometry)
+        geometry = with_upright_containers(geometry)
     if sizes is None:
         physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
     else:

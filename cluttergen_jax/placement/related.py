@@ -12,8 +12,9 @@ from flax import struct
 from cluttergen_jax.assets.facts import ObjectFacts
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.boxes import Boxes, gaps
+from cluttergen_jax.placement.boxes import Boxes, gaps, is_over
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.containers import is_in
 from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.relations import (
     KINDS,
@@ -32,10 +33,6 @@ MAX_ANGLE = np.radians(10.0).item()
 """By which what is aligned may differ."""
 CONE = np.radians(45.0).item()
 """To either side of the direction in which a thing to the left, right, front or back of another is."""
-BELOW_RIM = 0.005
-"""Metres by which the lowest point of what is in a thing is below that one's highest."""
-_INNER = 0.8
-"""Of a box in plan: the part over which the middle of what is in a thing has to be."""
 ON, IN, ALIGNED = (KINDS.index(kind) for kind in ("on", "in", "aligned"))
 
 
@@ -155,11 +152,14 @@ def relate_objects(
     return (*objects,) * copies, RelatedObjects.of(relations, roles, facts * copies)
 
 
-def hold(related: RelatedObjects, subjects: Boxes, references: Boxes, region: Region) -> Array:
+def hold(
+    related: RelatedObjects, subjects: Boxes, references: Boxes, openings: Boxes, region: Region
+) -> Array:
     """bool[R]: which relations hold of R pairs of boxes, as far as boxes tell; "on" is for contacts to tell.
 
     Args:
       subjects, references: R boxes each, world; those of the table may be anything.
+      openings: of the references (`containers.openings_of`).
     """
     T_region_world = region.T_world_region.inverse()
     turn = T_region_world.rotation().as_matrix()
@@ -170,12 +170,10 @@ def hold(related: RelatedObjects, subjects: Boxes, references: Boxes, region: Re
     # Seen by one who stands at the region's -y side and looks along +y.
     to_the_right, to_the_back = _in_cone(x, y), _in_cone(y, x)
     to_the_left, to_the_front = _in_cone(-x, y), _in_cone(-y, x)
-    over = _is_over(subjects.center, references, 1.0)
-    low = subjects.center[:, 2] - _reach_up(subjects)
-    rim = references.center[:, 2] + _reach_up(references)
+    over = is_over(subjects.center, references, 1.0)
     by_kind = {
         "on": jnp.ones_like(over),
-        "in": _is_over(subjects.center, references, _INNER) & (low < rim - BELOW_RIM),
+        "in": is_in(subjects, openings),
         "next_to": is_near & ~over,
         "far_from": gap >= related.gap,
         "left_of": to_the_left & is_near,
@@ -194,24 +192,6 @@ def _alone(box: Boxes) -> Boxes:
 
 def _in_cone(along: Array, across: Array) -> Array:
     return (along > 0) & (jnp.abs(across) <= jnp.tan(CONE) * along)
-
-
-def _reach_up(boxes: Boxes) -> Array:
-    """f32[N], metres: from the centre of each box to its top."""
-    return jnp.abs(boxes.sides[:, :, 2]).sum(1)
-
-
-def _is_over(points: Array, boxes: Boxes, share: float) -> Array:
-    """bool[N]: the point is over the middle part of the box, in plan; tipped boxes as if they lay flat."""
-    offset = (points - boxes.center)[:, :2]
-    flat = boxes.sides[:, :, :2]
-    # Of the three sides the two that are longest in plan span it.
-    length = jnp.linalg.norm(flat, axis=-1)
-    order = jnp.argsort(-length, axis=1)[:, :2]
-    sides = jnp.take_along_axis(flat, order[..., None], axis=1)
-    reach = jnp.maximum(jnp.take_along_axis(length, order, axis=1), 1e-6)
-    along = jnp.abs(jnp.einsum("nax,nx->na", sides / reach[..., None], offset))
-    return jnp.all(along <= share * reach, axis=1)
 
 
 def heading_of(boxes: Boxes, turn: Array) -> Array:
@@ -233,18 +213,18 @@ def _is_aligned(related: RelatedObjects, subjects: Boxes, references: Boxes, tur
 
 
 def holds_among(
-    related: RelatedObjects, objects: Array, boxes: Boxes, is_placed: Array, region: Region
+    related: RelatedObjects, objects: Array, boxes: Boxes, openings: Boxes, is_placed: Array, region: Region
 ) -> Array:
     """bool: every relation holds of which both objects are placed, but for "on".
 
     Args:
-      objects: i32[Q], of each role; boxes: K; is_placed: bool[K].
+      objects: i32[Q], of each role; boxes, openings: K; is_placed: bool[K].
     """
     full = jnp.append(objects, 0)
     subject, reference = full[related.subject], full[related.reference]
     is_there = is_placed[subject] & (is_placed[reference] | (related.reference == related.num_roles))
-    take = _taker(boxes)
-    return jnp.all(hold(related, take(subject), take(reference), region) | ~is_there)
+    take, opening = _taker(boxes), _taker(openings)(reference)
+    return jnp.all(hold(related, take(subject), take(reference), opening, region) | ~is_there)
 
 
 def _taker(boxes: Boxes) -> Callable[[Array], Boxes]:
@@ -257,6 +237,7 @@ def allowed_at(
     focus: Array,
     proposed: Boxes,
     placed: Boxes,
+    openings: Boxes,
     is_placed: Array,
     region: Region,
 ) -> Array:
@@ -265,11 +246,13 @@ def allowed_at(
     Of "on" only that the one's middle is over the other.
 
     Args:
-      objects: i32[Q]; focus: i32; proposed: N boxes of the current object; placed: K; is_placed: bool[K].
+      objects: i32[Q]; focus: i32; proposed: N boxes of the current object; placed, openings:
+        K; is_placed: bool[K].
     """
     is_subject, is_reference, other, is_table = related.pairs(objects, focus)
     counts = (is_subject | is_reference) & (is_placed[other] | is_table)
-    others = _taker(placed)(other)
+    # What is in a thing comes after it.
+    others, opening = _taker(placed)(other), _taker(openings)(other)
 
     def at(center: Array, sides: Array) -> Array:
         own = Boxes(
@@ -283,8 +266,8 @@ def allowed_at(
             )
 
         subjects, references = pick(own, others), pick(others, own)
-        is_well = hold(related, subjects, references, region)
-        is_well &= (related.kind != ON) | _is_over(subjects.center, references, 1.0)
+        is_well = hold(related, subjects, references, opening, region)
+        is_well &= (related.kind != ON) | is_over(subjects.center, references, 1.0)
         return jnp.all(is_well | ~counts)
 
     return jax.vmap(at)(proposed.center, proposed.sides)

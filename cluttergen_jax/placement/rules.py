@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import jax
@@ -12,6 +13,7 @@ from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
+from cluttergen_jax.placement.containers import draw_contents, num_contained, openings_of
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
@@ -190,7 +192,8 @@ class Rules(struct.PyTreeNode, eq=False):
         """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
 
         Those to place are a uniform subset of the objects not taken, whatever their order but "fixed"; those
-        of roles are among them and come first, each after those to which it is placed.
+        of roles are among them and come first, each after those to which it is placed. Where objects are to
+        be inside of others, so many that fit are among them, and what they fit into comes first.
         """
         ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
         if self.config.order != "fixed":
@@ -198,16 +201,36 @@ class Rules(struct.PyTreeNode, eq=False):
         ranks = jnp.where(is_taken, jnp.inf, ranks)
         if roles is not None:
             ranks = ranks.at[roles].set(-1.0)
+        is_container = None
+        if self._num_contained and self.config.order != "fixed":
+            # No search finds room inside of others where nothing that is drawn fits into anything.
+            is_content, is_container = draw_contents(
+                jax.random.fold_in(key, 6),
+                self.geometry,
+                is_taken,
+                self._num_contained,
+                self.config.num_objects,
+            )
+            ranks = jnp.where((is_content | is_container) & ~is_taken, ranks - 1.0, ranks)
         chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
         chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
         if self.config.order in ("largest", "weighted"):
             chosen = chosen[jnp.argsort(-self._weight(key)[chosen])]
+        if is_container is not None:
+            chosen = chosen[jnp.argsort(~is_container[chosen], stable=True)]
         if roles is not None and self.related is not None:
             chosen = chosen[jnp.argsort(self.related.priority(roles)[chosen], stable=True)]
         standing = jnp.nonzero(is_taken, size=self.num_started, fill_value=-1)[0].astype(jnp.int32)
         slots = jnp.concatenate([standing, chosen])
         slots = jnp.pad(slots, (0, self.num_slots - slots.shape[0]), constant_values=-1)
         return slots[jnp.argsort(slots < 0, stable=True)]
+
+    @property
+    def _num_contained(self) -> int:
+        """Objects that are drawn to be inside of others: one more than are asked for, for want of room."""
+        clutter = self.config.clutter
+        asked = math.ceil((clutter and clutter.contained) or 0)
+        return min(asked + 1, self.config.num_objects - 1) if asked else 0
 
     def _weight(self, key: Array) -> Array:
         """f32[K]: who comes first, highest first. With noise of Gumbel's it is a draw by Plackett-Luce."""
@@ -238,10 +261,27 @@ class Rules(struct.PyTreeNode, eq=False):
         assert episode.surface is not None
         focus = self.focus(episode)
         drawn = self.surfaces.draw(key, episode, focus, footprint_area(self.geometry))
+        if self._num_contained and self.surfaces.number is None:
+            drawn = self._beside_container(key, episode, drawn)
         surface = episode.surface.at[focus].set(
             jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
         )
         return episode.replace(surface=surface, region=self.surfaces.region(drawn))
+
+    def _beside_container(self, key: Array, episode: Episode, drawn: Array) -> Array:
+        """i32: a surface with something into which the current object fits, while more is to be inside."""
+        hollows, clutter, surfaces = self.geometry.hollows, self.config.clutter, self.surfaces
+        assert hollows is not None
+        assert clutter is not None
+        assert surfaces is not None
+        assert episode.surface is not None
+        focus = self.focus(episode)
+        inside = num_contained(self.geometry.half_extents, hollows, episode.poses, episode.is_placed)
+        surface = jnp.maximum(episode.surface, 0)
+        holds = hollows.fits[focus] & episode.is_placed & surfaces.fits[focus][surface]
+        noise = jax.random.gumbel(jax.random.fold_in(key, 1), holds.shape)
+        chosen = surface[jnp.argmax(jnp.where(holds, noise, -jnp.inf))]
+        return jnp.where(jnp.any(holds) & (inside < (clutter.contained or 0)), chosen, drawn)
 
     def support_map_of(self, episode: Episode) -> SupportMap | None:
         """The map of the surface that the current object goes on; None for a flat top."""
@@ -360,7 +400,8 @@ class Rules(struct.PyTreeNode, eq=False):
         boxes = Boxes.of(self.geometry.half_extents, poses)
         carriers = carriers_of(related, episode.roles, focus, episode.is_placed)
         is_carried = jnp.all(settling.bears | ~carriers)
-        return is_carried & holds_among(related, episode.roles, boxes, is_placed, episode.region)
+        openings = openings_of(self.geometry, poses)
+        return is_carried & holds_among(related, episode.roles, boxes, openings, is_placed, episode.region)
 
     def is_in_polygon(self, pose: Array, half_extents: Array) -> Array:
         """bool: whether an object, its pose f32[7] in the polygon's frame, is in it as far as is asked."""

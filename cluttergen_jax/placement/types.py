@@ -8,6 +8,7 @@ import jaxlie
 from flax import struct
 
 from cluttergen_jax.assets.support_map import VOID
+from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.types import Array, Settling
 
@@ -106,6 +107,32 @@ class SupportMap(struct.PyTreeNode):
         return i * self.height.shape[1] + j
 
 
+class Hollows(struct.PyTreeNode):
+    """Where things are in K objects.
+
+    Attributes:
+      center, half_extents: f32[K, 3], of a box around each object's hollow, object frame, metres; of one
+        without, the inner part of its own box.
+      is_container: bool[K], whether it is hollow.
+      fits: bool[K, K], row: an object, column: the container into which it fits.
+    """
+
+    center: Array
+    half_extents: Array
+    is_container: Array
+    fits: Array
+
+    def take(self, index: Array) -> Hollows:
+        """Those of objects i32[...]."""
+        return jax.tree.map(lambda leaf: leaf[index], self)
+
+    def boxes(self, poses: Array) -> Boxes:
+        """The hollows of the objects at world poses f32[K, 7]."""
+        found = Boxes.of(self.half_extents, poses)
+        turned = jnp.einsum("kax,ka->kx", found.sides / self.half_extents[..., None], self.center)
+        return found.replace(center=found.center + turned)
+
+
 class Geometry(struct.PyTreeNode):
     """What the decision process knows of the compiled world's K objects; constants under `jit`.
 
@@ -122,6 +149,7 @@ class Geometry(struct.PyTreeNode):
       top: f32, height of the support's top, metres.
       orientations: in which the objects are released; None where all are released upright.
       support_map: of a surface of the support; None for a flat top, whose map the boxes tell.
+      hollows: where things are in objects; None where nothing is asked of it.
     """
 
     half_extents: Array
@@ -137,6 +165,7 @@ class Geometry(struct.PyTreeNode):
     top: Array
     orientations: Orientations | None = None
     support_map: SupportMap | None = None
+    hollows: Hollows | None = None
 
     @property
     def num_objects(self) -> int:

@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.motion import plan
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES, planner_hash, run_trials
-from cluttergen_jax.errors import BankError
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers.placing import write_bank
 
@@ -115,3 +115,14 @@ def test_the_command_moves_objects_and_says_how_it_went(bank, home, tmp_path, ca
     assert (tmp_path / "place" / EPISODES).is_file()
     assert main(words) == 0
     assert capsys.readouterr().out == told
+
+
+def test_of_scenes_in_which_objects_lie_those_are_taken_whose_last_one_is_upright(bank, capsys):
+    lying = np.array([0.0, 0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0])
+    scene = next(iter(read_scenes(bank)))
+    upright = replace(scene, poses=np.concatenate([[lying], scene.poses[1:]]))
+    other = replace(scene, poses=np.concatenate([scene.poses[:-1], [lying]]))
+    assert robot_trials.keep_upright_last([other, upright]) == [upright]
+    assert "1 of 2 scenes" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="1 scenes whose last object lies"):
+        robot_trials.keep_upright_last([other])

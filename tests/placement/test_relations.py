@@ -112,7 +112,8 @@ def test_what_holds_is_told_in_the_frame_of_the_region(text, place, expected, ya
     related = RelatedObjects.of([Relation.parse(text)], (), facts("a", "b"))
     turned = Rotation.from_euler("z", yaw).apply(place)
     region = make_region(jnp.zeros(2), jnp.ones(2), yaw, 0.0)
-    assert bool(hold(related, boxes(turned, yaw), boxes((0, 0, 0), yaw), region)[0]) == expected
+    reference, opening = boxes((0, 0, 0), yaw), boxes((0, 0, 0), yaw, (0.016, 0.04, 0.03))
+    assert bool(hold(related, boxes(turned, yaw), reference, opening, region)[0]) == expected
 
 
 @pytest.mark.parametrize(
@@ -123,8 +124,8 @@ def test_longer_sides_are_aligned(degrees, expected):
     to_object = RelatedObjects.of([Relation.parse("a aligned b")], (), facts("a", "b"))
     to_table = RelatedObjects.of([Relation.parse("a aligned table")], (), facts("a", "b"))
     turned, other = boxes((0, 0.3, 0), 0.3 + np.radians(degrees)), boxes((0, 0, 0), 0.3)
-    assert bool(hold(to_object, turned, other, region)[0]) == expected
-    assert bool(hold(to_table, turned, other, region)[0]) == (expected or degrees == 90)
+    assert bool(hold(to_object, turned, other, other, region)[0]) == expected
+    assert bool(hold(to_table, turned, other, other, region)[0]) == (expected or degrees == 90)
 
 
 def test_layouts_are_read_and_errors_say_where():

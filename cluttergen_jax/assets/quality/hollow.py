@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mujoco
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.mjcf import add_part, new_spec
+from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.quality.deviation import is_within_parts
 from cluttergen_jax.assets.shape import Cavity
 from cluttergen_jax.assets.solid import Solid
@@ -68,6 +71,15 @@ def find_hollow(solid: Solid) -> Hollow | None:
         return None
     mouth = voxels.origin + np.array([*middle, levels[-1]]) * voxels.pitch
     return Hollow(voxels.centers(cells), voxels.pitch, mouth)
+
+
+@lru_cache(maxsize=256)
+def hollow_of(asset: ObjectAsset) -> Hollow | None:
+    """The hollow that an object's parts leave open (`find_hollow`), or None if it has none."""
+    if len(asset.parts) < 2:
+        return None
+    mesh = join_meshes([part.hull() for part in asset.parts])
+    return find_hollow(Solid(mesh, True, mesh))
 
 
 def holds_ball(parts: Sequence[np.ndarray], hollow: Hollow) -> bool:

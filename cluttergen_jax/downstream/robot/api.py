@@ -119,7 +119,8 @@ def robot_place(
 
     Args:
       out: the folder; rows are kept there.
-      bank: the scenes to use; if not given, a bank is generated in the folder.
+      bank: the scenes to use; if not given, a bank is generated in the folder. Of scenes in which objects
+        lie, `place` takes those whose last object is upright.
       task: place or lift.
       placer: for `place`: none, the object's own place in the scene; drop, guided or policy, which know the
         whole scene and propose more places if that one cannot be reached; or one that uses depth images:
@@ -155,8 +156,8 @@ def robot_place(
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
-    from cluttergen_jax.downstream.robot.trials import own_place, run_trials
-    from cluttergen_jax.downstream.samples import bank_or_made, check_upright, poses_of
+    from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
+    from cluttergen_jax.downstream.samples import bank_or_made, poses_of
     from cluttergen_jax.learning.methods import checkpoint_of
     from cluttergen_jax.learning.ppo import checkpoint
     from cluttergen_jax.scene.bank import Bank, read_scenes, region_of
@@ -183,11 +184,11 @@ def robot_place(
 
     given = (pool, method, support, num_objects, region)
     found = bank_or_made(bank, make, "pool method support num_objects region", given)
-    if task == "place":
-        check_upright(poses_of(found), "a robot that places")
     recipe = found.record["recipe"]
     queried = region_of(found)
     scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]
+    if task == "place" and poses_of(found) != "upright":
+        scenes = keep_upright_last(scenes)
     # Of another bank's scenes the rows would not be comparable.
     made = json_digest(recipe)
     rows = {"task": task, "placer": str(placer), "seed": seed, "pool": recipe.get("pool"), "bank": made}

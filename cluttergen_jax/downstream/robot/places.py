@@ -57,6 +57,9 @@ class SearchPlaces:
         row = int(np.flatnonzero(self._scenes.number == scene.origin.index)[0])
         slot = len(scene.names) - 1
         episodes = self._scenes.episodes(np.array([[row, slot]]))
+        if episodes.orientation is not None:
+            # Of scenes in which others lie: what the arm holds is upright.
+            episodes = episodes.replace(orientation=jax.numpy.zeros_like(episodes.orientation))
         episode = jax.tree.map(lambda leaf: leaf[0], episodes)
         pose = np.asarray(self._propose(jax.random.fold_in(self._key, index), episode))
         judged = self._judge.settle(episodes, np.zeros(len(pose), np.int64), pose)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -27,14 +29,16 @@ from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of, success_of
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.rows import RowFile
-from cluttergen_jax.errors import BankError
+from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation.machine import versions
+from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
 EPISODES = "episodes.jsonl"
 _ADDED = ("grasps", "planner", "versions", "weights")
 """Of recipes: what files of older versions lack."""
+_UPRIGHT = math.cos(math.radians(3.0))
 Places = Callable[[int, Scene], np.ndarray]
 """Where the last object of a scene may stand: f64[M, 7], T_world_object, best first."""
 
@@ -80,6 +84,25 @@ class RobotTrials(Endings):
 
 def _object_row(rows: Sequence[EpisodeResult]) -> tuple[str, str, str]:
     return str(len(rows)), str(sum(row.is_success for row in rows)), causes_of(rows)
+
+
+def keep_upright_last(scenes: Sequence[Scene]) -> list[Scene]:
+    """The scenes whose last object stands upright, to 3 degrees; others may lie.
+
+    Raises:
+      ConfigError: there is none.
+    """
+    kept = [each for each in scenes if rotation_matrix(each.poses[-1, 3:])[2, 2] > _UPRIGHT]
+    if scenes and not kept:
+        raise ConfigError(
+            f"{len(scenes)} scenes whose last object lies, for a robot that places it upright",
+            "scenes whose last object is upright, whatever the others are",
+            "a larger bank, or one of `cluttergen generate` with --poses upright",
+        )
+    if len(kept) < len(scenes):
+        left = len(scenes) - len(kept)
+        print(f"left out   {left} of {len(scenes)} scenes, whose last object lies", file=sys.stderr)
+    return kept
 
 
 def own_place(index: int, scene: Scene) -> np.ndarray:

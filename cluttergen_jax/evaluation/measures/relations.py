@@ -23,10 +23,8 @@ import mujoco
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.quality.hollow import find_hollow
-from cluttergen_jax.assets.solid import Solid
+from cluttergen_jax.assets.quality.hollow import hollow_of
 from cluttergen_jax.evaluation.measures.contacts import Contacts, contacts_of
 from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
 from cluttergen_jax.evaluation.measures.simulate import each_scene
@@ -193,6 +191,5 @@ def vessel_of(asset: ObjectAsset) -> Hollow | None:
     By the importer's rule (`assets.quality.hollow`): as deep as 15 mm and a fifth of its width, and open to
     a ball of 10 mm. A plate is no vessel.
     """
-    mesh = join_meshes([part.hull() for part in asset.parts])
-    hollow = find_hollow(Solid(mesh, True, mesh))
+    hollow = hollow_of(asset)
     return None if hollow is None else Hollow(hollow.points, hollow.pitch)

@@ -12,7 +12,7 @@ from cluttergen_jax.placement.related import carriers_of
 from cluttergen_jax.placement.removal import footprint_area
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.entropy_tilt import shortfall, tilt_logits
-from cluttergen_jax.placement.search.features import Placing, remaining_and_added
+from cluttergen_jax.placement.search.features import Placing, remaining_and_added, safe_poses
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.related_candidates import is_related, related_candidates
 from cluttergen_jax.placement.search.search import (
@@ -30,6 +30,7 @@ _ABOVE = 96
 _MANY_ABOVE = 192
 _MANY = 0.3
 """Candidates over placed objects where some shall lie on others, and where more than `_MANY` of all shall."""
+_INSIDE = 192
 
 _RELATED = 192
 """Candidates where relations hold that are asked for."""
@@ -156,6 +157,12 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         number = _MANY_ABOVE if most > _MANY * asked.num_objects else _ABOVE if most else 0
         return max(self.config.num_above, number)
 
+    @property
+    def _num_inside(self) -> int:
+        """Candidates over hollows, where objects are to be inside of others."""
+        asked = self.search.rules.config.clutter
+        return _INSIDE if asked is not None and asked.contained else 0
+
     def candidates(self, key: Array, episode: Episode) -> CandidateSet:
         """The candidates for the episode's next attempt."""
         search, config = self.search, self.config
@@ -167,6 +174,8 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
             drawn.append(search.best(scene, many, number))
         if self.num_above:
             drawn.append(above_objects(keys[2], scene, search.rules, self.num_above))
+        if number := self._num_inside:
+            drawn.append(inside_objects(jax.random.fold_in(key, 4), scene, search.rules, number))
         if (related := search.rules.related) is not None:
             of_relations = jax.random.fold_in(key, 3)
             geometry = search.rules.geometry
@@ -197,20 +206,51 @@ def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> 
     With nothing placed they are over the region's centre.
     """
     episode, half = scene.episode, rules.geometry.half_extents
-    key_which, key_at, key_yaw = jax.random.split(key, 3)
     chance = jnp.where(episode.is_placed, jnp.log(footprint_area(rules.geometry)), -jnp.inf)
+    # Boxes are turned about z and sometimes tipped: a square with the box's diagonal is near enough.
+    reach = jnp.linalg.norm(half[:, :2], axis=1) / jnp.sqrt(2.0)
+    return _over(key, scene, rules, (episode.poses[:, :3], reach, chance), number)
+
+
+def inside_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> Candidates:
+    """Candidates over the hollows of placed objects into which the current one fits; region frame."""
+    episode, hollows = scene.episode, rules.geometry.hollows
+    assert hollows is not None
+    openings = hollows.boxes(safe_poses(episode.poses, episode.is_placed))
+    chance = jnp.where(episode.is_placed & hollows.fits[scene.focus], 0.0, -jnp.inf)
+    reach = jnp.linalg.norm(hollows.half_extents[:, :2], axis=1) / jnp.sqrt(2.0)
+    # Round floors are flat in the middle alone.
+    return _over(key, scene, rules, (openings.center, reach, chance), number, number // 2)
+
+
+def _over(
+    key: Array,
+    scene: SearchScene,
+    rules: Rules,
+    places: tuple[Array, Array, Array],
+    number: int,
+    num_central: int = 0,
+) -> Candidates:
+    """Candidates over K places: f32[K, 3], centres, world; f32[K], half sides; f32[K], log chances.
+
+    Args:
+      num_central: so many of them are the nearer to the centre.
+    """
+    episode, (middle, reach, chance) = scene.episode, places
+    key_which, key_at, key_yaw = jax.random.split(key, 3)
     noise = jax.random.gumbel(key_which, (number, len(chance)))
     which = jnp.argmax(chance + noise, axis=1)
     T_region_world = episode.region.T_world_region.inverse()
     turn, shift = T_region_world.rotation().as_matrix(), T_region_world.translation()[:2]
-    center = episode.poses[which, :2] @ turn[:2, :2].T + shift
+    center = middle[which, :2] @ turn[:2, :2].T + shift
     support_map = rules.support_map_of(episode)
     if support_map is not None and support_map.T_map_world is not None:
-        center += episode.poses[which, 2:3] * turn[:2, 2]
-    # Boxes are turned about z and sometimes tipped: a square with the box's diagonal is near enough.
-    reach = jnp.linalg.norm(half[which, :2], axis=1) / jnp.sqrt(2.0)
-    xy = center + reach[:, None] * jax.random.uniform(key_at, (number, 2), minval=-1.0)
-    xy = jnp.where(jnp.any(episode.is_placed), xy, 0.0)
+        center += middle[which, 2:3] * turn[:2, 2]
+    offset = jax.random.uniform(key_at, (number, 2), minval=-1.0)
+    if num_central:
+        offset *= jnp.append(jnp.linspace(0.0, 1.0, num_central), jnp.ones(number - num_central))[:, None]
+    xy = center + reach[which, None] * offset
+    xy = jnp.where(jnp.any(jnp.isfinite(chance)), xy, 0.0)
     limit = episode.region.half_extents
     yaw = jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi)
     return Candidates(jnp.clip(xy, -limit, limit), yaw)

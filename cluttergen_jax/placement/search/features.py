@@ -11,6 +11,7 @@ from flax import struct
 
 from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, nearest_gaps, seen_shares
 from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.containers import contained, pairs_in
 from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.scenes import num_touching
 from cluttergen_jax.placement.search.fit import Candidates
@@ -30,12 +31,17 @@ class Placing(struct.PyTreeNode):
       placed: the boxes of all objects.
       proposed: those of the current object at the candidates.
       supporters: what would carry it there.
+      openings: of all objects (`containers.openings_of`); is_container: bool[K], which are hollow; can_hold:
+        bool[K], those into which the current object fits. None where nothing is asked of it.
     """
 
     episode: Episode
     placed: Boxes
     proposed: Boxes
     supporters: Supporters
+    openings: Boxes | None = None
+    is_container: Array | None = None
+    can_hold: Array | None = None
 
     @staticmethod
     def of(
@@ -53,13 +59,17 @@ class Placing(struct.PyTreeNode):
           focus: i32, the current object; quaternion: its orientation (`Body`).
           rest: f32[N], from `lower_onto`, metres.
         """
+        poses, hollows = safe_poses(episode.poses, episode.is_placed), geometry.hollows
         return Placing(
             episode=episode,
-            placed=Boxes.of(geometry.half_extents, safe_poses(episode.poses, episode.is_placed)),
+            placed=Boxes.of(geometry.half_extents, poses),
             proposed=proposed_boxes(
                 episode.region, geometry.half_extents[focus], quaternion, candidates, rest
             ),
             supporters=supporters,
+            openings=None if hollows is None else hollows.boxes(poses),
+            is_container=None if hollows is None else hollows.is_container,
+            can_hold=None if hollows is None else hollows.fits[focus],
         )
 
 
@@ -97,11 +107,14 @@ class Feature(NamedTuple):
       total: of the placed objects of an episode, f32.
       added: f32[N], by how much each candidate would change it.
       is_mean: its target is a mean over the objects, of which `total` is the sum.
+      hinders: bool[N], the candidates that take the room that others need which are to add to it. Where it is
+        given, what remains is sought at once.
     """
 
     total: Callable[[Placing], Array]
     added: Callable[[Placing], Array]
     is_mean: bool = False
+    hinders: Callable[[Placing], Array] | None = None
 
 
 def _num_on(at: Placing) -> Array:
@@ -118,6 +131,30 @@ def _levels(at: Placing) -> Array:
 
 def _num_touching(at: Placing) -> Array:
     return num_touching(at.episode.support_graph.leans_on, at.episode.is_placed).astype(jnp.float32)
+
+
+def _num_contained(at: Placing) -> Array:
+    assert at.is_container is not None
+    assert at.openings is not None
+    inside = contained(at.placed, at.openings, at.episode.is_placed, at.is_container)
+    return inside.sum().astype(jnp.float32)
+
+
+def _contained_added(at: Placing) -> Array:
+    return jnp.any(_inside(at), axis=1).astype(jnp.float32)
+
+
+def _inside(at: Placing) -> Array:
+    """bool[N, K]: the placed containers in which the current object would be."""
+    assert at.is_container is not None
+    assert at.openings is not None
+    return pairs_in(at.proposed, at.openings) & at.episode.is_placed & at.is_container
+
+
+def _hinders_containing(at: Placing) -> Array:
+    """bool[N]: it would lie upon a container, or in one into which others fit better."""
+    touches = at.supporters.touched & at.is_container
+    return jnp.any(touches | _inside(at), axis=1) & ~jnp.any(_inside(at) & at.can_hold, axis=1)
 
 
 def _sum_of_gaps(at: Placing) -> Array:
@@ -153,6 +190,7 @@ def _hidden_added(at: Placing) -> Array:
 
 FEATURES: dict[str, Feature] = {
     "stack": Feature(_num_on, lambda at: at.supporters.is_on.astype(jnp.float32)),
+    "contained": Feature(_num_contained, _contained_added, hinders=_hinders_containing),
     "depth": Feature(_depth, lambda at: at.supporters.level),
     "contacts": Feature(_num_touching, lambda at: at.supporters.touched.sum(1).astype(jnp.float32)),
     "near": Feature(_sum_of_gaps, _gaps_added, is_mean=True),
@@ -174,8 +212,12 @@ def remaining_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
         asked = target * episode.num_slots if feature.is_mean else target
         # Not every object finds something to lie on: what is counted is asked of the first to come.
         share = left if feature.is_mean else jnp.maximum(_EARLY * left, 1.0)
-        remaining.append((asked - feature.total(at)) / share)
-        added.append(feature.added(at))
+        missing, change = asked - feature.total(at), feature.added(at)
+        if feature.hinders is not None:
+            share = jnp.float32(1.0)
+            change = jnp.where((missing > 0) & feature.hinders(at), -1.0, change)
+        remaining.append(missing / share)
+        added.append(change)
     return jnp.stack(remaining), jnp.stack(added, axis=1)
 
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from cluttergen_jax.placement.boxes import Boxes
+from cluttergen_jax.placement.containers import openings_of
 from cluttergen_jax.placement.related import (
     ALIGNED,
     CONE,
@@ -43,9 +44,17 @@ def related_candidates(
     is_place = is_there & jnp.isin(related.kind, jnp.array(_PLACES))
     which = jax.random.categorical(key_which, jnp.where(is_place, 0.0, -jnp.inf), shape=(number,))
     kind, placed = related.kind[which], _placed(scene, geometry)
+    openings = openings_of(geometry, safe_poses(episode.poses, episode.is_placed))
     T_region_world = region.T_world_region.inverse()
-    center = jax.vmap(T_region_world.apply)(placed.center)[other[which], :2]
-    plan = jnp.sort(jnp.linalg.norm(placed.sides[..., :2], axis=-1), axis=-1)[other[which]]
+
+    def of_other(boxes: Boxes) -> tuple[Array, Array]:
+        middle = jax.vmap(T_region_world.apply)(boxes.center)[other[which], :2]
+        return middle, jnp.sort(jnp.linalg.norm(boxes.sides[..., :2], axis=-1), axis=-1)[other[which]]
+
+    center, plan = (
+        jnp.where((kind == IN)[:, None], inside, whole)
+        for inside, whole in zip(of_other(openings), of_other(placed), strict=True)
+    )
     own = scene.body.half_extents[:2]
     diagonal = jnp.linalg.norm(plan[:, 1:], axis=1)
     unit = jax.random.uniform(key_xy, (number, 2), minval=-1.0)
@@ -107,8 +116,9 @@ def is_related(
     half, quaternion = geometry.half_extents[scene.focus], scene.body.quaternion
     proposed = proposed_boxes(episode.region, half, quaternion, candidates, rest)
     placed, roles, focus = _placed(scene, geometry), _roles(scene), scene.focus
+    openings = openings_of(geometry, safe_poses(episode.poses, episode.is_placed))
     has_room = leaves_room(related, roles, focus, candidates.xy, geometry.half_extents, episode.region)
-    is_well = allowed_at(related, roles, focus, proposed, placed, episode.is_placed, episode.region)
+    is_well = allowed_at(related, roles, focus, proposed, placed, openings, episode.is_placed, episode.region)
     return has_room & is_well
 
 

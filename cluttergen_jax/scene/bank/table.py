@@ -11,7 +11,9 @@ import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.placement.boxes import spacing_of
+from cluttergen_jax.placement.containers import num_contained
 from cluttergen_jax.placement.scenes import SceneBatch
+from cluttergen_jax.placement.types import Hollows
 from cluttergen_jax.types import Verdict
 
 _ADDED = (Verdict.UNSUPPORTED, Verdict.FRAGILE, Verdict.UNRELATED)
@@ -53,10 +55,11 @@ CLUTTER = pa.schema(
         ("num_touching", pa.int32()),
         ("near", pa.float32()),
         ("occlusion", pa.float32()),
+        ("num_in", pa.int32()),
     ]
 )
-"""How cluttered a scene is, of what is placed: null in banks of older versions.
-`levels` has an entry per slot, -1 where nothing is placed."""
+"""How cluttered a scene is, of what is placed: null in banks of older versions; `num_in` wherever nothing is
+asked to be in something. `levels` has an entry per slot, -1 where nothing is placed."""
 
 BY_HAND = pa.schema([("seconds", pa.float32())])
 """What banks made by hand have besides: the seconds that a person spent on the scene, pauses left out."""
@@ -194,25 +197,32 @@ def table_of(
     names: Sequence[str],
     half_extents: np.ndarray,
     numbers: np.ndarray | None = None,
+    hollows: Hollows | None = None,
 ) -> pa.Table:
     """The rows of a block of scenes with one leading axis.
 
     Args:
       names: of the world's K objects; half_extents: f32[K, 3] of their boxes, metres.
       numbers: i32[K], of these objects among those that the bank's record names; as they come if None.
+      hollows: of these objects, if they are known.
     """
     numbers = np.arange(len(names)) if numbers is None else numbers
     half = half_extents[np.maximum(scenes.object_index, 0)]
     near, hidden = jax.device_get(_spacing(half, scenes.poses, scenes.is_placed))
+    inside = None
+    if hollows is not None:
+        own = jax.device_get(hollows.take(np.maximum(scenes.object_index, 0)))
+        inside = jax.device_get(_num_contained(half, own, scenes.poses, scenes.is_placed))
     rows = [
         _row(int(index), scenes, place, names, numbers)
         | {"near": float(near[place]), "occlusion": float(hidden[place])}
+        | {"num_in": None if inside is None else int(inside[place])}
         for place, index in enumerate(indices)
     ]
     return pa.Table.from_pylist(rows, schema=pa.unify_schemas([SCHEMA, CLUTTER]))
 
 
-_spacing = jax.jit(jax.vmap(spacing_of))
+_spacing, _num_contained = (jax.jit(jax.vmap(each)) for each in (spacing_of, num_contained))
 
 
 def _row(

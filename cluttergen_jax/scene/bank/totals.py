@@ -19,6 +19,7 @@ from cluttergen_jax.types import Verdict
 _NEAR_ENOUGH = 0.1
 _WORDS = {
     "stack": "objects on others",
+    "contained": "objects in others",
     "depth": "objects below each, summed",
     "contacts": "pairs that touch",
     "near": "metres to the nearest other, mean",
@@ -170,7 +171,7 @@ def _values(rows: pa.Table, name: str) -> np.ndarray:
         lists = rows["levels"].drop_null().combine_chunks()
         levels = np.maximum(np.array(pc.list_flatten(lists)), 0)
         return np.bincount(np.array(pc.list_parent_indices(lists)), levels, len(lists))
-    column = {"stack": "num_on", "contacts": "num_touching"}.get(name, name)
+    column = {"stack": "num_on", "contained": "num_in", "contacts": "num_touching"}.get(name, name)
     return np.array(rows[column].drop_null(), float)
 
 

@@ -1,0 +1,113 @@
+"""What of a scene is inside of other objects, and which objects are drawn that can be."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from cluttergen_jax.placement.boxes import Boxes, is_over, reach_up
+from cluttergen_jax.placement.removal import footprint_area
+from cluttergen_jax.placement.types import Geometry, Hollows
+from cluttergen_jax.types import Array
+
+BELOW_RIM = 0.005
+"""Metres by which the lowest point of what is in a thing is below that one's rim."""
+INNER = 0.8
+"""Of a box in plan: the part over which the middle of what is in a thing without a hollow has to be."""
+_FULL = 0.35
+"""Of a hollow, seen from above: so much of it several things together may fill that are drawn for it."""
+_MOST_WIDE = 1.5
+"""Times the sides of an opening: so wide what leans in it, box and all, may be."""
+_MOST_TILTED = np.cos(np.radians(45.0)).item()
+
+
+def openings_of(geometry: Geometry, poses: Array) -> Boxes:
+    """Where things are in K objects at world poses f32[K, 7]: their hollows, or else most of their boxes."""
+    if geometry.hollows is None:
+        return Boxes.of(geometry.half_extents * jnp.array([INNER, INNER, 1.0]), poses)
+    return geometry.hollows.boxes(poses)
+
+
+def is_in(subjects: Boxes, openings: Boxes) -> Array:
+    """bool[N]: the first of each pair is in the other, of which the opening is given (`openings_of`).
+
+    Its middle is over the opening, its lowest point between floor and rim, it is not much wider than the
+    opening, as what stands across it is, and the opening faces upwards.
+    """
+    wide, room = (
+        jnp.sort(jnp.linalg.norm(each.sides[..., :2], axis=-1))[:, 1:] for each in (subjects, openings)
+    )
+    is_narrow = jnp.all(wide <= _MOST_WIDE * room, axis=1)
+    low = subjects.center[:, 2] - reach_up(subjects)
+    rim = openings.center[:, 2] + reach_up(openings)
+    # Nor is in a thing what stands on a board below it.
+    is_above = low > openings.center[:, 2] - reach_up(openings) - BELOW_RIM
+    up = openings.sides[:, 2]
+    is_upright = up[:, 2] > _MOST_TILTED * jnp.linalg.norm(up, axis=-1)
+    return (
+        is_over(subjects.center, openings, 1.0) & (low < rim - BELOW_RIM) & is_above & is_narrow & is_upright
+    )
+
+
+def pairs_in(subjects: Boxes, openings: Boxes) -> Array:
+    """bool[N, K]: which of N boxes are in which of K openings; an object is over its own."""
+
+    def one_in_all(center: Array, sides: Array) -> Array:
+        shape = openings.center.shape
+        return is_in(Boxes(jnp.broadcast_to(center, shape), jnp.broadcast_to(sides, (*shape, 3))), openings)
+
+    return jax.vmap(one_in_all)(subjects.center, subjects.sides)
+
+
+def contained(boxes: Boxes, openings: Boxes, is_there: Array, is_container: Array) -> Array:
+    """bool[K]: which of K objects, those that are there (bool[K]), are in another one that is a container."""
+    holds = is_there & is_container & ~jnp.eye(len(is_there), dtype=bool)
+    return is_there & jnp.any(pairs_in(boxes, openings) & holds, axis=1)
+
+
+def num_contained(half_extents: Array, hollows: Hollows, poses: Array, is_there: Array) -> Array:
+    """i32: how many objects of a scene are in others.
+
+    Args:
+      half_extents: f32[K, 3], metres; poses: f32[K, 7], world; is_there: bool[K].
+    """
+    poses = jnp.where(is_there[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])
+    is_container = hollows.is_container
+    return contained(Boxes.of(half_extents, poses), hollows.boxes(poses), is_there, is_container).sum()
+
+
+def draw_contents(
+    key: Array, geometry: Geometry, is_taken: Array, number: int, num_slots: int
+) -> tuple[Array, Array]:
+    """So many objects and containers into which they fit, one after another, at random: bool[K], bool[K].
+
+    Fewer where no more fit. Containers are what stands there already, too.
+
+    Args:
+      is_taken: bool[K], what stands there already; num_slots: objects that are to be placed.
+    """
+    hollows, area = geometry.hollows, footprint_area(geometry)
+    assert hollows is not None
+    room = 4 * _FULL * hollows.half_extents[:, 0] * hollows.half_extents[:, 1]
+
+    def add(place: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        is_content, is_container, filled = state
+        used = is_content.sum() + (is_container & ~is_taken).sum()
+        has_slot = used + 1 + number - place <= num_slots
+        allowed = hollows.fits & ~(is_content | is_container | is_taken)[:, None] & ~is_content
+        allowed &= is_container | is_taken | has_slot
+        allowed &= (filled == 0) | (filled + area[:, None] <= room)
+        noise = jax.random.gumbel(jax.random.fold_in(key, place), allowed.shape)
+        chosen = jnp.argmax(jnp.where(allowed, noise, -jnp.inf))
+        content, container = chosen // len(area), chosen % len(area)
+        is_any = jnp.any(allowed)
+        return (
+            is_content.at[content].max(is_any),
+            is_container.at[container].max(is_any),
+            filled.at[container].add(jnp.where(is_any, area[content], 0.0)),
+        )
+
+    nothing = jnp.zeros(len(area), bool)
+    is_content, is_container, _ = jax.lax.fori_loop(0, number, add, (nothing, nothing, jnp.zeros(len(area))))
+    return is_content, is_container
