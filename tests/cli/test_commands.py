@@ -23,6 +23,7 @@ from cluttergen_jax.generation import generate, make_sampler
 from cluttergen_jax.learning.training.presets import PRESETS
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.placement.region import REGION_CHANGES
+from cluttergen_jax.scene.export.bank_folder import BANK_FORMATS
 from cluttergen_jax.scene.export.formats import FORMATS
 
 HEAVY = {"jax", "mujoco", "flax", "brax", "scipy", "trimesh", "coacd", "pyarrow", "matplotlib", "PIL"}
@@ -75,7 +76,7 @@ def test_the_table_of_commands_says_what_their_docstrings_say():
         (config.Preset, PRESETS),
         (config.Change, REGION_CHANGES),
         (config.Suite, (*SUITES, DOWNSTREAM)),
-        (config.ExportFormat, FORMATS),
+        (config.ExportFormat, (*FORMATS, *BANK_FORMATS)),
     ],
 )
 def test_choices_are_all_that_there_is(words, known):
