@@ -377,7 +377,7 @@ class Bank:
         assets: str,
         alone: bool = False,
     ) -> str:
-        numbers = tuple(map(int, re.findall(r"\d+", version or _installed())[:3]))
+        numbers = tuple(map(int, re.findall(r"\d+", version or _installed_version())[:3]))
         if not numbers:
             raise BankError(f"version {version!r} of MuJoCo", "numbers such as 3.5.0")
         folder = assets or (self.path / "assets").absolute().as_posix()
@@ -604,7 +604,7 @@ def _words(**numbers: Any) -> str:
     return " ".join(f'{name}="{" ".join(f"{x:.9g}" for x in values)}"' for name, values in texts.items())
 
 
-def _installed() -> str:
+def _installed_version() -> str:
     try:
         import mujoco
     except ImportError:

@@ -53,7 +53,11 @@ if TYPE_CHECKING:
 
 SHELF, MOST_ON_SHELF = 64, 200
 SETTINGS, BALANCES = get_args(Setting), get_args(Balance)
-_POSES_OF = {PACKED: ", which stands all of them side by side", PILE: ", which drops them in any as it is"}
+_FIXED_POSES = {
+    PACKED: ", which places all objects upright",
+    PILE: ", which always releases objects in random orientations",
+}
+"""Of methods that choose poses themselves: what an error says of them."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -402,7 +406,7 @@ class SceneSpec:
         """Refuses poses with a method that sees clouds of upright objects (ConfigError)."""
         if self.poses != "upright" and method not in GEOMETRIC_METHODS:
             given, allowed = f"poses = {self.poses!r} with method {method!r}", ", ".join(GEOMETRIC_METHODS)
-            given += _POSES_OF.get(method, "")
+            given += _FIXED_POSES.get(method, "")
             raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
 
     def check_method(self, method: str) -> None:

@@ -65,9 +65,9 @@ def export(
     bank = read_bank(path)
     if format in BANK_FORMATS:
         options = {"scenes": numbers, "cameras": tuple(cameras), "grasps": grasps}
-        for name in (name for name, value in options.items() if value):
-            given = f"`{name}` with the format {format!r}, which takes the whole bank"
-            raise ConfigError(given, "a bank of just these scenes", "`cluttergen generate`")
+        if given := ", ".join(f"`{name}`" for name, value in options.items() if value):
+            text = f"{given} with the format {format!r}, which takes the whole bank"
+            raise ConfigError(text, "a bank of just these scenes", "`cluttergen generate`")
         indices = [row.index for row in select_rows(bank)]
         return export_bank(bank.path, indices, out, format, overwrite)
     total = len(select_rows(bank, numbers))

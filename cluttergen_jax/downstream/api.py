@@ -50,8 +50,8 @@ def evaluate_suite(
         be given then: supports, objects, attempts, rules, repeats and changes.
       only: names of studies of the suite; all of them if not given.
       quick: every table at some of its rows, a few trials each: the whole paper suite in minutes. Its figures
-        say nothing. Programs of the suites of methods are hardly optimised; at the end all that this process
-        has compiled is forgotten.
+        say nothing. For suites of methods XLA optimises little, and compiled programs of this process are
+        dropped at the end.
       seeds: training seeds where a table asks for several, 3 if not given, 1 if quick; those without a
         checkpoint are left out, and those of placers are trained.
       heads: of suite "downstream": of the placers that a study trains; the study's own if not given.

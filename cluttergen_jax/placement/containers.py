@@ -1,4 +1,4 @@
-"""What of a scene is inside of other objects, and which objects are drawn that can be."""
+"""Which objects are inside of others, and a draw of objects of which some fit into others."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from cluttergen_jax.types import Array
 BELOW_RIM = 0.005
 """Metres by which the lowest point of what is in a thing is below that one's rim."""
 INNER = 0.8
-"""Of a box in plan: the part over which the middle of what is in a thing without a hollow has to be."""
+"""Share of a box, in plan: what is in a thing without a hollow has its centre over this part of it."""
 _FULL = 0.35
-"""Of a hollow, seen from above: so much of it several things together may fill that are drawn for it."""
+"""Share of a hollow, in plan, that the objects drawn for it may fill together, where they are several."""
 _MOST_WIDE = 1.5
-"""Times the sides of an opening: so wide what leans in it, box and all, may be."""
+"""Factor on an opening's sides: a leaning object's box is wider than what is inside."""
 _MOST_TILTED = np.cos(np.radians(45.0)).item()
 
 
 def openings_of(geometry: Geometry, poses: Array) -> Boxes:
-    """Where things are in K objects at world poses f32[K, 7]: their hollows, or else most of their boxes."""
+    """The hollows of K objects at world poses f32[K, 7]; the inner part of the box of an object without."""
     if geometry.hollows is None:
         return Boxes.of(geometry.half_extents * jnp.array([INNER, INNER, 1.0]), poses)
     return geometry.hollows.boxes(poses)
@@ -60,7 +60,7 @@ def pairs_in(subjects: Boxes, openings: Boxes) -> Array:
     return jax.vmap(one_in_all)(subjects.center, subjects.sides)
 
 
-def contained(boxes: Boxes, openings: Boxes, is_there: Array, is_container: Array) -> Array:
+def is_contained(boxes: Boxes, openings: Boxes, is_there: Array, is_container: Array) -> Array:
     """bool[K]: which of K objects, those that are there (bool[K]), are in another one that is a container."""
     holds = is_there & is_container & ~jnp.eye(len(is_there), dtype=bool)
     return is_there & jnp.any(pairs_in(boxes, openings) & holds, axis=1)
@@ -74,7 +74,7 @@ def num_contained(half_extents: Array, hollows: Hollows, poses: Array, is_there:
     """
     poses = jnp.where(is_there[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])
     is_container = hollows.is_container
-    return contained(Boxes.of(half_extents, poses), hollows.boxes(poses), is_there, is_container).sum()
+    return is_contained(Boxes.of(half_extents, poses), hollows.boxes(poses), is_there, is_container).sum()
 
 
 def draw_contents(

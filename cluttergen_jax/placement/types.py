@@ -108,7 +108,7 @@ class SupportMap(struct.PyTreeNode):
 
 
 class Hollows(struct.PyTreeNode):
-    """Where things are in K objects.
+    """The hollows of K objects, in which other objects can be.
 
     Attributes:
       center, half_extents: f32[K, 3], of a box around each object's hollow, object frame, metres; of one
@@ -149,7 +149,7 @@ class Geometry(struct.PyTreeNode):
       top: f32, height of the support's top, metres.
       orientations: in which the objects are released; None where all are released upright.
       support_map: of a surface of the support; None for a flat top, whose map the boxes tell.
-      hollows: where things are in objects; None where nothing is asked of it.
+      hollows: of the objects; None where no object is asked to be inside of another.
     """
 
     half_extents: Array

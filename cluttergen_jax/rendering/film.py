@@ -131,7 +131,7 @@ def replay(
     Args:
       camera: that sees it; the picture's view if None.
     """
-    picture = _sized_like(picture or PictureConfig(samples=8), camera)
+    picture = _with_size_of(picture or PictureConfig(samples=8), camera)
     frames = replay_frames(recording, config)
     points = _end_points(recording)
     with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
@@ -157,7 +157,7 @@ def turntable(
       camera: that goes around the middle of the region; the picture's view if None.
     """
     config = config or FilmConfig(seconds=6.0)
-    picture = _sized_like(picture or PictureConfig(samples=8), camera)
+    picture = _with_size_of(picture or PictureConfig(samples=8), camera)
     count = max(2, round(config.fps * config.seconds))
     styles = _standing(recording, recording.poses, recording.is_placed)
     points = _end_points(recording)
@@ -168,16 +168,16 @@ def turntable(
             if camera is None:
                 renderer.aim(around, replace(picture.view, azimuth=picture.view.azimuth + turn))
             else:
-                renderer.camera = _turned_about(camera, recording.region.center, math.radians(turn))
+                renderer.camera = _rotate_about(camera, recording.region.center, math.radians(turn))
             # The lights go with the camera: it is the table that turns.
             yield renderer.picture(styles, light_yaw=math.radians(turn))
 
 
-def _sized_like(picture: PictureConfig, camera: Camera | None) -> PictureConfig:
+def _with_size_of(picture: PictureConfig, camera: Camera | None) -> PictureConfig:
     return picture if camera is None else replace(picture, width=camera.width, height=camera.height)
 
 
-def _turned_about(camera: Camera, middle: Sequence[float], angle: float) -> Camera:
+def _rotate_about(camera: Camera, middle: Sequence[float], angle: float) -> Camera:
     """The camera somewhere else on its circle around a vertical axis through `middle` (x, y), metres."""
     turn, (cos, sin) = np.eye(4), (math.cos(angle), math.sin(angle))
     turn[:2, :2] = [[cos, -sin], [sin, cos]]

@@ -12,7 +12,7 @@ from cluttergen_jax.evaluation.measures import relations
 from cluttergen_jax.generation.sampler import make_sampler
 from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.placement.containers import contained, draw_contents, num_contained, pairs_in
+from cluttergen_jax.placement.containers import draw_contents, is_contained, num_contained, pairs_in
 from cluttergen_jax.placement.types import Hollows
 from cluttergen_jax.spec import SceneSpec
 from tests.helpers.problems import made_up_rules
@@ -46,7 +46,7 @@ def at(*place: float, up: float = 0.0) -> list[float]:
 def test_what_is_in_a_bowl_is_over_its_hollow_and_below_its_rim(place, tilt, expected):
     poses = jnp.array([at(0, 0, 0, up=tilt), at(*place), at(0, 0, 0)])
     boxes, is_there = Boxes.of(jnp.asarray(HALF), poses), jnp.array([True, True, False])
-    found = contained(boxes, BOWL.boxes(poses), is_there, BOWL.is_container)
+    found = is_contained(boxes, BOWL.boxes(poses), is_there, BOWL.is_container)
     assert found.tolist() == [False, expected, False]
     assert int(num_contained(HALF, BOWL, poses, is_there)) == expected
 
@@ -80,9 +80,9 @@ REFUSED = [
     ({"method": "packed", "clutter": "stack=2"}, "with spread or guided"),
     ({"method": "drop", "clutter": "near=0.02"}, "with spread or guided"),
     ({"method": "policy", "clutter": "occlusion=0.2"}, "with spread or guided"),
-    ({"method": "packed", "poses": "resting"}, "stands all of them side by side"),
+    ({"method": "packed", "poses": "resting"}, "places all objects upright"),
     ({"method": "packed", "poses": "any"}, "poses='upright'"),
-    ({"method": "pile", "poses": "resting"}, "drops them in any as it is"),
+    ({"method": "pile", "poses": "resting"}, "always releases objects in random orientations"),
     ({"method": "pile", "surface": "all", "support": "rack"}, "leaving it out"),
     ({"method": "pile", "relations": ("mug on bowl",)}, "with spread or guided"),
     ({"method": "packed", "relations": ("mug on bowl",)}, "with spread or guided"),

@@ -11,7 +11,6 @@ from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.rendering.gl import gl_context
 from tests.helpers import textured
 from tests.helpers.drawing import needs_gl
-from tests.helpers.exports import exporter
 from tests.helpers.textured import assert_upright
 
 
@@ -19,11 +18,6 @@ from tests.helpers.textured import assert_upright
 def scene():
     """Two slabs that share an image."""
     return textured.scene(textured.asset("one"), textured.asset("two"))
-
-
-@pytest.fixture(scope="module")
-def folder_of(scene, tmp_path_factory):
-    return exporter(scene, tmp_path_factory)
 
 
 def assert_colours(pixels, center, step):

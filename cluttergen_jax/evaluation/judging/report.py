@@ -146,7 +146,7 @@ class JudgeReport:
         )
         cannot = [f"{path} cannot be judged: {reason}" for path, reason in self.unread.items()]
         return "\n".join(
-            [*lines, *self.notes, *_shortened([*map(str, self._worst_first())]), *_shortened(cannot)]
+            [*lines, *self.notes, *_shorten([*map(str, self._worst_first())]), *_shorten(cannot)]
         )
 
     def _worst_first(self) -> list[JudgedStart]:
@@ -175,7 +175,7 @@ def _mm(metres: float) -> str:
     return f"{1000 * metres:,.1f} mm"
 
 
-def _shortened(lines: list[str]) -> list[str]:
+def _shorten(lines: list[str]) -> list[str]:
     return lines[:_SHOWN] + [f"and {len(lines) - _SHOWN} more"] * (len(lines) > _SHOWN)
 
 

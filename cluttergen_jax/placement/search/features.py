@@ -11,7 +11,7 @@ from flax import struct
 
 from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, nearest_gaps, seen_shares
 from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.placement.containers import contained, pairs_in
+from cluttergen_jax.placement.containers import is_contained, pairs_in
 from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.scenes import num_touching
 from cluttergen_jax.placement.search.fit import Candidates
@@ -136,7 +136,7 @@ def _num_touching(at: Placing) -> Array:
 def _num_contained(at: Placing) -> Array:
     assert at.is_container is not None
     assert at.openings is not None
-    inside = contained(at.placed, at.openings, at.episode.is_placed, at.is_container)
+    inside = is_contained(at.placed, at.openings, at.episode.is_placed, at.is_container)
     return inside.sum().astype(jnp.float32)
 
 

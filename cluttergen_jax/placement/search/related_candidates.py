@@ -43,7 +43,7 @@ def related_candidates(
     is_there = (is_subject | is_reference) & episode.is_placed[other] & ~is_table
     is_place = is_there & jnp.isin(related.kind, jnp.array(_PLACES))
     which = jax.random.categorical(key_which, jnp.where(is_place, 0.0, -jnp.inf), shape=(number,))
-    kind, placed = related.kind[which], _placed(scene, geometry)
+    kind, placed = related.kind[which], _placed_boxes(scene, geometry)
     openings = openings_of(geometry, safe_poses(episode.poses, episode.is_placed))
     T_region_world = region.T_world_region.inverse()
 
@@ -115,14 +115,14 @@ def is_related(
     episode = scene.episode
     half, quaternion = geometry.half_extents[scene.focus], scene.body.quaternion
     proposed = proposed_boxes(episode.region, half, quaternion, candidates, rest)
-    placed, roles, focus = _placed(scene, geometry), _roles(scene), scene.focus
+    placed, roles, focus = _placed_boxes(scene, geometry), _roles(scene), scene.focus
     openings = openings_of(geometry, safe_poses(episode.poses, episode.is_placed))
     has_room = leaves_room(related, roles, focus, candidates.xy, geometry.half_extents, episode.region)
     is_well = allowed_at(related, roles, focus, proposed, placed, openings, episode.is_placed, episode.region)
     return has_room & is_well
 
 
-def _placed(scene: SearchScene, geometry: Geometry) -> Boxes:
+def _placed_boxes(scene: SearchScene, geometry: Geometry) -> Boxes:
     episode = scene.episode
     return Boxes.of(geometry.half_extents, safe_poses(episode.poses, episode.is_placed))
 

@@ -71,8 +71,8 @@ def object_image(piece: Piece) -> str | None:
     return None if piece.texture is None else SHARED_IMAGES + piece.texture.file_name
 
 
-def support_image(piece: Piece) -> str | None:
-    """The same of a support's surface: its images lie in its own folder."""
+def own_image(piece: Piece) -> str | None:
+    """The same where images lie in an own folder: of supports, and of objects in USD."""
     return None if piece.texture is None else piece.texture.file_name
 
 
@@ -100,7 +100,7 @@ def write_support_meshes(folder: Path, support: SupportAsset) -> None:
     for index, part in enumerate(support.parts):
         (folder / part_name(index)).write_text(mesh_text(part.hull()), encoding="ascii")
     for index, piece in enumerate(support.pieces):
-        _write_piece(folder, index, piece, support_image(piece))
+        _write_piece(folder, index, piece, own_image(piece))
     write_support_images(folder, support)
 
 

@@ -74,7 +74,7 @@ def read_grasps(path: str | Path) -> dict[str, np.ndarray]:
         check_numbers({"pose": poses}, _POSES)
         hashes = np.array(table["hash"].to_pylist())
         if (np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) > 1e-3).any():
-            raise ValueError("a turn is none")
+            raise ValueError("a quaternion is not of unit length")
     except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as error:
         allowed = "a file of `cluttergen robot grasps POOL --out grasps.parquet`"
         raise ConfigError(f"grasps {str(path)!r}: {error}", allowed) from error

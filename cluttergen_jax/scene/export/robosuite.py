@@ -13,7 +13,7 @@ from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene.export.frames import text
-from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, support_image, visual_name
+from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, own_image, visual_name
 from cluttergen_jax.scene.xml import contact_attributes, own_contact_attributes, weightless
 
 _COLLIDES, _DRAWN = "0", "1"
@@ -70,7 +70,7 @@ def support_xml(support: SupportAsset, contact: ContactConfig) -> bytes:
         if not support.pieces:
             ET.SubElement(body, "geom", place | _unseen(PART_RGBA))
     for index, piece in enumerate(support.pieces):
-        _add_visual(assets, body, index, piece, support_image(piece))
+        _add_visual(assets, body, index, piece, own_image(piece))
     _add_sites(shell, 0.0, np.array([*support.region.half_extents, support.top]))
     return _bytes(root)
 

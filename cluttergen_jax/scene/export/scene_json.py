@@ -22,7 +22,7 @@ from cluttergen_jax.scene.export.meshes import (
     drawn_pieces,
     object_folder,
     object_image,
-    support_image,
+    own_image,
     visual_name,
 )
 
@@ -168,7 +168,7 @@ def _support(support: SupportAsset) -> dict[str, object]:
         "parts": [part_name(index) for index in range(len(support.parts))],
         "part_rgba": list(PART_RGBA),
         "visuals": [
-            {"file": visual_name(index), "rgba": list(piece.rgba), "image": support_image(piece)}
+            {"file": visual_name(index), "rgba": list(piece.rgba), "image": own_image(piece)}
             for index, piece in enumerate(support.pieces)
         ],
     }

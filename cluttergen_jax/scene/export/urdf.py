@@ -17,7 +17,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.scene.export.frames import euler_of, factor_of, friction_of, principal_of, text, xml_bytes
-from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, support_image, visual_name
+from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, own_image, visual_name
 
 
 def object_urdf(asset: ObjectAsset, contact: ContactConfig) -> bytes:
@@ -44,7 +44,7 @@ def support_urdf(support: SupportAsset, contact: ContactConfig) -> bytes:
     ET.SubElement(inertial, "mass", value="0")
     ET.SubElement(inertial, "inertia", ixx="0", iyy="0", izz="0", ixy="0", ixz="0", iyz="0")
     for index, piece in enumerate(support.pieces):
-        _add_visual(link, index, piece.rgba, support_image(piece))
+        _add_visual(link, index, piece.rgba, own_image(piece))
     for index, box in enumerate(support.boxes):
         size = text(2 * np.array(box.half_extents))
         kinds = ["collision"] if support.pieces else ["collision", "visual"]

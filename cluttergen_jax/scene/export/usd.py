@@ -29,7 +29,7 @@ from cluttergen_jax.scene.export.meshes import (
     category,
     drawn_pieces,
     identifiers,
-    support_image,
+    own_image,
     usd_folder,
     write_support_images,
 )
@@ -67,7 +67,7 @@ def write_object_usd(folder: Path, asset: ObjectAsset, contact: ContactConfig) -
     _add_label(prim, "class", category(asset))
     _add_label(prim, "wikidata_qcode", QCODE)
     pieces = drawn_pieces(asset)
-    _add_visuals(stage, pieces, [support_image(piece) for piece in pieces], "./textures/")
+    _add_visuals(stage, pieces, [own_image(piece) for piece in pieces], "./textures/")
     write_images(folder / "textures", asset.textures)
     picture = folder / ".thumbs" / f"{SIZE}x{SIZE}" / f"{asset.name}.usda.png"
     picture.parent.mkdir(parents=True)
@@ -82,7 +82,7 @@ def write_support_usd(folder: Path, support: SupportAsset, contact: ContactConfi
     """Writes `support.usda`: static colliders in the world frame, and surfaces where there are any."""
     stage, root = _asset_stage(folder / "support.usda", "support")
     _note(root.GetPrim(), support.label, support.provenance)
-    _add_visuals(stage, support.pieces, [support_image(piece) for piece in support.pieces])
+    _add_visuals(stage, support.pieces, [own_image(piece) for piece in support.pieces])
     write_support_images(folder, support)
     material = _add_contact(stage, contact.friction[0], contact)
     parent = _collisions(stage) if support.pieces else f"{_root(stage)}/boxes"
