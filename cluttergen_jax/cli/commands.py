@@ -28,7 +28,7 @@ COMMANDS = {
     "placer": "Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.",
     "perception": "Known objects in images: `perception data`, `perception train` and `perception eval`.",
     "robot": "A robot arm in simulation: `robot grasps` and `robot place`.",
-    "rearrange": "Let a simulated Franka Panda rearrange the objects of scenes (extra `robot`).",
+    "rearrange": "Let a simulated robot arm rearrange the objects of scenes (extra `robot`).",
     "import": (
         "Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, SDF, MJCF, or `ycb`."
     ),

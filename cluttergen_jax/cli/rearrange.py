@@ -9,9 +9,9 @@ from cluttergen_jax.config import RobotObserver
 from cluttergen_jax.downstream.rearrange.api import rearrange
 
 
-@options_from(rearrange, observer=RobotObserver)
+@options_from(rearrange, observer=RobotObserver, robot=str)
 class Rearrange(Options):
-    """Let a simulated Franka Panda rearrange the objects of scenes (extra `robot`).
+    """Let a simulated robot arm rearrange the objects of scenes (extra `robot`).
 
     Example: `cluttergen rearrange --setting blocked --num-episodes 20`
     """

@@ -11,9 +11,9 @@ from cluttergen_jax.cli.options import Options, options_from
 from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
 
 
-@options_from(robot_grasps, pool=Annotated[str, tyro.conf.Positional])
+@options_from(robot_grasps, pool=Annotated[str, tyro.conf.Positional], robot=str)
 class RobotGrasps(Options):
-    """Find grasps of a pool's objects for the hand of a Franka Panda, each tested in MuJoCo (extra `robot`).
+    """Find grasps of a pool's objects for the hand of a robot, each tested in MuJoCo (extra `robot`).
 
     Example: `cluttergen robot grasps household --num-grasps 64`
     """
@@ -23,9 +23,9 @@ class RobotGrasps(Options):
         return 0
 
 
-@options_from(robot_place, bank=Annotated[str | None, tyro.conf.Positional])
+@options_from(robot_place, bank=Annotated[str | None, tyro.conf.Positional], robot=str)
 class RobotPlace(Options):
-    """Let a simulated Franka Panda put objects into scenes, or lift them out of them (extra `robot`).
+    """Let a simulated robot arm put objects into scenes, or lift them out of them (extra `robot`).
 
     Example: `cluttergen robot place --pool household --num-episodes 40`
     """

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from cluttergen_jax.downstream.perception.pose.icp import need_gicp
-from cluttergen_jax.downstream.robot.model import panda_folder
+from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.studies.perception import PERCEPTION
 from cluttergen_jax.downstream.studies.placement import CAMERAS, NOISE, PLACEMENT
 from cluttergen_jax.downstream.studies.robot import REARRANGEMENT, REARRANGEMENT_ABLATIONS, ROBOT
@@ -72,7 +72,7 @@ def run_downstream(
         read_bank(scale.bank)
     studies = [STUDIES[name] for name in only or STUDIES]
     if any(study.needs_robot for study in studies):
-        panda_folder()
+        find_robot()
         need_gicp()
     suite = SuiteFolder(folder, scale, num_threads, fresh)
     return write_each((run_study(study, suite) for study in studies), folder, show)

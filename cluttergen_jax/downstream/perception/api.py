@@ -75,7 +75,7 @@ def perception_data(
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE, ViewConfig, write_views
     from cluttergen_jax.downstream.perception.views.store import VIEWS
-    from cluttergen_jax.downstream.robot.model import panda_folder
+    from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.samples import SPLITS
     from cluttergen_jax.rendering.gl import find_backend
     from cluttergen_jax.scene.bank import Bank
@@ -88,7 +88,7 @@ def perception_data(
         raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
     config = ViewConfig(seed=SPLITS[split] + seed, arm=arm)
     if arm:
-        panda_folder()
+        find_robot()
     most = len(find_pool(pool).objects)
     if num_objects is not None:
         check_range("num_objects", num_objects, 1, most, min(8, most))

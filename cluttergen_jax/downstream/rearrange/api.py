@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
+    from cluttergen_jax.downstream.robot.description import RobotDescription
 
 _MOST_SEED = 999_999
 _MOST_EPISODES = 1_000_000
@@ -37,6 +38,7 @@ def rearrange(
     *,
     setting: Rearrangement = "paper",
     num_episodes: int = 20,
+    robot: str | Path | RobotDescription = "panda",
     pool: str | Path = "household",
     choose: LayoutRule = "clearance",
     num_layouts: int = 10,
@@ -57,7 +59,7 @@ def rearrange(
     browser: bool = True,
     show: Callable[[str], None] = print,
 ) -> Rearrangements:
-    """Lets a simulated Franka Panda rearrange the objects of scenes (`cluttergen rearrange`).
+    """Lets a simulated robot arm rearrange the objects of scenes (`cluttergen rearrange`).
 
     The generator draws 128 layouts or more; the most different ones with enough room are kept, and one is
     chosen. The arm moves one object after another, by way of free places if they are in each other's way,
@@ -70,6 +72,8 @@ def rearrange(
         blocked (into the very area where they are), eight (objects), or stacked (one lies on another at
         first).
       num_episodes: number of episodes.
+      robot: which: a name of `cluttergen list`, or the YAML file of one of your own; `perception` knows the
+        Panda alone.
       pool: a pool's name or folder, or several joined by +.
       choose: the rule by which a layout is chosen: clearance, with the widest gap between objects; reach,
         with the most objects that the hand can get at; or similar, with the shortest ways.
@@ -113,8 +117,8 @@ def rearrange(
 
     from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
+    from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.film import check_films
-    from cluttergen_jax.downstream.robot.model import panda_folder
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -144,7 +148,7 @@ def rearrange(
         raise ConfigError(
             f"`pick` together with layout = {layout}", "one or the other", "leaving out `layout`"
         )
-    panda_folder()
+    described = find_robot(robot)
     if films or show_layouts:
         check_films(film)
     looking = _looking(pool, segmenter, seed) if observer == "perception" else observer
@@ -163,6 +167,7 @@ def rearrange(
             ask=person,
             films=film if films else None,
             sheets=show_layouts,
+            robot=described,
         )
 
 

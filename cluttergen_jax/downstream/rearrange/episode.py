@@ -124,7 +124,7 @@ class Rearranger:
         task, num_moved, poses = self._task, self._num_moved, self._sight.poses
         moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
         objects, region, number = self._scene.objects, task.setting.target, self._options.num_layouts
-        reach_of = ReachCheck(objects, task.grasps, range(num_moved), self._scene.support, FIRM)
+        reach_of = ReachCheck(objects, task.grasps, range(num_moved), self._scene.support, FIRM, task.robot)
         full, gap, reach = np.zeros((0, len(poses), 7)), np.zeros(0), np.zeros(0)
         for draw in range(_DRAWS):
             drawn = task.draw(task.seed + draw, moved, region, stay, poses[num_moved:])
@@ -243,7 +243,7 @@ def _open_episode(
     ask: Chooser | None = None,
 ) -> Iterator[tuple[Rearranger, Execution, RearrangementJudge, ObjectTracker]]:
     """An episode before its first look."""
-    execution = Execution(task.scene, 0, trace=trace, sleeps=True)
+    execution = Execution(task.scene, 0, trace=trace, sleeps=True, robot=task.robot)
     judge = RearrangementJudge(execution, task.scene, task.setting.num_objects, task.symmetry)
     with EpisodeView(execution, task.scene.names, task.seed) as view:
         sight = ObjectTracker(observer, view, options.relook, task.symmetry)

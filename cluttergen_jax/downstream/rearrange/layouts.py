@@ -15,6 +15,7 @@ from scipy.spatial.distance import cdist
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import LayoutRule, Method
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.grasping.grips import rank_grasps
 from cluttergen_jax.downstream.robot.model import base_pose
@@ -190,7 +191,7 @@ class ReachCheck:
 
     Args:
       objects: N; grasps: of each. moved: the numbers of the objects that count. support: the table.
-      max_lever: metres, of the grasps that count (`grips.Grip`).
+      max_lever: metres, of the grasps that count (`grips.Grip`). robot: the Panda if not given.
     """
 
     def __init__(
@@ -200,11 +201,14 @@ class ReachCheck:
         moved: Sequence[int],
         support: SupportAsset,
         max_lever: float = np.inf,
+        robot: RobotDescription | None = None,
     ) -> None:
-        self._grasps, self._max_lever, base = grasps, max_lever, base_pose(support)
-        self._kinematics = ArmKinematics(base)
+        self._grasps, self._max_lever, base = grasps, max_lever, base_pose(support, robot)
+        self._kinematics = ArmKinematics(base, robot)
         names, nowhere = list(map(str, range(len(objects)))), np.tile(np.eye(7)[3], (len(objects), 1))
-        self._worlds = {k: PlanningWorld(names, objects, nowhere, k, support, base) for k in moved}
+        self._worlds = {
+            k: PlanningWorld(names, objects, nowhere, k, support, base, robot=robot) for k in moved
+        }
         for world in self._worlds.values():
             world.room = HAND_ROOM
 
@@ -216,7 +220,7 @@ class ReachCheck:
         world, T_world_object = self._worlds[target], matrix_of(poses[target])
         for number, pose in enumerate(poses):
             world.move(number, pose)
-        for grip in rank_grasps(self._grasps[target], T_world_object):
+        for grip in rank_grasps(self._grasps[target], T_world_object, world.gripper):
             if grip.lever > self._max_lever:
                 continue
             T_world_tool, opening = T_world_object @ grip.T_object_tool, grip.opening

@@ -8,14 +8,13 @@ import numpy as np
 
 from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.rearrange.observe import Cause, ObjectTracker
-from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import ROOMS, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import Mover
-from cluttergen_jax.downstream.robot.motion.plan import PickPlan, time_path
+from cluttergen_jax.downstream.robot.motion.plan import PickPlan
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.scene import Scene
@@ -56,8 +55,8 @@ class Moves:
     ) -> None:
         self._scene, self._grasps, self._rng = scene, grasps, rng
         self._execution, self._sight, self._judge = execution, sight, judge
-        self.base = base_pose(scene.support)
-        self.kinematics = ArmKinematics(self.base)
+        self.base = base_pose(scene.support, execution.robot)
+        self.kinematics = ArmKinematics(self.base, execution.robot)
         self.picks = self.waits = self.retries = self._backs = 0
         self.why = Failed(Cause.NO_ORDER)
         self.forget()
@@ -71,7 +70,8 @@ class Moves:
         if is_home:
             self._sight.glance()
             run = self._execution
-            run.follow(time_path(np.linspace(run.set_point, DRAWN_BACK, 8), run.step_time), Phase.FREE)
+            drawn_back = np.array(run.robot.arm.drawn_back)
+            run.follow(run.motion_along(np.linspace(run.set_point, drawn_back, 8)), Phase.FREE)
             run.wait(0.2, Phase.FREE)
         self._sight()
 
@@ -97,7 +97,8 @@ class Moves:
     def _move(self, k: int, places: np.ndarray, care: tuple[bool, float], is_wait: bool) -> bool:
         """Brings an object to one of places f64[M, 4, 4]; False if there is no way: it is where it was."""
         scene, stood = self._scene, matrix_of(self._sight.poses[k])
-        world = PlanningWorld(scene.names, scene.objects, self._sight.poses, k, scene.support, self.base)
+        known = (scene.names, scene.objects, self._sight.poses)
+        world = PlanningWorld(*known, k, scene.support, self.base, robot=self._execution.robot)
         seed = int(self._rng.integers(2**30))
         feels = not self._sight.sees_held
         is_apart, room = care

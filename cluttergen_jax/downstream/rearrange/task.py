@@ -10,6 +10,7 @@ import numpy as np
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.config import LayoutRule, Method, PickOrder
 from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.outcome import Ending
 from cluttergen_jax.scene import Scene
@@ -101,7 +102,7 @@ class RearrangeTask:
       numbers: i[N], of these in the pool that `draw` knows.
       grasps: of each of the N. symmetry: of each (`assets.symmetry.turn_symmetry`).
       draw: draws layouts and places to wait.
-      seed: of all that is drawn.
+      seed: of all that is drawn. robot: that does it; the Panda if not given.
     """
 
     setting: RearrangeSetting
@@ -111,6 +112,7 @@ class RearrangeTask:
     symmetry: tuple[int, ...]
     draw: SceneDraw
     seed: int
+    robot: RobotDescription | None = None
 
 
 Chooser = Callable[[RearrangeTask, np.ndarray, Layouts], int]

@@ -28,6 +28,7 @@ from cluttergen_jax.downstream.rearrange.task import (
     RearrangeSetting,
     RearrangeTask,
 )
+from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
 from cluttergen_jax.downstream.robot.motion.execute import Trace
@@ -40,7 +41,7 @@ from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
 _MOST_DRAWS = 16
-_ADDED = ("grasps", "objects", "planner", "registration")
+_ADDED = ("grasps", "objects", "planner", "registration", "robot")
 """Of recipes: what files of older versions lack."""
 
 
@@ -50,10 +51,13 @@ class Starts:
     Args:
       setting: the setting. pool: a pool's name.
       num_threads: of the simulation and the tests of grasps; 0 takes every core.
+      robot: the Panda if not given.
     """
 
-    def __init__(self, setting: RearrangeSetting, pool: str, num_threads: int) -> None:
-        self.setting, self._pool = setting, pool
+    def __init__(
+        self, setting: RearrangeSetting, pool: str, num_threads: int, robot: RobotDescription | None = None
+    ) -> None:
+        self.setting, self._pool, self._robot = setting, pool, robot
         self._num_threads = num_threads or os.cpu_count() or 1
         self._grasps: dict[str, Grasps] = {}
         self._symmetry = cache(turn_symmetry)
@@ -98,16 +102,17 @@ class Starts:
                     place.support,
                 )
                 grasps, symmetry = self._grasps_of(objects), tuple(map(self._symmetry, objects))
-                if setting.num_stacked and not is_stacked(scene, grasps, setting.num_stacked):
+                if setting.num_stacked and not is_stacked(scene, grasps, setting.num_stacked, self._robot):
                     continue
-                return RearrangeTask(setting, scene, tuple(numbers), grasps, symmetry, place, _draw_seed(rng))
+                asked = (setting, scene, tuple(numbers), grasps, symmetry, place)
+                return RearrangeTask(*asked, _draw_seed(rng), self._robot)
         raise ConfigError(f"no starting scene of {setting.name!r}", "smaller objects", "another pool")
 
     def _grasps_of(self, objects: Sequence[ObjectAsset]) -> tuple[Grasps, ...]:
         """Of each object, found when it is first asked for."""
         fresh = [each for each in objects if each.name not in self._grasps]
         if fresh:
-            found = grasps_of(fresh, num_threads=self._num_threads)
+            found = grasps_of(fresh, num_threads=self._num_threads, robot=self._robot)
             self._grasps.update(zip((each.name for each in fresh), found, strict=True))
         return tuple(self._grasps[each.name] for each in objects)
 
@@ -116,19 +121,21 @@ def _draw_seed(rng: np.random.Generator) -> int:
     return int(rng.integers(2**30))
 
 
-def is_stacked(scene: Scene, grasps: Sequence[Grasps], number: int) -> bool:
+def is_stacked(
+    scene: Scene, grasps: Sequence[Grasps], number: int, robot: RobotDescription | None = None
+) -> bool:
     """Whether so many objects lie on others, and the arm gets at those of them on which nothing lies.
 
     A ring that fell over what it lies on is an example of what no hand can take.
 
     Args:
-      grasps: of each object of the scene.
+      grasps: of each object of the scene. robot: the Panda if not given.
     """
     lies_on = Meetings(scene.objects).relations(scene.poses, scene.poses).lies_on
     top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0)).tolist()
     if lies_on.any(1).sum() < number:
         return False
-    return ReachCheck(scene.objects, grasps, top, scene.support)(scene.poses) == 1
+    return ReachCheck(scene.objects, grasps, top, scene.support, robot=robot)(scene.poses) == 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +205,7 @@ def run_rearrangements(
     ask: Chooser | None = None,
     films: FilmFormat | None = None,
     sheets: bool = False,
+    robot: RobotDescription | None = None,
 ) -> Rearrangements:
     """Runs episodes of a setting.
 
@@ -208,6 +216,7 @@ def run_rearrangements(
       ask: a person, who chooses the layouts.
       films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
       sheets: draw the layouts of each episode as `out`/layouts-NUMBER.png (`layout_sheet`).
+      robot: that does it; the Panda if not given.
 
     Raises:
       BankError: the folder holds rows of other settings, grasps or weights, a damaged file, or a film shows
@@ -219,13 +228,19 @@ def run_rearrangements(
     told = getattr(observer, "name", type(observer).__name__)
     recipe = {"setting": setting.name, "pool": pool, "seed": seed, "observer": told, **asdict(options)}
     recipe |= {name: getattr(observer, name, "") for name in ("weights", "registration")}
-    recipe |= {"objects": find_pool(pool).hash, "planner": rearrange_hash(), "versions": versions()}
+    robot = robot or find_robot()
+    recipe |= {
+        "robot": robot.hash,
+        "objects": find_pool(pool).hash,
+        "planner": rearrange_hash(),
+        "versions": versions(),
+    }
     if ask is not None:
         recipe["choose"] = "person"
     file = RowFile(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange", _ADDED)
     rows = file.read(number)
     # Where nothing is left to be done it is not made.
-    starts = cache(lambda: Starts(setting, pool, num_threads))
+    starts = cache(lambda: Starts(setting, pool, num_threads, robot))
 
     def task_of(index: int) -> RearrangeTask:
         task = starts()(episode_seed(seed, index))

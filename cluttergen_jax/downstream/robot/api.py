@@ -23,6 +23,7 @@ from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.query import Placer
+    from cluttergen_jax.downstream.robot.description import RobotDescription
     from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
     from cluttergen_jax.downstream.robot.trials import RobotTrials
 
@@ -38,6 +39,7 @@ def robot_grasps(
     pool: str | Path = "household",
     objects: Sequence[str] = (),
     *,
+    robot: str | Path | RobotDescription = "panda",
     num_grasps: int = 64,
     seed: int = 0,
     num_threads: int = 0,
@@ -45,7 +47,7 @@ def robot_grasps(
     out: str | Path | None = None,
     picture: str | Path | None = None,
 ) -> GraspSets:
-    """Finds grasps of a pool's objects for the hand of a Franka Panda (`cluttergen robot grasps`).
+    """Finds grasps of a pool's objects for the hand of a robot (`cluttergen robot grasps`).
 
     Each is tested in MuJoCo: the hand closes, lifts by 15 cm, shakes and turns. What is found is kept for
     each object in the folder `grasps` beside the pools of your own; the same call reads it.
@@ -53,6 +55,7 @@ def robot_grasps(
     Args:
       pool: a pool's name or folder, or several joined by +.
       objects: only these of its objects.
+      robot: whose hand: a name of `cluttergen list`, or the YAML file of one of your own.
       num_grasps: for each object at most, spread over it.
       seed: of what is drawn.
       num_threads: 0 takes every core.
@@ -64,12 +67,13 @@ def robot_grasps(
       The grasps of each object; printed, a table that names objects with too few.
 
     Raises:
-      ConfigError: a number is out of range.
+      ConfigError: a number is out of range, or the robot is none.
       PoolError: there is no such pool or object, or a file of grasps is damaged.
       MissingExtraError: the extra `robot` is not installed.
       RendererError: a picture is wanted, and nothing here can draw.
     """
     from cluttergen_jax.assets.pool import find_pool
+    from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.grasping.grasps import grasp_sets, write_grasps
 
     check_file(out, "out", "grasps.parquet")
@@ -78,9 +82,9 @@ def robot_grasps(
     check_workers("num_threads", num_threads)
     check_range("num_grasps", num_grasps, 1, _MOST_GRASPS, 64)
     check_range("seed", seed, 0, _MOST_SEED, 0)
-    found = find_pool(pool)
+    found, described = find_pool(pool), find_robot(robot)
     chosen = tuple(found[name] for name in objects) or found.objects
-    sets = grasp_sets(chosen, num_grasps, seed, num_threads, fresh)
+    sets = grasp_sets(chosen, num_grasps, seed, num_threads, fresh, described)
     if out is not None:
         write_grasps(Path(out), sets.sets)
     if picture is not None:
@@ -97,6 +101,7 @@ def robot_place(
     bank: str | Path | None = None,
     *,
     task: RobotTask = "place",
+    robot: str | Path | RobotDescription = "panda",
     placer: str | Path = "drop",
     noise: float | None = None,
     num_episodes: int = 40,
@@ -110,7 +115,7 @@ def robot_place(
     seed: int = 0,
     num_threads: int = 0,
 ) -> RobotTrials:
-    """Lets a simulated Franka Panda move the last object of scenes (`cluttergen robot place`).
+    """Lets a simulated robot arm move the last object of scenes (`cluttergen robot place`).
 
     In `place` it picks the object from a stand beside the table, puts it down among the others, and leaves;
     in `lift` it lifts it out of them. With `drop`, `guided` or `none` it knows the true state; with any
@@ -122,6 +127,7 @@ def robot_place(
       bank: the scenes to use; if not given, a bank is generated in the folder. Of scenes in which objects
         lie, `place` takes those whose last object is upright.
       task: place or lift.
+      robot: which: a name of `cluttergen list`, or the YAML file of one of your own.
       placer: for `place`: none, the object's own place in the scene; drop, guided or policy, which know the
         whole scene and propose more places if that one cannot be reached; or one that uses depth images:
         geometry, geometry-occupied, random, scored, or the folder of a trained one.
@@ -139,7 +145,7 @@ def robot_place(
       The episodes; printed, the share of successes, and failures by cause and by object.
 
     Raises:
-      ConfigError: a setting is out of range, or contradicts the bank.
+      ConfigError: a setting is out of range, or contradicts the bank, or the robot is none.
       BankError: the bank cannot be read or holds no success, the folder holds episodes of other
         settings, grasps or weights, or an episode that is filmed does not end as it did.
       PoolError: there is no such pool or support.
@@ -153,8 +159,8 @@ def robot_place(
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.downstream.digests import json_digest
     from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
+    from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.film import check_films
-    from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
     from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
     from cluttergen_jax.downstream.samples import bank_or_made, poses_of
@@ -170,7 +176,7 @@ def robot_place(
         raise ConfigError(f"task = {task!r}", ", ".join(get_args(RobotTask)))
     looking = _looking(placer)
     factor = _factor(noise, task, looking is not None)
-    panda_folder()
+    described = find_robot(robot)
     if films:
         check_films(film)
 
@@ -212,6 +218,7 @@ def robot_place(
         num_threads=threads,
         places=places,
         films=film if films else None,
+        robot=described,
     )
 
 

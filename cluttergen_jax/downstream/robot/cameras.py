@@ -11,9 +11,6 @@ from cluttergen_jax.sensing import REALSENSE_FOCAL, Camera, intrinsics, overhead
 
 SIZE, FOCAL = (320, 240), REALSENSE_FOCAL / 2
 """Of pictures: a depth camera of the RealSense kind at half of its resolution."""
-DRAWN_BACK = np.array([0.0, -1.5, 0.0, -1.95, 0.0, 1.2, -0.7853])
-"""Radians: joints at which the arm, over its base, leaves the camera over the table a free view. At its home
-pose it covers most of the table."""
 _WRIST_PLACE = np.array([0.06, 0.0, -0.08])
 _WRIST_TILT = np.radians(-8.0)
 

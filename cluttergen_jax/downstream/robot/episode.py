@@ -11,6 +11,7 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
@@ -89,7 +90,7 @@ class Referee:
       scene: all objects, where they stand at the start.
       target: the number of the one that is to be moved.
       stands: more boxes that objects can stand on.
-      trace: see `Execution`.
+      trace, robot: see `Execution`.
 
     Attributes:
       put: where the object was put, once it was.
@@ -102,10 +103,11 @@ class Referee:
         target: int,
         stands: tuple[Box, ...],
         trace: Trace | None = None,
+        robot: RobotDescription | None = None,
     ) -> None:
         self.put: Put | None = None
         self.scene, self.target = scene, target
-        self.execution = Execution(scene, target, stands, trace)
+        self.execution = Execution(scene, target, stands, trace, robot=robot)
         self._others = [k for k in range(len(scene.names)) if k != target]
         self.displaced = 0.0
 
@@ -183,11 +185,12 @@ class EpisodeWorld(Referee):
         stands: tuple[Box, ...],
         seed: int,
         trace: Trace | None = None,
+        robot: RobotDescription | None = None,
     ) -> None:
-        super().__init__(scene, target, stands, trace)
-        base = base_pose(scene.support)
-        planning = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
-        self.mover = Mover(self.execution, planning, ArmKinematics(base), target, seed)
+        super().__init__(scene, target, stands, trace, robot)
+        base, known = base_pose(scene.support, robot), (scene.names, scene.objects, scene.poses)
+        planning = PlanningWorld(*known, target, scene.support, base, stands, robot=robot)
+        self.mover = Mover(self.execution, planning, ArmKinematics(base, robot), target, seed)
 
 
 class Put(NamedTuple):
@@ -198,10 +201,15 @@ class Put(NamedTuple):
 
 
 def lift_episode(
-    scene: Scene, target: int, grasps: Grasps, seed: int, trace: Trace | None = None
+    scene: Scene,
+    target: int,
+    grasps: Grasps,
+    seed: int,
+    trace: Trace | None = None,
+    robot: RobotDescription | None = None,
 ) -> EpisodeResult:
     """One object is lifted by `mover.LIFT` out of those that stand around it."""
-    world = EpisodeWorld(scene, target, (), seed, trace=trace)
+    world = EpisodeWorld(scene, target, (), seed, trace, robot)
 
     def run() -> None:
         height = world.execution.pose(target)[2, 3]
@@ -214,7 +222,13 @@ def lift_episode(
 
 
 def place_episode(
-    scene: Scene, target: int, grasps: Grasps, places: np.ndarray, seed: int, trace: Trace | None = None
+    scene: Scene,
+    target: int,
+    grasps: Grasps,
+    places: np.ndarray,
+    seed: int,
+    trace: Trace | None = None,
+    robot: RobotDescription | None = None,
 ) -> EpisodeResult:
     """One object is picked from a stand beside the table and put among the others; the arm knows all.
 
@@ -224,7 +238,7 @@ def place_episode(
       seed: of its turn on the stand, and of the motions.
     """
     scene, stand = _on_stand(scene, target, seed)
-    world = EpisodeWorld(scene, target, (stand,), seed, trace=trace)
+    world = EpisodeWorld(scene, target, (stand,), seed, trace, robot)
     wanted = matrix_of(places)
 
     def run() -> None:
@@ -240,7 +254,13 @@ def place_episode(
 
 
 def sensing_place_episode(
-    scene: Scene, target: int, grasps: Grasps, placer: CameraPlacer, seed: int, trace: Trace | None = None
+    scene: Scene,
+    target: int,
+    grasps: Grasps,
+    placer: CameraPlacer,
+    seed: int,
+    trace: Trace | None = None,
+    robot: RobotDescription | None = None,
 ) -> EpisodeResult:
     """As `place_episode`, by an arm that sees the others and asks a placer where to put the object.
 
@@ -249,7 +269,7 @@ def sensing_place_episode(
       seed: of the object's turn on the stand, of the motions, noise and proposals.
     """
     scene, stand = _on_stand(scene, target, seed)
-    world = Referee(scene, target, (stand,), trace=trace)
+    world = Referee(scene, target, (stand,), trace, robot)
     asset, start = scene.objects[target], scene.poses[target]
     arm = SensingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.config import FilmFormat
-from cluttergen_jax.downstream.robot.model import PANDA, Panda
+from cluttergen_jax.downstream.robot.model import TIMESTEP, Robot
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
@@ -118,7 +118,7 @@ def _every(seconds: float) -> int:
     """Steps from one frame to the next."""
     speed = float(np.clip(seconds / _SECONDS, 1.0, _FASTEST))
     # Rounded down, it is never faster.
-    return max(1, int(speed / FPS / PANDA.timestep))
+    return max(1, int(speed / FPS / TIMESTEP))
 
 
 def _ending(row: EpisodeRow) -> str:
@@ -163,7 +163,7 @@ def _content(trace: Trace, model: mujoco.MjModel, data: mujoco.MjData) -> np.nda
     support = trace.scene.support
     corners = [np.column_stack([support.region.corners, np.full(4, support.top + z)]) for z in (0.0, _ROOM)]
     points = [*corners, trace.scene.poses[:, :3]]
-    is_arm = Panda.of(model).is_arm
+    is_arm = Robot.of(model, trace.robot).is_arm
     for state in [*trace.states, trace.data.qpos]:
         data.qpos[:] = state
         mujoco.mj_kinematics(model, data)

@@ -11,13 +11,15 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.cameras import wrist_camera
+from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.model import Panda, base_pose, panda_spec
+from cluttergen_jax.downstream.robot.gripper import gripper_of
+from cluttergen_jax.downstream.robot.model import Robot, arm_spec, attach_robot, base_pose
 from cluttergen_jax.downstream.robot.motion.collision import ROOMS, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import Mover
-from cluttergen_jax.downstream.robot.motion.plan import PickPlan, time_path
+from cluttergen_jax.downstream.robot.motion.plan import PickPlan
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer, DepthView
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
@@ -25,7 +27,7 @@ from cluttergen_jax.sensing import Camera, cast_rays
 
 _GROWN = 3
 """Pixels around it that are left out, too: what is in front grows in a noisy picture."""
-_ROOT, _BROUGHT = "link0", "brought"
+_BROUGHT = "brought"
 _DRAWN = np.isin(np.arange(mujoco.mjNGROUP), VISUAL_GROUP).astype(np.uint8)
 
 
@@ -34,17 +36,20 @@ class ArmSilhouette:
 
     Args:
       base: f64[7], T_world_base. asset: the object that it brings; None leaves only the arm out.
+      robot: that stands at `base`; the Panda if not given.
     """
 
-    def __init__(self, base: np.ndarray, asset: ObjectAsset | None = None) -> None:
-        spec = panda_spec(ContactConfig())
-        root = spec.body(_ROOT)
-        root.pos, root.quat = base[:3], base[3:]
+    def __init__(
+        self, base: np.ndarray, asset: ObjectAsset | None = None, robot: RobotDescription | None = None
+    ) -> None:
+        robot = robot or find_robot()
+        spec = attach_robot(mujoco.MjSpec(), arm_spec(ContactConfig(), robot), robot, base)
         brought = spec.worldbody.add_body(name=_BROUGHT)
         for index, part in enumerate(() if asset is None else asset.parts):
             add_part(spec, brought, f"{_BROUGHT}/part-{index}", part.vertices).group = VISUAL_GROUP
         self._model = spec.compile()
-        self._data, self._arm = mujoco.MjData(self._model), Panda.of(self._model, prefix="")
+        self._data, self._arm = mujoco.MjData(self._model), Robot.of(self._model, robot)
+        self._gripper = gripper_of(robot)
         self._brought = self._model.body(_BROUGHT).id
 
     def __call__(
@@ -54,11 +59,11 @@ class ArmSilhouette:
 
         Args:
           camera: where it is believed to stand.
-          joints: f64[7]; opening: metres of each finger from the middle; pose: f64[7],
+          joints: f64[n]; opening: metres of each pad from the middle; pose: f64[7],
             T_world_object, where there is one.
         """
         model, data = self._model, self._data
-        data.qpos[self._arm.qpos], data.qpos[self._arm.fingers] = joints, opening
+        data.qpos[self._arm.qpos], data.qpos[self._arm.fingers] = joints, self._gripper.joints_of(opening)
         if pose is not None:
             model.body_pos[self._brought], model.body_quat[self._brought] = pose[:3], pose[3:]
         mujoco.mj_kinematics(model, data)
@@ -130,8 +135,8 @@ class SensingArm:
         self._execution, self._asset, self._start = execution, asset, start
         self._support, self._stand, self._placer, self._name = support, stand, placer, name
         self._seed, self._rng = seed, np.random.default_rng((seed, 1))
-        self._base = base_pose(support)
-        self._silhouette = ArmSilhouette(self._base, asset)
+        self._base = base_pose(support, execution.robot)
+        self._silhouette = ArmSilhouette(self._base, asset, execution.robot)
         self._object = HeldPose(execution, start)
         self._views: list[DepthView] = []
         self._fitting: np.ndarray | None = None
@@ -151,7 +156,7 @@ class SensingArm:
         self._look(wrist_camera(self._execution.tool))
         self._swing_aside()
         self._look(self._placer.overhead)
-        kinematics = ArmKinematics(self._base)
+        kinematics = ArmKinematics(self._base, self._execution.robot)
         world, see = self._world(), self._object
         mover = Mover(self._execution, world, kinematics, 0, self._seed, see=see, rooms=ROOMS, feels=True)
         mover.pick(self._find_pick(mover, grasps))
@@ -187,7 +192,7 @@ class SensingArm:
         run = self._execution
         aside = run.set_point
         aside[0] += _ASIDE
-        run.follow(time_path(np.linspace(run.set_point, aside, 8), run.step_time), Phase.FREE)
+        run.follow(run.motion_along(np.linspace(run.set_point, aside, 8)), Phase.FREE)
         run.wait(0.2, Phase.FREE)
 
     def _world(self) -> PlanningWorld:
@@ -200,6 +205,7 @@ class SensingArm:
             self._base,
             (self._stand,),
             self._placer.columns(self._views),
+            self._execution.robot,
         )
 
     def _propose(self, last: np.ndarray | None = None) -> np.ndarray:

@@ -14,7 +14,8 @@ import numpy as np
 
 from cluttergen_jax.config import FilmFormat, RobotTask
 from cluttergen_jax.downstream.digests import constants_hash
-from cluttergen_jax.downstream.robot import cameras, episode, model, sensing_arm
+from cluttergen_jax.downstream.robot import cameras, episode, gripper, model, sensing_arm
+from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeResult,
     lift_episode,
@@ -36,7 +37,7 @@ from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
 EPISODES = "episodes.jsonl"
-_ADDED = ("grasps", "planner", "versions", "weights")
+_ADDED = ("grasps", "planner", "robot", "versions", "weights")
 """Of recipes: what files of older versions lack."""
 _UPRIGHT = math.cos(math.radians(3.0))
 Places = Callable[[int, Scene], np.ndarray]
@@ -121,6 +122,7 @@ def run_trials(
     num_threads: int = 1,
     places: Places | CameraPlacer = own_place,
     films: FilmFormat | None = None,
+    robot: RobotDescription | None = None,
 ) -> RobotTrials:
     """Runs episodes: the last object of a scene, upon which nothing lies, is the one that is moved.
 
@@ -133,6 +135,7 @@ def run_trials(
       places: where the object may go, for an arm that is told where everything is; or a placer, for one that
         looks.
       films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
+      robot: that does it; the Panda if not given.
 
     Raises:
       BankError: there is no scene, the folder holds rows of another recipe or of other scenes, or a film
@@ -141,7 +144,8 @@ def run_trials(
     """
     if not scenes:
         raise BankError("no scene stands", "one or more", "more scenes")
-    recipe = {**recipe, "planner": planner_hash(), "versions": versions()}
+    robot = robot or find_robot()
+    recipe = {**recipe, "robot": robot.hash, "planner": planner_hash(), "versions": versions()}
     file = RowFile(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place", _ADDED)
     rows = file.read(number)
     for index, row in enumerate(rows):
@@ -152,13 +156,13 @@ def run_trials(
                 "another folder",
             )
     assets = {scene.objects[-1].name: scene.objects[-1] for scene in islice(cycle(scenes), number)}
-    found = grasps_of(list(assets.values()), num_threads=num_threads)
+    found = grasps_of(list(assets.values()), num_threads=num_threads, robot=robot)
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
     file.note_grasps({name: each.digest for name, each in grasps.items()})
 
     def run(index: int, trace: Trace | None = None) -> EpisodeResult:
         scene = scenes[index % len(scenes)]
-        row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace)
+        row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace, robot)
         return replace(row, scene=_number_of(scenes, index))
 
     def note(rows: list[EpisodeResult]) -> str:
@@ -185,13 +189,14 @@ def _episode(
     index: int,
     seed: int,
     trace: Trace | None,
+    robot: RobotDescription,
 ) -> EpisodeResult:
     target, own = len(scene.names) - 1, episode_seed(seed, index)
     if task == "lift":
-        return lift_episode(scene, target, grasps, own, trace)
+        return lift_episode(scene, target, grasps, own, trace, robot)
     if isinstance(places, CameraPlacer):
-        return sensing_place_episode(scene, target, grasps, places, own, trace)
-    row = place_episode(scene, target, grasps, places(index, scene), own, trace)
+        return sensing_place_episode(scene, target, grasps, places, own, trace, robot)
+    row = place_episode(scene, target, grasps, places(index, scene), own, trace, robot)
     return replace(row, placer=getattr(places, "name", row.placer))
 
 
@@ -204,4 +209,4 @@ def episode_seed(seed: int, index: int) -> int:
 def planner_hash() -> str:
     """Hex digest of how the arm moves, plans, looks and is judged."""
     motion = (collision, occupancy_boxes, execute, ik, mover, plan)
-    return constants_hash(cameras, episode, model, sensing_arm, grips, *motion)
+    return constants_hash(cameras, episode, gripper, model, sensing_arm, grips, *motion)

@@ -16,7 +16,8 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, above, wrist_camera
-from cluttergen_jax.downstream.robot.model import Panda, home_pose, with_panda
+from cluttergen_jax.downstream.robot.description import find_robot
+from cluttergen_jax.downstream.robot.model import Robot, with_robot
 from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.lighting import add_lighting
@@ -107,7 +108,7 @@ class Stage:
         self.model, self._renderer = model, renderer
         self._data = mujoco.MjData(model)
         self._qpos = [int(model.joint(name).qposadr[0]) for name in names]
-        self._arm = Panda.of(model) if has_arm else None
+        self._arm = Robot.of(model) if has_arm else None
         self._label = self._labels(names)
         body = model.geom_bodyid
         is_seen = model.geom_group == VISUAL_GROUP
@@ -143,7 +144,7 @@ class Stage:
         if self._arm is None or rng is None:
             mujoco.mj_kinematics(self.model, self._data)
             return None
-        home = home_pose()
+        home = np.array(find_robot().arm.home)
         for _ in range(_ARM_TRIES):
             joints = np.clip(home + rng.normal(0, _ARM_SPREAD, len(home)), self._arm.low, self._arm.high)
             self._data.qpos[self._arm.qpos] = joints
@@ -176,7 +177,7 @@ def open_stage(objects: Sequence[ObjectAsset], support: SupportAsset, has_arm: b
     poses = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(names), 1))
     poses[:, 0] = _PARKED + np.arange(len(names))
     scene = Scene(names, tuple(objects), poses, support)
-    spec = with_panda(scene) if has_arm else scene.to_mjspec()
+    spec = with_robot(scene) if has_arm else scene.to_mjspec()
     add_table_materials(spec)
     add_lighting(spec).visual.quality.shadowsize = _SHADOWS
     model = spec.compile()

@@ -16,8 +16,6 @@ from cluttergen_jax.assets.mesh import Mesh
 
 FRICTION = 0.4
 """Sliding coefficient that grasps are sought with; the simulator's is 0.5 for most objects."""
-MAX_WIDTH = 0.076
-"""Metres between two fingers' points: 4 mm less than the hand opens."""
 _GAP = 2e-4
 _ON_SURFACE = 1e-6
 
@@ -115,13 +113,16 @@ class Union:
         return reach
 
 
-def sample_pairs(union: Union, number: int, rng: np.random.Generator) -> Pairs:
+def sample_pairs(union: Union, number: int, rng: np.random.Generator, max_width: float) -> Pairs:
     """The antipodal pairs among `number` lines that are cast from the surface inwards.
 
     Half of them run against the surface's normal, since flat pads turn an object until they lie flat on it;
     the others run level wherever the friction cone allows it, since a level hand comes nearest to a table.
     At the far end the surface may be tilted as far as the cone allows. Fingers may press upon one wall of a
     body, or upon two with a hollow between them.
+
+    Args:
+      max_width: metres between the two points.
     """
     points, normals = union.surface_points(number, rng)
     cone = np.arctan(FRICTION)
@@ -132,7 +133,7 @@ def sample_pairs(union: Union, number: int, rng: np.random.Generator) -> Pairs:
     axis[may_be_level] = level[may_be_level] / length[may_be_level, None]
     crossing = union.cast(points, axis)
     found = [
-        _narrow(union, crossing, axis, rows, reach, part, cone)
+        _narrow(union, crossing, axis, rows, reach, part, cone, max_width)
         for rows, reach, part in _segments(crossing)
         if len(rows)
     ]
@@ -150,9 +151,10 @@ def _narrow(
     reach: np.ndarray,
     part: np.ndarray,
     cone: float,
+    max_width: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of the ends of segments those that fit between the fingers and are faced well enough."""
-    fits = reach <= MAX_WIDTH
+    fits = reach <= max_width
     rows, reach, part = rows[fits], reach[fits], part[fits]
     facing = (union.normals(crossing, part, rows) * axis[rows]).sum(1)
     is_good = facing >= np.cos(cone)

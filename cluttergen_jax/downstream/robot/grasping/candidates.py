@@ -10,18 +10,18 @@ import numpy as np
 from cluttergen_jax.assets.mjcf import add_object
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.antipodal import Pairs, Union, sample_pairs
-from cluttergen_jax.downstream.robot.model import MAX_OPENING, TOOL_DEPTH, hand_spec
+from cluttergen_jax.downstream.robot.gripper import Gripper, gripper_of
+from cluttergen_jax.downstream.robot.model import hand_spec
 from cluttergen_jax.downstream.transforms import inverse, pose_of, rigid, shift_along
 
 MIN_COVER = 0.012
-"""Metres of a pad's 17 mm, along and across the approach, that must lie on an object that has so much."""
-SPARE = 0.01
-"""Metres by which each finger is opened wider than the object, where the hand opens so far."""
+"""Metres of a pad, along and across the approach, that must lie on an object that has so much."""
+_MARGIN = 0.004
+"""Metres that an object is narrower than the hand opens."""
 OBJECT = "object"
 _LEAST_WIDTH = 0.001
-_PAD = 0.0085
-"""Metres: half the length of a finger's pad along the approach."""
 _SHALLOW = (0.0, 0.005)
 """Metres by which a grasp's points may lie nearer to the finger's tips than the middle of the pads."""
 _INSIDE = 5e-4
@@ -31,7 +31,6 @@ _CLEARANCE = 0.0015
 _PLANE, _GROUND_GAP, _GROUND_HALF = "plane", 0.001, (0.5, 0.5, 0.05)
 _BACK = (0.0, 0.03, 0.06, 0.1)
 """Metres before the grasp at which the hand must be clear of the object too."""
-T_HAND_TOOL = rigid(np.eye(3), np.array([0.0, 0.0, TOOL_DEPTH]))
 
 
 class Candidates(NamedTuple):
@@ -50,29 +49,23 @@ class Candidates(NamedTuple):
         """Those at `index`."""
         return Candidates(*(each[index] for each in self))
 
-    @property
-    def opening(self) -> np.ndarray:
-        """f64[C]: metres that each finger is from the middle as the hand comes."""
-        return opening_of(self.width)
 
-
-def opening_of(width: np.ndarray) -> np.ndarray:
-    """Metres that each finger is from the middle before it closes on something of this width."""
-    return np.minimum(MAX_OPENING, np.asarray(width) / 2 + SPARE)
-
-
-def candidates_of(asset: ObjectAsset, number: int, num_lines: int, rng: np.random.Generator) -> Candidates:
+def candidates_of(
+    asset: ObjectAsset, number: int, num_lines: int, rng: np.random.Generator, robot: RobotDescription
+) -> Candidates:
     """At most `number` candidates of which the hand is clear where it comes, spread over the object.
 
     Those that can be had while the object rests on a plane as it does in scenes come first.
 
     Args:
       num_lines: lines that are cast to find pairs; half as many ways of approach are looked at.
+      robot: whose hand it is.
     """
-    union = Union(asset.parts)
-    found = _approaches(union, sample_pairs(union, num_lines, rng), max(num_lines // 2, 1), rng)
+    union, gripper = Union(asset.parts), gripper_of(robot)
+    pairs = sample_pairs(union, num_lines, rng, 2 * gripper.max_opening - _MARGIN)
+    found = _approaches(union, pairs, max(num_lines // 2, 1), rng, gripper, robot.gripper.pad)
     found = found.take(spread(found.pose, min(len(found.width), 4 * number), rng))
-    hand = HandCheck(asset)
+    hand = HandCheck(asset, robot)
     clear = [hand.clear_of(*each) for each in zip(found.pose, found.width, strict=True)]
     of_object, of_plane = np.array(clear, bool).reshape(-1, 2).T
     found = found._replace(is_low=of_object & of_plane)
@@ -80,7 +73,9 @@ def candidates_of(asset: ObjectAsset, number: int, num_lines: int, rng: np.rando
     return found.take(order[:number])
 
 
-def _approaches(union: Union, pairs: Pairs, number: int, rng: np.random.Generator) -> Candidates:
+def _approaches(
+    union: Union, pairs: Pairs, number: int, rng: np.random.Generator, gripper: Gripper, pad: float
+) -> Candidates:
     """So many poses of the tool about random pairs, deep enough; half of them come from straight above."""
     wide = np.flatnonzero(pairs.width >= _LEAST_WIDTH)
     if not wide.size:
@@ -94,16 +89,18 @@ def _approaches(union: Union, pairs: Pairs, number: int, rng: np.random.Generato
     shallow = rng.choice(_SHALLOW, number)
     first = pairs.first[row] + _INSIDE * axis
     ahead, behind = union.reach(first, approach), union.reach(first, -approach)
-    depth = np.minimum(ahead, _PAD - shallow) + np.minimum(behind, _PAD + shallow)
+    depth = np.minimum(ahead, pad - shallow) + np.minimum(behind, pad + shallow)
     across = np.cross(axis, approach)
     left, right = union.reach(first, across), union.reach(first, -across)
-    cover = np.minimum(left, _PAD) + np.minimum(right, _PAD)
+    cover = np.minimum(left, pad) + np.minimum(right, pad)
     is_deep = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
         cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
     )
     keep = is_deep & (approach[:, 2] <= _STEEPEST_UP)
     turn = np.stack([across, axis, approach], axis=-1)
-    pose = rigid(turn, middle - shallow[:, None] * approach)[keep]
+    # The pads are where the tool's origin is, but for what they move along the approach as they close.
+    back = shallow + gripper.depth_of(width)
+    pose = rigid(turn, middle - back[:, None] * approach)[keep]
     return Candidates(pose, width[keep], np.zeros(len(pose), bool))
 
 
@@ -119,12 +116,12 @@ class HandCheck:
     """Says of which poses the open hand is clear of an object and of the plane that the object rests on.
 
     Args:
-      asset: the object.
+      asset: the object. robot: whose hand it is.
     """
 
-    def __init__(self, asset: ObjectAsset) -> None:
-        contact = ContactConfig()
-        spec = hand_spec(contact)
+    def __init__(self, asset: ObjectAsset, robot: RobotDescription) -> None:
+        spec = hand_spec(ContactConfig(), robot)
+        self._gripper = gripper_of(robot)
         for geom in spec.geoms:
             geom.margin = _CLEARANCE
         body = add_object(spec, asset, OBJECT)
@@ -134,6 +131,7 @@ class HandCheck:
         self._data = mujoco.MjData(self._model)
         self._start = int(self._model.joint(OBJECT).qposadr[0])
         self._plane = self._model.geom(_PLANE).id
+        self._is_hand = self._model.geom_bodyid != self._model.body(OBJECT).id
 
     def clear_of(self, pose: np.ndarray, width: float) -> tuple[bool, bool]:
         """Whether the hand touches neither the object nor the plane at T_object_tool f64[4, 4].
@@ -141,18 +139,21 @@ class HandCheck:
         Nor before, where it comes straight.
         """
         data, of_plane = self._data, True
-        data.qpos[: self._start] = opening_of(np.array(width))
+        opening = self._gripper.opening_of(np.array(width))
+        data.qpos[: self._start] = self._gripper.joints_of(opening)
         T_tool_object = inverse(pose)
         for back in _BACK:
-            T_hand_object = shift_along(T_HAND_TOOL, (0.0, 0.0, back)) @ T_tool_object
+            T_hand_object = shift_along(self._gripper.T_hand_tool, (0.0, 0.0, back)) @ T_tool_object
             data.qpos[self._start :] = pose_of(T_hand_object)
             mujoco.mj_kinematics(self._model, data)
             mujoco.mj_collision(self._model, data)
             # The plane's distance is allowed for in where it lies.
+            # Parts of a hand may touch each other.
+            is_asked = ~self._is_hand[data.contact.geom].all(1)
             on_plane = (data.contact.geom == self._plane).any(1)
-            if not on_plane.all():
+            if not on_plane[is_asked].all():
                 return False, False
-            of_plane = of_plane and not (data.contact.dist < 0).any()
+            of_plane = of_plane and not (data.contact.dist[is_asked] < 0).any()
         return True, of_plane
 
 

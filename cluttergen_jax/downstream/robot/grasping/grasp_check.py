@@ -16,8 +16,10 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets.mjcf import add_object
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.grasping.candidates import OBJECT, T_HAND_TOOL, Candidates
-from cluttergen_jax.downstream.robot.model import PANDA, hand_spec
+from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.grasping.candidates import OBJECT, Candidates
+from cluttergen_jax.downstream.robot.gripper import Gripper, gripper_of
+from cluttergen_jax.downstream.robot.model import hand_spec
 from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of
 
 LIFT = 0.15
@@ -76,27 +78,35 @@ class _Course(NamedTuple):
 
 
 def check_grasps(
-    asset: ObjectAsset, candidates: Candidates, pool: Rollout, is_brief: bool = False
+    asset: ObjectAsset,
+    candidates: Candidates,
+    pool: Rollout,
+    is_brief: bool = False,
+    robot: RobotDescription | None = None,
 ) -> GraspCheck:
     """Tests candidates in one batch; one that is lost by the time it is lifted is not simulated further.
 
     Args:
       pool: a thread pool of MuJoCo's.
       is_brief: leave out the shaking and the load; `margin` is then 1 or 0.
+      robot: whose hand it is; the Panda's if not given.
     """
-    contact = ContactConfig()
-    model, course = _model(asset, contact), _course(_TIMESTEP, is_brief)
-    T_hand_object = T_HAND_TOOL @ inverse(candidates.pose)
+    contact, robot = ContactConfig(), robot or find_robot()
+    model, course, gripper = _model(asset, contact, robot), _course(_TIMESTEP, is_brief), gripper_of(robot)
+    T_hand_object = gripper.T_hand_tool @ inverse(candidates.pose)
     num, steps = len(candidates.width), len(course.closed)
     object_body = model.body(OBJECT).id
-    opening = candidates.opening[:, None]
+    opening = gripper.opening_of(candidates.width)
+    come = gripper.control_of(opening)[:, None]
     control = np.zeros((num, steps, model.nu + 6 * model.nbody))
-    control[..., 0] = opening + course.closed * (PANDA.grip_target - opening)
+    control[..., 0] = come + course.closed * (gripper.closed - come)
     first = model.nu + 6 * object_body
-    control[..., first : first + 3] = asset.mass * _pull(T_hand_object, course, contact.gravity)
+    control[..., first : first + 3] = asset.mass * _pull(
+        T_hand_object, course, contact.gravity, gripper.T_hand_tool[:3, :3]
+    )
     start = np.zeros((num, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
     address = 1 + int(model.joint(OBJECT).qposadr[0])
-    start[:, 1:address] = opening
+    start[:, 1:address] = gripper.joints_of(opening)
     start[:, address : address + 7] = pose_of(T_hand_object)
     data = [mujoco.MjData(model) for _ in range(max(pool.nthread, 1))]
     wanted = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_XFRC_APPLIED)
@@ -106,17 +116,26 @@ def check_grasps(
     # What is lost by then stays where it is.
     motion[:, : course.lifted] = states[..., address : address + 7]
     motion[:, course.lifted :] = motion[:, course.lifted - 1 : course.lifted]
+    point = _points(gripper, candidates.width)
     closed, last = (matrix_of(_sound(motion)[:, step]) for step in (course.closed_at, course.lifted - 1))
-    is_kept = ~_is_lost(*_slip_and_turn(closed, last[:, None]))[:, 0] & ~_is_pushed(closed, T_hand_object)
+    is_kept = ~_is_lost(*_slip_and_turn(closed, last[:, None], point))[:, 0] & ~_is_pushed(
+        closed, T_hand_object
+    )
     if is_kept.any():
         states, _ = pool.rollout(model, data, states[is_kept, -1], later[is_kept], control_spec=wanted)
         motion[is_kept, course.lifted :] = states[..., address : address + 7]
-    return _evaluate(motion, T_hand_object, course)
+    return _evaluate(motion, T_hand_object, course, gripper.T_hand_tool, point)
 
 
-def _model(asset: ObjectAsset, contact: ContactConfig) -> mujoco.MjModel:
+def _points(gripper: Gripper, width: np.ndarray) -> np.ndarray:
+    """f64[C, 4, 1]: the points between the pads in the hand's frame, homogeneous."""
+    depth = gripper.depth_of(width)[:, None]
+    return (gripper.T_hand_tool[:, 3] + depth * gripper.T_hand_tool[:, 2])[..., None]
+
+
+def _model(asset: ObjectAsset, contact: ContactConfig, robot: RobotDescription) -> mujoco.MjModel:
     """A hand and a body that weighs nothing by itself."""
-    spec = hand_spec(contact)
+    spec = hand_spec(contact, robot)
     spec.option.timestep = _TIMESTEP
     spec.option.gravity = (0.0, 0.0, 0.0)
     spec.option.cone = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}.get(
@@ -147,31 +166,33 @@ def _course(step: float, is_brief: bool) -> _Course:
     return _Course(closed, weight, motion, angle, int(close), int(ends[2]), int(ends[4]))
 
 
-def _pull(T_hand_object: np.ndarray, course: _Course, gravity: float) -> np.ndarray:
+def _pull(T_hand_object: np.ndarray, course: _Course, gravity: float, R_hand_tool: np.ndarray) -> np.ndarray:
     """f64[C, T, 3]: m/s^2 that pull at the object in the hand's frame.
 
     The object's frame has the world's axes as long as the hand is not turned; it turns about the tool's x,
     so that what pulled along the approach pulls towards a finger.
     """
     apparent = -course.shake - np.array([0, 0, gravity]) * course.weight[:, None]
-    in_hand = np.einsum("cij,tj->cti", T_hand_object[:, :3, :3], apparent)
+    in_tool = np.einsum("cij,tj->cti", R_hand_tool.T @ T_hand_object[:, :3, :3], apparent)
     cos, sin = np.cos(course.angle), np.sin(course.angle)
-    x, y, z = np.moveaxis(in_hand, -1, 0)
-    return np.stack([x, cos * y - sin * z, sin * y + cos * z], axis=-1)
+    x, y, z = np.moveaxis(in_tool, -1, 0)
+    return np.stack([x, cos * y - sin * z, sin * y + cos * z], axis=-1) @ R_hand_tool.T
 
 
-def _evaluate(motion: np.ndarray, start: np.ndarray, course: _Course) -> GraspCheck:
-    """What the objects' poses f64[C, T, 7] in the hand's frame tell."""
+def _evaluate(
+    motion: np.ndarray, start: np.ndarray, course: _Course, T_hand_tool: np.ndarray, point: np.ndarray
+) -> GraspCheck:
+    """What the objects' poses f64[C, T, 7] in the hand's frame tell; point: f64[C, 4, 1], as `_points`."""
     closed_at = course.closed_at
     poses = matrix_of(_sound(motion))
     closed = poses[:, closed_at]
-    slip, turn = _slip_and_turn(closed, poses[:, closed_at:])
+    slip, turn = _slip_and_turn(closed, poses[:, closed_at:], point)
     is_lost = _is_lost(slip, turn)
     before = course.loading - closed_at
     is_held = np.isfinite(motion).all((1, 2)) & ~is_lost[:, :before].any(1) & ~_is_pushed(closed, start)
     lost_at = np.where(is_lost.any(1), is_lost.argmax(1), is_lost.shape[1] - 1) + closed_at
     margin = np.where(is_held, course.weight[lost_at], 0.0)
-    held = pose_of(inverse(T_HAND_TOOL) @ poses[:, course.lifted])
+    held = pose_of(inverse(T_hand_tool) @ poses[:, course.lifted])
     return GraspCheck(
         is_held, _shift(closed, start), slip[:, :before].max(1), turn[:, :before].max(1), margin, held
     )
@@ -192,13 +213,13 @@ def _is_pushed(closed: np.ndarray, start: np.ndarray) -> np.ndarray:
     return (_shift(closed, start) > MAX_SHIFT) | (angle_between(closed, start) > MAX_SHIFT_TURN)
 
 
-def _slip_and_turn(closed: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _slip_and_turn(closed: np.ndarray, poses: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """f64[C, T] each: metres and radians by which poses f64[C, T, 4, 4] are off from `closed` f64[C, 4, 4].
 
-    The slip is that of the object's point between the fingers once they have closed.
+    The slip is that of the object's point f64[C, 4, 1] between the fingers once they have closed.
     """
-    point = (inverse(closed) @ T_HAND_TOOL[:, 3])[:, None, :, None]
-    slip = np.linalg.norm((poses @ point)[..., :3, 0] - T_HAND_TOOL[:3, 3], axis=-1)
+    moved = poses @ (inverse(closed) @ point)[:, None]
+    slip = np.linalg.norm(moved[..., :3, 0] - point[:, None, :3, 0], axis=-1)
     return slip, angle_between(poses, closed[:, None])
 
 

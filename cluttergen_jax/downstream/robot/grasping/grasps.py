@@ -1,7 +1,8 @@
 """Verified grasps of objects, made once for each and kept on disk.
 
 A file is called after the object and the hash of its content, so pools that share an object share its grasps,
-and an object that is changed is looked at anew. Files lie in `grasps` beside the user's own pools.
+and an object that is changed is looked at anew; and after that of the gripper. Files lie in `grasps` beside
+the user's own pools.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import user_root
+from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, candidates_of, spread
 from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, GraspCheck, check_grasps
-from cluttergen_jax.downstream.robot.model import MAX_OPENING
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import write_atomically
@@ -34,7 +35,7 @@ from cluttergen_jax.tables import aligned_table
 
 MIN_GRASPS = 8
 """As many an object needs; one with fewer is named."""
-_VERSION = 4
+_VERSION = 5
 _NUM_LINES = 6000
 _CANDIDATES, _LEAST_CANDIDATES = 4, 128
 """Candidates that are tested at most, for each grasp that is wanted; and at least, where few are wanted."""
@@ -51,7 +52,7 @@ class Grasps:
     """G verified grasps of one object, spread over it.
 
     Attributes:
-      name: of the object. hash: of its content.
+      name: of the object. hash: of its content. gripper: of the gripper's description.
       pose: f64[G, 7], T_object_tool: z is the approach, y the direction in which the fingers close.
       width: f64[G], metres between the fingers.
       shift: f64[G], metres by which the closing fingers moved the object as it floated.
@@ -73,6 +74,7 @@ class Grasps:
     is_low: np.ndarray
     num_tested: int
     held: np.ndarray
+    gripper: str = ""
 
     def __len__(self) -> int:
         return len(self.width)
@@ -85,22 +87,26 @@ class Grasps:
         return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 
-def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Grasps:
+def make_grasps(
+    asset: ObjectAsset, number: int, seed: int, pool: Rollout, robot: RobotDescription | None = None
+) -> Grasps:
     """Draws candidates for an object and tests them until `number` hold; of those the low ones come first.
 
     Args:
       pool: MuJoCo's threads; their number changes nothing.
+      robot: whose hand it is; the Panda's if not given.
     """
+    robot = robot or find_robot()
     content = object_hash(asset)
     # An object's own numbers, whatever pool it is in.
     rng = np.random.default_rng([seed, int(content[:12], 16)])
-    candidates = candidates_of(asset, max(_CANDIDATES * number, _LEAST_CANDIDATES), _NUM_LINES, rng)
+    candidates = candidates_of(asset, max(_CANDIDATES * number, _LEAST_CANDIDATES), _NUM_LINES, rng, robot)
     tests: list[GraspCheck] = []
     num_tested, missing = 0, number
     while missing > 0 and num_tested < len(candidates.width):
         # Few where few are missing, but not one by one, which would leave threads idle.
         batch = candidates.take(slice(num_tested, num_tested + min(_AT_ONCE, max(missing, _AT_ONCE // 2))))
-        tests.append(verify_grasps(asset, batch, pool))
+        tests.append(verify_grasps(asset, batch, pool, robot))
         num_tested, missing = num_tested + len(batch.width), missing - int(tests[-1].is_held.sum())
     result = GraspCheck(*(np.concatenate(each) for each in zip(*tests, strict=True))) if tests else _NO_TEST
     held = np.flatnonzero(result.is_held)
@@ -113,46 +119,61 @@ def make_grasps(asset: ObjectAsset, number: int, seed: int, pool: Rollout) -> Gr
         width=candidates.width[chosen],
         is_low=candidates.is_low[chosen],
         num_tested=num_tested,
+        gripper=robot.gripper.hash,
         **{name: getattr(result, name)[chosen] for name in ("shift", "slip", "turn", "margin", "held")},
     )
 
 
-def verify_grasps(asset: ObjectAsset, candidates: Candidates, pool: Rollout) -> GraspCheck:
+def verify_grasps(
+    asset: ObjectAsset, candidates: Candidates, pool: Rollout, robot: RobotDescription | None = None
+) -> GraspCheck:
     """`check_grasps`, passed where the hand also holds the object 2 mm short of the grasp."""
-    test = check_grasps(asset, candidates, pool)
+    test = check_grasps(asset, candidates, pool, robot=robot)
     held = np.flatnonzero(test.is_held)
     if len(held):
         short = candidates.take(held)
-        test.is_held[held] = check_grasps(asset, short._replace(pose=short.pose @ _SHORT), pool, True).is_held
+        short = short._replace(pose=short.pose @ _SHORT)
+        test.is_held[held] = check_grasps(asset, short, pool, True, robot).is_held
     return test
 
 
 _NO_TEST = GraspCheck(np.zeros(0, bool), *(np.zeros(0),) * 4, np.zeros((0, 7)))
 
 
-def grasp_file(asset: ObjectAsset, number: int, seed: int) -> Path:
-    """Where the grasps of an object are kept."""
-    name = f"{asset.name}-{object_hash(asset)[:16]}-{number}-{seed}.parquet"
+def grasp_file(asset: ObjectAsset, number: int, seed: int, robot: RobotDescription | None = None) -> Path:
+    """Where the grasps of an object are kept; robot: whose hand it is, the Panda's if not given."""
+    gripper = (robot or find_robot()).gripper.hash
+    name = f"{asset.name}-{object_hash(asset)[:16]}-{gripper[:8]}-{number}-{seed}.parquet"
     return user_root().with_name("grasps") / name
 
 
 def grasps_of(
-    objects: Sequence[ObjectAsset], number: int = 64, seed: int = 0, num_threads: int = 1, fresh: bool = False
+    objects: Sequence[ObjectAsset],
+    number: int = 64,
+    seed: int = 0,
+    num_threads: int = 1,
+    fresh: bool = False,
+    robot: RobotDescription | None = None,
 ) -> Iterator[Grasps]:
-    """The grasps of objects one after another, from disk where they are kept, and made and kept where not."""
+    """The grasps of objects one after another, from disk where they are kept, and made and kept where not.
+
+    Args:
+      robot: whose hand it is; the Panda's if not given.
+    """
+    robot = robot or find_robot()
     with Progress("grasping", len(objects), "object") as progress, Rollout(nthread=num_threads) as pool:
         for asset in objects:
-            path = grasp_file(asset, number, seed)
+            path = grasp_file(asset, number, seed, robot)
             found = None if fresh else read_grasps(path, asset)
-            if found is None:
-                found = make_grasps(asset, number, seed, pool)
+            if found is None or found.gripper != robot.gripper.hash:
+                found = make_grasps(asset, number, seed, pool, robot)
                 write_grasps(path, [found])
             progress.update(note=f"{len(found)} of {asset.name}")
             yield found
 
 
 def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
-    """Writes a Parquet file of grasps, a row each; objects without any are named in its metadata."""
+    """Writes a Parquet file of one gripper's grasps, a row each; its metadata name objects without any."""
     rows = {
         "object": [each.name for each in sets for _ in each.width],
         "hash": [each.hash for each in sets for _ in each.width],
@@ -173,7 +194,8 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
         ],
         metadata={
             "cluttergen_grasps": str(_VERSION),
-            "gripper": "Franka hand; tool frame: z approach, y closing, between the pads",
+            "gripper": sets[0].gripper if sets else "",
+            "frame": "tool: z approach, y closing, between the pads",
             "tested": " ".join(f"{each.name}={each.num_tested}" for each in sets),
         },
     )
@@ -187,7 +209,7 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
 
 _NUMBERS = {
     "pose": Numbers("f8", ("grasps", 7), -10, 10),
-    "width": Numbers("f8", ("grasps",), 0, 2 * MAX_OPENING),
+    "width": Numbers("f8", ("grasps",), 0, 1),
     "shift": Numbers("f8", ("grasps",), 0),
     "slip": Numbers("f8", ("grasps",), 0),
     "turn": Numbers("f8", ("grasps",), 0, 2 * np.pi),
@@ -225,7 +247,8 @@ def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
         num_tested = int(tested[asset.name])
         if np.abs(np.concatenate(turns) - 1).max(initial=0) > _UNIT or num_tested < len(rows):
             raise SchemaError("a turn is none, or more grasps than were tested")
-        return Grasps(asset.name, object_hash(asset), num_tested=num_tested, **poses, **columns)
+        known = {"num_tested": num_tested, "gripper": metadata["gripper"]}
+        return Grasps(asset.name, object_hash(asset), **known, **poses, **columns)
     except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as error:
         raise PoolError(f"{path}: damaged ({error})", "a file of `robot grasps`", "removing it") from error
 
@@ -279,8 +302,13 @@ def _row(grasps: Grasps) -> tuple[str, ...]:
 
 
 def grasp_sets(
-    objects: Sequence[ObjectAsset], number: int, seed: int, num_threads: int, fresh: bool
+    objects: Sequence[ObjectAsset],
+    number: int,
+    seed: int,
+    num_threads: int,
+    fresh: bool,
+    robot: RobotDescription | None = None,
 ) -> GraspSets:
     """The grasps of objects (`grasps.grasps_of`); 0 threads are as many as there are cores."""
     threads = num_threads or os.cpu_count() or 1
-    return GraspSets(tuple(grasps_of(objects, number, seed, threads, fresh)))
+    return GraspSets(tuple(grasps_of(objects, number, seed, threads, fresh, robot)))

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.robot.grasping.candidates import opening_of
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
+from cluttergen_jax.downstream.robot.gripper import Gripper
 from cluttergen_jax.downstream.transforms import matrix_of
 
 _LEVER = 10.0
@@ -26,22 +26,18 @@ class Grip(NamedTuple):
 
     Attributes:
       T_object_tool: f64[4, 4], before the fingers close; T_tool_object: f64[4, 4], once it is lifted.
-      width: metres between the fingers.
+      width: metres between the fingers; opening: that each of them is from the middle before it closes.
       lever: metres in plan from the line between them to the object's middle, about which it swings.
     """
 
     T_object_tool: np.ndarray
     T_tool_object: np.ndarray
     width: float
+    opening: float
     lever: float
 
-    @property
-    def opening(self) -> float:
-        """Metres that each finger is from the middle before it closes."""
-        return float(opening_of(np.array(self.width)))
 
-
-def rank_grasps(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
+def rank_grasps(grasps: Grasps, T_world_object: np.ndarray, gripper: Gripper) -> Iterator[Grip]:
     """Grasps, each also turned about its approach.
 
     Those that come from above and hold well are first.
@@ -51,7 +47,8 @@ def rank_grasps(grasps: Grasps, T_world_object: np.ndarray) -> Iterator[Grip]:
     for index in np.argsort(-worth, kind="stable"):
         for turn in (np.eye(4), _FLIP):
             width, lever = float(grasps.width[index]), float(levers[index])
-            yield Grip(pose[index] @ turn, turn @ held[index], width, lever)
+            opening = float(gripper.opening_of(np.array(width)))
+            yield Grip(pose[index] @ turn, turn @ held[index], width, opening, lever)
 
 
 def _worth(grasps: Grasps, T_world_object: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

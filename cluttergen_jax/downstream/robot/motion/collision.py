@@ -12,7 +12,9 @@ from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_part, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.downstream.robot.model import HAND, PREFIX, TOOL_DEPTH, Panda, home_pose, panda_spec
+from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.gripper import gripper_of
+from cluttergen_jax.downstream.robot.model import Robot, arm_spec, attach_robot
 from cluttergen_jax.downstream.robot.motion.occupancy_boxes import OccupancyBoxes
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.geometry import yaw_quaternion
@@ -121,6 +123,7 @@ class PlanningWorld:
       base: f64[7], T_world_base.
       stands: more boxes that objects can stand on.
       columns: boxes in place of objects of which no more is known than what was seen, and where it may hide.
+      robot: that stands at `base`; the Panda if not given.
 
     Attributes:
       room: metres that the hand and what it holds keep besides from objects, `ROOM` at most.
@@ -137,8 +140,9 @@ class PlanningWorld:
         base: np.ndarray,
         stands: Sequence[Box] = (),
         columns: OccupancyBoxes | None = None,
+        robot: RobotDescription | None = None,
     ) -> None:
-        contact = ContactConfig()
+        robot, contact = robot or find_robot(), ContactConfig()
         spec = populated_spec(names, objects, support, StabilityConfig().timestep, contact, poses=poses)
         for joint in list(spec.joints):
             spec.delete(joint)
@@ -148,35 +152,32 @@ class PlanningWorld:
             body = spec.worldbody.add_body(name=_name_of(kind))
             for box in boxes:
                 _add_box(body, box)
-        arm = panda_spec(contact)
+        arm = arm_spec(contact, robot)
         _without_drawings(arm)
-        held = arm.body(HAND).add_body(name=_HELD)
+        held = arm.body(robot.of_gripper(robot.gripper.body)).add_body(name=_HELD)
         for index, part in enumerate(objects[target].parts):
             add_part(arm, held, f"{_HELD}/part-{index}", part.vertices)
         for geom in arm.geoms:
             geom.margin = CLEARANCE + ROOM
-        for option in ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations"):
-            setattr(arm.option, option, getattr(spec.option, option))
-        arm.option.integrator = spec.option.integrator
-        spec.attach(arm, prefix=PREFIX, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:]))
-        self.model = spec.compile()
+        self.model = attach_robot(spec, arm, robot, base).compile()
         self.data = mujoco.MjData(self.model)
-        self.panda = Panda.of(self.model)
+        self.arm, self.gripper = Robot.of(self.model, robot), gripper_of(robot)
+        self._T_tool_hand = inverse(self.gripper.T_hand_tool)
         self._bodies = [self.model.body(name).id for name in names]
         self._target = self._bodies[target]
-        self._held = self.model.body(PREFIX + _HELD).id
+        self._held = self.model.body(robot.prefix + _HELD).id
         self._kind = self._kinds()
         self.num_checks, self.room = 0, 0.0
-        self._home = home_pose()
-        self.data.qpos[self.panda.qpos] = self._home
+        self._home = np.array(robot.arm.home)
+        self.data.qpos[self.arm.qpos] = self._home
         mujoco.mj_kinematics(self.model, self.data)
-        wrist = self.data.body(int(self.model.body_parentid[self.panda.hand]))
+        wrist = self.data.body(int(self.model.body_parentid[self.arm.hand]))
         self._T_wrist_world = inverse(matrix_of(np.concatenate([wrist.xpos, wrist.xquat])))
         self.release(poses[target])
 
     def _kinds(self) -> np.ndarray:
         """i[ngeom]: the kind of each geom."""
-        kind = kinds_of(self.panda, self._bodies, self._target)
+        kind = kinds_of(self.arm, self._bodies, self._target)
         kind[self._held] = Kind.HELD
         for each in _COLUMN_KINDS:
             if (body := mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _name_of(each))) >= 0:
@@ -189,9 +190,7 @@ class PlanningWorld:
 
     def hold(self, T_tool_object: np.ndarray) -> None:
         """The target is in the hand from now on."""
-        T_hand_object = T_tool_object.copy()
-        T_hand_object[2, 3] += TOOL_DEPTH
-        self._put(self._held, pose_of(T_hand_object))
+        self._put(self._held, pose_of(self.gripper.T_hand_tool @ T_tool_object))
         self._put(self._target, np.array([0, 0, -_AWAY, 1, 0, 0, 0]))
 
     def release(self, pose: np.ndarray) -> None:
@@ -203,7 +202,7 @@ class PlanningWorld:
         self.model.body_pos[body], self.model.body_quat[body] = pose[:3], pose[3:]
 
     def is_free(self, joints: np.ndarray, opening: float, mode: Mode = Mode.TRAVEL) -> bool:
-        """Whether the arm may be at joints f64[7], each finger `opening` metres from the middle."""
+        """Whether the arm may be at joints f64[n], each finger `opening` metres from the middle."""
         return self.blocker(joints, opening, mode) is None
 
     def is_hand_free(self, T_world_tool: np.ndarray, opening: float, mode: Mode) -> bool:
@@ -211,10 +210,9 @@ class PlanningWorld:
 
         It costs one look and no inverse kinematics. The arm waits at home, above all else.
         """
-        model, hand = self.model, self.panda.hand
+        model, hand = self.model, self.arm.hand
         own = model.body_pos[hand].copy(), model.body_quat[hand].copy()
-        T_world_hand = T_world_tool.copy()
-        T_world_hand[:3, 3] -= TOOL_DEPTH * T_world_tool[:3, 2]
+        T_world_hand = T_world_tool @ self._T_tool_hand
         self._put(hand, pose_of(self._T_wrist_world @ T_world_hand))
         try:
             return self.is_free(self._home, opening, mode)
@@ -225,7 +223,7 @@ class PlanningWorld:
         """The names of two bodies that come too close, None where none do."""
         self.num_checks += 1
         data = self.data
-        data.qpos[self.panda.qpos], data.qpos[self.panda.fingers] = joints, opening
+        data.qpos[self.arm.qpos], data.qpos[self.arm.fingers] = joints, self.gripper.joints_of(opening)
         mujoco.mj_kinematics(self.model, data)
         mujoco.mj_collision(self.model, data)
         if not data.ncon:
@@ -240,11 +238,11 @@ class PlanningWorld:
         return a, b
 
 
-def kinds_of(panda: Panda, bodies: Sequence[int], target: int) -> np.ndarray:
+def kinds_of(arm: Robot, bodies: Sequence[int], target: int) -> np.ndarray:
     """i[nbody]: the kind of each body; bodies: of the objects; target: of the one that is moved."""
-    kind = np.full(len(panda.is_arm), Kind.GROUND)
-    kind[bodies], kind[target], kind[panda.is_arm] = Kind.OTHER, Kind.TARGET, Kind.ARM
-    kind[[panda.hand, *panda.finger_bodies]] = Kind.HAND
+    kind = np.full(len(arm.is_arm), Kind.GROUND)
+    kind[bodies], kind[target], kind[arm.is_arm] = Kind.OTHER, Kind.TARGET, Kind.ARM
+    kind[arm.is_hand] = Kind.HAND
     return kind
 
 

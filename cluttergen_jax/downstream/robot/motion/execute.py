@@ -15,9 +15,11 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.support import Box
-from cluttergen_jax.downstream.robot.model import MAX_OPENING, PANDA, Panda, home_pose, with_panda
+from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.gripper import gripper_of
+from cluttergen_jax.downstream.robot.model import Robot, with_robot
 from cluttergen_jax.downstream.robot.motion.collision import Kind, add_stand, kinds_of
-from cluttergen_jax.downstream.robot.motion.plan import Trajectory
+from cluttergen_jax.downstream.robot.motion.plan import SHARE, Trajectory, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.scene import Scene
@@ -73,13 +75,14 @@ class Trace:
       every: steps from one state to the next.
       states: f64[nq] each.
       held: the number of the object that the hand is closed on at each of them, -1 if it is open.
-      scene: at the start. spec, data: of the simulation; its state stays the last one.
+      scene: at the start. robot: that moves. spec, data: of the simulation; its state stays the last one.
     """
 
     every: int
     states: list[np.ndarray] = field(default_factory=list)
     held: list[int] = field(default_factory=list)
     scene: Scene = field(init=False)
+    robot: RobotDescription = field(init=False)
     spec: mujoco.MjSpec = field(init=False)
     data: mujoco.MjData = field(init=False)
 
@@ -92,8 +95,10 @@ class Execution:
       stands: more boxes that objects can stand on.
       trace: is filled, where one is given.
       sleeps: what rests sleeps until something touches it, which saves most of the time of many objects.
+      robot: that stands before it; the Panda if not given.
 
     Attributes:
+      robot: as it is described; arm: where it is found in `model`; gripper: how that moves.
       travel: metres that the tool has moved.
     """
 
@@ -104,21 +109,23 @@ class Execution:
         stands: Sequence[Box] = (),
         trace: Trace | None = None,
         sleeps: bool = False,
+        robot: RobotDescription | None = None,
     ) -> None:
-        spec = with_panda(scene)
+        self.robot = robot or find_robot()
+        spec = with_robot(scene, self.robot)
         for number, box in enumerate(stands):
             add_stand(spec, box, f"ground-{number}")
         self.model = spec.compile()
         if sleeps:
             self.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         self.data = mujoco.MjData(self.model)
-        self.panda = Panda.of(self.model)
+        self.arm, self.gripper = Robot.of(self.model, self.robot), gripper_of(self.robot)
         self.step_time = float(self.model.opt.timestep)
         self._bodies = [self.model.body(name).id for name in scene.names]
         self.aim_at(target)
         self._trace, self.num_steps = trace, 0
         if trace is not None:
-            trace.scene, trace.spec, trace.data = scene, spec, self.data
+            trace.scene, trace.spec, trace.data, trace.robot = scene, spec, self.data, self.robot
         self.travel = 0.0
         self._start(scene)
 
@@ -128,43 +135,45 @@ class Execution:
 
     def aim_at(self, target: int) -> None:
         """From now on this object is the one that the hand may touch."""
-        kind = kinds_of(self.panda, self._bodies, self._bodies[target])
+        kind = kinds_of(self.arm, self._bodies, self._bodies[target])
         self._kind, self._target = kind[self.model.geom_bodyid], target
 
     def _start(self, scene: Scene) -> None:
         for name, pose in zip(scene.names, scene.poses, strict=True):
             first = int(self.model.joint(name).qposadr[0])
             self.data.qpos[first : first + 7] = pose
-        self.data.qpos[self.panda.qpos] = self.data.ctrl[self.panda.ctrl] = home_pose()
-        self.data.qpos[self.panda.fingers] = self.data.ctrl[self.panda.grip] = MAX_OPENING
+        self.data.qpos[self.arm.qpos] = self.data.ctrl[self.arm.ctrl] = self.robot.arm.home
+        widest = self.gripper.max_opening
+        self.data.qpos[self.arm.fingers] = self.gripper.joints_of(widest)
+        self.data.ctrl[self.arm.grip] = self.gripper.control_of(widest)
         mujoco.mj_forward(self.model, self.data)
-        self._last_tool = self.data.site_xpos[self.panda.site].copy()
+        self._last_tool = self.data.site_xpos[self.arm.site].copy()
 
     @property
     def joints(self) -> np.ndarray:
-        """f64[7]: where the arm is."""
-        return self.data.qpos[self.panda.qpos].copy()
+        """f64[n]: where the arm is."""
+        return self.data.qpos[self.arm.qpos].copy()
 
     @property
     def set_point(self) -> np.ndarray:
-        """f64[7]: where the arm's servos want it, as long as it rests."""
-        return self.data.ctrl[self.panda.ctrl].copy()
+        """f64[n]: where the arm's servos want it, as long as it rests."""
+        return self.data.ctrl[self.arm.ctrl].copy()
 
     @property
     def tool(self) -> np.ndarray:
         """f64[4, 4]: T_world_tool."""
         mujoco.mj_kinematics(self.model, self.data)
-        return self.panda.tool(self.data)
+        return self.arm.tool(self.data)
 
     @property
     def opening(self) -> float:
-        """Metres that the fingers are from the middle, on average."""
-        return float(self.data.qpos[self.panda.fingers].mean())
+        """Metres that each pad is from the middle."""
+        return self.gripper.measure(self.data.qpos[self.arm.fingers])
 
     @property
     def is_closed(self) -> bool:
         """The fingers are told to close on something."""
-        return bool(self.data.ctrl[self.panda.grip] < 0)
+        return self.gripper.is_closing(float(self.data.ctrl[self.arm.grip]))
 
     def poses(self) -> np.ndarray:
         """f64[N, 7]: T_world_object of the scene's objects."""
@@ -180,6 +189,11 @@ class Execution:
         mujoco.mj_kinematics(self.model, self.data)
         return cast_rays(self.model, self.data, camera, _DRAWN)[0]
 
+    def motion_along(self, path: np.ndarray, share: float = SHARE) -> Trajectory:
+        """The fastest motion along joints f64[L, n] within a share of the arm's limits (`plan.time_path`)."""
+        limits = self.robot.arm
+        return time_path(path, self.step_time, limits.speed, limits.acceleration, share)
+
     def follow(self, motion: Trajectory, phase: Phase, until_touch: bool = False) -> bool:
         """Runs along a motion.
 
@@ -194,15 +208,15 @@ class Execution:
           Failed: an unplanned contact pressed harder than `MAX_FORCE`.
         """
         # A servo with damping trails behind a moving set-point by a known time.
-        points = motion.joints + self.panda.lag * motion.speed
+        points = motion.joints + self.arm.lag * motion.speed
         end, has_touched = motion.joints[-1], False
-        for number, joints in enumerate(np.clip(points, self.panda.low, self.panda.high)):
-            self.data.ctrl[self.panda.ctrl] = joints
+        for number, joints in enumerate(np.clip(points, self.arm.low, self.arm.high)):
+            self.data.ctrl[self.arm.ctrl] = joints
             self._step(phase)
             if until_touch and self._pressing(_TOUCHING) is not None:
                 end, has_touched = motion.joints[number], True
                 break
-        self.data.ctrl[self.panda.ctrl] = end
+        self.data.ctrl[self.arm.ctrl] = end
         return has_touched
 
     def wait(self, seconds: float, phase: Phase) -> None:
@@ -210,18 +224,22 @@ class Execution:
         for _ in range(round(seconds / self.step_time)):
             self._step(phase)
 
-    def move_fingers(self, target: float, phase: Phase, seconds: float = CLOSING) -> None:
-        """Brings the set-point of the gripper to metres from the middle for each finger, evenly."""
-        start = float(self.data.ctrl[self.panda.grip])
+    def move_fingers(self, opening: float, phase: Phase, seconds: float = CLOSING) -> None:
+        """Brings the fingers to metres from the middle for each, evenly."""
+        self._command(float(self.gripper.control_of(opening)), phase, seconds)
+
+    def _command(self, target: float, phase: Phase, seconds: float = CLOSING) -> None:
+        """Brings the control of the gripper there, evenly."""
+        start = float(self.data.ctrl[self.arm.grip])
         number = round(seconds / self.step_time)
         for step in range(1, number + 1):
-            self.data.ctrl[self.panda.grip] = start + (target - start) * step / number
+            self.data.ctrl[self.arm.grip] = start + (target - start) * step / number
             self._step(phase)
         self.wait(_REST, phase)
 
     def close(self) -> None:
         """Closes the fingers on what is between them."""
-        self.move_fingers(PANDA.grip_target, Phase.GRASP)
+        self._command(self.gripper.closed, Phase.GRASP)
 
     def _step(self, phase: Phase) -> None:
         mujoco.mj_step(self.model, self.data)
@@ -230,7 +248,7 @@ class Execution:
             self._trace.states.append(self.data.qpos.copy())
             self._trace.held.append(self._target if self.is_closed else -1)
         if self.num_steps % _MEASURED == 0:
-            now = self.data.site_xpos[self.panda.site].copy()
+            now = self.data.site_xpos[self.arm.site].copy()
             self.travel += float(np.linalg.norm(now - self._last_tool))
             self._last_tool = now
         self._watch(phase)

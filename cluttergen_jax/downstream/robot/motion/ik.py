@@ -12,7 +12,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.model import ARM, EXTRA, TOOL, Panda, home_pose, panda_spec
+from cluttergen_jax.downstream.robot.description import EXTRA, RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.model import TOOL, Robot, arm_spec
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import MissingExtraError
 
@@ -41,40 +42,48 @@ def import_extra(module: str, purpose: str) -> Any:
 
 
 class ArmKinematics:
-    """The arm alone, its base where it stands; base: f64[7], T_world_base."""
+    """An arm of n joints alone, its base where it stands.
 
-    def __init__(self, base: np.ndarray) -> None:
+    Args:
+      base: f64[7], T_world_base. robot: the Panda if not given.
+    """
+
+    def __init__(self, base: np.ndarray, robot: RobotDescription | None = None) -> None:
         mink = import_extra("mink", "inverse kinematics")
-        model, arm = _arm()
+        self._robot = robot or find_robot()
+        model, arm = _arm(self._robot)
         self._solve_ik: Any = mink.solve_ik
         self._SE3: Any = mink.SE3
         self._state = mink.Configuration(model)
-        self._task = mink.FrameTask(TOOL, "site", position_cost=1.0, orientation_cost=0.5, lm_damping=1e-6)
-        self._fixed = [mink.DofFreezingTask(model, dof_indices=[7, 8])]
+        self._task = mink.FrameTask(
+            self._robot.of_gripper(TOOL), "site", position_cost=1.0, orientation_cost=0.5, lm_damping=1e-6
+        )
+        self._fixed = [mink.DofFreezingTask(model, dof_indices=arm.finger_dofs.tolist())]
         self._limits = [mink.ConfigurationLimit(model)]
         self._arm, self._data = arm, mujoco.MjData(model)
         self._model = model
-        self.low, self.high = _limits()
-        self.home = home_pose()
+        self.low, self.high = _limits(arm)
+        self.home = np.array(self._robot.arm.home)
         self.T_world_base = matrix_of(base)
         self._T_base_world = inverse(self.T_world_base)
 
     def tool(self, joints: np.ndarray) -> np.ndarray:
-        """f64[4, 4]: T_world_tool of joints f64[7]."""
-        self._data.qpos[: len(ARM)] = joints
+        """f64[4, 4]: T_world_tool of joints f64[n]."""
+        self._data.qpos[self._arm.qpos] = joints
         mujoco.mj_kinematics(self._model, self._data)
         return self.T_world_base @ self._arm.tool(self._data)
 
     def solve(self, T_world_tool: np.ndarray, start: np.ndarray) -> np.ndarray | None:
-        """Joints f64[7] that bring the tool there, near to `start`; None where none were found."""
+        """Joints f64[n] that bring the tool there, near to `start`; None where none were found."""
         target = pose_of(self._T_base_world @ T_world_tool)
         self._task.set_target(self._SE3(wxyz_xyz=np.concatenate([target[3:], target[:3]])))
-        fingers = np.zeros(2)
-        self._state.update(np.concatenate([np.clip(start, self.low, self.high), fingers]))
+        state = np.zeros(self._model.nq)
+        state[self._arm.qpos] = np.clip(start, self.low, self.high)
+        self._state.update(state)
         for _ in range(_ITERATIONS):
             error = self._task.compute_error(self._state)
             if np.linalg.norm(error[:3]) < TOLERANCE and np.linalg.norm(error[3:]) < TURN_TOLERANCE:
-                joints = self._state.q[: len(ARM)].copy()
+                joints = self._state.q[self._arm.qpos]
                 return joints if ((joints >= self.low) & (joints <= self.high)).all() else None
             speed = self._solve_ik(
                 self._state,
@@ -89,7 +98,7 @@ class ArmKinematics:
         return None
 
     def solutions(self, T_world_tool: np.ndarray, number: int) -> Iterator[np.ndarray]:
-        """Up to so many different solutions, f64[7] each, unlike one another where the arm allows it."""
+        """Up to so many different solutions, f64[n] each, unlike one another where the arm allows it."""
         starts = self._starts(self._T_base_world @ T_world_tool)
         found: list[np.ndarray] = []
         for _ in range(min(2 * number, len(starts))):
@@ -106,8 +115,8 @@ class ArmKinematics:
                 return
 
     def _starts(self, T_base_tool: np.ndarray) -> list[np.ndarray]:
-        """Joints f64[7] whose tool is near there, those nearest to the home pose turned there first."""
-        starts, turns, tree = _start_table()
+        """Joints f64[n] whose tool is near there, those nearest to the home pose turned there first."""
+        starts, turns, tree = _start_table(self._robot)
         features, turn = _from_axis(T_base_tool[None])
         near = tree.query(features[0], _NEAREST)[1]
         joints = starts[near].copy()
@@ -117,7 +126,7 @@ class ArmKinematics:
         return list(joints[np.argsort(np.linalg.norm(joints - home, axis=1))])
 
     def line(self, start: np.ndarray, along: np.ndarray) -> np.ndarray | None:
-        """Joints f64[L, 7] along a straight line of the tool, from `start`, both ends included.
+        """Joints f64[L, n] along a straight line of the tool, from `start`, both ends included.
 
         Args:
           along: f64[3], metres in world axes; the tool does not turn.
@@ -149,32 +158,31 @@ class ArmKinematics:
 
 
 @cache
-def _arm() -> tuple[mujoco.MjModel, Panda]:
+def _arm(robot: RobotDescription) -> tuple[mujoco.MjModel, Robot]:
     """The arm without its shapes."""
-    spec = panda_spec(ContactConfig())
+    spec = arm_spec(ContactConfig(), robot)
     for geom in list(spec.geoms):
         spec.delete(geom)
     for mesh in list(spec.meshes):
         spec.delete(mesh)
     model = spec.compile()
-    return model, Panda.of(model, prefix="")
+    return model, Robot.of(model, robot, prefix="")
 
 
-def _limits() -> tuple[np.ndarray, np.ndarray]:
-    arm = _arm()[1]
+def _limits(arm: Robot) -> tuple[np.ndarray, np.ndarray]:
     return arm.low + _NEAR_LIMIT, arm.high - _NEAR_LIMIT
 
 
 @cache
-def _start_table() -> tuple[np.ndarray, np.ndarray, KDTree]:
-    """Joints f64[S, 7], their first 0; the turns of their tools about its axis; and the tools, to search."""
-    model, arm = _arm()
+def _start_table(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, KDTree]:
+    """Joints f64[S, n], their first 0; the turns of their tools about its axis; and the tools, to search."""
+    model, arm = _arm(robot)
     data = mujoco.MjData(model)
-    starts = np.random.default_rng(0).uniform(*_limits(), (_NUM_STARTS, len(ARM)))
+    starts = np.random.default_rng(0).uniform(*_limits(arm), (_NUM_STARTS, len(arm.qpos)))
     starts[:, 0] = 0
     tools = np.empty((_NUM_STARTS, 4, 4))
     for index, joints in enumerate(starts):
-        data.qpos[: len(ARM)] = joints
+        data.qpos[arm.qpos] = joints
         mujoco.mj_kinematics(model, data)
         tools[index] = arm.tool(data)
     features, turns = _from_axis(tools)

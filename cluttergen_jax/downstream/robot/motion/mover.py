@@ -9,11 +9,10 @@ import numpy as np
 
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.grasping.grips import Grip, rank_grasps
-from cluttergen_jax.downstream.robot.model import MAX_OPENING
 from cluttergen_jax.downstream.robot.motion.collision import ROOM, ROOMS, Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import LINE_STEP, ArmKinematics
-from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner, time_path
+from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of, raise_by
 
@@ -33,7 +32,7 @@ MAX_SLIP, MAX_TURN = 0.015, np.radians(20)
 WIDE = 0.015
 """Metres by which the fingers open wider than they came, if there is room, where poses may be off."""
 CARRY_SHARE = 0.25
-"""Of Franka's limits, while something is held."""
+"""Of the arm's limits, while something is held."""
 _LEVEL = 0.05
 """Of the line between the fingers, its z component up to which they open wider."""
 GENTLE_SHARE = 0.12
@@ -110,7 +109,7 @@ class Mover:
         stood = self._survey()
         T_world_object, furthest = matrix_of(stood), 0
         self.fitting = self._joints = None
-        for room, grip in product(self._rooms, rank_grasps(grasps, T_world_object)):
+        for room, grip in product(self._rooms, rank_grasps(grasps, T_world_object, self.execution.gripper)):
             self.world.room = room
             T_world_tool, opening = T_world_object @ grip.T_object_tool, grip.opening
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
@@ -147,13 +146,13 @@ class Mover:
         """
         run, self._opening = self.execution, plan.grip.opening
         run.move_fingers(self._opening, Phase.FREE, 0.2)
-        run.follow(time_path(plan.path, run.step_time), Phase.FREE)
-        run.follow(time_path(plan.come, run.step_time, CARRY_SHARE), Phase.FREE)
+        run.follow(run.motion_along(plan.path), Phase.FREE)
+        run.follow(run.motion_along(plan.come, CARRY_SHARE), Phase.FREE)
         run.wait(0.1, Phase.FREE)
         run.close()
         self._grasped = before = self._in_hand()
         first, rest = self.kinematics.split(plan.lift, TOUCH)
-        run.follow(time_path(first, run.step_time, CARRY_SHARE), Phase.TOUCH)
+        run.follow(run.motion_along(first, CARRY_SHARE), Phase.TOUCH)
         self._carry(rest, before)
 
     def _hand_fits(
@@ -251,7 +250,7 @@ class Mover:
     def _lowering(
         self, joints: np.ndarray, place: np.ndarray, opening: float, planned: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Joints f64[L, 7] straight up from a place with what is held or planned (T_tool_object), and off."""
+        """Joints f64[L, n] straight up from a place with what is held or planned (T_tool_object), and off."""
         T_tool_object = self._T_tool_object if planned is None else planned
         self.world.hold(T_tool_object)
         # A line costs a hundred times as much as one look.
@@ -280,10 +279,10 @@ class Mover:
         upper, last = self.kinematics.split(lower, FELT if feels else TOUCH, from_end=True)
         if not feels:
             self._carry(upper, self._T_tool_object, rest=0.0)
-        elif run.follow(time_path(upper, run.step_time, GENTLE_SHARE), Phase.TOUCH, until_touch=True):
+        elif run.follow(run.motion_along(upper, GENTLE_SHARE), Phase.TOUCH, until_touch=True):
             self._rise(self.kinematics.tool(upper[0])[2, 3] - run.tool[2, 3], Phase.TOUCH)
             raise Failed(Outcome.SLIP, "it touched something too early")
-        run.follow(time_path(last, run.step_time, CARRY_SHARE / 2), Phase.TOUCH, feels)
+        run.follow(run.motion_along(last, CARRY_SHARE / 2), Phase.TOUCH, feels)
         run.wait(0.2, Phase.TOUCH)
         self._in_hand()
         if feels:
@@ -292,15 +291,16 @@ class Mover:
         begin, end = (self.kinematics.tool(leave[each])[:3, 3] for each in (0, -1))
         line = self.kinematics.line(run.set_point, end - begin)
         first, rest = self.kinematics.split(leave if line is None else line, TOUCH)
-        run.follow(time_path(first, run.step_time, CARRY_SHARE), Phase.GRASP)
+        run.follow(run.motion_along(first, CARRY_SHARE), Phase.GRASP)
         # What hung askew rocks: the fingers may brush it until they are clear of it.
-        run.follow(time_path(rest, run.step_time), Phase.GRASP if feels else Phase.FREE)
+        run.follow(run.motion_along(rest), Phase.GRASP if feels else Phase.FREE)
 
     def _widest(self, leave: np.ndarray, place: np.ndarray) -> float:
         """How far the fingers can open and leave: what hung askew between them rocks as it is let go."""
         self.world.release(pose_of(place))
         needed, self.world.room = self.world.room, ROOM
-        wide, axis = min(MAX_OPENING, self._opening + WIDE), self.execution.tool[:3, 1]
+        run = self.execution
+        wide, axis = min(run.gripper.max_opening, self._opening + WIDE), run.tool[:3, 1]
         # One of two fingers that are not level goes down as they open.
         looks = leave[:: len(leave) // 6 or 1]
         is_free = abs(axis[2]) < _LEVEL and all(self.world.is_free(q, wide, Mode.COME) for q in looks)
@@ -328,7 +328,7 @@ class Mover:
     def _rise(self, height: float, phase: Phase) -> None:
         run, path = self.execution, self.kinematics.line(self.execution.set_point, height * _UP)
         if path is not None:
-            run.follow(time_path(path, run.step_time, CARRY_SHARE), phase)
+            run.follow(run.motion_along(path, CARRY_SHARE), phase)
 
     def go_home(self) -> bool:
         """Brings the empty hand back to where it starts; whether there was a path."""
@@ -337,13 +337,13 @@ class Mover:
         run, home = self.execution, self.kinematics.home
         path = self.planner.connect(run.set_point, home, self._opening, next(self._seeds))
         if path is not None:
-            run.follow(time_path(path, run.step_time), Phase.FREE)
+            run.follow(run.motion_along(path), Phase.FREE)
         return path is not None
 
     # What both need
 
     def _lifting(self, joints: np.ndarray, opening: float, height: float = LIFT) -> np.ndarray | None:
-        """Joints f64[L, 7] straight up with what is held."""
+        """Joints f64[L, n] straight up with what is held."""
         path = self.planner.line(joints, height * _UP, opening, Mode.CARRY)
         if path is None:
             return None
@@ -377,7 +377,7 @@ class Mover:
         """Moves what is held; where it touches something because it slipped, the slip is the cause."""
         try:
             share = GENTLE_SHARE if self._feels else CARRY_SHARE
-            self.execution.follow(time_path(path, self.execution.step_time, share), Phase.CARRY)
+            self.execution.follow(self.execution.motion_along(path, share), Phase.CARRY)
             self.execution.wait(rest, Phase.CARRY)
         except Failed:
             self._check_slip(before, TOUCH / 2)

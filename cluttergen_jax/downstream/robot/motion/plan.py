@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ class PickPlan(NamedTuple):
 
     Attributes:
       grip: how the hand holds it.
-      path: f64[L, 7], joints, to before the object; come: f64[L, 7], from there to it; lift: f64[L, 7].
+      path: f64[L, n], joints, to before the object; come: f64[L, n], from there to it; lift: f64[L, n].
     """
 
     grip: Grip
@@ -36,7 +37,7 @@ class PlacePlan(NamedTuple):
     """How what is held is placed.
 
     Attributes:
-      path: f64[L, 7], joints, to above the place; lower: f64[L, 7]; leave: f64[L, 7], out of the hand.
+      path: f64[L, n], joints, to above the place; lower: f64[L, n]; leave: f64[L, n], out of the hand.
     """
 
     path: np.ndarray
@@ -58,7 +59,7 @@ class Planner:
     def connect(
         self, start: np.ndarray, goal: np.ndarray, opening: float, seed: int, mode: Mode = Mode.TRAVEL
     ) -> np.ndarray | None:
-        """Joints f64[L, 7] from `start` to `goal`, bent smoothly; None where no path was found.
+        """Joints f64[L, n] from `start` to `goal`, bent smoothly; None where no path was found.
 
         Equal seeds give equal paths.
         """
@@ -69,7 +70,7 @@ class Planner:
         space = self._space()
         setup = self._og.SimpleSetup(space)
         last = self.world.num_checks + MOST_CHECKS
-        setup.setStateValidityChecker(lambda state: self.world.is_free(_joints(state), opening, mode))
+        setup.setStateValidityChecker(lambda state: self.world.is_free(self._joints(state), opening, mode))
         information = setup.getSpaceInformation()
         information.setStateValidityCheckingResolution(CHECKED_STEP / space.getMaximumExtent())
         setup.setStartAndGoalStates(self._state(space, start), self._state(space, goal))
@@ -85,10 +86,10 @@ class Planner:
         simplifier.reduceVertices(path, _SHORTCUTS)
         simplifier.partialShortcutPath(path, _SHORTCUTS)
         simplifier.smoothBSpline(path, _BEND_STEPS)
-        return np.stack([_joints(state) for state in path.getStates()])
+        return np.stack([self._joints(state) for state in path.getStates()])
 
     def line(self, start: np.ndarray, along: np.ndarray, opening: float, mode: Mode) -> np.ndarray | None:
-        """Joints f64[L, 7] on a straight line of the tool (`ArmKinematics.line`), or None.
+        """Joints f64[L, n] on a straight line of the tool (`ArmKinematics.line`), or None.
 
         A third of its points are looked at, and both ends.
         """
@@ -99,9 +100,10 @@ class Planner:
         return path if all(self.world.is_free(path[k], opening, mode) for k in sorted(looked)) else None
 
     def _space(self) -> Any:
-        space = self._ob.RealVectorStateSpace(7)
-        bounds = self._ob.RealVectorBounds(7)
-        for joint in range(7):
+        number = len(self.kinematics.low)
+        space = self._ob.RealVectorStateSpace(number)
+        bounds = self._ob.RealVectorBounds(number)
+        for joint in range(number):
             bounds.setLow(joint, float(self.kinematics.low[joint]))
             bounds.setHigh(joint, float(self.kinematics.high[joint]))
         space.setBounds(bounds)
@@ -114,17 +116,12 @@ class Planner:
             state[joint] = float(angle)
         return state
 
+    def _joints(self, state: Any) -> np.ndarray:
+        return np.array([state[joint] for joint in range(len(self.kinematics.low))])
 
-def _joints(state: Any) -> np.ndarray:
-    return np.array([state[joint] for joint in range(7)])
 
-
-MAX_SPEED = np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61])
-"""rad/s, Franka's limits for the Panda."""
-MAX_ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
-"""rad/s^2."""
 SHARE = 0.5
-"""Of these limits that is used."""
+"""Of an arm's limits of speed and acceleration that is used."""
 _STILL = 1e-6
 _LEAST_STEP = 0.03
 _LEAST_POINTS, _LEAST_GRID = 5, 100
@@ -132,17 +129,24 @@ _LEAST_POINTS, _LEAST_GRID = 5, 100
 
 
 class Trajectory(NamedTuple):
-    """T steps of a motion; joints: f64[T, 7], radians; speed: f64[T, 7], rad/s."""
+    """T steps of a motion; joints: f64[T, n], radians; speed: f64[T, n], rad/s."""
 
     joints: np.ndarray
     speed: np.ndarray
 
 
-def time_path(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory:
-    """The fastest motion along joints f64[L, 7] within a share of the limits, from rest to rest.
+def time_path(
+    path: np.ndarray,
+    step: float,
+    max_speed: Sequence[float],
+    max_acceleration: Sequence[float],
+    share: float = SHARE,
+) -> Trajectory:
+    """The fastest motion along joints f64[L, n] within a share of the limits, from rest to rest.
 
     Args:
       step: seconds between two points of the result.
+      max_speed, max_acceleration: n limits, rad/s and rad/s^2.
 
     Raises:
       MissingExtraError: the extra `robot` is not installed.
@@ -152,13 +156,16 @@ def time_path(path: np.ndarray, step: float, share: float = SHARE) -> Trajectory
     constraint = import_extra("toppra.constraint", "time laws of motions")
     toppra.setup_logging("ERROR")
     if np.abs(np.ptp(path, axis=0)).max() < _STILL:
-        return Trajectory(np.asarray(path)[-1:], np.zeros((1, 7)))
+        return Trajectory(np.asarray(path)[-1:], np.zeros((1, path.shape[1])))
     points = thin_path(path)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     path = toppra.SplineInterpolator(length, points, bc_type="natural")
+    speed, acceleration = (
+        np.array([[-most, most] for most in each]) for each in (max_speed, max_acceleration)
+    )
     limits = [
-        constraint.JointVelocityConstraint(np.stack([-MAX_SPEED, MAX_SPEED], 1) * share),
-        constraint.JointAccelerationConstraint(np.stack([-MAX_ACCELERATION, MAX_ACCELERATION], 1) * share),
+        constraint.JointVelocityConstraint(speed * share),
+        constraint.JointAccelerationConstraint(acceleration * share),
     ]
     grid = np.linspace(0, length[-1], max(_LEAST_GRID, 8 * len(points)))
     law = algorithm.TOPPRA(limits, path, gridpoints=grid, parametrizer="ParametrizeConstAccel")

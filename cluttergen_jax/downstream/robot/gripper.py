@@ -1,0 +1,125 @@
+"""How a gripper moves: what its actuator is told for a width, and where its pads and joints then are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.downstream.robot.description import GripperTable, RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.model import hand_spec
+from cluttergen_jax.downstream.transforms import inverse, matrix_of
+from cluttergen_jax.errors import ConfigError
+
+SPARE = 0.01
+"""Metres by which each finger is opened wider than the object, where the hand opens so far."""
+_ROWS, _SETTLING = 64, 0.25
+"""Controls at which a gripper is looked at, and seconds that it has for each."""
+_LEAST_STEP = 1e-4
+"""Metres by which a row is narrower than the one before it."""
+_FAR = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Gripper:
+    """A gripper's table, T rows from closed to open, of k joints.
+
+    Attributes:
+      opening: f64[T], metres that each pad is from the middle. control: f64[T]. joints: f64[T, k].
+      depth: f64[T], metres that the pads are before the tool's origin.
+      driven: which of the joints tell how far it is open. closed: the control that closes it.
+      T_hand_tool: f64[4, 4].
+    """
+
+    opening: np.ndarray
+    control: np.ndarray
+    joints: np.ndarray
+    depth: np.ndarray
+    driven: np.ndarray
+    closed: float
+    T_hand_tool: np.ndarray
+
+    @property
+    def max_opening(self) -> float:
+        """Metres that each pad can be from the middle."""
+        return float(self.opening[-1])
+
+    def opening_of(self, width: np.ndarray) -> np.ndarray:
+        """Metres that each pad is from the middle before it closes on something of this width."""
+        return np.minimum(self.max_opening, np.asarray(width) / 2 + SPARE)
+
+    def control_of(self, opening: np.ndarray) -> np.ndarray:
+        """f64[...]: the actuator's control for metres of each pad from the middle."""
+        return np.interp(opening, self.opening, self.control)
+
+    def joints_of(self, opening: np.ndarray) -> np.ndarray:
+        """f64[..., k]: the joints' positions at metres of each pad from the middle."""
+        return np.stack([np.interp(opening, self.opening, each) for each in self.joints.T], axis=-1)
+
+    def depth_of(self, width: np.ndarray) -> np.ndarray:
+        """f64[...]: metres that the pads are before the tool's origin, so far apart."""
+        return np.interp(np.asarray(width) / 2, self.opening, self.depth)
+
+    def measure(self, joints: np.ndarray) -> float:
+        """Metres that each pad is from the middle at joints f64[k]."""
+        drive = self.joints[:, self.driven].mean(1)
+        order = np.argsort(drive)
+        return float(np.interp(joints[self.driven].mean(), drive[order], self.opening[order]))
+
+    def is_closing(self, control: float) -> bool:
+        """Whether a control closes the gripper on whatever is between its pads."""
+        return bool((control - self.control[0]) * (self.closed - self.control[0]) > 0)
+
+
+@cache
+def gripper_of(robot: RobotDescription | None = None) -> Gripper:
+    """The gripper of a robot, the Panda's if not given.
+
+    Raises:
+      ConfigError: it does not open and close as its description says.
+    """
+    robot = robot or find_robot()
+    given, model = robot.gripper, hand_spec(ContactConfig(), robot).compile()
+    driven = np.array([model.joint(name).id for name in given.joints])
+    table = given.table or _close(model, robot)
+    joints = np.array(table.joints)
+    if joints.shape[1] != model.nq:
+        raise ConfigError(
+            f"robot {robot.name}: gripper.table.joints of {joints.shape[1]}", f"{model.nq}, as its model has"
+        )
+    columns = (np.array(each) for each in (table.width, table.control, table.depth))
+    width, control, depth = columns
+    return Gripper(width / 2, control, joints, depth, driven, given.closed, matrix_of(np.array(given.tool)))
+
+
+def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
+    """Closes a gripper step by step, with nothing between its pads."""
+    given, data = robot.gripper, mujoco.MjData(model)
+    model.opt.gravity = 0
+    pads, line = [model.geom(name).id for name in given.pads], np.zeros(6)
+    T_tool_hand = inverse(matrix_of(np.array(given.tool)))
+    rows: list[tuple[float, float, tuple[float, ...], float]] = []
+    for control in np.linspace(given.open, given.closed, _ROWS):
+        data.ctrl[0] = control
+        for _ in range(round(_SETTLING / model.opt.timestep)):
+            mujoco.mj_step(model, data)
+        mujoco.mj_forward(model, data)
+        width = mujoco.mj_geomDistance(model, data, *pads, _FAR, line)
+        depth = float((T_tool_hand[:3, :3] @ data.geom_xpos[pads].mean(0) + T_tool_hand[:3, 3])[2])
+        if rows and width > rows[-1][0] - _LEAST_STEP:
+            continue
+        rows.append((max(float(width), 0.0), float(control), tuple(data.qpos.tolist()), depth))
+        if width < _LEAST_STEP:
+            break
+    if len(rows) < 2 or rows[-1][0] > _LEAST_STEP:
+        raise ConfigError(
+            f"robot {robot.name}: its pads are {1e3 * rows[0][0]:.0f} mm apart at gripper.open, and "
+            f"{1e3 * rows[-1][0]:.0f} mm at gripper.closed",
+            "pads that meet",
+            "exchanging `open` and `closed`, or other `pads`",
+        )
+    width, control, joints, depth = zip(*reversed(rows), strict=True)
+    return GripperTable((0.0, *width[1:]), control, joints, depth)
