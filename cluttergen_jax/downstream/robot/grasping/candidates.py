@@ -138,23 +138,32 @@ class HandCheck:
 
         Nor before, where it comes straight.
         """
-        data, of_plane = self._data, True
-        opening = self._gripper.opening_of(np.array(width))
-        data.qpos[: self._start] = self._gripper.joints_of(opening)
-        T_tool_object = inverse(pose)
+        opening, of_plane = self._gripper.opening_of(np.array(width)), True
+        self._data.qpos[: self._start] = self._gripper.joints_of(opening)
         for back in _BACK:
-            T_hand_object = shift_along(self._gripper.T_hand_tool, (0.0, 0.0, back)) @ T_tool_object
-            data.qpos[self._start :] = pose_of(T_hand_object)
-            mujoco.mj_kinematics(self._model, data)
-            mujoco.mj_collision(self._model, data)
-            # The plane's distance is allowed for in where it lies.
-            # Parts of a hand may touch each other.
-            is_asked = ~self._is_hand[data.contact.geom].all(1)
-            on_plane = (data.contact.geom == self._plane).any(1)
-            if not on_plane[is_asked].all():
+            of_object, is_clear = self._look(pose, back)
+            if not of_object:
                 return False, False
-            of_plane = of_plane and not (data.contact.dist[is_asked] < 0).any()
+            of_plane = of_plane and is_clear
+        # Fingers that move on arcs come nearer to the plane as they close.
+        ahead = float(self._gripper.depth_of(width) - self._gripper.depth_of(2 * opening))
+        if of_plane and ahead:
+            of_plane = self._look(pose, -ahead)[1]
         return True, of_plane
+
+    def _look(self, pose: np.ndarray, back: float) -> tuple[bool, bool]:
+        """Whether the hand, so far before a grasp, is clear of the object, and of the plane."""
+        data = self._data
+        T_hand_object = shift_along(self._gripper.T_hand_tool, (0.0, 0.0, back)) @ inverse(pose)
+        data.qpos[self._start :] = pose_of(T_hand_object)
+        mujoco.mj_kinematics(self._model, data)
+        mujoco.mj_collision(self._model, data)
+        # Parts of a hand may touch each other.
+        asked = ~self._is_hand[data.contact.geom].all(1)
+        on_plane = (data.contact.geom == self._plane).any(1)
+        # The plane's distance is allowed for in where it lies.
+        of_plane = not (data.contact.dist < 0)[asked & on_plane].any()
+        return bool(on_plane[asked].all()), of_plane
 
 
 def spread(pose: np.ndarray, number: int, rng: np.random.Generator) -> np.ndarray:

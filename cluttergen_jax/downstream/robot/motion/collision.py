@@ -82,8 +82,8 @@ def _thresholds() -> np.ndarray:
     moving = (Kind.ARM, Kind.HAND, Kind.HELD)
     for a in moving:
         for b in moving:
-            # Fingers may touch each other and what they hold; no link may touch anything.
-            limit[:, a, b] = SELF_CLEARANCE if Kind.ARM in (a, b) else 0.0
+            # Fingers may touch each other and press on what they hold; no link may touch anything.
+            limit[:, a, b] = SELF_CLEARANCE if Kind.ARM in (a, b) else 0.0 if a == b else -np.inf
     for mode in set(Mode) - {Mode.TRAVEL}:
         for other in (Kind.GROUND, Kind.OTHER):
             limit[mode, Kind.HAND, other] = limit[mode, other, Kind.HAND] = NEAR

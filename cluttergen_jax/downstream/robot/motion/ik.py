@@ -15,7 +15,7 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import EXTRA, RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.model import TOOL, Robot, arm_spec
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
-from cluttergen_jax.errors import MissingExtraError
+from cluttergen_jax.errors import ConfigError, MissingExtraError
 
 TOLERANCE, TURN_TOLERANCE = 5e-4, np.radians(0.2)
 """Metres and radians that a solution may be off."""
@@ -26,6 +26,7 @@ LINE_STEP = 0.002
 _ITERATIONS = 25
 _GAIN = 1.0
 _NEAR_LIMIT = np.radians(1)
+_UPRIGHT = 1 - 1e-6
 _NUM_STARTS = 10_000
 _NEAREST = 24
 """Solutions are sought from those of so many joints, drawn at random, whose tools are nearest to a pose."""
@@ -66,6 +67,9 @@ class ArmKinematics:
         self.home = np.array(self._robot.arm.home)
         self.T_world_base = matrix_of(base)
         self._T_base_world = inverse(self.T_world_base)
+        self.tool(self.home)
+        x, y, _ = arm.tool(self._data)[:3, 3]
+        self._ahead = self.home[0] - np.arctan2(y, x)
 
     def tool(self, joints: np.ndarray) -> np.ndarray:
         """f64[4, 4]: T_world_tool of joints f64[n]."""
@@ -122,7 +126,7 @@ class ArmKinematics:
         joints = starts[near].copy()
         joints[:, 0] = (turn[0] - turns[near] + np.pi) % (2 * np.pi) - np.pi
         joints = joints[(joints[:, 0] >= self.low[0]) & (joints[:, 0] <= self.high[0])]
-        home = np.array([turn[0], *self.home[1:]])
+        home = np.array([turn[0] + self._ahead, *self.home[1:]])
         return list(joints[np.argsort(np.linalg.norm(joints - home, axis=1))])
 
     def line(self, start: np.ndarray, along: np.ndarray) -> np.ndarray | None:
@@ -166,6 +170,15 @@ def _arm(robot: RobotDescription) -> tuple[mujoco.MjModel, Robot]:
     for mesh in list(spec.meshes):
         spec.delete(mesh)
     model = spec.compile()
+    data, first = mujoco.MjData(model), model.joint(robot.arm.joints[0]).id
+    mujoco.mj_kinematics(model, data)
+    if data.xaxis[first, 2] < _UPRIGHT or np.hypot(*data.xanchor[first, :2]) > TOLERANCE:
+        raise ConfigError(
+            f"robot {robot.name}: its joint {robot.arm.joints[0]!r} turns about {data.xaxis[first]} at "
+            f"{data.xanchor[first]}",
+            "a first joint that turns about the base's z axis",
+            "a frame about the arm in its MJCF",
+        )
     return model, Robot.of(model, robot, prefix="")
 
 
