@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.config import FilmFormat
-from cluttergen_jax.downstream.robot.model import TIMESTEP, Robot
+from cluttergen_jax.downstream.robot.model import TIMESTEP, Robot, add_pedestal, base_pose
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
@@ -127,6 +127,7 @@ def _ending(row: EpisodeRow) -> str:
 
 def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.ndarray]:
     """Pictures u8[360, 480, 3] of an episode, with what the hand holds, the time, and at last the outcome."""
+    _add_pedestals(trace)
     model = add_lighting(trace.spec).compile()
     data = mujoco.MjData(model)
     width, height = _FINE * _WIDTH, _FINE * _HEIGHT
@@ -156,6 +157,15 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
         text = f"{title}: {_ending(row)}, {row.seconds:.1f} s"
         last = frame_of(trace.data.qpos, text, GREEN if row.is_success else RED)
         yield from [last] * round(_HELD * FPS)
+
+
+def _add_pedestals(trace: Trace) -> None:
+    """Pillars below the arm and the stands, which would float beside the table."""
+    support = trace.scene.support
+    add_pedestal(trace.spec, base_pose(support, trace.robot)[:3], support.region.yaw)
+    for box in trace.stands:
+        low = np.array([*box.center[:2], box.center[2] - box.half_extents[2]])
+        add_pedestal(trace.spec, low, box.yaw, min(box.half_extents[:2]))
 
 
 def _content(trace: Trace, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

@@ -32,6 +32,8 @@ _IMPRATIO = 10.0
 second under what hangs beside the fingers."""
 _HIDDEN_GROUP = 3
 """Of shapes that only collide, as Menagerie has it."""
+_PEDESTAL, _PEDESTAL_RGBA = 0.11, (0.36, 0.37, 0.39, 1.0)
+"""Metres, half of its side."""
 
 
 def arm_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> mujoco.MjSpec:
@@ -156,6 +158,25 @@ def with_robot(scene: Scene, robot: RobotDescription | None = None) -> mujoco.Mj
     robot, spec = robot or find_robot(), scene.to_mjspec()
     _for_holding(spec)
     return attach_robot(spec, arm_spec(scene.contact, robot), robot, base_pose(scene.support, robot))
+
+
+def add_pedestal(spec: mujoco.MjSpec, place: np.ndarray, yaw: float, half_side: float = _PEDESTAL) -> None:
+    """Draws a square pillar from the floor (z = 0) up to f[3], so that what stands there does not float.
+
+    Nothing touches it: the physics stays what it was.
+    """
+    half_height = float(place[2]) / 2
+    if half_height > 0:
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=(place[0], place[1], half_height),
+            quat=yaw_quaternion(yaw),
+            size=(half_side, half_side, half_height),
+            rgba=_PEDESTAL_RGBA,
+            group=VISUAL_GROUP,
+            contype=0,
+            conaffinity=0,
+        )
 
 
 @dataclass(frozen=True, eq=False)

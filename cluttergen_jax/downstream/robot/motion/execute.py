@@ -75,13 +75,15 @@ class Trace:
       every: steps from one state to the next.
       states: f64[nq] each.
       held: the number of the object that the hand is closed on at each of them, -1 if it is open.
-      scene: at the start. robot: that moves. spec, data: of the simulation; its state stays the last one.
+      scene: at the start; stands: that are there besides. robot: that moves.
+      spec, data: of the simulation; its state stays the last one.
     """
 
     every: int
     states: list[np.ndarray] = field(default_factory=list)
     held: list[int] = field(default_factory=list)
     scene: Scene = field(init=False)
+    stands: tuple[Box, ...] = field(init=False)
     robot: RobotDescription = field(init=False)
     spec: mujoco.MjSpec = field(init=False)
     data: mujoco.MjData = field(init=False)
@@ -125,7 +127,8 @@ class Execution:
         self.aim_at(target)
         self._trace, self.num_steps = trace, 0
         if trace is not None:
-            trace.scene, trace.spec, trace.data, trace.robot = scene, spec, self.data, self.robot
+            trace.scene, trace.stands, trace.robot = scene, tuple(stands), self.robot
+            trace.spec, trace.data = spec, self.data
         self.travel = 0.0
         self._start(scene)
 
