@@ -21,6 +21,7 @@ Every command has a function with the same defaults:
     place_by_hand                  a person's scenes -> a bank
     perception_data, _train, _eval views of scenes; a segmenter; how well objects and poses are found
     robot_grasps, robot_place      grasps of a pool's objects; objects moved by a simulated arm
+    read_robot                     a robot of your own, from a YAML file beside its models
     rearrange                      objects brought into new layouts by that arm
     push_bank, pull_bank           a bank to and from a hub
     pull_policies                  weights of ablations, which do not come with the package
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
     from cluttergen_jax.downstream.rearrange.api import rearrange
     from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
+    from cluttergen_jax.downstream.robot.description import RobotDescription, list_robots, read_robot
     from cluttergen_jax.evaluation.api import certify, evaluate, judge
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import (
@@ -82,6 +84,7 @@ __all__ = [
     "KeepOut",
     "Rectangle",
     "Replay",
+    "RobotDescription",
     "Sampler",
     "Scene",
     "SceneBatch",
@@ -97,6 +100,7 @@ __all__ = [
     "judge",
     "list_layouts",
     "list_pools",
+    "list_robots",
     "list_supports",
     "load_bank",
     "load_pool",
@@ -122,6 +126,7 @@ __all__ = [
     "push_bank",
     "read_bank",
     "read_layout",
+    "read_robot",
     "read_scenes",
     "rearrange",
     "remove_pool",
@@ -149,6 +154,7 @@ _MODULES = {
     "downstream.placer.api": ("placer_data", "placer_eval", "placer_train"),
     "downstream.rearrange.api": ("rearrange",),
     "downstream.robot.api": ("robot_grasps", "robot_place"),
+    "downstream.robot.description": ("RobotDescription", "list_robots", "read_robot"),
     "assets.pool": ("list_pools", "remove_pool"),
     "assets.support": ("Rectangle",),
     "assets.support_file": ("list_supports",),

@@ -36,7 +36,7 @@ COMMANDS = {
         "List pools, show what one holds, remove your own, or change an object's pose: cluttergen pool list."
     ),
     "inspect": "Show what was measured about objects of a pool, or surfaces of a support; draw it.",
-    "list": "List pools and their objects, supports, layouts and checkpoints.",
+    "list": "List pools and their objects, supports, layouts, robots and checkpoints.",
     "doctor": "Show versions, devices, renderers and extras.",
 }
 """What each command is for: the first line of its class's docstring."""

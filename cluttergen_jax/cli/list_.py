@@ -9,7 +9,7 @@ from cluttergen_jax.errors import ClutterGenError
 
 @dataclass(frozen=True)
 class List:
-    """List pools and their objects, supports, layouts and checkpoints.
+    """List pools and their objects, supports, layouts, robots and checkpoints.
 
     Example: `cluttergen list`
     """
@@ -17,6 +17,7 @@ class List:
     def run(self) -> int:
         from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
         from cluttergen_jax.assets.support_file import list_supports
+        from cluttergen_jax.downstream.robot.description import list_robots
         from cluttergen_jax.generation.layouts import list_layouts, read_layout
         from cluttergen_jax.learning.policies.embedded import list_policies
 
@@ -42,6 +43,9 @@ class List:
         print("layouts, of `cluttergen generate --layout`")
         for name in list_layouts():
             print(f"  {name:20} {len(read_layout(name).relations)} relations")
+        print("robots, of `cluttergen robot` and `cluttergen rearrange`")
+        for name in list_robots():
+            print(f"  {name}")
         print("trained checkpoints, POOL-METHOD, or METHOD alone where one serves any pool")
         for name in list_policies():
             print(f"  {name}")

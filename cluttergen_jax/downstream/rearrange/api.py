@@ -72,8 +72,8 @@ def rearrange(
         blocked (into the very area where they are), eight (objects), or stacked (one lies on another at
         first).
       num_episodes: number of episodes.
-      robot: which: a name of `cluttergen list`, or the YAML file of one of your own; `perception` knows the
-        Panda alone.
+      robot: which: a name of `cluttergen list`, or the YAML file of one of your own; segmenters
+        learned with pictures of the Panda alone.
       pool: a pool's name or folder, or several joined by +.
       choose: the rule by which a layout is chosen: clearance, with the widest gap between objects; reach,
         with the most objects that the hand can get at; or similar, with the shortest ways.
@@ -151,7 +151,7 @@ def rearrange(
     described = find_robot(robot)
     if films or show_layouts:
         check_films(film)
-    looking = _looking(pool, segmenter, seed) if observer == "perception" else observer
+    looking = _looking(pool, segmenter, seed, described) if observer == "perception" else observer
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
     threads = num_threads or os.cpu_count() or 1
     with _person(choose, host, port, browser, show) if pick else nullcontext() as person:
@@ -191,7 +191,9 @@ def _person(
         server.stop()
 
 
-def _looking(pool: str | Path, segmenter: str | Path | None, seed: int) -> PerceptionObserver:
+def _looking(
+    pool: str | Path, segmenter: str | Path | None, seed: int, robot: RobotDescription
+) -> PerceptionObserver:
     """The observer that looks through cameras, for a pool's objects on the usual table."""
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.assets.support_file import find_support
@@ -204,6 +206,5 @@ def _looking(pool: str | Path, segmenter: str | Path | None, seed: int) -> Perce
     support, wanted = find_support("table"), pool if segmenter is None else segmenter
     finder = load_finder(wanted, find_pool(pool).objects, support)
     find_backend()
-    return PerceptionObserver(
-        finder, support, seed=seed, weights=checkpoint.folder_hash(segmenter_folder(wanted))
-    )
+    weights = checkpoint.folder_hash(segmenter_folder(wanted))
+    return PerceptionObserver(finder, support, seed=seed, weights=weights, robot=robot)

@@ -13,6 +13,7 @@ from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder,
 from cluttergen_jax.downstream.perception.types import Look
 from cluttergen_jax.downstream.perception.views.stage import above, wrist_camera
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, SceneEstimate
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
 from cluttergen_jax.errors import ConfigError
@@ -43,6 +44,7 @@ class PerceptionObserver:
       finder: of the objects. support: the table.
       noise: of the depth cameras. seed: of the noise, with that of the episode.
       weights: which network and rule of certainty the finder has; rows of others are not taken up.
+      robot: whose arm is left out of the pictures; the Panda if not given.
     """
 
     name = "perception"
@@ -55,9 +57,10 @@ class PerceptionObserver:
         noise: NoiseConfig = REALSENSE,
         seed: int = 0,
         weights: str = "",
+        robot: RobotDescription | None = None,
     ) -> None:
         self._finder, self._support, self._noise, self._seed = finder, support, noise, seed
-        self._silhouette = ArmSilhouette(base_pose(support))
+        self._silhouette = ArmSilhouette(base_pose(support, robot), robot=robot)
         self._glances: list[Look] = []
         self._num_before = 0
         self.weights = weights

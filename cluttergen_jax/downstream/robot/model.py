@@ -87,6 +87,14 @@ def _prepare(spec: mujoco.MjSpec, contact: ContactConfig) -> None:
 def _prepare_arm(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
     """Servos in place of motors, where the description asks for them, and its limits."""
     arm = robot.arm
+    # The base and the first link touch; MuJoCo passes over that of a parent and child, unless the parent is fixed.
+    first = spec.joint(arm.joints[0]).parent
+    excluded = {frozenset((each.bodyname1, each.bodyname2)) for each in spec.excludes}
+    below = first.parent
+    while below.name != "world":
+        if frozenset((first.name, below.name)) not in excluded:
+            spec.add_exclude(bodyname1=below.name, bodyname2=first.name)
+        below = below.parent
     low, high = arm_limits(robot, spec)
     for k, (joint, name) in enumerate(zip(arm.joints, arm.actuators, strict=True)):
         if arm.limits:
