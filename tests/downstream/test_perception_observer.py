@@ -12,7 +12,6 @@ from cluttergen_jax.downstream.perception.pose.registration import RegistrationE
 from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, Segmentation
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView
 from cluttergen_jax.downstream.rearrange.perceive import MOST_LOOKS, PerceptionObserver
-from cluttergen_jax.downstream.robot.cameras import DRAWN_BACK
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene import Scene
@@ -68,7 +67,7 @@ def view(execution, monkeypatch):
 
 def draw_back(execution):
     """Brings the arm out of the overhead camera's way."""
-    execution.data.ctrl[execution.panda.ctrl] = DRAWN_BACK
+    execution.data.ctrl[execution.arm.ctrl] = execution.robot.arm.drawn_back
     execution.wait(2.0, Phase.FREE)
 
 

@@ -52,9 +52,9 @@ def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():
     T_tool_object = inverse(execution.tool) @ matrix_of(first[0])
     sight.take(0, T_tool_object)
     assert np.array_equal(sight(), first)
-    execution.move_fingers(-0.01, Phase.FREE)
+    execution.close()
     assert np.allclose(sight(), first, atol=1e-3)
-    execution.data.ctrl[execution.panda.ctrl[0]] += 0.3
+    execution.data.ctrl[execution.arm.ctrl[0]] += 0.3
     execution.wait(0.5, Phase.FREE)
     moved = sight()
     assert np.allclose(matrix_of(moved[0]), execution.tool @ T_tool_object, atol=1e-9)

@@ -6,14 +6,16 @@ import pytest
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.downstream.robot.grasping.antipodal import FRICTION, MAX_WIDTH, Union, sample_pairs
+from cluttergen_jax.downstream.robot.grasping.antipodal import FRICTION, Union, sample_pairs
 from tests.helpers.worlds import box
 from tests.sensing.scenes import model_of
+
+MAX_WIDTH = 0.076
 
 
 @pytest.mark.parametrize("half", [(0.03, 0.02, 0.01), (0.05, 0.02, 0.036)])
 def test_pairs_of_a_box_lie_on_opposite_faces_that_the_hand_spans(half):
-    pairs = sample_pairs(Union(box("box", half).parts), 2000, np.random.default_rng(0))
+    pairs = sample_pairs(Union(box("box", half).parts), 2000, np.random.default_rng(0), MAX_WIDTH)
     axis = np.abs(pairs.axis).argmax(1)
     assert np.allclose(np.abs(pairs.axis), np.eye(3)[axis])
     assert np.allclose(pairs.width, 2 * np.asarray(half)[axis])
@@ -47,7 +49,7 @@ def test_far_ends_face_the_line_within_the_friction_cone():
     wedge = Mesh.points(
         np.array([[x, y, z] for x in (-0.03, 0.03) for y, z in ((-0.02, 0), (0.02, 0), (0.0, 0.04))])
     )
-    pairs = sample_pairs(Union([wedge]), 4000, np.random.default_rng(4))
+    pairs = sample_pairs(Union([wedge]), 4000, np.random.default_rng(4), MAX_WIDTH)
     slanted = np.abs(pairs.axis[:, 0]) < 0.5
     # Its slanted sides lean by 26.6 degrees each; the cone's half angle is 21.8.
     assert np.degrees(np.arctan(FRICTION)) < 26.5

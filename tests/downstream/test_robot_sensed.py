@@ -140,14 +140,14 @@ def test_the_arm_keeps_its_distance_from_columns_but_may_lower_what_it_holds_bes
 def test_pixels_of_the_arm_and_what_it_brings_are_known_from_its_joints(is_aside):
     execution = Execution(SCENE, 0)
     if is_aside:
-        execution.data.qpos[execution.panda.qpos[0]] -= 1.3
+        execution.data.qpos[execution.arm.qpos[0]] -= 1.3
     own = ArmSilhouette(base_pose(TABLE), BOX)
     seen = 0
     for camera in (above(TABLE), wrist_camera(execution.tool)):
         covered = own(camera, execution.joints, execution.opening, SCENE.poses[0])
         geom = cast_rays(execution.model, execution.data, camera, execute._DRAWN)[1]
         body = execution.model.geom_bodyid[geom]
-        is_own = (geom >= 0) & (execution.panda.is_arm[body] | (body == execution.model.body("box").id))
+        is_own = (geom >= 0) & (execution.arm.is_arm[body] | (body == execution.model.body("box").id))
         assert covered[is_own].all()
         # And little else: an edge of a few pixels.
         assert (covered & ~is_own).sum() < 0.6 * is_own.sum() + 400

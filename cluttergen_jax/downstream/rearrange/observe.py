@@ -109,7 +109,7 @@ class EpisodeView:
 
     @property
     def tool(self) -> np.ndarray:
-        """f64[4, 4]: T_world_tool; `robot.model.TOOL_DEPTH` tells the hand's own frame."""
+        """f64[4, 4]: T_world_tool; `RobotDescription.gripper.tool` tells the hand's own frame."""
         return self._execution.tool
 
     @property

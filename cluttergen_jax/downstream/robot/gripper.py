@@ -11,7 +11,7 @@ import numpy as np
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import GripperTable, RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.model import hand_spec
-from cluttergen_jax.downstream.transforms import inverse, matrix_of
+from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 
 SPARE = 0.01
@@ -100,7 +100,7 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
     given, data = robot.gripper, mujoco.MjData(model)
     model.opt.gravity = 0
     pads, line = [model.geom(name).id for name in given.pads], np.zeros(6)
-    T_tool_hand = inverse(matrix_of(np.array(given.tool)))
+    approach = matrix_of(np.array(given.tool))[:3, 2]
     rows: list[tuple[float, float, tuple[float, ...], float]] = []
     for control in np.linspace(given.open, given.closed, _ROWS):
         data.ctrl[0] = control
@@ -108,7 +108,7 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
             mujoco.mj_step(model, data)
         mujoco.mj_forward(model, data)
         width = mujoco.mj_geomDistance(model, data, *pads, _FAR, line)
-        depth = float((T_tool_hand[:3, :3] @ data.geom_xpos[pads].mean(0) + T_tool_hand[:3, 3])[2])
+        depth = float(data.geom_xpos[pads].mean(0) @ approach)
         if rows and width > rows[-1][0] - _LEAST_STEP:
             continue
         rows.append((max(float(width), 0.0), float(control), tuple(data.qpos.tolist()), depth))
@@ -122,4 +122,4 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
             "exchanging `open` and `closed`, or other `pads`",
         )
     width, control, joints, depth = zip(*reversed(rows), strict=True)
-    return GripperTable((0.0, *width[1:]), control, joints, depth)
+    return GripperTable((0.0, *width[1:]), control, joints, tuple(each - depth[-1] for each in depth))

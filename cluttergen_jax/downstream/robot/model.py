@@ -16,9 +16,8 @@ from cluttergen_jax.downstream.robot.description import (
     RobotDescription,
     arm_limits,
     find_robot,
-    model_file,
-    mujoco_spec,
 )
+from cluttergen_jax.downstream.robot.model_files import mujoco_spec
 from cluttergen_jax.geometry import rotate_in_plane, yaw_quaternion
 from cluttergen_jax.scene import Scene
 
@@ -30,6 +29,7 @@ _OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_ite
 _IMPRATIO = 10.0
 """As Menagerie has it for the Panda. At 1, which scenes are made with, soft friction creeps by millimetres a
 second under what hangs beside the fingers."""
+_WORLD = "world"
 _HIDDEN_GROUP = 3
 """Of shapes that only collide, as Menagerie has it."""
 _PEDESTAL, _PEDESTAL_RGBA = 0.11, (0.36, 0.37, 0.39, 1.0)
@@ -39,7 +39,7 @@ _PEDESTAL, _PEDESTAL_RGBA = 0.11, (0.36, 0.37, 0.39, 1.0)
 def arm_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> mujoco.MjSpec:
     """A whole robot with its base at the origin, the Panda if not given."""
     robot = robot or find_robot()
-    spec = mujoco_spec(model_file(robot.arm))
+    spec = mujoco_spec(robot.arm.path)
     if not robot.gripper.attach:
         _prepare_gripper(spec, robot.gripper)
     _prepare(spec, contact)
@@ -61,7 +61,7 @@ def arm_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> m
 def hand_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> mujoco.MjSpec:
     """The gripper alone, fixed in the world, its hand's frame the world's."""
     gripper = (robot or find_robot()).gripper
-    spec = mujoco_spec(model_file(gripper))
+    spec = mujoco_spec(gripper.path)
     _prepare_gripper(spec, gripper)
     _prepare(spec, contact)
     spec.body(gripper.body).pos, spec.body(gripper.body).quat = (0, 0, 0), (1, 0, 0, 0)
@@ -81,24 +81,32 @@ def _prepare(spec: mujoco.MjSpec, contact: ContactConfig) -> None:
     for geom in spec.geoms:
         is_solid = geom.contype or geom.conaffinity
         geom.group = _HIDDEN_GROUP if is_solid else VISUAL_GROUP
+    _pass_over_joints(spec)
     _for_holding(spec)
+
+
+def _pass_over_joints(spec: mujoco.MjSpec) -> None:
+    """A body may touch the one that it is jointed to, as MuJoCo has it of all but fixed ones."""
+    known = {frozenset((each.bodyname1, each.bodyname2)) for each in spec.excludes}
+    fixed = [spec.worldbody]
+    for below in fixed:
+        for body in below.bodies:
+            if not list(body.joints):
+                fixed.append(body)
+            elif below.name != _WORLD and frozenset((below.name, body.name)) not in known:
+                spec.add_exclude(bodyname1=below.name, bodyname2=body.name)
 
 
 def _prepare_arm(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
     """Servos in place of motors, where the description asks for them, and its limits."""
     arm = robot.arm
-    # The base and the first link touch; MuJoCo passes over that of a parent and child, unless the parent is fixed.
-    first = spec.joint(arm.joints[0]).parent
-    excluded = {frozenset((each.bodyname1, each.bodyname2)) for each in spec.excludes}
-    below = first.parent
-    while below.name != "world":
-        if frozenset((first.name, below.name)) not in excluded:
-            spec.add_exclude(bodyname1=below.name, bodyname2=first.name)
-        below = below.parent
     low, high = arm_limits(robot, spec)
+    scale = 180 / np.pi if spec.compiler.degree else 1.0
     for k, (joint, name) in enumerate(zip(arm.joints, arm.actuators, strict=True)):
         if arm.limits:
-            spec.joint(joint).range = low[k], high[k]
+            spec.joint(joint).range = low[k] * scale, high[k] * scale
+        if arm.inertia:
+            spec.joint(joint).armature = arm.inertia[k]
         if not arm.gain:
             continue
         actuator, damping = spec.actuator(name), arm.damping[k] if arm.damping else 0.0

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.description import EXTRA, RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.model import TOOL, Robot, arm_spec
+from cluttergen_jax.downstream.robot.model_files import EXTRA
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 
@@ -169,6 +170,10 @@ def _arm(robot: RobotDescription) -> tuple[mujoco.MjModel, Robot]:
         spec.delete(geom)
     for mesh in list(spec.meshes):
         spec.delete(mesh)
+    for body in spec.bodies[1:]:
+        # Masses may have been those of the shapes; kinematics have no use for them.
+        if not body.explicitinertial:
+            body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
     model = spec.compile()
     data, first = mujoco.MjData(model), model.joint(robot.arm.joints[0]).id
     mujoco.mj_kinematics(model, data)
