@@ -17,7 +17,7 @@ class List:
     def run(self) -> int:
         from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
         from cluttergen_jax.assets.support_file import list_supports
-        from cluttergen_jax.downstream.robot.description import list_robots
+        from cluttergen_jax.downstream.robot.description import find_robot, list_robots
         from cluttergen_jax.generation.layouts import list_layouts, read_layout
         from cluttergen_jax.learning.policies.embedded import list_policies
 
@@ -45,7 +45,11 @@ class List:
             print(f"  {name:20} {len(read_layout(name).relations)} relations")
         print("robots, of `cluttergen robot` and `cluttergen rearrange`")
         for name in list_robots():
-            print(f"  {name}")
+            try:
+                find_robot(name)
+                print(f"  {name}")
+            except ClutterGenError as error:
+                print(f"  {name:12} {error}")
         print("trained checkpoints, POOL-METHOD, or METHOD alone where one serves any pool")
         for name in list_policies():
             print(f"  {name}")
