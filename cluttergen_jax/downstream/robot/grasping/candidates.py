@@ -26,6 +26,7 @@ _SHALLOW = (0.0, 0.005)
 """Metres by which a grasp's points may lie nearer to the finger's tips than the middle of the pads."""
 _INSIDE = 5e-4
 _STEEPEST_UP = 0.1
+_DOWN = np.array([0.0, 0.0, -1.0])
 _CLEARANCE = 0.0015
 """Metres between the hand and the object; the arm is where it should be to a millimetre."""
 _PLANE, _GROUND_GAP, _GROUND_HALF = "plane", 0.001, (0.5, 0.5, 0.05)
@@ -70,7 +71,7 @@ def candidates_of(asset: ObjectAsset, number: int, num_lines: int, rng: np.rando
       num_lines: lines that are cast to find pairs; half as many ways of approach are looked at.
     """
     union = Union(asset.parts)
-    found = _approaches(union, sample_pairs(union, num_lines, rng), max(num_lines // 2, 1), rng)
+    found = draw_approaches(union, sample_pairs(union, num_lines, rng), max(num_lines // 2, 1), rng)
     found = found.take(spread(found.pose, min(len(found.width), 4 * number), rng))
     hand = HandCheck(asset)
     clear = [hand.clear_of(*each) for each in zip(found.pose, found.width, strict=True)]
@@ -80,17 +81,25 @@ def candidates_of(asset: ObjectAsset, number: int, num_lines: int, rng: np.rando
     return found.take(order[:number])
 
 
-def _approaches(union: Union, pairs: Pairs, number: int, rng: np.random.Generator) -> Candidates:
-    """So many poses of the tool about random pairs, deep enough; half of them come from straight above."""
+def draw_approaches(
+    union: Union, pairs: Pairs, number: int, rng: np.random.Generator, down: np.ndarray = _DOWN
+) -> Candidates:
+    """So many poses of the tool about random pairs, deep enough; half of them come from straight above.
+
+    Nothing is asked of the hand: of some it cannot come there.
+
+    Args:
+      down: f64[3], unit, where the world's -z is in the object's frame.
+    """
     wide = np.flatnonzero(pairs.width >= _LEAST_WIDTH)
     if not wide.size:
         return Candidates(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, bool))
     row = rng.choice(wide, number)
     axis, width, middle = pairs.axis[row], pairs.width[row], pairs.middle[row]
-    down = _downwards(axis)
-    side = np.cross(axis, down)
+    below = _downwards(axis, down)
+    side = np.cross(axis, below)
     angle = np.where(np.arange(number) % 2, rng.uniform(-np.pi / 2, np.pi / 2, number), 0.0)
-    approach = np.cos(angle)[:, None] * down + np.sin(angle)[:, None] * side
+    approach = np.cos(angle)[:, None] * below + np.sin(angle)[:, None] * side
     shallow = rng.choice(_SHALLOW, number)
     first = pairs.first[row] + _INSIDE * axis
     ahead, behind = union.reach(first, approach), union.reach(first, -approach)
@@ -101,18 +110,20 @@ def _approaches(union: Union, pairs: Pairs, number: int, rng: np.random.Generato
     is_deep = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
         cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
     )
-    keep = is_deep & (approach[:, 2] <= _STEEPEST_UP)
+    keep = is_deep & (approach @ down >= -_STEEPEST_UP)
     turn = np.stack([across, axis, approach], axis=-1)
     pose = rigid(turn, middle - shallow[:, None] * approach)[keep]
     return Candidates(pose, width[keep], np.zeros(len(pose), bool))
 
 
-def _downwards(axis: np.ndarray) -> np.ndarray:
+def _downwards(axis: np.ndarray, down: np.ndarray) -> np.ndarray:
     """f64[P, 3]: of the directions across each axis the one that points down the most."""
-    down = np.array([0.0, 0.0, -1.0]) + axis * axis[:, 2:]
-    length = np.linalg.norm(down, axis=1, keepdims=True)
+    below = down - axis * (axis @ down)[:, None]
+    length = np.linalg.norm(below, axis=1, keepdims=True)
     # Across an upright axis any direction is as good as another.
-    return np.where(length > 1e-3, down / np.maximum(length, 1e-3), np.array([1.0, 0.0, 0.0]))
+    any_side = np.eye(3)[np.argmin(np.abs(down))]
+    any_side = any_side - down * (down @ any_side)
+    return np.where(length > 1e-3, below / np.maximum(length, 1e-3), any_side / np.linalg.norm(any_side))
 
 
 class HandCheck:
