@@ -30,7 +30,7 @@ from tests.helpers.placing import write_bank
 from tests.helpers.worlds import box
 
 DOWN = np.diag([1.0, -1.0, -1.0])
-TALL, LOW = box("tall", (0.02, 0.02, 0.06), 0.2), box("low", (0.05, 0.05, 0.01), 0.3)
+TALL, LOW = box("tall", (0.02, 0.02, 0.05), 0.2), box("low", (0.05, 0.05, 0.03), 0.3)
 
 
 def scene_of(*places):
@@ -58,7 +58,7 @@ def test_what_the_open_hand_touches_is_named():
     assert still.blocker(above(apart, 1, 0.005), 0.076) == "low"
     # Low down the finger on that side stands on the neighbour; high up, or turned, it does not.
     beside = StillScene(close)
-    assert beside.blocker(above(close, 0, -0.045), 0.04) == "low"
+    assert beside.blocker(above(close, 0, 0.02), 0.04) == "low"
     assert beside.blocker(above(close, 0, 0.04), 0.04) == ""
     # From the side it comes through where the tall one stands.
     through = rigid(np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]]), apart.poses[0, :3] + [0.09, 0, 0.04])
@@ -83,7 +83,7 @@ def test_what_is_gripped_comes_up_alone_and_what_is_not_stays():
 def test_an_object_that_stands_on_the_lifted_one_has_moved():
     scene = scene_of((0, 0), (0.2, 0))
     poses = scene.poses.copy()
-    poses[1, :3] = poses[0, :3] + [0, 0, 0.07]
+    poses[1, :3] = poses[0, :3] + [0, 0, 0.08]
     stacked = replace(scene, poses=poses)
     turned = rigid(np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]]), poses[0, :3])
     held = LiftScene(stacked).lift(turned, 0.04)
