@@ -50,7 +50,7 @@ def above(scene, number, height, yaw=0.0):
 
 
 def test_what_the_open_hand_touches_is_named():
-    apart, close = scene_of((0, 0), (0.2, 0)), scene_of((0, 0), (0, 0.072))
+    apart, close = scene_of((0, 0), (-0.2, 0)), scene_of((0, 0), (0, 0.072))
     still = StillScene(apart)
     assert still.blocker(above(apart, 0, 0.04), 0.04) == ""
     assert still.blocker(above(apart, 0, -0.06), 0.04) == "support"
