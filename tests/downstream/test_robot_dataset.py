@@ -61,7 +61,7 @@ def test_what_the_open_hand_touches_is_named():
     assert beside.blocker(above(close, 0, 0.02), 0.04) == "low"
     assert beside.blocker(above(close, 0, 0.04), 0.04) == ""
     # From the side it comes through where the tall one stands.
-    through = rigid(np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]]), apart.poses[0, :3] + [0.09, 0, 0.04])
+    through = rigid(np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]]), apart.poses[0, :3] + [-0.09, 0, 0.04])
     assert still.blocker(through, 0.02) == "tall"
 
 
