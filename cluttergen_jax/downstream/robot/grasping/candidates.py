@@ -82,7 +82,12 @@ def candidates_of(asset: ObjectAsset, number: int, num_lines: int, rng: np.rando
 
 
 def draw_approaches(
-    union: Union, pairs: Pairs, number: int, rng: np.random.Generator, down: np.ndarray = _DOWN
+    union: Union,
+    pairs: Pairs,
+    number: int,
+    rng: np.random.Generator,
+    down: np.ndarray = _DOWN,
+    spread: float | None = None,
 ) -> Candidates:
     """So many poses of the tool about random pairs, deep enough; half of them come from straight above.
 
@@ -90,6 +95,8 @@ def draw_approaches(
 
     Args:
       down: f64[3], unit, where the world's -z is in the object's frame.
+      spread: radians, standard deviation of the turns of the other half; None turns them evenly by up to a
+        right angle.
     """
     wide = np.flatnonzero(pairs.width >= _LEAST_WIDTH)
     if not wide.size:
@@ -98,7 +105,9 @@ def draw_approaches(
     axis, width, middle = pairs.axis[row], pairs.width[row], pairs.middle[row]
     below = _downwards(axis, down)
     side = np.cross(axis, below)
-    angle = np.where(np.arange(number) % 2, rng.uniform(-np.pi / 2, np.pi / 2, number), 0.0)
+    quarter = np.pi / 2
+    turned = rng.uniform(-quarter, quarter, number) if spread is None else rng.normal(0, spread, number)
+    angle = np.where(np.arange(number) % 2, np.clip(turned, -quarter, quarter), 0.0)
     approach = np.cos(angle)[:, None] * below + np.sin(angle)[:, None] * side
     shallow = rng.choice(_SHALLOW, number)
     first = pairs.first[row] + _INSIDE * axis

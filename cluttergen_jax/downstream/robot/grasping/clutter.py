@@ -42,6 +42,8 @@ _PREFIX, _CARRIAGE = "hand/", "carriage"
 _GAIN, _DAMPING = 2e4, 400.0
 """N/m and N s/m of what lifts the hand: it sags by half a millimetre under a kilogram."""
 _STEEPEST_UP = 0.1
+_SPREAD = np.radians(35)
+"""Of antipodal candidates: most that come flatly are blocked."""
 _AWAY = np.array([0.0, 0.0, 100.0, 1.0, 0.0, 0.0, 0.0])
 _OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations", "integrator")
 _IMPRATIO = 10.0
@@ -164,7 +166,7 @@ def _draw_for(scene: Scene, index: int, rng: np.random.Generator, number: int) -
     union, pairs = _lines(scene.objects[index])
     T = matrix_of(scene.poses[index])
     # Many of these are not deep enough.
-    found = draw_approaches(union, pairs, 4 * share, rng, -T[2, :3])
+    found = draw_approaches(union, pairs, 4 * share, rng, -T[2, :3], _SPREAD)
     chosen = rng.permutation(len(found.width))[:share]
     seen = T @ _surface_poses(union, share, T[:3, :3], rng)
     return ClutterGrasps(
