@@ -113,8 +113,11 @@ def mesh_file(meshes: Sequence[tuple[str, np.ndarray]]) -> bytes:
 
 
 def setup() -> dict[str, Any]:
-    """What `setup.json` holds."""
-    K = [FOCAL, 0.0, WIDTH / 2, 0.0, FOCAL, HEIGHT / 2, 0.0, 0.0, 1.0]
+    """What `setup.json` holds.
+
+    Open3D, which they use, has whole numbers at the middles of pixels, where `Camera` has halves.
+    """
+    K = [FOCAL, 0.0, WIDTH / 2 - 0.5, 0.0, FOCAL, HEIGHT / 2 - 0.5, 0.0, 0.0, 1.0]
     return {
         "size": SIZE,
         "intrinsic": {"width": WIDTH, "height": HEIGHT, "K": K},
