@@ -21,6 +21,7 @@ Every command has a function with the same defaults:
     place_by_hand                  a person's scenes -> a bank
     perception_data, _train, _eval views of scenes; a segmenter; how well objects and poses are found
     robot_grasps, robot_place      grasps of a pool's objects; objects moved by a simulated arm
+    grasp_dataset                  labelled grasps in a bank's clutter
     read_robot                     a robot of your own, from a YAML file beside its models
     rearrange                      objects brought into new layouts by that arm
     push_bank, pull_bank           a bank to and from a hub
@@ -57,7 +58,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.perception.api import perception_data, perception_eval, perception_train
     from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
     from cluttergen_jax.downstream.rearrange.api import rearrange
-    from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
+    from cluttergen_jax.downstream.robot.api import grasp_dataset, robot_grasps, robot_place
     from cluttergen_jax.downstream.robot.description import RobotDescription, list_robots, read_robot
     from cluttergen_jax.evaluation.api import certify, evaluate, judge
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
@@ -95,6 +96,7 @@ __all__ = [
     "evaluate_suite",
     "export",
     "generate",
+    "grasp_dataset",
     "import_pool",
     "import_support",
     "judge",
@@ -153,7 +155,7 @@ _MODULES = {
     "downstream.perception.api": ("perception_data", "perception_eval", "perception_train"),
     "downstream.placer.api": ("placer_data", "placer_eval", "placer_train"),
     "downstream.rearrange.api": ("rearrange",),
-    "downstream.robot.api": ("robot_grasps", "robot_place"),
+    "downstream.robot.api": ("grasp_dataset", "robot_grasps", "robot_place"),
     "downstream.robot.description": ("RobotDescription", "list_robots", "read_robot"),
     "assets.pool": ("list_pools", "remove_pool"),
     "assets.support": ("Rectangle",),

@@ -27,7 +27,7 @@ COMMANDS = {
     "evaluate": "Compare methods on pools and supports, or make a suite of tables and figures (`--suite`).",
     "placer": "Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.",
     "perception": "Known objects in images: `perception data`, `perception train` and `perception eval`.",
-    "robot": "A robot arm in simulation: `robot grasps` and `robot place`.",
+    "robot": "A robot arm in simulation: `robot grasps`, `robot place` and `robot dataset`.",
     "rearrange": "Let a simulated robot arm rearrange the objects of scenes (extra `robot`).",
     "import": (
         "Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, SDF, MJCF, or `ycb`."

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from cluttergen_jax.cli.options import Options, options_from
-from cluttergen_jax.downstream.robot.api import robot_grasps, robot_place
+from cluttergen_jax.downstream.robot.api import grasp_dataset, robot_grasps, robot_place
 
 
 @options_from(robot_grasps, pool=Annotated[str, tyro.conf.Positional], robot=str)
@@ -35,9 +35,21 @@ class RobotPlace(Options):
         return 0
 
 
+@options_from(grasp_dataset, bank=Annotated[str, tyro.conf.Positional])
+class RobotDataset(Options):
+    """Make a dataset of labelled grasps in the scenes of a bank, failures kept (extra `robot`).
+
+    Example: `cluttergen robot dataset bank --out grasps`
+    """
+
+    def run(self) -> int:
+        print(self.call(grasp_dataset))
+        return 0
+
+
 @dataclass(frozen=True)
 class Robot:
-    """A robot arm in simulation: `robot grasps` and `robot place`.
+    """A robot arm in simulation: `robot grasps`, `robot place` and `robot dataset`.
 
     Example: `cluttergen robot grasps household`
 
@@ -48,6 +60,7 @@ class Robot:
     action: (
         Annotated[RobotGrasps, tyro.conf.subcommand("grasps")]
         | Annotated[RobotPlace, tyro.conf.subcommand("place")]
+        | Annotated[RobotDataset, tyro.conf.subcommand("dataset")]
     )
 
     def run(self) -> int:

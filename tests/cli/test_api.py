@@ -40,6 +40,7 @@ FUNCTIONS = (
     "perception_train",
     "robot_grasps",
     "robot_place",
+    "grasp_dataset",
     "rearrange",
     "judge",
     "repair",

@@ -24,11 +24,13 @@ from cluttergen_jax.spec import SceneSpec
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.query import Placer
     from cluttergen_jax.downstream.robot.description import RobotDescription
+    from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspDataset
     from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
     from cluttergen_jax.downstream.robot.trials import RobotTrials
 
 _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
+_MOST_VIEWS = 64
 _MOST_EPISODES = 1_000_000
 _REGION = "0.5x0.5"
 _NUM_OBJECTS = 8
@@ -254,3 +256,65 @@ def _factor(noise: float | None, task: str, is_looking: bool) -> float:
     if not (isinstance(noise, Real) and 0 <= noise <= MAX_NOISE):
         raise ConfigError(f"noise = {noise!r}", f"0 to {MAX_NOISE:g}", "noise=1")
     return float(noise)
+
+
+@with_own_settings
+def grasp_dataset(
+    bank: str | Path,
+    out: str | Path = "grasp-dataset",
+    *,
+    robot: str | Path | RobotDescription = "panda",
+    num_grasps: int = 120,
+    num_lifts: int | None = None,
+    views: int = 6,
+    noise: float = 1.0,
+    num_scenes: int | None = None,
+    seed: int = 0,
+    num_threads: int = 0,
+) -> GraspDataset:
+    """Makes a dataset of labelled grasps in the scenes of a bank (`cluttergen robot dataset`).
+
+    Of each scene that stands, depth images with noise, a volume of truncated signed distances, and candidates
+    for the hand of a robot: whether each is free in the clutter, and whether it lifts an object, in
+    MuJoCo with everything awake. Failures are kept. Written as Parquet with a card, and as the files of VGN
+    and GIGA. The same call takes up an interrupted one.
+
+    Args:
+      bank: the bank's folder: tables, shelves, bins, piles.
+      out: the folder.
+      robot: whose hand: a name of `cluttergen list`, or the YAML file of one of your own.
+      num_grasps: candidates kept of each scene, half of them free where so many are found.
+      num_lifts: so many of a scene's free ones are executed; all if not given, 0 for none.
+      views: pictures of each scene.
+      noise: factor of the simulated sensor noise of a usual depth camera; 0 for none.
+      num_scenes: the first so many; all if not given.
+      seed: of candidates, cameras and noise.
+      num_threads: 0 takes every core.
+
+    Returns:
+      The dataset; printed, it tells what there is.
+
+    Raises:
+      ConfigError: a number is out of range, or the robot is none.
+      BankError: there is no bank, none of its scenes stands, or the folder holds something else.
+      MissingExtraError: the extra `robot` is not installed.
+    """
+    import os
+
+    from cluttergen_jax.downstream.robot.description import find_robot
+    from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspPlan, make
+
+    check_folder(out)
+    check_workers("num_threads", num_threads)
+    check_range("num_grasps", num_grasps, 1, _MOST_GRASPS, 120)
+    check_range("views", views, 1, _MOST_VIEWS, 6)
+    if not (isinstance(noise, Real) and 0 <= noise <= MAX_NOISE):
+        raise ConfigError(f"noise = {noise!r}", f"0 to {MAX_NOISE:g}", "noise=1")
+    check_range("seed", seed, 0, _MOST_SEED, 0)
+    if num_lifts is not None:
+        check_range("num_lifts", num_lifts, 0, _MOST_GRASPS, 20)
+    if num_scenes is not None:
+        check_range("num_scenes", num_scenes, 1, _MOST_EPISODES, 100)
+    lifts = num_grasps if num_lifts is None else num_lifts
+    plan = GraspPlan(find_robot(robot), num_grasps, lifts, views, float(noise), seed)
+    return make(Path(bank), num_scenes, plan, Path(out), num_threads or os.cpu_count() or 1)

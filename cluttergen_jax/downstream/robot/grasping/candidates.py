@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.transforms import inverse, pose_of, rigid, shift_
 
 MIN_COVER = 0.012
 """Metres of a pad, along and across the approach, that must lie on an object that has so much."""
-_MARGIN = 0.004
+MARGIN = 0.004
 """Metres that an object is narrower than the hand opens."""
 OBJECT = "object"
 _LEAST_WIDTH = 0.001
@@ -26,6 +26,7 @@ _SHALLOW = (0.0, 0.005)
 """Metres by which a grasp's points may lie nearer to the finger's tips than the middle of the pads."""
 _INSIDE = 5e-4
 _STEEPEST_UP = 0.1
+_DOWN = np.array([0.0, 0.0, -1.0])
 _CLEARANCE = 0.0015
 """Metres between the hand and the object; the arm is where it should be to a millimetre."""
 _PLANE, _GROUND_GAP, _GROUND_HALF = "plane", 0.001, (0.5, 0.5, 0.05)
@@ -62,8 +63,8 @@ def candidates_of(
       robot: whose hand it is.
     """
     union, gripper = Union(asset.parts), gripper_of(robot)
-    pairs = sample_pairs(union, num_lines, rng, 2 * gripper.max_opening - _MARGIN)
-    found = _approaches(union, pairs, max(num_lines // 2, 1), rng, gripper, robot.gripper.pad)
+    pairs = sample_pairs(union, num_lines, rng, 2 * gripper.max_opening - MARGIN)
+    found = draw_approaches(union, pairs, max(num_lines // 2, 1), rng, gripper, robot.gripper.pad)
     found = found.take(spread(found.pose, min(len(found.width), 4 * number), rng))
     hand = HandCheck(asset, robot)
     clear = [hand.clear_of(*each) for each in zip(found.pose, found.width, strict=True)]
@@ -73,19 +74,37 @@ def candidates_of(
     return found.take(order[:number])
 
 
-def _approaches(
-    union: Union, pairs: Pairs, number: int, rng: np.random.Generator, gripper: Gripper, pad: float
+def draw_approaches(
+    union: Union,
+    pairs: Pairs,
+    number: int,
+    rng: np.random.Generator,
+    gripper: Gripper,
+    pad: float,
+    down: np.ndarray = _DOWN,
+    spread: float | None = None,
 ) -> Candidates:
-    """So many poses of the tool about random pairs, deep enough; half of them come from straight above."""
+    """So many poses of the tool about random pairs, deep enough; half of them come from straight above.
+
+    Nothing is asked of the hand: of some it cannot come there.
+
+    Args:
+      pad: metres, half of a pad's length along the approach.
+      down: f64[3], unit, where the world's -z is in the object's frame.
+      spread: radians, standard deviation of the turns of the other half; None turns them evenly by up to a
+        right angle.
+    """
     wide = np.flatnonzero(pairs.width >= _LEAST_WIDTH)
     if not wide.size:
         return Candidates(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, bool))
     row = rng.choice(wide, number)
     axis, width, middle = pairs.axis[row], pairs.width[row], pairs.middle[row]
-    down = _downwards(axis)
-    side = np.cross(axis, down)
-    angle = np.where(np.arange(number) % 2, rng.uniform(-np.pi / 2, np.pi / 2, number), 0.0)
-    approach = np.cos(angle)[:, None] * down + np.sin(angle)[:, None] * side
+    below = _downwards(axis, down)
+    side = np.cross(axis, below)
+    quarter = np.pi / 2
+    turned = rng.uniform(-quarter, quarter, number) if spread is None else rng.normal(0, spread, number)
+    angle = np.where(np.arange(number) % 2, np.clip(turned, -quarter, quarter), 0.0)
+    approach = np.cos(angle)[:, None] * below + np.sin(angle)[:, None] * side
     shallow = rng.choice(_SHALLOW, number)
     first = pairs.first[row] + _INSIDE * axis
     ahead, behind = union.reach(first, approach), union.reach(first, -approach)
@@ -96,7 +115,7 @@ def _approaches(
     is_deep = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
         cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
     )
-    keep = is_deep & (approach[:, 2] <= _STEEPEST_UP)
+    keep = is_deep & (approach @ down >= -_STEEPEST_UP)
     turn = np.stack([across, axis, approach], axis=-1)
     # The pads are where the tool's origin is, but for what they move along the approach as they close.
     back = shallow + gripper.depth_of(width)
@@ -104,12 +123,14 @@ def _approaches(
     return Candidates(pose, width[keep], np.zeros(len(pose), bool))
 
 
-def _downwards(axis: np.ndarray) -> np.ndarray:
+def _downwards(axis: np.ndarray, down: np.ndarray) -> np.ndarray:
     """f64[P, 3]: of the directions across each axis the one that points down the most."""
-    down = np.array([0.0, 0.0, -1.0]) + axis * axis[:, 2:]
-    length = np.linalg.norm(down, axis=1, keepdims=True)
+    below = down - axis * (axis @ down)[:, None]
+    length = np.linalg.norm(below, axis=1, keepdims=True)
     # Across an upright axis any direction is as good as another.
-    return np.where(length > 1e-3, down / np.maximum(length, 1e-3), np.array([1.0, 0.0, 0.0]))
+    any_side = np.eye(3)[np.argmin(np.abs(down))]
+    any_side = any_side - down * (down @ any_side)
+    return np.where(length > 1e-3, below / np.maximum(length, 1e-3), any_side / np.linalg.norm(any_side))
 
 
 class HandCheck:

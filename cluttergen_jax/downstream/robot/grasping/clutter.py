@@ -1,0 +1,380 @@
+"""Grasps in clutter: poses of a hand in a finished scene, which are free, and which lift something."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from functools import lru_cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP, populated_spec
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.downstream.robot.description import RobotDescription
+from cluttergen_jax.downstream.robot.grasping.antipodal import Pairs, Union, sample_pairs
+from cluttergen_jax.downstream.robot.grasping.candidates import MARGIN, draw_approaches
+from cluttergen_jax.downstream.robot.gripper import gripper_of
+from cluttergen_jax.downstream.robot.model import hand_spec
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of, rigid, shift_along
+from cluttergen_jax.scene import Scene
+from cluttergen_jax.sensing import Camera, cast_rays
+
+LIFT = 0.10
+"""Metres that the hand rises once it has closed."""
+RAISED = 0.8
+"""Share of `LIFT` by which an object has to have come up in the end."""
+FINGER_DEPTH = 0.045
+"""Metres from the root of the fingers to the middle of their pads."""
+_CLEARANCE = 0.0015
+_BACK = (0.0, 0.03, 0.06, 0.1)
+"""Metres before the grasp at which the open hand must be clear, too."""
+ROUNDS = 16
+"""How often candidates of a scene are drawn at most."""
+_NUM_LINES = 1500
+_TIMESTEP = 1 / 360
+_CLOSE, _RISE, _HOLD = 0.5, 0.5, 0.2
+"""Seconds of each part of a lift."""
+_EMPTY = 0.002
+"""Metres between the fingers up to which they have closed on nothing."""
+_AT_ONCE = 6
+_PREFIX, _CARRIAGE = "hand/", "carriage"
+_GAIN, _DAMPING = 2e4, 400.0
+"""N/m and N s/m of what lifts the hand: it sags by half a millimetre under a kilogram."""
+_STEEPEST_UP = 0.1
+_SPREAD = np.radians(35)
+"""Of antipodal candidates: most that come flatly are blocked."""
+_AWAY = np.array([0.0, 0.0, 100.0, 1.0, 0.0, 0.0, 0.0])
+_OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations", "integrator")
+_IMPRATIO = 10.0
+
+
+class Source(StrEnum):
+    """How a candidate was drawn.
+
+    ANTIPODAL: about two points of an object that the fingers can press towards each other. SURFACE: along the
+    normal of any point of an object's surface, open as wide as the hand goes.
+    """
+
+    ANTIPODAL = "antipodal"
+    SURFACE = "surface"
+
+
+class LiftEnd(StrEnum):
+    """What became of a lift.
+
+    LIFTED: an object came up with the hand. EMPTY: the fingers closed on nothing. LOST: they closed on
+    something that did not come up. DIVERGED: the simulation failed.
+    """
+
+    LIFTED = "lifted"
+    EMPTY = "empty"
+    LOST = "lost"
+    DIVERGED = "diverged"
+
+
+class ClutterGrasps(NamedTuple):
+    """C poses of the hand in a scene.
+
+    Attributes:
+      pose: f64[C, 4, 4], T_world_tool: z is the approach, y the direction in which the fingers close.
+      width: f64[C], metres between the points that the fingers press on; of `SURFACE` the widest there is.
+      target: i64[C], the number of the object that is meant.
+      is_antipodal: bool[C], the source.
+    """
+
+    pose: np.ndarray
+    width: np.ndarray
+    target: np.ndarray
+    is_antipodal: np.ndarray
+
+    def take(self, index: np.ndarray) -> ClutterGrasps:
+        """Those at `index`."""
+        return ClutterGrasps(*(each[index] for each in self))
+
+
+class LabelledGrasps(NamedTuple):
+    """What is kept of the candidates of a scene.
+
+    Attributes:
+      grasps: C of them. blocked_by: str[C], the body that the open hand touches; "" where it is free.
+      num_drawn, num_free: of all that were drawn.
+    """
+
+    grasps: ClutterGrasps
+    blocked_by: np.ndarray
+    num_drawn: int
+    num_free: int
+
+
+class Lift(NamedTuple):
+    """What became of one lift.
+
+    Attributes:
+      end: how it ended. raised: the number of the object that came up, -1 for none.
+      width: metres between the fingers in the end. moved: metres that another object moved, at most.
+    """
+
+    end: LiftEnd
+    raised: int
+    width: float
+    moved: float
+
+
+def label_grasps(scene: Scene, still: StillScene, number: int, rng: np.random.Generator) -> LabelledGrasps:
+    """Draws candidates for a scene and looks which of them are free; half of each source where there are.
+
+    In clutter most are not free. So `number` of them are drawn again and again, `ROUNDS` times at most, until
+    half of what is kept is free; of those that are not as many are kept as there is room for.
+    """
+    parts: list[ClutterGrasps] = []
+    blockers: list[str] = []
+    while len(parts) < ROUNDS and 2 * blockers.count("") < number:
+        parts.append(draw_grasps(scene, still.robot, number, rng))
+        blockers += [still.blocker(*each) for each in zip(parts[-1].pose, parts[-1].width, strict=True)]
+    drawn, blocked_by = _joined_grasps(parts), np.array(blockers)
+    is_free = blocked_by == ""
+    free = rng.permutation(np.flatnonzero(is_free))[: (number + 1) // 2]
+    others = rng.permutation(np.flatnonzero(~is_free))[: number - len(free)]
+    chosen = np.sort(np.concatenate([free, others]))
+    return LabelledGrasps(drawn.take(chosen), blocked_by[chosen], len(is_free), int(is_free.sum()))
+
+
+def draw_grasps(
+    scene: Scene, robot: RobotDescription, number: int, rng: np.random.Generator
+) -> ClutterGrasps:
+    """Candidates for a scene, spread evenly over its objects; half of each source.
+
+    None of them was tested. The hand never comes from below.
+
+    Args:
+      robot: whose hand it is.
+      number: C, fewer where antipodal ones are rare.
+    """
+    whole = _joined_grasps([_draw_for(scene, index, robot, rng, number) for index in range(len(scene.names))])
+    chosen = [
+        rng.permutation(np.flatnonzero(whole.is_antipodal == is_antipodal))[:share]
+        for is_antipodal, share in ((True, (number + 1) // 2), (False, number // 2))
+    ]
+    return whole.take(np.sort(np.concatenate(chosen)))
+
+
+def _joined_grasps(parts: Sequence[ClutterGrasps]) -> ClutterGrasps:
+    return ClutterGrasps(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+
+def _draw_for(
+    scene: Scene, index: int, robot: RobotDescription, rng: np.random.Generator, number: int
+) -> ClutterGrasps:
+    """The share of one object, of each source."""
+    share, gripper = -(-number // len(scene.names)), gripper_of(robot)
+    widest = 2 * gripper.max_opening - MARGIN
+    union, pairs = _lines(scene.objects[index], widest)
+    T = matrix_of(scene.poses[index])
+    # Many of these are not deep enough.
+    found = draw_approaches(union, pairs, 4 * share, rng, gripper, robot.gripper.pad, -T[2, :3], _SPREAD)
+    chosen = rng.permutation(len(found.width))[:share]
+    seen = T @ _surface_poses(union, share, T[:3, :3], rng)
+    return ClutterGrasps(
+        np.concatenate([T @ found.pose[chosen], seen]),
+        np.concatenate([found.width[chosen], np.full(len(seen), widest)]),
+        np.full(len(chosen) + len(seen), index),
+        np.arange(len(chosen) + len(seen)) < len(chosen),
+    )
+
+
+def _surface_poses(union: Union, number: int, turn: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """f64[C, 4, 4]: T_object_tool along the normals of points that do not face down.
+
+    The root of the fingers is between 5 mm below the surface and 5 mm more than they are long above it, as
+    VGN draws it (Breyer et al., CoRL 2020).
+    """
+    points, normals = union.surface_points(4 * number, rng)
+    is_up = (normals @ turn.T)[:, 2] > -_STEEPEST_UP
+    points, normals = points[is_up][:number], normals[is_up][:number]
+    helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    x = np.cross(helper, normals)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    angle = rng.uniform(0, np.pi, (len(points), 1))
+    y = np.cos(angle) * np.cross(-normals, x) - np.sin(angle) * x
+    depth = rng.uniform(-0.1, 1.1, (len(points), 1)) * (FINGER_DEPTH + 0.005)
+    turns = np.stack([np.cross(y, -normals), y, -normals], axis=-1)
+    return rigid(turns, points + normals * (depth - FINGER_DEPTH))
+
+
+@lru_cache(maxsize=1024)
+def _lines(asset: ObjectAsset, widest: float) -> tuple[Union, Pairs]:
+    """An object's union of parts and its antipodal pairs: by its content alone."""
+    union = Union(asset.parts)
+    rng = np.random.default_rng(int(object_hash(asset)[:12], 16))
+    return union, sample_pairs(union, _NUM_LINES, rng, widest)
+
+
+class StillScene:
+    """A scene that stands still, for looks: what the open hand would touch, and what cameras see.
+
+    Args:
+      scene: its objects and what carries them.
+      robot: whose hand it is.
+    """
+
+    def __init__(self, scene: Scene, robot: RobotDescription) -> None:
+        self.robot, self._gripper = robot, gripper_of(robot)
+        spec = _spec_with_hand(scene, robot, visual=True)
+        for joint in [each for each in spec.joints if each.name in scene.names]:
+            spec.delete(joint)
+        hand = spec.body(_PREFIX + robot.gripper.body)
+        for geom in spec.geoms:
+            geom.margin = 0.0
+        for geom in hand.find_all(mujoco.mjtObj.mjOBJ_GEOM):
+            geom.margin = _CLEARANCE
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._carriage = self._model.body(_CARRIAGE).id
+        self._hand = self._model.body(hand.name).id
+        self._fingers = _fingers_of(self._model)
+        self._is_hand = _tree_of(self._model, self._carriage)
+        self._groups = np.zeros(mujoco.mjNGROUP, np.uint8)
+        self._groups[VISUAL_GROUP] = 1
+
+    def blocker(self, pose: np.ndarray, width: float) -> str:
+        """The body that the open hand touches at T_world_tool f64[4, 4], or on its straight way there.
+
+        Returns:
+          Its name; "" where the hand is free.
+        """
+        for back in _BACK:
+            self._put(shift_along(pose, (0.0, 0.0, -back)), float(self._gripper.opening_of(np.array(width))))
+            mujoco.mj_collision(self._model, self._data)
+            bodies = self._model.geom_bodyid[self._data.contact.geom]
+            others = bodies[self._is_hand[bodies].sum(1) == 1]
+            if len(others):
+                first = others[0]
+                return str(self._model.body(first[~self._is_hand[first]][0]).name)
+        return ""
+
+    def depth(self, camera: Camera) -> np.ndarray:
+        """f32[H, W]: metres along the optical axis, without noise; inf where nothing is."""
+        self._put(matrix_of(_AWAY), 0.0)
+        return cast_rays(self._model, self._data, camera, self._groups)[0]
+
+    def _put(self, pose: np.ndarray, opening: float) -> None:
+        _put_hand(self._model, self._carriage, self._hand, pose @ inverse(self._gripper.T_hand_tool))
+        self._data.qpos[self._fingers] = self._gripper.joints_of(np.array(opening))
+        mujoco.mj_kinematics(self._model, self._data)
+
+
+class LiftScene:
+    """A scene in which a hand closes and rises by `LIFT`; everything is awake.
+
+    Args:
+      scene: its objects and what carries them.
+      robot: whose hand it is.
+    """
+
+    def __init__(self, scene: Scene, robot: RobotDescription) -> None:
+        self._gripper = gripper_of(robot)
+        spec = _spec_with_hand(scene, robot, visual=False)
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._carriage = self._model.body(_CARRIAGE).id
+        self._hand = self._model.body(_PREFIX + robot.gripper.body).id
+        self._bodies = [self._model.body(name).id for name in scene.names]
+        self._fingers = _fingers_of(self._model)
+        # The carriage's motor was added first.
+        self._up, self._grip = 0, 1
+
+    def lift(self, pose: np.ndarray, width: float) -> Lift:
+        """Closes the hand at T_world_tool f64[4, 4] and lifts what it holds."""
+        model, data = self._model, self._data
+        mujoco.mj_resetData(model, data)
+        gripper = self._gripper
+        _put_hand(model, self._carriage, self._hand, pose @ inverse(gripper.T_hand_tool))
+        opening = gripper.opening_of(np.array(width))
+        data.qpos[self._fingers] = gripper.joints_of(opening)
+        come = float(gripper.control_of(opening))
+        mujoco.mj_forward(model, data)
+        start = data.xpos[self._bodies].copy()
+        for step in range(0, round(_CLOSE / _TIMESTEP), _AT_ONCE):
+            share = min(1.0, step * _TIMESTEP / (0.9 * _CLOSE))
+            data.ctrl[self._grip] = come + share * (gripper.closed - come)
+            mujoco.mj_step(model, data, _AT_ONCE)
+        if not np.isfinite(data.qpos).all():
+            return Lift(LiftEnd.DIVERGED, -1, 0.0, np.inf)
+        if (gap := self._gap()) < _EMPTY:
+            return Lift(LiftEnd.EMPTY, -1, gap, self._moved(start, -1))
+        for step in range(0, round((_RISE + _HOLD) / _TIMESTEP), _AT_ONCE):
+            share = min(1.0, step * _TIMESTEP / _RISE)
+            data.ctrl[self._up] = LIFT * share**2 * (3 - 2 * share)
+            mujoco.mj_step(model, data, _AT_ONCE)
+        if not np.isfinite(data.qpos).all():
+            return Lift(LiftEnd.DIVERGED, -1, 0.0, np.inf)
+        rise = data.xpos[self._bodies, 2] - start[:, 2]
+        highest = int(rise.argmax())
+        if rise[highest] < RAISED * LIFT or self._gap() < _EMPTY:
+            return Lift(LiftEnd.LOST, -1, self._gap(), self._moved(start, -1))
+        return Lift(LiftEnd.LIFTED, highest, self._gap(), self._moved(start, highest))
+
+    def _gap(self) -> float:
+        return 2 * self._gripper.measure(self._data.qpos[self._fingers])
+
+    def _moved(self, start: np.ndarray, held: int) -> float:
+        shift = np.linalg.norm(self._data.xpos[self._bodies] - start, axis=1)
+        return float(np.delete(shift, held).max(initial=0.0) if held >= 0 else shift.max(initial=0.0))
+
+
+def _spec_with_hand(scene: Scene, robot: RobotDescription, visual: bool) -> mujoco.MjSpec:
+    """A scene and a hand that can rise, at 100 m."""
+    spec = populated_spec(
+        scene.names, scene.objects, scene.support, _TIMESTEP, scene.contact, poses=scene.poses, visual=visual
+    )
+    hand = hand_spec(scene.contact, robot)
+    _leave_collisions(hand)
+    spec.option.integrator, spec.option.impratio = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, _IMPRATIO
+    for option in _OPTIONS:
+        setattr(hand.option, option, getattr(spec.option, option))
+    carriage = spec.worldbody.add_body(name=_CARRIAGE, pos=_AWAY[:3])
+    carriage.add_joint(name=_CARRIAGE, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1))
+    motor = spec.add_actuator(
+        name=_CARRIAGE,
+        target=_CARRIAGE,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+    )
+    motor.gainprm[0], motor.biastype = _GAIN, mujoco.mjtBias.mjBIAS_AFFINE
+    motor.biasprm[:3] = 0.0, -_GAIN, -_DAMPING
+    spec.attach(hand, prefix=_PREFIX, frame=carriage.add_frame())
+    return spec
+
+
+def _leave_collisions(hand: mujoco.MjSpec) -> None:
+    """Takes away what is only drawn."""
+    for geom in list(hand.geoms):
+        if not (geom.contype or geom.conaffinity):
+            hand.delete(geom)
+    used = {geom.meshname for geom in hand.geoms}
+    for mesh in list(hand.meshes):
+        if mesh.name not in used:
+            hand.delete(mesh)
+
+
+def _put_hand(model: mujoco.MjModel, carriage: int, hand: int, T_world_hand: np.ndarray) -> None:
+    """Puts the hand at f64[4, 4]."""
+    pose = pose_of(T_world_hand)
+    model.body_pos[carriage], model.body_quat[hand] = pose[:3], pose[3:]
+
+
+def _fingers_of(model: mujoco.MjModel) -> list[int]:
+    """Where the hand's joints are in `qpos`, in the order of its own model."""
+    named = [model.joint(index) for index in range(model.njnt)]
+    return [int(joint.qposadr[0]) for joint in named if joint.name.startswith(_PREFIX)]
+
+
+def _tree_of(model: mujoco.MjModel, root: int) -> np.ndarray:
+    """bool[nbody]: a body and all that hangs on it."""
+    is_in = np.zeros(model.nbody, bool)
+    for body in range(1, model.nbody):
+        is_in[body] = body == root or is_in[model.body_parentid[body]]
+    return is_in

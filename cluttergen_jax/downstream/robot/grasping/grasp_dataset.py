@@ -1,0 +1,359 @@
+"""Datasets of labelled grasps in clutter, a scene at a time, resumable.
+
+dataset.json                    how it was made
+grasps.parquet, README.md       every candidate with its labels, and the card
+raw/                            VGN's files: setup.json, grasps.csv, scenes/NUMBER.npz; GIGA's meshes
+voxels/                         the same as volumes: grasps.csv, scenes/NUMBER.npz
+parts/NUMBER.parquet            the candidates of a scene, written when all else of it is there
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.obj import mesh_text
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.downstream.robot.description import RobotDescription
+from cluttergen_jax.downstream.robot.grasping import vgn
+from cluttergen_jax.downstream.robot.grasping.clutter import (
+    LIFT,
+    RAISED,
+    Lift,
+    LiftEnd,
+    LiftScene,
+    Source,
+    StillScene,
+    label_grasps,
+)
+from cluttergen_jax.downstream.robot.gripper import gripper_of
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.evaluation.machine import versions
+from cluttergen_jax.files import remove_partial, write_atomically, writing
+from cluttergen_jax.kept_folder import KeptFolder, check_recipe
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene.bank import assets_section, front_matter, read_bank, write_unless_own
+from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.schema import SchemaError, checked_record, with_checksum
+from cluttergen_jax.sensing import REALSENSE, Camera, noisy
+from cluttergen_jax.tables import markdown_table
+
+INDEX, GRASPS = "dataset.json", "grasps.parquet"
+_COLUMNS = {
+    "scene": (pa.int32(), "number of the scene in its bank"),
+    "object": (pa.string(), "name of the object that is meant"),
+    "source": (pa.string(), "antipodal: about two points that fingers can press; surface: along a normal"),
+    "pose": (
+        pa.list_(pa.float64(), 7),
+        "T_world_tool, metres, wxyz; z the approach, y the closing direction",
+    ),
+    "width": (pa.float64(), "metres between the points that are pressed; of `surface` the widest"),
+    "is_free": (pa.bool_(), "the open hand touches nothing there, nor on the last 10 cm of its straight way"),
+    "blocked_by": (pa.string(), "the first body that it touches; empty where it is free"),
+    "lift": (pa.string(), "lifted, empty, lost or diverged; null where it was not executed"),
+    "lifted_object": (pa.string(), "name of the object that came up; null where none did"),
+    "lifted_width": (pa.float64(), "metres between the fingers in the end; null where nothing came up"),
+    "others_moved": (pa.float64(), "metres that another object moved, at most; null where not executed"),
+    "in_cube": (pa.bool_(), "inside VGN's cube, so that it is in the files of VGN"),
+}
+SCHEMA = pa.schema([(name, kind) for name, (kind, _) in _COLUMNS.items()])
+
+
+@dataclass(frozen=True)
+class GraspPlan:
+    """How a dataset is made.
+
+    Attributes:
+      robot: whose hand it is.
+      num_grasps: candidates kept of each scene. num_lifts: of the free ones, how many are executed.
+      num_views: pictures of each scene. noise: factor of a usual depth camera's.
+      seed: of all that is drawn.
+    """
+
+    robot: RobotDescription
+    num_grasps: int
+    num_lifts: int
+    num_views: int
+    noise: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class GraspDataset:
+    """A dataset that is made.
+
+    Attributes:
+      path: its folder. num_scenes, num_grasps, num_free: what is in it.
+      lifts: how many lifts ended in each way.
+    """
+
+    path: Path
+    num_scenes: int
+    num_grasps: int
+    num_free: int
+    lifts: dict[str, int]
+
+    def __str__(self) -> str:
+        lifts = ", ".join(f"{name} {number}" for name, number in self.lifts.items()) or "none"
+        return (
+            f"grasps     {self.num_grasps} of {self.num_scenes} scenes, {self.num_free} free\n"
+            f"lifts      {lifts}\n"
+            f"files      {self.path}: {GRASPS}, raw and voxels (VGN, GIGA)"
+        )
+
+
+def grasp_folder(path: Path) -> KeptFolder:
+    """The folder of such a dataset, which may not exist yet."""
+    return KeptFolder(
+        path,
+        is_whole=lambda folder: (folder / INDEX).is_file(),
+        refusal="{path} exists and holds no dataset of grasps",
+        is_begun=lambda each: False,
+    )
+
+
+def make(bank: Path, num_scenes: int | None, plan: GraspPlan, out: Path, num_threads: int) -> GraspDataset:
+    """A dataset in a folder, begun or continued; see `cluttergen_jax.grasp_dataset`."""
+    source = read_bank(bank)
+    scenes = list(read_scenes(source))[:num_scenes]
+    recipe = {
+        "bank": {"name": bank.resolve().name, "recipe": source.recipe},
+        **vars(plan),
+        "robot": {"name": plan.robot.name, "hash": plan.robot.hash},
+        "versions": versions(),
+    }
+    with grasp_folder(out).lock(), writing(out):
+        remove_partial(out)
+        _begin(out, recipe)
+        meshes = {asset.name: asset for scene in scenes for asset in scene.objects}
+        for name, asset in meshes.items():
+            _write(out / _mesh_name(name), mesh_text(_surface_of(asset)).encode())
+        missing = [scene for scene in scenes if not (out / _part_name(scene)).is_file()]
+        done = len(scenes) - len(missing)
+        pool = ThreadPoolExecutor(num_threads)
+        try:
+            with Progress("grasps", len(scenes), "scene", done) as progress:
+                waiting = [pool.submit(partial(_make_scene, out, plan), scene) for scene in missing]
+                for future in as_completed(waiting):
+                    progress.update(1, future.result())
+        finally:
+            pool.shutdown(cancel_futures=True)
+        return _finish(out, scenes, list(meshes.values()), recipe, gripper_of(plan.robot).max_opening)
+
+
+def _begin(out: Path, recipe: dict[str, Any]) -> None:
+    """Stores how the dataset is made, or refuses another recipe."""
+    file = out / INDEX
+    if file.exists():
+        try:
+            theirs = checked_record(file.read_bytes())["recipe"]
+        except (OSError, SchemaError, KeyError) as error:
+            raise BankError(f"{file} cannot be read ({error})", hint="another `out`") from error
+        check_recipe(out, "grasps made", recipe, theirs)
+        return
+    record = with_checksum({"format": 1, "kind": "grasps in clutter", "recipe": recipe})
+    _write(file, (json.dumps(record, indent=1) + "\n").encode())
+
+
+def _make_scene(out: Path, plan: GraspPlan, scene: Scene) -> str:
+    """Makes all files of a scene, that of its candidates last; a note."""
+    streams = np.random.default_rng([plan.seed, scene.origin.index]).spawn(3)
+    still, T_world_task = StillScene(scene, plan.robot), vgn.task_frame(scene.support)
+    labelled = label_grasps(scene, still, plan.num_grasps, streams[0])
+    grasps, is_free = labelled.grasps, labelled.blocked_by == ""
+    lifts: dict[int, Lift] = {}
+    if plan.num_lifts and is_free.any():
+        executed = LiftScene(scene, plan.robot)
+        chosen = streams[1].permutation(np.flatnonzero(is_free))[: plan.num_lifts]
+        lifts = {int(row): executed.lift(grasps.pose[row], grasps.width[row]) for row in np.sort(chosen)}
+    noise, depths, cameras = REALSENSE.scale(plan.noise), [], []
+    for camera in vgn.draw_cameras(T_world_task, plan.num_views, streams[2]):
+        depth, believed = noisy(still.depth(camera), camera, noise, streams[2])
+        depths.append(depth)
+        cameras.append(believed)
+    _write_scene(out, scene, T_world_task, depths, cameras)
+    numbers = vgn.grasp_numbers(grasps.pose, T_world_task)
+    table = _table(scene, grasps, labelled.blocked_by, lifts, vgn.is_inside(numbers))
+    counts = {"drawn": str(labelled.num_drawn), "free": str(labelled.num_free)}
+    buffer = io.BytesIO()
+    pq.write_table(table.replace_schema_metadata(counts), buffer, write_page_checksum=True)
+    _write(out / _part_name(scene), buffer.getvalue())
+    good = sum(lift.end is LiftEnd.LIFTED for lift in lifts.values())
+    return f"{int(is_free.sum())} of {len(is_free)} free, {good} of {len(lifts)} lifted"
+
+
+def _write_scene(
+    out: Path,
+    scene: Scene,
+    T_world_task: np.ndarray,
+    depths: Sequence[np.ndarray],
+    cameras: Sequence[Camera],
+) -> None:
+    """What was seen, as pictures and as a volume, and where the meshes are."""
+    number = _number(scene)
+    grid = vgn.tsdf_grid(depths, cameras, T_world_task)
+    poses = inverse(T_world_task) @ matrix_of(scene.poses)
+    meshes = [(_mesh_name(each.name), pose) for each, pose in zip(scene.objects, poses, strict=True)]
+    _write(out / f"raw/scenes/{number}.npz", vgn.sensor_file(depths, cameras, T_world_task))
+    _write(out / f"raw/mesh_pose_list/{number}.npz", vgn.mesh_file(meshes))
+    _write(out / f"voxels/scenes/{number}.npz", vgn.voxel_file(grid))
+
+
+def _table(
+    scene: Scene, grasps: Any, blocked_by: np.ndarray, lifts: dict[int, Lift], in_cube: np.ndarray
+) -> pa.Table:
+    rows = []
+    for row, pose in enumerate(pose_of(grasps.pose)):
+        lift = lifts.get(row)
+        is_up = lift is not None and lift.raised >= 0
+        rows.append(
+            {
+                "scene": scene.origin.index,
+                "object": scene.names[grasps.target[row]],
+                "source": str(Source.ANTIPODAL if grasps.is_antipodal[row] else Source.SURFACE),
+                "pose": pose.tolist(),
+                "width": float(grasps.width[row]),
+                "is_free": not blocked_by[row],
+                "blocked_by": str(blocked_by[row]),
+                "lift": None if lift is None else str(lift.end),
+                "lifted_object": scene.names[lift.raised] if lift is not None and is_up else None,
+                "lifted_width": lift.width if lift is not None and is_up else None,
+                "others_moved": None if lift is None else lift.moved,
+                "in_cube": bool(in_cube[row]),
+            }
+        )
+    return pa.Table.from_pylist(rows, schema=SCHEMA)
+
+
+def _finish(
+    out: Path, scenes: Sequence[Scene], objects: Sequence[ObjectAsset], recipe: dict[str, Any], opening: float
+) -> GraspDataset:
+    """Joins what the scenes have: the tables of all formats, and the card."""
+    parts = [pq.read_table(out / _part_name(scene)) for scene in scenes]
+    counts = {
+        name: sum(int((part.schema.metadata or {})[name.encode()]) for part in parts)
+        for name in ("drawn", "free")
+    }
+    whole = pa.concat_tables([part.replace_schema_metadata(None) for part in parts])
+    buffer = io.BytesIO()
+    pq.write_table(whole, buffer, write_page_checksum=True)
+    _write(out / GRASPS, buffer.getvalue())
+    _write(out / "raw/setup.json", (json.dumps(vgn.setup(2 * opening), indent=4) + "\n").encode())
+    raw, voxels = [vgn.CSV], [vgn.VOXEL_CSV]
+    for scene, part in zip(scenes, parts, strict=True):
+        rows = _labelled_rows(part, recipe["num_lifts"], vgn.task_frame(scene.support))
+        raw += vgn.csv_lines(_number(scene), *rows, 1.0)
+        voxels += vgn.csv_lines(_number(scene), *rows, vgn.SIZE / vgn.RESOLUTION)
+    _write(out / "raw/grasps.csv", ("\n".join(raw) + "\n").encode())
+    _write(out / "voxels/grasps.csv", ("\n".join(voxels) + "\n").encode())
+    lifts = Counter(each for each in whole["lift"].to_pylist() if each is not None)
+    made = GraspDataset(
+        out, len(scenes), len(whole), int(np.sum(whole["is_free"].to_numpy())), dict(lifts.most_common())
+    )
+    write_unless_own(out, lambda: _card(made, whole, counts, len(raw) - 1, scenes[0], objects, recipe))
+    return made
+
+
+def _labelled_rows(
+    part: pa.Table, num_lifts: int, T_world_task: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers f64[C, 7], widths f64[C] and labels bool[C] of the candidates that VGN's files have.
+
+    A label is that of the lift; a candidate that is not free has failed. Free ones that were not executed are
+    left out, unless none was to be: then what is free is good.
+    """
+    is_free, lift = part["is_free"].to_numpy(), np.array(part["lift"].to_pylist(), object)
+    label = lift == str(LiftEnd.LIFTED) if num_lifts else is_free
+    is_known = ~is_free | (lift != None) if num_lifts else np.ones(len(lift), bool)  # noqa: E711
+    chosen = np.flatnonzero(part["in_cube"].to_numpy() & is_known)
+    pose = matrix_of(np.array(part["pose"].to_pylist(), np.float64).reshape(-1, 7))
+    final = np.array(part["lifted_width"].to_pylist(), np.float64)
+    width = np.where(np.isfinite(final), final, part["width"].to_numpy())
+    return vgn.grasp_numbers(pose, T_world_task)[chosen], width[chosen], label[chosen].astype(bool)
+
+
+def _card(
+    made: GraspDataset,
+    whole: pa.Table,
+    counts: dict[str, int],
+    num_csv: int,
+    scene: Scene,
+    objects: Sequence[ObjectAsset],
+    recipe: dict[str, Any],
+) -> str:
+    """The card as Markdown."""
+    licences = [*(each.provenance.licence for each in objects), scene.support.provenance.licence]
+    tags = ["robotics", "simulation", "mujoco", "grasping", "clutter"]
+    head = front_matter(licences, tags, "grasps in clutter", f"[{{split: train, path: '{GRASPS}'}}]")
+    sources = whole["source"].to_pylist()
+    facts = {
+        "scenes": f"{made.num_scenes} of the bank `{recipe['bank']['name']}`",
+        "candidates": f"{made.num_grasps}, {Counter(sources)[str(Source.ANTIPODAL)]} of them antipodal",
+        "free": f"{made.num_free} of these; of all {counts['drawn']} that were drawn {counts['free']}",
+        "lifts": ", ".join(f"{name} {number}" for name, number in made.lifts.items()) or "none executed",
+        "in VGN's files": f"{num_csv}, those inside its cube of {vgn.SIZE:g} m whose label is known",
+        "views": f"{recipe['num_views']} of {vgn.WIDTH} x {vgn.HEIGHT} a scene, noise {recipe['noise']:g}",
+        "seed": recipe["seed"],
+        "versions": ", ".join(f"{name} {number}" for name, number in recipe["versions"].items()),
+    }
+    columns = markdown_table(
+        ("column", "type", "meaning"),
+        [(f"`{name}`", f"`{kind}`", text) for name, (kind, text) in _COLUMNS.items()],
+    )
+    about = (
+        f"# {made.path.resolve().name}\n\nGrasps of the hand of {recipe['robot']['name']} "
+        "in cluttered scenes, failures kept. A "
+        "lift: from the pose, everything awake, the fingers close and the hand rises by "
+        f"{LIFT:g} m; `lifted` means that an object came up by at least {RAISED:g} of it."
+    )
+    files = (
+        "## Files\n\n`raw` is what VGN's `construct_dataset.py` reads: depth in metres (0: not measured), "
+        "`extrinsics` of each view, x, y, z, w of the quaternion and the position of the cube in the camera's"
+        " frame, `grasps.csv` with the tool frame at the root of the fingers. `voxels` is what it makes of "
+        "them. `raw/mesh_pose_list` and `raw/meshes` are GIGA's."
+    )
+    lines = "\n".join(f"- {name}: {value}" for name, value in facts.items())
+    return (
+        "\n\n".join([head, about, lines, f"## Columns\n\n{columns}", files])
+        + "\n\n"
+        + (assets_section(objects, scene.support) + "\n")
+    )
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, data)
+
+
+def _number(scene: Scene) -> str:
+    return f"{scene.origin.index:06d}"
+
+
+def _part_name(scene: Scene) -> str:
+    return f"parts/{_number(scene)}.parquet"
+
+
+def _mesh_name(name: str) -> str:
+    return f"raw/meshes/{name}.obj"
+
+
+def _surface_of(asset: ObjectAsset) -> Mesh:
+    """What is seen of an object as one mesh; its parts where it has no surface."""
+    meshes = [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
+    first = np.cumsum([0, *(len(each.vertices) for each in meshes)])
+    faces = [each.faces + start for each, start in zip(meshes, first, strict=False)]
+    return Mesh(np.concatenate([each.vertices for each in meshes]), np.concatenate(faces))
