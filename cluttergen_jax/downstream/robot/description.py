@@ -214,10 +214,10 @@ def _read(path: Path, changed: int) -> RobotDescription:
         content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
         _check_fields(content, RobotDescription)
         robot = convert(content, RobotDescription)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"robot {path}: {error}", "a YAML file", HINT) from error
     except SchemaError as error:
-        raise ConfigError(f"robot {path}: {error}", "what the guide lists", HINT) from error
+        raise ConfigError(f"robot {path}: {error}", "the fields of `RobotDescription`", HINT) from error
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise ConfigError(f"robot {path}: {error}", "a YAML file", HINT) from error
 
     def beside(part: Any) -> Any:
         return part if part.package else replace(part, file=str(path.parent / part.file))

@@ -11,6 +11,7 @@ import numpy as np
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import GripperTable, RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.model import hand_spec
+from cluttergen_jax.downstream.robot.model_files import compile_model
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 
@@ -82,7 +83,7 @@ def gripper_of(robot: RobotDescription | None = None) -> Gripper:
       ConfigError: it does not open and close as its description says.
     """
     robot = robot or find_robot()
-    given, model = robot.gripper, hand_spec(ContactConfig(), robot).compile()
+    given, model = robot.gripper, compile_model(hand_spec(ContactConfig(), robot), robot.name)
     driven = np.array([model.joint(name).id for name in given.joints])
     table = given.table or _close(model, robot)
     joints = np.array(table.joints)
