@@ -82,6 +82,8 @@ def test_robots_are_found_by_name_by_file_and_as_they_are():
     assert find_robot(own) is own
     with pytest.raises(ConfigError, match=r"'pandaa'.*'panda'.*ur5e_2f85"):
         find_robot("pandaa")
+    with pytest.raises(ConfigError, match="tuples"):
+        find_robot(replace(own, arm=replace(own.arm, home=[0.0])))
     with pytest.raises(ConfigError, match="home of 0"):
         find_robot(replace(own, arm=replace(own.arm, home=())))
 
