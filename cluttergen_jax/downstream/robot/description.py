@@ -135,7 +135,7 @@ class RobotDescription:
     """A robot that stands beside a table.
 
     Attributes:
-      name: before every name of it in a scene.
+      name: before every name of it in a scene. arm, gripper: what it consists of.
       distance: metres from the base to the region's centre, in the region's -x.
     """
 
@@ -167,9 +167,8 @@ RobotLike: TypeAlias = str | Path | RobotDescription
 
 def list_robots() -> tuple[str, ...]:
     """The names of the robots that come with the package, the usual one first."""
-    return tuple(
-        sorted((path.stem for path in _ROBOTS.glob("*.yaml")), key=lambda name: (name != _USUAL, name))
-    )
+    found = {path.stem for path in _ROBOTS.glob("*.yaml")}
+    return (_USUAL, *sorted(found - {_USUAL}))
 
 
 def find_robot(robot: RobotLike | None = None) -> RobotDescription:
@@ -180,18 +179,17 @@ def find_robot(robot: RobotLike | None = None) -> RobotDescription:
       MissingExtraError: the package that carries its models is not installed.
     """
     if isinstance(robot, RobotDescription):
-        check_robot(robot)
+        try:
+            check_robot(robot)
+        except TypeError as error:
+            raise ConfigError(f"robot {robot.name}: {error}", "tuples, as of `read_robot`", HINT) from error
         return robot
-    name = str(robot or _USUAL)
+    name = _USUAL if robot is None else str(robot)
     path = _ROBOTS / f"{name}.yaml" if name in list_robots() else Path(name)
     if not path.is_file():
         known = list_robots()
-        raise ConfigError(
-            f"robot = {name!r}",
-            f"{', '.join(known)}, or the path of a YAML file",
-            HINT,
-            closest(name, known),
-        )
+        allowed = f"{', '.join(known)}, or the path of a YAML file"
+        raise ConfigError(f"robot = {name!r}", allowed, HINT, closest(name, known))
     return read_robot(path)
 
 
@@ -214,10 +212,10 @@ def _read(path: Path, changed: int) -> RobotDescription:
         content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
         _check_fields(content, RobotDescription)
         robot = convert(content, RobotDescription)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"robot {path}: {error}", "a YAML file", HINT) from error
     except SchemaError as error:
-        raise ConfigError(f"robot {path}: {error}", "what the guide lists", HINT) from error
+        raise ConfigError(f"robot {path}: {error}", "the fields of `RobotDescription`", HINT) from error
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise ConfigError(f"robot {path}: {error}", "a YAML file", HINT) from error
 
     def beside(part: Any) -> Any:
         return part if part.package else replace(part, file=str(path.parent / part.file))

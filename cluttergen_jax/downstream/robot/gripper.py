@@ -11,6 +11,7 @@ import numpy as np
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import GripperTable, RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.model import hand_spec
+from cluttergen_jax.downstream.robot.model_files import compile_model
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 
@@ -47,19 +48,19 @@ class Gripper:
         """Metres that each pad can be from the middle."""
         return float(self.opening[-1])
 
-    def opening_of(self, width: np.ndarray) -> np.ndarray:
+    def opening_of(self, width: np.ndarray | float) -> np.ndarray:
         """Metres that each pad is from the middle before it closes on something of this width."""
         return np.minimum(self.max_opening, np.asarray(width) / 2 + SPARE)
 
-    def control_of(self, opening: np.ndarray) -> np.ndarray:
+    def control_of(self, opening: np.ndarray | float) -> np.ndarray:
         """f64[...]: the actuator's control for metres of each pad from the middle."""
         return np.interp(opening, self.opening, self.control)
 
-    def joints_of(self, opening: np.ndarray) -> np.ndarray:
+    def joints_of(self, opening: np.ndarray | float) -> np.ndarray:
         """f64[..., k]: the joints' positions at metres of each pad from the middle."""
         return np.stack([np.interp(opening, self.opening, each) for each in self.joints.T], axis=-1)
 
-    def depth_of(self, width: np.ndarray) -> np.ndarray:
+    def depth_of(self, width: np.ndarray | float) -> np.ndarray:
         """f64[...]: metres that the pads are before the tool's origin, so far apart."""
         return np.interp(np.asarray(width) / 2, self.opening, self.depth)
 
@@ -82,7 +83,7 @@ def gripper_of(robot: RobotDescription | None = None) -> Gripper:
       ConfigError: it does not open and close as its description says.
     """
     robot = robot or find_robot()
-    given, model = robot.gripper, hand_spec(ContactConfig(), robot).compile()
+    given, model = robot.gripper, compile_model(hand_spec(ContactConfig(), robot), robot.name)
     driven = np.array([model.joint(name).id for name in given.joints])
     table = given.table or _close(model, robot)
     joints = np.array(table.joints)
@@ -121,5 +122,5 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
             "pads that meet",
             "exchanging `open` and `closed`, or other `pads`",
         )
-    width, control, joints, depth = zip(*reversed(rows), strict=True)
-    return GripperTable((0.0, *width[1:]), control, joints, tuple(each - depth[-1] for each in depth))
+    widths, controls, joints, depths = zip(*reversed(rows), strict=True)
+    return GripperTable((0.0, *widths[1:]), controls, joints, tuple(each - depths[-1] for each in depths))

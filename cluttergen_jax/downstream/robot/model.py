@@ -31,7 +31,7 @@ _IMPRATIO = 10.0
 second under what hangs beside the fingers."""
 _WORLD = "world"
 _HIDDEN_GROUP = 3
-"""Of shapes that only collide, as Menagerie has it."""
+"""Of shapes that only collide, as Menagerie has it; it and those above are not drawn."""
 _PEDESTAL, _PEDESTAL_RGBA = 0.11, (0.36, 0.37, 0.39, 1.0)
 """Metres, half of its side."""
 
@@ -78,9 +78,14 @@ def _prepare(spec: mujoco.MjSpec, contact: ContactConfig) -> None:
     for geom in (spec.default.geom, *spec.geoms):
         geom.friction, geom.condim, geom.priority = contact.friction, contact.condim, 0
         geom.solref, geom.solimp = contact.solref, contact.solimp
-    for geom in spec.geoms:
-        is_solid = geom.contype or geom.conaffinity
-        geom.group = _HIDDEN_GROUP if is_solid else VISUAL_GROUP
+    for body in spec.bodies:
+        # Shapes that collide are drawn where a body has no others.
+        drawn = [geom for geom in body.geoms if not (geom.contype or geom.conaffinity)]
+        for geom in drawn or body.geoms:
+            geom.group = VISUAL_GROUP if geom.group < _HIDDEN_GROUP else geom.group
+        for geom in body.geoms if drawn else ():
+            is_solid = geom.contype or geom.conaffinity
+            geom.group = _HIDDEN_GROUP if is_solid else geom.group
     _pass_over_joints(spec)
     _for_holding(spec)
 

