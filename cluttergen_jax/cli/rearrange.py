@@ -9,7 +9,7 @@ from cluttergen_jax.config import RobotObserver
 from cluttergen_jax.downstream.rearrange.api import rearrange
 
 
-@options_from(rearrange, observer=RobotObserver)
+@options_from(rearrange, observer=RobotObserver, grasps=str | None)
 class Rearrange(Options):
     """Let a simulated Franka Panda rearrange the objects of scenes (extra `robot`).
 

@@ -23,7 +23,7 @@ class RobotGrasps(Options):
         return 0
 
 
-@options_from(robot_place, bank=Annotated[str | None, tyro.conf.Positional])
+@options_from(robot_place, bank=Annotated[str | None, tyro.conf.Positional], placer=str, grasps=str | None)
 class RobotPlace(Options):
     """Let a simulated Franka Panda put objects into scenes, or lift them out of them (extra `robot`).
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
+    from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
+    from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
 
 _MOST_SEED = 999_999
 _MOST_EPISODES = 1_000_000
@@ -45,6 +47,8 @@ def rearrange(
     order: PickOrder = "graph",
     one_grasp: bool = False,
     observer: RobotObserver | Observer = "true",
+    grasps: GraspSource | GraspSets | None = None,
+    planner: PathPlanner | None = None,
     segmenter: str | Path | None = None,
     pick: bool = False,
     show_layouts: bool = False,
@@ -81,6 +85,7 @@ def rearrange(
       observer: true, the true poses; or perception, what cameras over the table and on the hand show, with
         noise (extra `perception`); in Python also one of your own
         (`cluttergen_jax.downstream.rearrange.observe.Observer`), whose attribute `name` is in the table.
+      grasps, planner: your own, as of `robot_place`.
       segmenter: for `perception`: a folder of `perception train`, or a pool's name where one comes with the
         package; the pool's own if not given.
       pick: in each episode a person looks at the layouts in a browser, in the order of the rule, and takes
@@ -163,6 +168,8 @@ def rearrange(
             ask=person,
             films=film if films else None,
             sheets=show_layouts,
+            own_grasps=grasps,
+            planner=planner,
         )
 
 

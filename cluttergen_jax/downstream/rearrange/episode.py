@@ -66,7 +66,7 @@ class Rearranger:
         self._num_moved = task.setting.num_objects
         self._rng = np.random.default_rng(task.seed)
         grasps = [first_grasp(each) for each in task.grasps] if options.one_grasp else task.grasps
-        self.moves = Moves(task.scene, grasps, execution, sight, judge, self._rng)
+        self.moves = Moves(task.scene, grasps, execution, sight, judge, self._rng, task.planner)
         self.fewest = self.layouts = 0
         self.goals, self.layout = task.scene.poses, -1
 

@@ -12,6 +12,7 @@ from cluttergen_jax.config import LayoutRule, Method, PickOrder
 from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.outcome import Ending
+from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.scene import Scene
 
 _NEAR = Rectangle((0.0, -0.15), (0.225, 0.125))
@@ -102,6 +103,7 @@ class RearrangeTask:
       grasps: of each of the N. symmetry: of each (`assets.symmetry.turn_symmetry`).
       draw: draws layouts and places to wait.
       seed: of all that is drawn.
+      planner: a user's own, for the paths between places.
     """
 
     setting: RearrangeSetting
@@ -111,6 +113,7 @@ class RearrangeTask:
     symmetry: tuple[int, ...]
     draw: SceneDraw
     seed: int
+    planner: PathPlanner | None = None
 
 
 Chooser = Callable[[RearrangeTask, np.ndarray, Layouts], int]

@@ -15,6 +15,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.symmetry import turn_symmetry
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
+from cluttergen_jax.downstream.parts import is_own, part_label
 from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.layouts import ReachCheck, SceneDraw
@@ -29,10 +30,12 @@ from cluttergen_jax.downstream.rearrange.task import (
     RearrangeTask,
 )
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, GraspSets
+from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, success_of
-from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash
+from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
+from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash, planner_recipe
 from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
@@ -50,11 +53,20 @@ class Starts:
     Args:
       setting: the setting. pool: a pool's name.
       num_threads: of the simulation and the tests of grasps; 0 takes every core.
+      own_grasps, planner: a user's.
     """
 
-    def __init__(self, setting: RearrangeSetting, pool: str, num_threads: int) -> None:
-        self.setting, self._pool = setting, pool
+    def __init__(
+        self,
+        setting: RearrangeSetting,
+        pool: str,
+        num_threads: int,
+        own_grasps: GraspSource | GraspSets | None = None,
+        planner: PathPlanner | None = None,
+    ) -> None:
+        self.setting, self._pool, self._planner = setting, pool, planner
         self._num_threads = num_threads or os.cpu_count() or 1
+        self._find_grasps = GraspFinder(own_grasps, self._num_threads)
         self._grasps: dict[str, Grasps] = {}
         self._symmetry = cache(turn_symmetry)
 
@@ -100,14 +112,15 @@ class Starts:
                 grasps, symmetry = self._grasps_of(objects), tuple(map(self._symmetry, objects))
                 if setting.num_stacked and not is_stacked(scene, grasps, setting.num_stacked):
                     continue
-                return RearrangeTask(setting, scene, tuple(numbers), grasps, symmetry, place, _draw_seed(rng))
+                seed, known = _draw_seed(rng), (tuple(numbers), grasps, symmetry, place)
+                return RearrangeTask(setting, scene, *known, seed, self._planner)
         raise ConfigError(f"no starting scene of {setting.name!r}", "smaller objects", "another pool")
 
     def _grasps_of(self, objects: Sequence[ObjectAsset]) -> tuple[Grasps, ...]:
         """Of each object, found when it is first asked for."""
         fresh = [each for each in objects if each.name not in self._grasps]
         if fresh:
-            found = grasps_of(fresh, num_threads=self._num_threads)
+            found = self._find_grasps(fresh)
             self._grasps.update(zip((each.name for each in fresh), found, strict=True))
         return tuple(self._grasps[each.name] for each in objects)
 
@@ -198,6 +211,8 @@ def run_rearrangements(
     ask: Chooser | None = None,
     films: FilmFormat | None = None,
     sheets: bool = False,
+    own_grasps: GraspSource | GraspSets | None = None,
+    planner: PathPlanner | None = None,
 ) -> Rearrangements:
     """Runs episodes of a setting.
 
@@ -207,6 +222,7 @@ def run_rearrangements(
       num_threads: of the simulation of layouts and the tests of grasps; 0 takes every core.
       ask: a person, who chooses the layouts.
       films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
+      own_grasps, planner: a user's.
       sheets: draw the layouts of each episode as `out`/layouts-NUMBER.png (`layout_sheet`).
 
     Raises:
@@ -217,15 +233,17 @@ def run_rearrangements(
     """
     observer = observer or TrueObserver()
     told = getattr(observer, "name", type(observer).__name__)
-    recipe = {"setting": setting.name, "pool": pool, "seed": seed, "observer": told, **asdict(options)}
+    recipe = {"setting": setting.name, "pool": pool, "seed": seed, **asdict(options)}
+    recipe["observer"] = part_label(observer, "observer") if is_own(observer) else told
     recipe |= {name: getattr(observer, name, "") for name in ("weights", "registration")}
-    recipe |= {"objects": find_pool(pool).hash, "planner": rearrange_hash(), "versions": versions()}
+    recipe |= {"objects": find_pool(pool).hash, "versions": versions()}
+    recipe["planner"] = planner_recipe(rearrange_hash(), planner)
     if ask is not None:
         recipe["choose"] = "person"
     file = RowFile(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange", _ADDED)
     rows = file.read(number)
     # Where nothing is left to be done it is not made.
-    starts = cache(lambda: Starts(setting, pool, num_threads))
+    starts = cache(lambda: Starts(setting, pool, num_threads, own_grasps, planner))
 
     def task_of(index: int) -> RearrangeTask:
         task = starts()(episode_seed(seed, index))

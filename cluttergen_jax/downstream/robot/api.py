@@ -22,8 +22,9 @@ from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.placer.query import Placer
+    from cluttergen_jax.downstream.placer.query import Placer, PlainPlacer
     from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
+    from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
     from cluttergen_jax.downstream.robot.trials import RobotTrials
 
 _MOST_GRASPS = 4096
@@ -97,7 +98,9 @@ def robot_place(
     bank: str | Path | None = None,
     *,
     task: RobotTask = "place",
-    placer: str | Path = "drop",
+    placer: str | Path | Placer | PlainPlacer = "drop",
+    grasps: GraspSource | GraspSets | None = None,
+    planner: PathPlanner | None = None,
     noise: float | None = None,
     num_episodes: int = 40,
     pool: str | Path | None = None,
@@ -124,7 +127,14 @@ def robot_place(
       task: place or lift.
       placer: for `place`: none, the object's own place in the scene; drop, guided or policy, which know the
         whole scene and propose more places if that one cannot be reached; or one that uses depth images:
-        geometry, geometry-occupied, random, scored, or the folder of a trained one.
+        geometry, geometry-occupied, random, scored, the folder of a trained one, or in Python one of your own
+        (`cluttergen_jax.downstream.placer.query.PlainPlacer`, or `Placer` in JAX).
+      grasps: your own, a Parquet file as `robot grasps` writes or with columns object, pose and width; in
+        Python also a mapping from objects' names to poses f[G, 7] (T_object_tool) and widths f[G]
+        (`cluttergen_jax.downstream.robot.protocols`), or what `robot_grasps` returns. Those that were not
+        tested are used as they are, and named. If not given they are made and tested.
+      planner: one of your own for the paths between places
+        (`cluttergen_jax.downstream.robot.protocols.PathPlanner`).
       noise: factor of the simulated sensor noise of a usual depth camera; 1 if not given, 0 for none.
       num_episodes: number of episodes; scenes repeat if the bank has fewer.
       pool, method, support, num_objects, region: for a generated bank, as in `generate`; household, guided,
@@ -139,9 +149,10 @@ def robot_place(
       The episodes; printed, the share of successes, and failures by cause and by object.
 
     Raises:
-      ConfigError: a setting is out of range, or contradicts the bank.
+      ConfigError: a setting is out of range, or contradicts the bank; a part of your own cannot be told from
+        others, or returned something else than it has to.
       BankError: the bank cannot be read or holds no success, the folder holds episodes of other
-        settings, grasps or weights, or an episode that is filmed does not end as it did.
+        settings, grasps, planners or placers, or an episode that is filmed does not end as it did.
       PoolError: there is no such pool or support.
       MissingExtraError: the extra `robot` is not installed.
       RendererError: films are asked for, and nothing here can draw.
@@ -152,6 +163,7 @@ def robot_place(
 
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.downstream.digests import json_digest
+    from cluttergen_jax.downstream.parts import part_label, part_name
     from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
@@ -191,12 +203,14 @@ def robot_place(
         scenes = keep_upright_last(scenes)
     # Of another bank's scenes the rows would not be comparable.
     made = json_digest(recipe)
-    rows = {"task": task, "placer": str(placer), "seed": seed, "pool": recipe.get("pool"), "bank": made}
+    is_named = isinstance(placer, str | Path)
+    told = str(placer) if is_named else part_label(placer, "placer")
+    rows = {"task": task, "placer": told, "seed": seed, "pool": recipe.get("pool"), "bank": made}
     threads = num_threads or os.cpu_count() or 1
     places: Any = own_place
     if task == "place" and looking is not None:
-        places = CameraPlacer(found, looking, placer, factor)
-        trained = placer_folder(placer)
+        places = CameraPlacer(found, looking, str(placer) if is_named else part_name(placer), factor)
+        trained = placer_folder(placer) if isinstance(placer, str | Path) else None
         rows |= {"noise": factor, "weights": trained and checkpoint.folder_hash(trained)}
     elif task == "place" and placer != "none":
         places = SearchPlaces(found, str(placer), seed, threads)
@@ -212,19 +226,21 @@ def robot_place(
         num_threads=threads,
         places=places,
         films=film if films else None,
+        own_grasps=grasps,
+        planner=planner,
     )
 
 
-def _looking(placer: str | Path) -> Placer | None:
+def _looking(placer: str | Path | Placer | PlainPlacer) -> Placer | PlainPlacer | None:
     """The placer that looks, None of what knows the true state.
 
     Raises:
-      ConfigError: there is none of that name.
+      ConfigError: there is none of that name, or it cannot be called.
       PoolError: the folder holds no placer, or a damaged one.
     """
     from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
 
-    if placer == "none":
+    if isinstance(placer, str) and placer == "none":
         return None
     found = find_placer(placer)
     return None if isinstance(found, FullState) else found

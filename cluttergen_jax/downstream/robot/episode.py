@@ -19,6 +19,7 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
 from cluttergen_jax.downstream.robot.outcome import Ending, Failed, Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer
+from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
 from cluttergen_jax.downstream.transforms import angle_between, matrix_of, motion_between
 from cluttergen_jax.geometry import product, rotate_in_plane, yaw_quaternion
@@ -173,7 +174,7 @@ class Referee:
 class EpisodeWorld(Referee):
     """An episode whose arm is told where everything is: the simulation and its copy for planning.
 
-    Args: as those of `Referee`; seed: of what is drawn.
+    Args: as those of `Referee`; seed: of what is drawn; planner: a user's own (`Mover`).
     """
 
     def __init__(
@@ -183,11 +184,13 @@ class EpisodeWorld(Referee):
         stands: tuple[Box, ...],
         seed: int,
         trace: Trace | None = None,
+        planner: PathPlanner | None = None,
     ) -> None:
         super().__init__(scene, target, stands, trace)
         base = base_pose(scene.support)
         planning = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
-        self.mover = Mover(self.execution, planning, ArmKinematics(base), target, seed)
+        kinematics = ArmKinematics(base)
+        self.mover = Mover(self.execution, planning, kinematics, target, seed, planner=planner)
 
 
 class Put(NamedTuple):
@@ -198,10 +201,15 @@ class Put(NamedTuple):
 
 
 def lift_episode(
-    scene: Scene, target: int, grasps: Grasps, seed: int, trace: Trace | None = None
+    scene: Scene,
+    target: int,
+    grasps: Grasps,
+    seed: int,
+    trace: Trace | None = None,
+    planner: PathPlanner | None = None,
 ) -> EpisodeResult:
-    """One object is lifted by `mover.LIFT` out of those that stand around it."""
-    world = EpisodeWorld(scene, target, (), seed, trace=trace)
+    """One object is lifted by `mover.LIFT` out of those that stand around it; planner: see `Mover`."""
+    world = EpisodeWorld(scene, target, (), seed, trace=trace, planner=planner)
 
     def run() -> None:
         height = world.execution.pose(target)[2, 3]
@@ -214,17 +222,23 @@ def lift_episode(
 
 
 def place_episode(
-    scene: Scene, target: int, grasps: Grasps, places: np.ndarray, seed: int, trace: Trace | None = None
+    scene: Scene,
+    target: int,
+    grasps: Grasps,
+    places: np.ndarray,
+    seed: int,
+    trace: Trace | None = None,
+    planner: PathPlanner | None = None,
 ) -> EpisodeResult:
     """One object is picked from a stand beside the table and put among the others; the arm knows all.
 
     Args:
       scene: all objects; where the target stands in it does not count.
       places: f64[M, 7], T_world_object, settled poses that are proposed for it, best first.
-      seed: of its turn on the stand, and of the motions.
+      seed: of its turn on the stand, and of the motions. planner: see `Mover`.
     """
     scene, stand = _on_stand(scene, target, seed)
-    world = EpisodeWorld(scene, target, (stand,), seed, trace=trace)
+    world = EpisodeWorld(scene, target, (stand,), seed, trace=trace, planner=planner)
     wanted = matrix_of(places)
 
     def run() -> None:
@@ -240,18 +254,25 @@ def place_episode(
 
 
 def sensing_place_episode(
-    scene: Scene, target: int, grasps: Grasps, placer: CameraPlacer, seed: int, trace: Trace | None = None
+    scene: Scene,
+    target: int,
+    grasps: Grasps,
+    placer: CameraPlacer,
+    seed: int,
+    trace: Trace | None = None,
+    planner: PathPlanner | None = None,
 ) -> EpisodeResult:
     """As `place_episode`, by an arm that sees the others and asks a placer where to put the object.
 
     Args:
       placer: made for the scene's bank.
-      seed: of the object's turn on the stand, of the motions, noise and proposals.
+      seed: of the object's turn on the stand, of the motions, noise and proposals. planner: see `Mover`.
     """
     scene, stand = _on_stand(scene, target, seed)
     world = Referee(scene, target, (stand,), trace=trace)
     asset, start = scene.objects[target], scene.poses[target]
-    arm = SensingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
+    known = (world.execution, asset, start, scene.support, stand, placer)
+    arm = SensingArm(*known, scene.names[target], seed, planner)
 
     def run() -> None:
         mover = arm.pick(grasps)

@@ -20,6 +20,7 @@ from cluttergen_jax.downstream.robot.motion.mover import Mover
 from cluttergen_jax.downstream.robot.motion.plan import PickPlan, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer, DepthView
+from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.sensing import Camera, cast_rays
 
@@ -111,6 +112,7 @@ class SensingArm:
     Args:
       execution: the simulation. asset: the object. start: f64[7], T_world_object, on the stand.
       placer: is asked. name: of the object in the placer's world. seed: of the motions, noise and proposals.
+      planner: a user's own (`Mover`).
 
     Attributes:
       looks: pictures that were taken.
@@ -126,6 +128,7 @@ class SensingArm:
         placer: CameraPlacer,
         name: str,
         seed: int,
+        planner: PathPlanner | None = None,
     ) -> None:
         self._execution, self._asset, self._start = execution, asset, start
         self._support, self._stand, self._placer, self._name = support, stand, placer, name
@@ -133,6 +136,7 @@ class SensingArm:
         self._base = base_pose(support)
         self._silhouette = ArmSilhouette(self._base, asset)
         self._object = HeldPose(execution, start)
+        self._planner = planner
         self._views: list[DepthView] = []
         self._fitting: np.ndarray | None = None
         self.looks = 0
@@ -153,7 +157,8 @@ class SensingArm:
         self._look(self._placer.overhead)
         kinematics = ArmKinematics(self._base)
         world, see = self._world(), self._object
-        mover = Mover(self._execution, world, kinematics, 0, self._seed, see=see, rooms=ROOMS, feels=True)
+        ways = {"rooms": ROOMS, "feels": True, "planner": self._planner}
+        mover = Mover(self._execution, world, kinematics, 0, self._seed, see=see, **ways)
         mover.pick(self._find_pick(mover, grasps))
         return mover
 

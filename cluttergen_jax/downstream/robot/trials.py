@@ -14,6 +14,7 @@ import numpy as np
 
 from cluttergen_jax.config import FilmFormat, RobotTask
 from cluttergen_jax.downstream.digests import constants_hash
+from cluttergen_jax.downstream.parts import part_label
 from cluttergen_jax.downstream.robot import cameras, episode, model, sensing_arm
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeResult,
@@ -23,11 +24,13 @@ from cluttergen_jax.downstream.robot.episode import (
 )
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasping import grips
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, GraspSets
+from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder
 from cluttergen_jax.downstream.robot.motion import collision, execute, ik, mover, occupancy_boxes, plan
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of, success_of
 from cluttergen_jax.downstream.robot.places import CameraPlacer
+from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
 from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation.machine import versions
@@ -121,6 +124,8 @@ def run_trials(
     num_threads: int = 1,
     places: Places | CameraPlacer = own_place,
     films: FilmFormat | None = None,
+    own_grasps: GraspSource | GraspSets | None = None,
+    planner: PathPlanner | None = None,
 ) -> RobotTrials:
     """Runs episodes: the last object of a scene, upon which nothing lies, is the one that is moved.
 
@@ -132,6 +137,8 @@ def run_trials(
       num_threads: of the tests of grasps.
       places: where the object may go, for an arm that is told where everything is; or a placer, for one that
         looks.
+      own_grasps: a user's, in place of those that are made and tested.
+      planner: a user's, for the paths between places.
       films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
 
     Raises:
@@ -141,7 +148,7 @@ def run_trials(
     """
     if not scenes:
         raise BankError("no scene stands", "one or more", "more scenes")
-    recipe = {**recipe, "planner": planner_hash(), "versions": versions()}
+    recipe = {**recipe, "planner": planner_recipe(planner_hash(), planner), "versions": versions()}
     file = RowFile(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place", _ADDED)
     rows = file.read(number)
     for index, row in enumerate(rows):
@@ -152,13 +159,13 @@ def run_trials(
                 "another folder",
             )
     assets = {scene.objects[-1].name: scene.objects[-1] for scene in islice(cycle(scenes), number)}
-    found = grasps_of(list(assets.values()), num_threads=num_threads)
+    found = GraspFinder(own_grasps, num_threads)(list(assets.values()))
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
     file.note_grasps({name: each.digest for name, each in grasps.items()})
 
     def run(index: int, trace: Trace | None = None) -> EpisodeResult:
         scene = scenes[index % len(scenes)]
-        row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace)
+        row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace, planner)
         return replace(row, scene=_number_of(scenes, index))
 
     def note(rows: list[EpisodeResult]) -> str:
@@ -185,19 +192,25 @@ def _episode(
     index: int,
     seed: int,
     trace: Trace | None,
+    planner: PathPlanner | None,
 ) -> EpisodeResult:
     target, own = len(scene.names) - 1, episode_seed(seed, index)
     if task == "lift":
-        return lift_episode(scene, target, grasps, own, trace)
+        return lift_episode(scene, target, grasps, own, trace, planner)
     if isinstance(places, CameraPlacer):
-        return sensing_place_episode(scene, target, grasps, places, own, trace)
-    row = place_episode(scene, target, grasps, places(index, scene), own, trace)
+        return sensing_place_episode(scene, target, grasps, places, own, trace, planner)
+    row = place_episode(scene, target, grasps, places(index, scene), own, trace, planner)
     return replace(row, placer=getattr(places, "name", row.placer))
 
 
 def episode_seed(seed: int, index: int) -> int:
     """The seed of an episode, by its number alone."""
     return int(np.random.SeedSequence([seed, index]).generate_state(1)[0] % 2**30)
+
+
+def planner_recipe(known: str, planner: PathPlanner | None) -> str:
+    """What a recipe says of how the arm moves: a digest, and which planner of a user's own finds paths."""
+    return known if planner is None else f"{part_label(planner, 'planner')} {known}"
 
 
 @cache

@@ -15,6 +15,7 @@ from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import LINE_STEP, ArmKinematics
 from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of, raise_by
 
 _APPROACH, _LEAVE = (0.10, 0.06), (0.10, 0.06, 0.03)
@@ -58,6 +59,7 @@ class Mover:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
       rooms: metres that grasps and places need besides (`PlanningWorld.room`), in the order of trying.
+      planner: a user's own, for the paths between places.
       feels: how the object lies in the hand is not seen: it is carried gently, lowered until it touches
         something, and let go with the fingers wide open.
       is_apart: what is held keeps `collision.APART` from all else once it is a centimetre above its place; it
@@ -80,10 +82,11 @@ class Mover:
         is_apart: bool = False,
         rooms: Sequence[float] = (0.0,),
         feels: bool = False,
+        planner: PathPlanner | None = None,
     ) -> None:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
         self._see: See = see or (lambda only: execution.poses())
-        self.planner = Planner(world, kinematics)
+        self.planner = Planner(world, kinematics, planner)
         self._seeds = count(seed)
         self._above = Mode.APART if is_apart else Mode.CLEAR
         self._rooms, self._feels = rooms, feels

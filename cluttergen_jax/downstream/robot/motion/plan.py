@@ -6,9 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cluttergen_jax.downstream.parts import array_of, part_name
 from cluttergen_jax.downstream.robot.grasping.grips import Grip
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics, import_extra
+from cluttergen_jax.downstream.robot.protocols import PathPlanner, PathQuery
+from cluttergen_jax.errors import ConfigError
 
 MOST_CHECKS = 15_000
 """Collision queries after which a search is given up; time would depend on the machine."""
@@ -45,9 +48,16 @@ class PlacePlan(NamedTuple):
 
 
 class Planner:
-    """Finds paths for the arm in one world; world: what stands there; kinematics: of the arm."""
+    """Finds paths for the arm in one world; world: what stands there; kinematics: of the arm.
 
-    def __init__(self, world: PlanningWorld, kinematics: ArmKinematics) -> None:
+    Args:
+      own: a user's planner, which finds the paths between places in place of RRT-Connect.
+    """
+
+    def __init__(
+        self, world: PlanningWorld, kinematics: ArmKinematics, own: PathPlanner | None = None
+    ) -> None:
+        self._own = own
         self._ob: Any = import_extra("ompl.base", "motion planning")
         self._og: Any = import_extra("ompl.geometric", "motion planning")
         self._util: Any = import_extra("ompl.util", "motion planning")
@@ -65,6 +75,8 @@ class Planner:
         # OMPL waits for ever for a goal that it may not reach.
         if not all(self.world.is_free(joints, opening, mode) for joints in (start, goal)):
             return None
+        if self._own is not None:
+            return self._ask(self._own, start, goal, opening, seed, mode)
         self._util.RNG.setSeed(seed + 1)
         space = self._space()
         setup = self._og.SimpleSetup(space)
@@ -86,6 +98,32 @@ class Planner:
         simplifier.partialShortcutPath(path, _SHORTCUTS)
         simplifier.smoothBSpline(path, _BEND_STEPS)
         return np.stack([_joints(state) for state in path.getStates()])
+
+    def _ask(
+        self, own: PathPlanner, start: np.ndarray, goal: np.ndarray, opening: float, seed: int, mode: Mode
+    ) -> np.ndarray | None:
+        """What a user's planner finds. Raises ConfigError: it is no path."""
+        path = own(
+            PathQuery(
+                start.copy(),
+                goal.copy(),
+                self.kinematics.low,
+                self.kinematics.high,
+                seed,
+                lambda joints: self.world.is_free(np.asarray(joints, np.float64), opening, mode),
+                self.kinematics.tool,
+            )
+        )
+        if path is None:
+            return None
+        found = array_of(path)
+        is_path = found.ndim == 2 and found.shape[1] == len(start) and len(found) >= 2
+        if not (is_path and np.isfinite(found).all() and np.allclose(found[[0, -1]], [start, goal], 0, 1e-4)):
+            raise ConfigError(
+                f"planner {part_name(own)!r} returned an array of shape {found.shape}",
+                f"f[L, {len(start)}] of finite numbers from start to goal, L at least 2, or None",
+            )
+        return found.astype(np.float64)
 
     def line(self, start: np.ndarray, along: np.ndarray, opening: float, mode: Mode) -> np.ndarray | None:
         """Joints f64[L, 7] on a straight line of the tool (`ArmKinematics.line`), or None.
