@@ -168,7 +168,7 @@ def made_rows(monkeypatch):
         return bad if len(numbers) % 3 == 0 else GOOD
 
     def starts(setting, pool, threads, *own):
-        return lambda seed: SimpleNamespace(
+        return lambda seed, index: SimpleNamespace(
             seed=seed, grasps=(SimpleNamespace(name="mug", digest=DIGEST[0]),)
         )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ from cluttergen_jax.config import (
     PickOrder,
     Rearrangement,
     RobotObserver,
+    check_noise,
     check_range,
     check_workers,
 )
@@ -21,9 +22,12 @@ from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.object import ObjectAsset
+    from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.downstream.rearrange.observe import Observer
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
+    from cluttergen_jax.downstream.rearrange.starts import OwnScenes
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
     from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
     from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
@@ -36,10 +40,14 @@ _MOST_LAYOUTS = 64
 @with_own_settings
 def rearrange(
     out: str | Path = "out/rearrange",
+    bank: str | Path | None = None,
     *,
     setting: Rearrangement = "paper",
     num_episodes: int = 20,
-    pool: str | Path = "household",
+    pool: str | Path | None = None,
+    support: str | Path | None = None,
+    target: str | Rectangle | None = None,
+    goals: str | Path = "",
     choose: LayoutRule = "clearance",
     num_layouts: int = 10,
     layout: int | None = None,
@@ -50,6 +58,8 @@ def rearrange(
     grasps: GraspSource | GraspSets | None = None,
     planner: PathPlanner | None = None,
     segmenter: str | Path | None = None,
+    noise: float | None = None,
+    cameras: Sequence[str | Path] = (),
     pick: bool = False,
     show_layouts: bool = False,
     films: bool = False,
@@ -73,8 +83,17 @@ def rearrange(
       setting: paper (five objects into an empty half of the table), occupied (three others are there),
         blocked (into the very area where they are), eight (objects), or stacked (one lies on another at
         first).
+      bank: the starting scenes, taken in turn; all of their objects are moved, to layouts in the whole of the
+        bank's region that the arm reaches. Its rows, and those of other `support`, `target` and `goals`, are
+        kept in OUT/own.
       num_episodes: number of episodes.
-      pool: a pool's name or folder, or several joined by +.
+      pool: a pool's name or folder, or several joined by +; household if not given.
+      support: a support's name or folder, to whose middle the setting is moved; the usual table if not given.
+      target: where layouts are drawn, X,Y,W,D[,YAW] in metres and degrees, or WxD about the region's middle;
+        in Python also a `Rectangle`.
+      goals: a bank's folder or FOLDER:INDEX, whose layouts are the targets of the objects that they have; or
+        relations, "put the candle left of the basket; toy_car behind candle", which move what each is said
+        of. All else stays.
       choose: the rule by which a layout is chosen: clearance, with the widest gap between objects; reach,
         with the most objects that the hand can get at; or similar, with the shortest ways.
       num_layouts: number of different layouts to choose from.
@@ -88,6 +107,9 @@ def rearrange(
       grasps, planner: your own, as of `robot_place`.
       segmenter: for `perception`: a folder of `perception train`, or a pool's name where one comes with the
         package; the pool's own if not given.
+      noise: for `perception`: factor of the simulated sensor noise; 1 if not given, 0 for none.
+      cameras: for `perception`: "wrist", and those that look when the arm has drawn back, by name or in JSON
+        files as of `render`; if not given the wrist's and one over the table.
       pick: in each episode a person looks at the layouts in a browser, in the order of the rule, and takes
         one (extra `viewer`); it is the only one that is tried.
       show_layouts: draw each episode's layouts over the scene as it is, on a sheet layouts-NUMBER.png
@@ -106,7 +128,8 @@ def rearrange(
       The episodes; printed, the share of successes, failures by cause, and what an episode costs.
 
     Raises:
-      ConfigError: a setting is unknown or out of range, the pool has too few objects, or the port is taken.
+      ConfigError: a setting is unknown or out of range, the pool has too few objects, goals are not
+        understood, a target is out of reach, or the port is taken.
       BankError: the folder holds other episodes or a damaged file, or an episode that is filmed does not end
         as it did.
       PoolError: there is no such pool or segmenter.
@@ -114,6 +137,7 @@ def rearrange(
       RendererError: pictures are asked for, and nothing here can draw.
     """
     import os
+    from dataclasses import replace
     from typing import get_args
 
     from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
@@ -149,20 +173,30 @@ def rearrange(
         raise ConfigError(
             f"`pick` together with layout = {layout}", "one or the other", "leaving out `layout`"
         )
+    looks = observer == "perception"
+    for what, value in (("noise", noise), ("cameras", cameras or None)):
+        if value is not None and not looks:
+            raise ConfigError(f"`{what}` where nothing looks", "observer='perception'", "leaving it out")
+    if noise is not None:
+        check_noise([noise])
     panda_folder()
+    found, told, usual = _own_scenes(bank, pool, support, target, str(goals), setting)
     if films or show_layouts:
         check_films(film)
-    looking = _looking(pool, segmenter, seed) if observer == "perception" else observer
+    looking: object = observer
+    if looks:
+        looking = _looking(usual, found, segmenter, seed, 1.0 if noise is None else noise, cameras)
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
+    name = "own" if told else setting
     threads = num_threads or os.cpu_count() or 1
     with _person(choose, host, port, browser, show) if pick else nullcontext() as person:
         return run_rearrangements(
-            SETTINGS[setting],
+            replace(SETTINGS[setting], name=name),
             options,
             num_episodes,
             seed,
-            Path(out) / setting,
-            pool=str(pool),
+            Path(out) / name,
+            pool=usual,
             observer=None if isinstance(looking, str) else looking,
             num_threads=threads,
             ask=person,
@@ -170,6 +204,8 @@ def rearrange(
             sheets=show_layouts,
             own_grasps=grasps,
             planner=planner,
+            own=found,
+            told_own=told,
         )
 
 
@@ -193,8 +229,55 @@ def _person(
         server.stop()
 
 
-def _looking(pool: str | Path, segmenter: str | Path | None, seed: int) -> PerceptionObserver:
-    """The observer that looks through cameras, for a pool's objects on the usual table."""
+def _own_scenes(
+    bank: str | Path | None,
+    pool: str | Path | None,
+    support: str | Path | None,
+    target: str | Rectangle | None,
+    goals: str,
+    setting: str,
+) -> tuple[OwnScenes, dict[str, object], str]:
+    """What of the setting is the user's own, what a recipe says of that if anything, and the pool."""
+    from cluttergen_jax.assets.support import parse_region
+    from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax.downstream.digests import json_digest
+    from cluttergen_jax.downstream.rearrange.starts import OwnScenes
+    from cluttergen_jax.scene.bank import read_bank, region_of
+
+    found = None if bank is None else read_bank(bank)
+    for what, value in (("pool", pool), ("support", support)):
+        if found is not None and value is not None:
+            raise ConfigError(f"`{what}` together with `bank`", "one or the other", f"leaving out `{what}`")
+    pool = "household" if pool is None else str(pool)
+    if found is not None:
+        pool = str(found.record["recipe"].get("pool"))
+    if isinstance(target, str):
+        middle = find_support(support or "table").region if found is None else region_of(found)
+        target = parse_region(target, middle)
+    own = OwnScenes(found, None if support is None else str(support), target, goals)
+    told: dict[str, object] = {}
+    if found is not None:
+        told["bank"] = json_digest(found.record["recipe"])
+    if support is not None:
+        told["support"] = str(support)
+    if target is not None:
+        told["target"] = [*target.center, *target.half_extents, target.yaw]
+    if goals:
+        told["goals"] = goals
+    return own, told and told | {"based_on": setting if found is None else "bank"}, pool
+
+
+def _looking(
+    pool: str,
+    own: OwnScenes,
+    segmenter: str | Path | None,
+    seed: int,
+    noise: float,
+    cameras: Sequence[str | Path],
+) -> PerceptionObserver:
+    """The observer that looks through cameras, for a pool's objects on a support, or for a bank's."""
+    from dataclasses import replace
+
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.assets.support_file import find_support
     from cluttergen_jax.downstream.perception.finder import load_finder
@@ -202,10 +285,24 @@ def _looking(pool: str | Path, segmenter: str | Path | None, seed: int) -> Perce
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.learning.ppo import checkpoint
     from cluttergen_jax.rendering.gl import find_backend
+    from cluttergen_jax.scene.bank import region_of
+    from cluttergen_jax.sensing import NOISE_OFF, REALSENSE
+    from cluttergen_jax.sensing.camera_plan import parse_cameras
 
-    support, wanted = find_support("table"), pool if segmenter is None else segmenter
-    finder = load_finder(wanted, find_pool(pool).objects, support)
+    support, wanted = find_support(own.support or "table"), pool if segmenter is None else segmenter
+    objects: Sequence[ObjectAsset] = find_pool(pool).objects if own.bank is None else ()
+    if own.bank is not None:
+        support = replace(own.bank.support, region=region_of(own.bank))
+        objects = [own.bank.object(name) for name in own.bank.assets["objects"]]
+    finder = load_finder(wanted, objects, support)
     find_backend()
+    others = [each for each in cameras if str(each) != "wrist"]
     return PerceptionObserver(
-        finder, support, seed=seed, weights=checkpoint.folder_hash(segmenter_folder(wanted))
+        finder,
+        support,
+        REALSENSE.scale(noise) if noise else NOISE_OFF,
+        seed,
+        checkpoint.folder_hash(segmenter_folder(wanted)),
+        parse_cameras(others) if others else (),
+        not cameras or len(others) < len(cameras),
     )

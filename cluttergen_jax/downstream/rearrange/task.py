@@ -9,7 +9,7 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.config import LayoutRule, Method, PickOrder
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw
+from cluttergen_jax.downstream.rearrange.layouts import AREA, Layouts, SceneDraw
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.outcome import Ending
 from cluttergen_jax.downstream.robot.protocols import PathPlanner
@@ -104,6 +104,9 @@ class RearrangeTask:
       draw: draws layouts and places to wait.
       seed: of all that is drawn.
       planner: a user's own, for the paths between places.
+      goals: draws layouts of what is moved, f64[L, n, 7], given how often it has drawn before and where the
+        others stand, f64[m, 7]; None draws them in the setting's target.
+      area: where an object may wait.
     """
 
     setting: RearrangeSetting
@@ -114,6 +117,8 @@ class RearrangeTask:
     draw: SceneDraw
     seed: int
     planner: PathPlanner | None = None
+    goals: Callable[[int, np.ndarray], np.ndarray] | None = None
+    area: Rectangle = AREA
 
 
 Chooser = Callable[[RearrangeTask, np.ndarray, Layouts], int]
