@@ -12,6 +12,7 @@ from cluttergen_jax.config import (
     LayoutRule,
     PickOrder,
     Rearrangement,
+    RecordFormat,
     RobotObserver,
     check_noise,
     check_range,
@@ -62,6 +63,9 @@ def rearrange(
     cameras: Sequence[str | Path] = (),
     pick: bool = False,
     show_layouts: bool = False,
+    record: str | Path | None = None,
+    record_format: RecordFormat = "lerobot",
+    record_cameras: Sequence[str | Path] = ("third", "wrist"),
     films: bool = False,
     film: FilmFormat = "gif",
     seed: int = 0,
@@ -114,6 +118,7 @@ def rearrange(
         one (extra `viewer`); it is the only one that is tried.
       show_layouts: draw each episode's layouts over the scene as it is, on a sheet layouts-NUMBER.png
         beside the rows, the chosen one framed.
+      record, record_format, record_cameras: as of `robot_place`.
       films: draw films of the first success and of the first failure of each kind, in the folder films beside
         the rows; those episodes are run again for it.
       film: "gif", or "mp4" (extra video).
@@ -144,6 +149,7 @@ def rearrange(
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
+    from cluttergen_jax.downstream.robot.recording import RecordAsked
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -181,6 +187,7 @@ def rearrange(
         check_noise([noise])
     panda_folder()
     found, told, usual = _own_scenes(bank, pool, support, target, str(goals), setting)
+    recorded = RecordAsked.of(record, record_format, record_cameras)
     if films or show_layouts:
         check_films(film)
     looking: object = observer
@@ -206,6 +213,7 @@ def rearrange(
             planner=planner,
             own=found,
             told_own=told,
+            record=recorded,
         )
 
 

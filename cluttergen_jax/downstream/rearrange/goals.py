@@ -17,6 +17,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
+from cluttergen_jax.downstream.rearrange.task import RearrangeResult
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.relations import (
     KINDS,
@@ -35,6 +36,8 @@ _PHRASES = {"on top of": "on", "onto": "on", "into": "in", "inside": "in", "besi
 _PHRASES |= {kind.replace("_", " "): kind for kind in (*KINDS, "under")}
 _VERB = re.compile(r"^(?:please )?(?:put|place|move|set|bring|lay) ", re.IGNORECASE)
 _FILLER = re.compile(r"\b(?:the|a|an|to) ", re.IGNORECASE)
+_NUM_DRAWN = 32
+"""Layouts that are drawn at a time: few objects move, and each is looked for where its relation holds."""
 _HINT = "'put the candle left of the basket', 'candle left_of basket; toy_car behind candle', or a bank"
 
 
@@ -129,7 +132,7 @@ class RelationGoals:
 
         def layouts(draw: int, poses: np.ndarray) -> np.ndarray:
             chosen, standing, filled = ([numbers[k] for k in each] for each in (moved, rest, taken))
-            return self._draw(seed + draw, chosen, region, standing, poses, roles=filled)
+            return self._draw(seed + draw, chosen, region, standing, poses, _NUM_DRAWN, filled)
 
         return Goal(moved, layouts)
 
@@ -188,3 +191,16 @@ def is_bank(text: str) -> bool:
     """Whether goals are told by a folder, or by FOLDER:INDEX."""
     folder = text.rpartition(":")[0] if re.fullmatch(r".+:\d+", text) else text
     return Path(text).is_dir() or Path(folder).is_dir()
+
+
+def task_words(goals: str) -> Callable[[RearrangeResult], str]:
+    """What the task of an episode is called, of its row."""
+    if goals and not is_bank(goals):
+        told = [f"put the {each.subject} {each.kind} the {each.reference}" for each in parse_goal(goals)]
+        words = "; ".join(told)
+        return lambda row: words.replace("_", " ")
+
+    def words_of(row: RearrangeResult) -> str:
+        return f"bring {', '.join(f'the {name}' for name in row.objects)} to their places".replace("_", " ")
+
+    return words_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.parts import is_own, part_label
 from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
+from cluttergen_jax.downstream.rearrange.goals import task_words
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
 from cluttergen_jax.downstream.rearrange.sheet import save_sheets
 from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts
@@ -30,6 +31,7 @@ from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, success_of
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
+from cluttergen_jax.downstream.robot.recording import RecordAsked, open_recorder
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash, planner_recipe
 from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.evaluation.machine import versions
@@ -111,6 +113,7 @@ def run_rearrangements(
     planner: PathPlanner | None = None,
     own: OwnScenes | None = None,
     told_own: Mapping[str, object] | None = None,
+    record: RecordAsked | None = None,
 ) -> Rearrangements:
     """Runs episodes of a setting.
 
@@ -121,6 +124,7 @@ def run_rearrangements(
       ask: a person, who chooses the layouts.
       films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
       own_grasps, planner, own: a user's; told_own: what a recipe says of `own`.
+      record: where and how every episode is recorded.
       sheets: draw the layouts of each episode as `out`/layouts-NUMBER.png (`layout_sheet`).
 
     Raises:
@@ -158,10 +162,21 @@ def run_rearrangements(
     def run(index: int) -> RearrangeResult:
         return rearrange_episode(task_of(index), options, observer, ask=ask)
 
+    def run_traced(index: int, trace: Trace) -> RearrangeResult:
+        return rearrange_episode(task_of(index), options, observer, trace, ask)
+
     def note(rows: list[RearrangeResult]) -> str:
         return f"{sum(row.is_success for row in rows)} of {len(rows)} good, the last: {rows[-1].outcome}"
 
-    file.complete(rows, number, run, setting.name, note=note)
+    recorder = None
+    if record is not None:
+        words = task_words("" if own is None else own.goals)
+        recorder = open_recorder(record, recipe, seed, words)
+        recorder.complete(rows, again)
+    make = run if recorder is None else partial(recorder.run, run=run_traced)
+    file.complete(rows, number, make, setting.name, note=note)
+    if recorder is not None:
+        recorder.finish()
     if out is not None and sheets:
         save_sheets(rows, task_of, options, observer, out)
     if out is not None and films is not None:

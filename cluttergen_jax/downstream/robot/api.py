@@ -11,6 +11,7 @@ from cluttergen_jax.config import (
     MAX_NOISE,
     FilmFormat,
     Method,
+    RecordFormat,
     RobotTask,
     check_names,
     check_range,
@@ -108,6 +109,9 @@ def robot_place(
     support: str | Path | None = None,
     num_objects: int | None = None,
     region: str | None = None,
+    record: str | Path | None = None,
+    record_format: RecordFormat = "lerobot",
+    record_cameras: Sequence[str | Path] = ("third", "wrist"),
     films: bool = False,
     film: FilmFormat = "gif",
     seed: int = 0,
@@ -139,6 +143,13 @@ def robot_place(
       num_episodes: number of episodes; scenes repeat if the bank has fewer.
       pool, method, support, num_objects, region: for a generated bank, as in `generate`; household, guided,
         the usual table, 8 and 0.5x0.5 if not given.
+      record: record every episode into this folder, 20 frames a second: joints, tool, gripper, contact,
+        set-points, success, the task in words, and pictures. Episodes of which there are only rows are run
+        again for it.
+      record_format: "lerobot", a LeRobot dataset of version 3.0 (with cameras extra `video`); or "robomimic",
+        HDF5 (extra `record`).
+      record_cameras: of the recording: "third" (across the table), "wrist", and others by name or in JSON
+        files as of `render`; none if empty.
       films: draw films of the first success and of the first failure of each kind, in the folder films beside
         the rows; those episodes are run again for it.
       film: "gif", or "mp4" (extra video).
@@ -155,7 +166,7 @@ def robot_place(
         settings, grasps, planners or placers, or an episode that is filmed does not end as it did.
       PoolError: there is no such pool or support.
       MissingExtraError: the extra `robot` is not installed.
-      RendererError: films are asked for, and nothing here can draw.
+      RendererError: pictures are asked for, and nothing here can draw.
     """
     import os
     from dataclasses import replace
@@ -168,6 +179,7 @@ def robot_place(
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
+    from cluttergen_jax.downstream.robot.recording import RecordAsked
     from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
     from cluttergen_jax.downstream.samples import bank_or_made, poses_of
     from cluttergen_jax.learning.methods import checkpoint_of
@@ -183,6 +195,7 @@ def robot_place(
     looking = _looking(placer)
     factor = _factor(noise, task, looking is not None)
     panda_folder()
+    recorded = RecordAsked.of(record, record_format, record_cameras)
     if films:
         check_films(film)
 
@@ -228,6 +241,7 @@ def robot_place(
         films=film if films else None,
         own_grasps=grasps,
         planner=planner,
+        record=recorded,
     )
 
 

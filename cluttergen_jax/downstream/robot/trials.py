@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import cycle, islice
 from pathlib import Path
 
@@ -31,6 +31,7 @@ from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of, success_of
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
+from cluttergen_jax.downstream.robot.recording import RecordAsked, open_recorder
 from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation.machine import versions
@@ -126,6 +127,7 @@ def run_trials(
     films: FilmFormat | None = None,
     own_grasps: GraspSource | GraspSets | None = None,
     planner: PathPlanner | None = None,
+    record: RecordAsked | None = None,
 ) -> RobotTrials:
     """Runs episodes: the last object of a scene, upon which nothing lies, is the one that is moved.
 
@@ -139,6 +141,7 @@ def run_trials(
         looks.
       own_grasps: a user's, in place of those that are made and tested.
       planner: a user's, for the paths between places.
+      record: where and how every episode is recorded.
       films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
 
     Raises:
@@ -172,10 +175,21 @@ def run_trials(
         good = sum(row.is_success for row in rows)
         return f"{good} of {len(rows)} good, {rows[-1].object}: {rows[-1].outcome}"
 
-    file.complete(rows, number, run, task, note=note)
+    recorder = None if record is None else open_recorder(record, recipe, seed, partial(_task_text, task))
+    make = run if recorder is None else partial(recorder.run, run=run)
+    if recorder is not None:
+        recorder.complete(rows, run)
+    file.complete(rows, number, make, task, note=note)
+    if recorder is not None:
+        recorder.finish()
     if out is not None and films is not None:
         film_firsts(rows, run, out / FILMS, films, task)
     return RobotTrials(task, tuple(rows))
+
+
+def _task_text(task: str, row: EpisodeResult) -> str:
+    name = row.object.replace("_", " ")
+    return f"lift the {name}" if task == "lift" else f"put the {name} on the table among the others"
 
 
 def _number_of(scenes: Sequence[Scene], index: int) -> int:

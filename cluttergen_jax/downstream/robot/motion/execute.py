@@ -72,14 +72,18 @@ class Trace:
     Attributes:
       every: steps from one state to the next.
       states: f64[nq] each.
+      controls: f64[nu] each, the set-points of the actuators then.
       held: the number of the object that the hand is closed on at each of them, -1 if it is open.
-      scene: at the start. spec, data: of the simulation; its state stays the last one.
+      scene: at the start. arm: where it is found.
+      spec, data: of the simulation; its state stays the last one.
     """
 
     every: int
     states: list[np.ndarray] = field(default_factory=list)
+    controls: list[np.ndarray] = field(default_factory=list)
     held: list[int] = field(default_factory=list)
     scene: Scene = field(init=False)
+    arm: Panda = field(init=False)
     spec: mujoco.MjSpec = field(init=False)
     data: mujoco.MjData = field(init=False)
 
@@ -118,7 +122,7 @@ class Execution:
         self.aim_at(target)
         self._trace, self.num_steps = trace, 0
         if trace is not None:
-            trace.scene, trace.spec, trace.data = scene, spec, self.data
+            trace.scene, trace.arm, trace.spec, trace.data = scene, self.panda, spec, self.data
         self.travel = 0.0
         self._start(scene)
 
@@ -228,6 +232,7 @@ class Execution:
         self.num_steps += 1
         if self._trace is not None and self.num_steps % self._trace.every == 0:
             self._trace.states.append(self.data.qpos.copy())
+            self._trace.controls.append(self.data.ctrl.copy())
             self._trace.held.append(self._target if self.is_closed else -1)
         if self.num_steps % _MEASURED == 0:
             now = self.data.site_xpos[self.panda.site].copy()
