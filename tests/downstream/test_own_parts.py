@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -127,6 +128,7 @@ from cluttergen_jax.downstream.rearrange.observe import TrueObserver  # noqa: E4
 from cluttergen_jax.downstream.rearrange.task import RearrangeOptions  # noqa: E402
 from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets, write_grasps  # noqa: E402
 from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder  # noqa: E402
+from cluttergen_jax.downstream.robot.motion.plan import Planner  # noqa: E402
 from cluttergen_jax.downstream.robot.trials import run_trials  # noqa: E402
 
 RED, BLUE = arm.BOXES
@@ -218,8 +220,12 @@ def test_the_arm_goes_the_ways_of_an_own_planner_by_own_grasps(tmp_path):
     "change", [lambda path: path[:-1], lambda path: path[:, :6], lambda path: path * np.nan, lambda _: "up"]
 )
 def test_what_is_no_path_is_refused(change):
+    joints = np.repeat([[0.0], [1.0]], 7, axis=1)
+    world = SimpleNamespace(is_free=lambda *asked: True)
+    kinematics = SimpleNamespace(low=joints[0], high=joints[1], tool=None)
+    assert Planner(world, kinematics, Straight()).connect(*joints, 0.04, 0).shape == (50, 7)
     with pytest.raises(ConfigError, match="planner 'Straight' returned an array of shape"):
-        place(Straight(change))
+        Planner(world, kinematics, Straight(change)).connect(*joints, 0.04, 0)
 
 
 def test_an_observer_that_tells_something_else_is_refused():

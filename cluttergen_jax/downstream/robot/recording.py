@@ -36,7 +36,7 @@ FPS = 20
 RECORD = "recording.json"
 """How recordings were made, in their folder."""
 THIRD, WRIST = "third", "wrist"
-_EYE, _LOOKED_AT = (1.05, 0.5, 0.75), (-0.15, 0.0, 0.1)
+_EYE, _LOOKED_AT = (1.25, 0.6, 0.9), (-0.2, 0.0, 0.22)
 """Metres from the region's middle on the top, in the region's axes: the camera `third`, across the table."""
 _REACH = 1.5
 

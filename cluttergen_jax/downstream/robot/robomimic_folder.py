@@ -52,7 +52,9 @@ class RobomimicFolder:
     def add(self, recording: Recording) -> None:
         length, obs = len(recording), {}
         obs["robot0_joint_pos"], obs["robot0_gripper_qpos"] = recording.state[:, :-1], recording.state[:, -1:]
-        obs["robot0_eef_pos"], obs["robot0_eef_quat"] = recording.tool_pose[:, :3], recording.tool_pose[:, 3:]
+        # Quaternions as robosuite has them: x, y, z, w.
+        turn = recording.tool_pose[:, [4, 5, 6, 3]]
+        obs["robot0_eef_pos"], obs["robot0_eef_quat"] = recording.tool_pose[:, :3], turn
         obs["robot0_contact"] = recording.contact[:, None].astype(np.float32)
         is_last = np.arange(length) == length - 1
         with file_whole(self._place(len(self._numbers))) as fresh, self._h5py.File(fresh, "w") as file:
