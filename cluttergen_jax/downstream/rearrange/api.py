@@ -256,6 +256,9 @@ def _own_scenes(
     for what, value in (("pool", pool), ("support", support)):
         if found is not None and value is not None:
             raise ConfigError(f"`{what}` together with `bank`", "one or the other", f"leaving out `{what}`")
+    if found is not None and setting != "paper":
+        given = f"setting = {setting!r} together with `bank`, whose scenes take its place"
+        raise ConfigError(given, "one or the other", "leaving out `setting`")
     pool = "household" if pool is None else str(pool)
     if found is not None:
         pool = str(found.record["recipe"].get("pool"))

@@ -35,7 +35,7 @@ from cluttergen_jax.scene.bank import read_bank, read_scenes
 _PHRASES = {"on top of": "on", "onto": "on", "into": "in", "inside": "in", "beside": "next_to"}
 _PHRASES |= {kind.replace("_", " "): kind for kind in (*KINDS, "under")}
 _VERB = re.compile(r"^(?:please )?(?:put|place|move|set|bring|lay) ", re.IGNORECASE)
-_FILLER = re.compile(r"\b(?:the|a|an|to) ", re.IGNORECASE)
+_FILLER = re.compile(r"(?:(?<!next )\bto the|\b(?:the|a|an)) ", re.IGNORECASE)
 _NUM_DRAWN = 32
 """Layouts that are drawn at a time: few objects move, and each is looked for where its relation holds."""
 _HINT = "'put the candle left of the basket', 'candle left_of basket; toy_car behind candle', or a bank"
