@@ -14,7 +14,8 @@ pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.recording import FPS, RecordAsked, RecordCameras, open_recorder
+from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
+from cluttergen_jax.downstream.robot.recording import FPS, RecordCameras
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.rendering.gl import RendererError, find_backend
 from tests.downstream.test_robot_place import GOOD, failed

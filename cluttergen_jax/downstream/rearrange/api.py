@@ -143,13 +143,13 @@ def rearrange(
     """
     import os
     from dataclasses import replace
-    from typing import get_args
+    from typing import Any, get_args
 
     from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
-    from cluttergen_jax.downstream.robot.recording import RecordAsked
+    from cluttergen_jax.downstream.robot.recorder import RecordAsked
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -180,8 +180,8 @@ def rearrange(
             f"`pick` together with layout = {layout}", "one or the other", "leaving out `layout`"
         )
     looks = observer == "perception"
-    for what, value in (("noise", noise), ("cameras", cameras or None)):
-        if value is not None and not looks:
+    for what, is_given in (("noise", noise is not None), ("cameras", bool(cameras))):
+        if is_given and not looks:
             raise ConfigError(f"`{what}` where nothing looks", "observer='perception'", "leaving it out")
     if noise is not None:
         check_noise([noise])
@@ -190,7 +190,7 @@ def rearrange(
     recorded = RecordAsked.of(record, record_format, record_cameras)
     if films or show_layouts:
         check_films(film)
-    looking: object = observer
+    looking: Any = observer
     if looks:
         looking = _looking(usual, found, segmenter, seed, 1.0 if noise is None else noise, cameras)
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
@@ -297,8 +297,7 @@ def _looking(
     from cluttergen_jax.learning.ppo import checkpoint
     from cluttergen_jax.rendering.gl import find_backend
     from cluttergen_jax.scene.bank import region_of
-    from cluttergen_jax.sensing import NOISE_OFF, REALSENSE
-    from cluttergen_jax.sensing.camera_plan import parse_cameras
+    from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, parse_cameras
 
     support, wanted = find_support(own.support or "table"), pool if segmenter is None else segmenter
     objects: Sequence[ObjectAsset] = find_pool(pool).objects if own.bank is None else ()

@@ -80,15 +80,14 @@ class SceneDraw:
             )
         else:
             self.area = AREA if support is None else reached_part(find_support(support).region)
-            more = {} if support is None else {"support": support}
             sampler = make_sampler(
                 source,
+                support="table" if support is None else support,
                 num_objects=num_slots,
                 method=method,
                 region=self.area,
                 num_threads=num_threads,
                 relations=relations,
-                **more,
             )
             problem, steps = sampler.problem, sampler.steps
         world = problem.world

@@ -16,8 +16,7 @@ from cluttergen_jax.downstream.rearrange.observe import EpisodeView, SceneEstima
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, Camera, NoiseConfig, noisy
-from cluttergen_jax.sensing.camera_plan import CameraPlan
+from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, Camera, CameraPlan, NoiseConfig, noisy
 
 UNSURE = 0.5
 """Certainty below which another look is taken."""

@@ -200,9 +200,8 @@ class Starts:
                 return None
             layouts = goal.layouts
             order = [*goal.moved, *(k for k in range(len(numbers)) if k not in goal.moved)]
-            names, objects, grasps, symmetry = (
-                tuple(each[k] for k in order) for each in (scene.names, scene.objects, grasps, symmetry)
-            )
+            grasps, symmetry = tuple(grasps[k] for k in order), tuple(symmetry[k] for k in order)
+            names, objects = tuple(scene.names[k] for k in order), tuple(scene.objects[k] for k in order)
             scene = replace(scene, names=names, objects=objects, poses=scene.poses[order])
             numbers, moved = [numbers[k] for k in order], len(goal.moved)
             setting = replace(setting, num_objects=moved, num_others=len(order) - moved)

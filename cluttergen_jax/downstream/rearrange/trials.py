@@ -31,7 +31,7 @@ from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, success_of
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-from cluttergen_jax.downstream.robot.recording import RecordAsked, open_recorder
+from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash, planner_recipe
 from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.evaluation.machine import versions

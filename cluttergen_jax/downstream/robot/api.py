@@ -179,7 +179,7 @@ def robot_place(
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.model import panda_folder
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
-    from cluttergen_jax.downstream.robot.recording import RecordAsked
+    from cluttergen_jax.downstream.robot.recorder import RecordAsked
     from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
     from cluttergen_jax.downstream.samples import bank_or_made, poses_of
     from cluttergen_jax.learning.methods import checkpoint_of

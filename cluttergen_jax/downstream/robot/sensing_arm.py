@@ -157,8 +157,17 @@ class SensingArm:
         self._look(self._placer.overhead)
         kinematics = ArmKinematics(self._base)
         world, see = self._world(), self._object
-        ways = {"rooms": ROOMS, "feels": True, "planner": self._planner}
-        mover = Mover(self._execution, world, kinematics, 0, self._seed, see=see, **ways)
+        mover = Mover(
+            self._execution,
+            world,
+            kinematics,
+            0,
+            self._seed,
+            see=see,
+            rooms=ROOMS,
+            feels=True,
+            planner=self._planner,
+        )
         mover.pick(self._find_pick(mover, grasps))
         return mover
 
