@@ -68,9 +68,8 @@ class Recording:
     @property
     def state(self) -> np.ndarray:
         """f32[T, J + 1]: radians of the joints, and metres of each finger from the middle."""
-        arm = self.trace.arm
-        fingers = self.qpos[:, arm.fingers].mean(1, keepdims=True)
-        return np.concatenate([self.qpos[:, arm.qpos], fingers], axis=1).astype(np.float32)
+        joints = self.qpos[:, self.trace.arm.qpos]
+        return np.column_stack([joints, self.trace.openings]).astype(np.float32)
 
     @property
     def action(self) -> np.ndarray:
