@@ -246,7 +246,8 @@ class Mover:
                 continue
             self.world.hold(self._T_tool_object)
             top, seed = found[0][-1], next(self._seeds)
-            path = self.planner.connect(self.execution.set_point, top, self._opening, seed)
+            where = self.execution.set_point
+            path = self.planner.connect(where, top, self._opening, seed, up=place[2, :3])
             if path is not None:
                 return PlacePlan(path, found[0][::-1], found[1])
         return None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +19,11 @@ MOST_CHECKS = 15_000
 """Collision queries after which a search is given up; time would depend on the machine."""
 CHECKED_STEP = 0.00625
 """Radians between two states of an edge that are looked at: 5 mm of the tool at 0.8 m from an axis."""
+MAX_TILT = float(np.radians(30))
+"""Radians by which what is carried leans at most, where there is a way to keep it up."""
+_COARSE = 16
+_ATTEMPTS, _NEXT_SEED = 4, 7919
+IsFree = Callable[[np.ndarray], bool]
 _SHORTCUTS = 100
 _BEND_STEPS = 2
 
@@ -66,22 +73,62 @@ class Planner:
         self.world, self.kinematics = world, kinematics
 
     def connect(
-        self, start: np.ndarray, goal: np.ndarray, opening: float, seed: int, mode: Mode = Mode.TRAVEL
+        self,
+        start: np.ndarray,
+        goal: np.ndarray,
+        opening: float,
+        seed: int,
+        mode: Mode = Mode.TRAVEL,
+        up: np.ndarray | None = None,
     ) -> np.ndarray | None:
         """Joints f64[L, 7] from `start` to `goal`, bent smoothly; None where no path was found.
 
-        Equal seeds give equal paths.
+        The straight one where it is free. Equal seeds give equal paths.
+
+        Args:
+          up: f64[3], what of what is held shall point up, to within `MAX_TILT`, if there is such a path.
         """
         # OMPL waits for ever for a goal that it may not reach.
         if not all(self.world.is_free(joints, opening, mode) for joints in (start, goal)):
             return None
         if self._own is not None:
             return self._ask(self._own, start, goal, opening, seed, mode)
+        is_free = partial(self.world.is_free, opening=opening, mode=mode)
+        if up is not None:
+            is_well = is_free
+            found = self._shortest(
+                start, goal, lambda q: is_well(q) and self.world.tilt(up) <= MAX_TILT, seed
+            )
+            if found is not None:
+                return found
+        return self._shortest(start, goal, is_free, seed)
+
+    def _shortest(self, start: np.ndarray, goal: np.ndarray, is_free: IsFree, seed: int) -> np.ndarray | None:
+        """The straight path if it is free, else of some that are found that on which the tool goes least."""
+        number = max(1, int(np.linalg.norm(goal - start) / (CHECKED_STEP * _COARSE)))
+        straight = np.linspace(start, goal, number * _COARSE + 1)
+        # What is in the way is mostly found by a few looks.
+        if all(map(is_free, straight[::_COARSE])) and all(map(is_free, straight)):
+            return straight[::_COARSE] if number > 1 else straight
+        found: list[np.ndarray] = []
+        for attempt in range(_ATTEMPTS):
+            path = self._search(start, goal, is_free, seed + attempt * _NEXT_SEED)
+            if path is None:
+                break
+            found.append(path)
+        return min(found, key=self._tool_way, default=None)
+
+    def _tool_way(self, path: np.ndarray) -> float:
+        """Metres that the tool goes."""
+        tool = np.array([self.kinematics.tool(joints)[:3, 3] for joints in path])
+        return float(np.linalg.norm(np.diff(tool, axis=0), axis=1).sum())
+
+    def _search(self, start: np.ndarray, goal: np.ndarray, is_free: IsFree, seed: int) -> np.ndarray | None:
         self._util.RNG.setSeed(seed + 1)
         space = self._space()
         setup = self._og.SimpleSetup(space)
         last = self.world.num_checks + MOST_CHECKS
-        setup.setStateValidityChecker(lambda state: self.world.is_free(_joints(state), opening, mode))
+        setup.setStateValidityChecker(lambda state: is_free(_joints(state)))
         information = setup.getSpaceInformation()
         information.setStateValidityCheckingResolution(CHECKED_STEP / space.getMaximumExtent())
         setup.setStartAndGoalStates(self._state(space, start), self._state(space, goal))
