@@ -88,23 +88,22 @@ class Planner:
         Args:
           up: f64[3], what of what is held shall point up, to within `MAX_TILT`, if there is such a path.
         """
-        # OMPL waits for ever for a goal that it may not reach.
         if not all(self.world.is_free(joints, opening, mode) for joints in (start, goal)):
             return None
         if self._own is not None:
             return self._ask(self._own, start, goal, opening, seed, mode)
         is_free = partial(self.world.is_free, opening=opening, mode=mode)
+        ways: list[IsFree] = [is_free]
         if up is not None:
-            is_well = is_free
-            found = self._shortest(
-                start, goal, lambda q: is_well(q) and self.world.tilt(up) <= MAX_TILT, seed
-            )
-            if found is not None:
-                return found
-        return self._shortest(start, goal, is_free, seed)
+            ways.insert(0, lambda joints: is_free(joints) and self.world.tilt(up) <= MAX_TILT)
+        found = (self._shortest(start, goal, is_good, seed) for is_good in ways)
+        return next((path for path in found if path is not None), None)
 
     def _shortest(self, start: np.ndarray, goal: np.ndarray, is_free: IsFree, seed: int) -> np.ndarray | None:
         """The straight path if it is free, else of some that are found that on which the tool goes least."""
+        # OMPL waits for ever for a goal that it may not reach.
+        if not (is_free(start) and is_free(goal)):
+            return None
         number = max(1, int(np.linalg.norm(goal - start) / (CHECKED_STEP * _COARSE)))
         straight = np.linspace(start, goal, number * _COARSE + 1)
         # What is in the way is mostly found by a few looks.
