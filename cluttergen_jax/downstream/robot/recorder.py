@@ -63,7 +63,8 @@ class Recorder:
         """Runs an episode and records it; one in which nothing moved has no frames, and is left out."""
         trace = Trace(round(1 / (FPS * PANDA.timestep)))
         row = run(number, trace)
-        if trace.states:
+        # A command that was killed between the recording and the row has it already.
+        if trace.states and number not in self._folder.numbers():
             cameras = self._cameras.place(trace.scene.support, (self._seed, number))
             self._folder.add(Recording(number, self._task(row), row.is_success, trace, cameras))
         return row
