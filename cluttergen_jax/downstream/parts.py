@@ -54,7 +54,8 @@ def part_label(part: Any, what: str) -> str:
         content = told.encode()
     else:
         try:
-            content = _code_of(part) + _bytes_of(_state_of(part))
+            inner = inspect.unwrap(part)
+            content = _code_of(inner) + _bytes_of(_state_of(inner))
         except _FAULTS as error:
             name = getattr(part, "name", None)
             if not isinstance(name, str) or not name:

@@ -51,6 +51,7 @@ def test_parts_are_told_apart_by_their_code_and_what_they_hold():
     assert label(used) == label(Scaled(1))
     assert label(Told(1)) == label(Told(2)) != label(Scaled(1))
     assert label(functools.partial(plain, 1)) != label(functools.partial(plain, 2))
+    assert label(jax.jit(plain)).split()[1] == label(plain).split()[1]
     closures = [(lambda bound: lambda: bound)(value) for value in (1, 1, 2)]
     assert label(closures[0]) == label(closures[1]) != label(closures[2])
     assert label(Opaque(name="a")) != label(Opaque(name="b"))
