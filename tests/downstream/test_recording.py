@@ -1,6 +1,7 @@
 """Recordings of episodes: what is in them, resumed, and refused; both formats."""
 
 import json
+import os
 from dataclasses import replace
 
 import mujoco
@@ -20,6 +21,7 @@ from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.rendering.gl import RendererError, find_backend
 from tests.downstream.test_robot_place import GOOD, failed
 from tests.helpers.arm import SCENE
+from tests.helpers.environments import ask_peer
 
 LENGTHS, SECONDS = (6, 0, 5), 2 / FPS
 CLOSED = -0.1
@@ -188,3 +190,20 @@ def test_pictures_are_in_the_videos(tmp_path):
         pictures = [np.frombuffer(each, np.uint8) for each in frames]
         assert len(pictures) == 6
         assert pictures[0].std() > 10
+
+
+@pytest.mark.slow
+def test_lerobot_reads_it(tmp_path):
+    python = os.environ.get("CLUTTERGEN_LEROBOT_DATASET_PYTHON")
+    if not python:
+        pytest.skip("CLUTTERGEN_LEROBOT_DATASET_PYTHON names no interpreter that has lerobot[dataset]")
+    pytest.importorskip("imageio_ffmpeg", reason="needs the extra video")
+    record(tmp_path / "data", [2, 0], cameras=["third"])
+    told = ask_peer("lerobot_dataset", python, tmp_path / "data")
+    assert (told["episodes"], told["frames"], told["fps"], told["numbers"]) == (2, 11, FPS, [2, 0])
+    assert (told["task"], told["success"]) == ("move the blue", True)
+    assert told["timestamp"] == pytest.approx(5 / FPS)
+    assert told["shapes"]["action"] == [2, 8]
+    image = "observation.images.third"
+    assert told["shapes"][image] == [3, 240, 320]
+    assert told["bright"][image] == pytest.approx(np.mean(told["mean"][image]), abs=0.05)
