@@ -94,6 +94,7 @@ PlacerLoss = Literal["printed", "symmetric"]
 PlacerNoise = Literal["on", "off", "both"]
 SegmenterInput = Literal["colour", "depth"]
 RobotObserver = Literal["true", "perception"]
+RecordFormat = Literal["lerobot", "robomimic"]
 ExportFormat = Literal[
     "mjcf",
     "mjcf-old",

@@ -16,7 +16,7 @@ from cluttergen_jax import spec
 from cluttergen_jax.cli.flags import FLAGS, option_help, options_of
 from cluttergen_jax.errors import ConfigError
 
-_NO_OPTIONS = ("show", "spec")
+_NO_OPTIONS = ("show", "spec", "planner")
 
 
 class Options:

@@ -43,7 +43,7 @@ class PlacerTrain(Options):
         return 0
 
 
-@options_from(placer_eval, data=Annotated[str, tyro.conf.Positional])
+@options_from(placer_eval, data=Annotated[str, tyro.conf.Positional], placers=tuple[str, ...])
 class PlacerEval(Options):
     """Compare placers: the success rate of their proposals, strictly judged.
 

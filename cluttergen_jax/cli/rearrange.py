@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Annotated
+
+import tyro
 
 from cluttergen_jax.cli.options import Options, options_from
 from cluttergen_jax.config import RobotObserver
 from cluttergen_jax.downstream.rearrange.api import rearrange
 
 
-@options_from(rearrange, observer=RobotObserver, robot=str)
+@options_from(
+    rearrange,
+    bank=Annotated[str | None, tyro.conf.Positional],
+    observer=RobotObserver,
+    grasps=str | None,
+    target=str | None,
+    robot=str,
+)
 class Rearrange(Options):
     """Let a simulated robot arm rearrange the objects of scenes (extra `robot`).
 

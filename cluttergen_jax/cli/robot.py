@@ -23,7 +23,13 @@ class RobotGrasps(Options):
         return 0
 
 
-@options_from(robot_place, bank=Annotated[str | None, tyro.conf.Positional], robot=str)
+@options_from(
+    robot_place,
+    bank=Annotated[str | None, tyro.conf.Positional],
+    robot=str,
+    placer=str,
+    grasps=str | None,
+)
 class RobotPlace(Options):
     """Let a simulated robot arm put objects into scenes, or lift them out of them (extra `robot`).
 

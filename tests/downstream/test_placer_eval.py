@@ -16,6 +16,7 @@ from cluttergen_jax.downstream.placer.pairs import maker as data
 from cluttergen_jax.downstream.placer.pairs import store as pairs
 from cluttergen_jax.downstream.placer.pairs.store import load_queries
 from cluttergen_jax.downstream.samples import SPLITS
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.statistics import wilson
 from cluttergen_jax.types import Verdict
@@ -99,3 +100,30 @@ def test_figures_are_shares_of_verdicts_with_wilsons_intervals(labels):
     assert sum(each["queries"] for each in figures["by_object"]) == number
     assert figures["calibration"]["brier"] == pytest.approx((3 * 0.1**2 + 3 * 0.3**2) / 6)
     assert figures["calibration"]["gap"] == pytest.approx(0.5 * 0.1 + 0.5 * 0.3)
+
+
+def on_the_left(rng, query):
+    """A placer of NumPy: at the bare height, somewhere in the left half."""
+    half = query.region_half_extents
+    xy = rng.uniform([-half[0], -half[1]], [0.0, half[1]], (3, 2))
+    return np.column_stack([xy, np.full(3, query.half_extents[2] + 0.002), np.zeros(3)])
+
+
+@pytest.mark.slow
+def test_a_placer_of_ones_own_is_evaluated_beside_others(made, tmp_path):
+    found = cg.placer_eval(made.path, (on_the_left, "random"), noise=(0.0,), out=tmp_path, num_pairs=3)
+    assert [row["trial"]["placer"] for row in found.rows] == ["on_the_left", "random"]
+    (stored,) = (each for each in tmp_path.rglob("*.npz") if "left" in each.name)
+    with np.load(stored) as arrays:
+        pose = arrays["pose"]
+    assert pose.shape == (3, 3, 4)
+    assert (pose[..., 0] <= 0).all()
+    again = cg.placer_eval(made.path, (on_the_left,), noise=(0.0,), out=tmp_path, num_pairs=3)
+    assert again.rows == found.rows[:1]
+    numbers = iter((1, 2, 1))
+    with pytest.raises(ConfigError, match="returned 1 to 2 proposals"):
+        cg.placer_eval(
+            made.path, (lambda rng, query: np.zeros((next(numbers), 4)),), noise=(0.0,), num_pairs=3
+        )
+    with pytest.raises(ConfigError, match="placers of one name: on_the_left"):
+        cg.placer_eval(made.path, (on_the_left, on_the_left), noise=(0.0,))

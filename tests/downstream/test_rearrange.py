@@ -167,8 +167,8 @@ def made_rows(monkeypatch):
         bad = replace(GOOD, outcome="slip", right=[True, False], error=np.nan)
         return bad if len(numbers) % 3 == 0 else GOOD
 
-    def starts(setting, pool, threads, robot):
-        return lambda seed: SimpleNamespace(
+    def starts(setting, pool, threads, *own):
+        return lambda seed, index: SimpleNamespace(
             seed=seed, grasps=(SimpleNamespace(name="mug", digest=DIGEST[0]),)
         )
 

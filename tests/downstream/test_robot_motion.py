@@ -32,7 +32,12 @@ from cluttergen_jax.downstream.robot.motion.collision import (
 )
 from cluttergen_jax.downstream.robot.motion.execute import Phase
 from cluttergen_jax.downstream.robot.motion.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
-from cluttergen_jax.downstream.robot.motion.plan import SHARE, Planner, time_path
+from cluttergen_jax.downstream.robot.motion.plan import (
+    MAX_TILT,
+    SHARE,
+    Planner,
+    time_path,
+)
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import angle_between, inverse, pose_of, rigid
 from cluttergen_jax.scene import Scene
@@ -217,6 +222,23 @@ def test_a_way_leads_around_what_stands_between(world, kinematics, ends):
     assert not all(world.is_free(joints, 0.03) for joints in straight)
     assert np.array_equal(path, planner.connect(*ends, 0.03, seed=3))
     assert not np.array_equal(path, planner.connect(*ends, 0.03, seed=4))
+
+
+def test_a_free_way_is_straight_and_what_is_carried_stays_upright(world, kinematics, ends):
+    planner = Planner(world, kinematics)
+    near = ends[0] + 0.1 * (np.arange(7) == 0)
+    path = planner.connect(ends[0], near, 0.03, seed=3)
+    assert np.allclose(path, np.linspace(ends[0], near, len(path)))
+    world.hold(rigid(DOWN.T, np.zeros(3)))
+    up, told = np.array([0.0, 0.0, 1.0]), []
+    for joints in time_path(planner.connect(*ends, 0.03, seed=3, up=up), 1 / 240).joints:
+        assert world.is_free(joints, 0.03)
+        told.append(world.tilt(up))
+        turn = kinematics.tool(joints)[:3, :3] @ DOWN.T
+        assert told[-1] == pytest.approx(np.arccos(min(1.0, turn[2, 2])), abs=1e-6)
+    assert max(told) < MAX_TILT + 0.03
+    # What hangs askew is carried all the same.
+    assert planner.connect(*ends, 0.03, seed=3, up=np.array([1.0, 0.0, 0.0])) is not None
 
 
 @pytest.mark.parametrize("share", [SHARE, 0.25])

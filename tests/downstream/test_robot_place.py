@@ -14,6 +14,7 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.robot import trials as robot_trials
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
+from cluttergen_jax.downstream.robot.grasping import own_grasps
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.motion import plan
 from cluttergen_jax.downstream.robot.outcome import Outcome
@@ -50,7 +51,7 @@ def made(monkeypatch):
     """The numbers of the episodes that were run, which end well but for each third."""
     numbers = []
 
-    def episode(scene, task, grasps, places, index, seed, trace, robot):
+    def episode(scene, task, grasps, places, index, seed, trace, planner, robot):
         numbers.append(index)
         return (
             failed(Outcome.NO_PATH, scene.objects[-1].name)
@@ -60,7 +61,7 @@ def made(monkeypatch):
 
     monkeypatch.setattr(robot_trials, "_episode", episode)
     monkeypatch.setattr(
-        robot_trials, "grasps_of", lambda objects, num_threads, robot: [GRASPS for _ in objects]
+        own_grasps, "grasps_of", lambda objects, num_threads, robot: [GRASPS for _ in objects]
     )
     return numbers
 
@@ -87,7 +88,7 @@ def test_rows_are_not_continued_with_other_grasps_or_another_planner(bank, made,
     with monkeypatch.context() as other:
         of_others = replace(GRASPS, margin=GRASPS.margin + 1)
         other.setattr(
-            robot_trials, "grasps_of", lambda objects, num_threads, robot: [of_others for _ in objects]
+            own_grasps, "grasps_of", lambda objects, num_threads, robot: [of_others for _ in objects]
         )
         with pytest.raises(BankError, match="another grasps of "):
             run_trials(scenes, "lift", 3, 0, tmp_path, {})

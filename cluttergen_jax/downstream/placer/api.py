@@ -29,6 +29,7 @@ from cluttergen_jax.spec import SceneSpec
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
     from cluttergen_jax.downstream.placer.pairs.store import PairSet
+    from cluttergen_jax.downstream.placer.query import Placer, PlainPlacer
 
 _MOST_SEED = 999_999
 
@@ -122,7 +123,7 @@ def placer_data(
 @with_own_settings
 def placer_eval(
     data: str | Path,
-    placers: Sequence[str] = ("random", "geometry", "geometry-occupied"),
+    placers: Sequence[str | Path | Placer | PlainPlacer] = ("random", "geometry", "geometry-occupied"),
     *,
     noise: Sequence[float] = (0.0, 1.0),
     split: Split = "test",
@@ -139,7 +140,8 @@ def placer_eval(
     Args:
       data: a folder that `placer_data` made.
       placers: "random", "geometry", "geometry-occupied", folders of trained ones, and "drop", "guided" and
-        "policy", which see the scene itself.
+        "policy", which see the scene itself; in Python also your own
+        (`cluttergen_jax.downstream.placer.query.PlainPlacer`, or `Placer` in JAX).
       noise: factors of the simulated sensor noise of a usual depth camera; 0 for none.
       split: train, val or test.
       num_pairs: the first so many queries; all of the split if not given.
@@ -157,7 +159,8 @@ def placer_eval(
       Rows and tables; printed, the tables.
 
     Raises:
-      ConfigError: a setting is out of range, the folder has no such split, or there is no such placer.
+      ConfigError: a setting is out of range, the folder has no such split, there is no such placer, or one of
+        your own returned something else than poses.
       BankError: the folder holds no pairs, or they are damaged.
       PoolError: a placer's files are damaged, or there is none for the pool.
     """
@@ -178,7 +181,8 @@ def placer_eval(
     folder = None if out is None else Path(out)
     store = Store(folder and folder / "results")
     trials = PlacerTrials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)
-    return compare_placers(trials, tuple(map(str, placers)), tuple(map(float, noise)), folder, chains)
+    asked = tuple(str(each) if isinstance(each, Path) else each for each in placers)
+    return compare_placers(trials, asked, tuple(map(float, noise)), folder, chains)
 
 
 @with_own_settings

@@ -17,6 +17,7 @@ from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,
     PlacementQuery,
     Placer,
+    PlainPlacer,
     Proposals,
     without_scores,
 )
@@ -100,13 +101,19 @@ FULL_STATE = ("drop", "guided", "policy")
 """Methods that see the scene itself; the row that a placer can be measured against."""
 
 
-def find_placer(placer: str | Path) -> Placer | FullState:
-    """The placer of that name, or in that folder.
+def find_placer(placer: str | Path | Placer | PlainPlacer) -> Placer | PlainPlacer | FullState:
+    """The placer of that name, or in that folder; one of the user's own is what it is.
 
     Raises:
-      ConfigError: there is none.
+      ConfigError: there is none, or it cannot be called.
       PoolError: the folder holds no placer, or a damaged one.
     """
+    if not isinstance(placer, str | Path):
+        if callable(placer):
+            return placer
+        raise ConfigError(
+            f"placer {placer!r}", "a name, a folder, or a `PlainPlacer` or `Placer` of your own"
+        )
     name = str(placer)
     if name in BASELINES:
         return BASELINES[name]()

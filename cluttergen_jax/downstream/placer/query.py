@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from cluttergen_jax.downstream.parts import array_of, part_name
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.search import UnderSide
 from cluttergen_jax.types import Array
@@ -65,10 +68,74 @@ class Proposals(struct.PyTreeNode):
 
 
 class Placer(Protocol):
-    """Answers one query at a time; a pytree and pure, to be compiled and mapped."""
+    """Answers one query at a time; a pytree (a `flax.struct.PyTreeNode`), pure, to be compiled and mapped."""
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
         """`NUM_PROPOSALS` proposals, drawn with `key`."""
+
+
+class PlainPlacer(Protocol):
+    """A placer of NumPy, PyTorch or anything else that is no pytree: called as it is, outside of JAX.
+
+    `placer=` of `robot_place` and `placers` of `placer_eval` take it. An attribute `name` is what rows call
+    it; `downstream.parts.part_label` says how its rows are told from those of others.
+    """
+
+    def __call__(self, rng: np.random.Generator, query: PlacementQuery) -> Any:
+        """Where the object could be let go, the best first.
+
+        Args:
+          rng: for all that is drawn. query: NumPy arrays; region frame, metres.
+
+        Returns:
+          f[M, 4], x, y, z and yaw of T_region_object, metres and radians; or `Proposals` with scores. M is 1
+          to `NUM_PROPOSALS`, the same for all queries. A robot lowers each onto what was seen.
+        """
+
+
+def is_plain(placer: Any) -> bool:
+    """Whether a placer is called as it is (`PlainPlacer`); else it is a pytree, and compiled."""
+    return jax.tree_util.all_leaves([placer])
+
+
+def ask_plain(placer: Any, key: Array, query: PlacementQuery) -> Proposals:
+    """What a `PlainPlacer` answers to one query (`check_proposals`), NumPy arrays; `key` seeds its rng."""
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    told = placer(rng, jax.tree.map(np.asarray, query))
+    name = part_name(placer)
+    try:
+        if isinstance(told, Proposals):
+            found = Proposals(*(array_of(each).astype(np.float32) for each in (told.pose, told.score)))
+        else:
+            pose = array_of(told).astype(np.float32)
+            found = Proposals(pose, np.full(pose.shape[:-1], np.nan, np.float32))
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"placer {name!r} returned {told!r}", _ALLOWED) from error
+    return check_proposals(found, name)
+
+
+_ALLOWED = (
+    f"f[M, 4], x, y, z and yaw, finite, with M of 1 to {NUM_PROPOSALS}; or `Proposals` of these with scores "
+    "in [0, 1] or nan"
+)
+
+
+def check_proposals(found: Any, name: str) -> Proposals:
+    """Proposals of a user's placer for one query, or for many.
+
+    Raises:
+      ConfigError: none, too many, another shape, or numbers that are not finite.
+    """
+    if not isinstance(found, Proposals):
+        raise ConfigError(f"placer {name!r} returned a {type(found).__name__}", _ALLOWED)
+    pose, score = np.asarray(found.pose), np.asarray(found.score)
+    if pose.ndim < 2 or pose.shape[-1] != 4 or not 1 <= pose.shape[-2] <= NUM_PROPOSALS:
+        raise ConfigError(f"placer {name!r} returned poses of shape {pose.shape}", _ALLOWED)
+    if not np.isfinite(pose).all():
+        raise ConfigError(f"placer {name!r} returned poses that are not finite", _ALLOWED)
+    if score.shape != pose.shape[:-1] or ((score < 0) | (score > 1)).any():
+        raise ConfigError(f"placer {name!r} returned scores of shape {score.shape}: {score}", _ALLOWED)
+    return Proposals(pose, score)
 
 
 def pad_map(heights: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

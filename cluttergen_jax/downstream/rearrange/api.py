@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +12,9 @@ from cluttergen_jax.config import (
     LayoutRule,
     PickOrder,
     Rearrangement,
+    RecordFormat,
     RobotObserver,
+    check_noise,
     check_range,
     check_workers,
 )
@@ -21,11 +23,16 @@ from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.object import ObjectAsset
+    from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.downstream.rearrange.observe import Observer
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
+    from cluttergen_jax.downstream.rearrange.starts import OwnScenes
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
     from cluttergen_jax.downstream.robot.description import RobotDescription
+    from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
+    from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
 
 _MOST_SEED = 999_999
 _MOST_EPISODES = 1_000_000
@@ -35,11 +42,15 @@ _MOST_LAYOUTS = 64
 @with_own_settings
 def rearrange(
     out: str | Path = "out/rearrange",
+    bank: str | Path | None = None,
     *,
     setting: Rearrangement = "paper",
     num_episodes: int = 20,
     robot: str | Path | RobotDescription = "panda",
-    pool: str | Path = "household",
+    pool: str | Path | None = None,
+    support: str | Path | None = None,
+    target: str | Rectangle | None = None,
+    goals: str | Path = "",
     choose: LayoutRule = "clearance",
     num_layouts: int = 10,
     layout: int | None = None,
@@ -47,9 +58,16 @@ def rearrange(
     order: PickOrder = "graph",
     one_grasp: bool = False,
     observer: RobotObserver | Observer = "true",
+    grasps: GraspSource | GraspSets | None = None,
+    planner: PathPlanner | None = None,
     segmenter: str | Path | None = None,
+    noise: float | None = None,
+    cameras: Sequence[str | Path] = (),
     pick: bool = False,
     show_layouts: bool = False,
+    record: str | Path | None = None,
+    record_format: RecordFormat = "lerobot",
+    record_cameras: Sequence[str | Path] = ("third", "wrist"),
     films: bool = False,
     film: FilmFormat = "gif",
     seed: int = 0,
@@ -71,10 +89,19 @@ def rearrange(
       setting: paper (five objects into an empty half of the table), occupied (three others are there),
         blocked (into the very area where they are), eight (objects), or stacked (one lies on another at
         first).
+      bank: the starting scenes, taken in turn; all of their objects are moved, to layouts in the whole of the
+        bank's region that the arm reaches. Its rows, and those of other `support`, `target` and `goals`, are
+        kept in OUT/own.
       num_episodes: number of episodes.
       robot: which: a name of `cluttergen list`, or the YAML file of one of your own; segmenters
         learned with pictures of the Panda alone.
-      pool: a pool's name or folder, or several joined by +.
+      pool: a pool's name or folder, or several joined by +; household if not given.
+      support: a support's name or folder, to whose middle the setting is moved; the usual table if not given.
+      target: where layouts are drawn, X,Y,W,D[,YAW] in metres and degrees, or WxD about the region's middle;
+        in Python also a `Rectangle`.
+      goals: a bank's folder or FOLDER:INDEX, whose layouts are the targets of the objects that they have; or
+        relations, "put the candle left of the basket; toy_car behind candle", which move what each is said
+        of. All else stays.
       choose: the rule by which a layout is chosen: clearance, with the widest gap between objects; reach,
         with the most objects that the hand can get at; or similar, with the shortest ways.
       num_layouts: number of different layouts to choose from.
@@ -85,12 +112,17 @@ def rearrange(
       observer: true, the true poses; or perception, what cameras over the table and on the hand show, with
         noise (extra `perception`); in Python also one of your own
         (`cluttergen_jax.downstream.rearrange.observe.Observer`), whose attribute `name` is in the table.
+      grasps, planner: your own, as of `robot_place`.
       segmenter: for `perception`: a folder of `perception train`, or a pool's name where one comes with the
         package; the pool's own if not given.
+      noise: for `perception`: factor of the simulated sensor noise; 1 if not given, 0 for none.
+      cameras: for `perception`: "wrist", and those that look when the arm has drawn back, by name or in JSON
+        files as of `render`; if not given the wrist's and one over the table.
       pick: in each episode a person looks at the layouts in a browser, in the order of the rule, and takes
         one (extra `viewer`); it is the only one that is tried.
       show_layouts: draw each episode's layouts over the scene as it is, on a sheet layouts-NUMBER.png
         beside the rows, the chosen one framed.
+      record, record_format, record_cameras: as of `robot_place`.
       films: draw films of the first success and of the first failure of each kind, in the folder films beside
         the rows; those episodes are run again for it.
       film: "gif", or "mp4" (extra video).
@@ -105,7 +137,8 @@ def rearrange(
       The episodes; printed, the share of successes, failures by cause, and what an episode costs.
 
     Raises:
-      ConfigError: a setting is unknown or out of range, the pool has too few objects, or the port is taken.
+      ConfigError: a setting is unknown or out of range, the pool has too few objects, goals are not
+        understood, a target is out of reach, or the port is taken.
       BankError: the folder holds other episodes or a damaged file, or an episode that is filmed does not end
         as it did.
       PoolError: there is no such pool or segmenter.
@@ -113,12 +146,14 @@ def rearrange(
       RendererError: pictures are asked for, and nothing here can draw.
     """
     import os
-    from typing import get_args
+    from dataclasses import replace
+    from typing import Any, get_args
 
     from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.film import check_films
+    from cluttergen_jax.downstream.robot.recorder import RecordAsked
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -148,26 +183,42 @@ def rearrange(
         raise ConfigError(
             f"`pick` together with layout = {layout}", "one or the other", "leaving out `layout`"
         )
+    looks = observer == "perception"
+    for what, is_given in (("noise", noise is not None), ("cameras", bool(cameras))):
+        if is_given and not looks:
+            raise ConfigError(f"`{what}` where nothing looks", "observer='perception'", "leaving it out")
+    if noise is not None:
+        check_noise([noise])
     described = find_robot(robot)
+    found, told, usual = _own_scenes(bank, pool, support, target, str(goals), setting)
+    recorded = RecordAsked.of(record, record_format, record_cameras)
     if films or show_layouts:
         check_films(film)
-    looking = _looking(pool, segmenter, seed, described) if observer == "perception" else observer
+    looking: Any = observer
+    if looks:
+        looking = _looking(usual, found, segmenter, seed, 1.0 if noise is None else noise, cameras, described)
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
+    name = "own" if told else setting
     threads = num_threads or os.cpu_count() or 1
     with _person(choose, host, port, browser, show) if pick else nullcontext() as person:
         return run_rearrangements(
-            SETTINGS[setting],
+            replace(SETTINGS[setting], name=name),
             options,
             num_episodes,
             seed,
-            Path(out) / setting,
-            pool=str(pool),
+            Path(out) / name,
+            pool=usual,
             observer=None if isinstance(looking, str) else looking,
             num_threads=threads,
             ask=person,
             films=film if films else None,
             sheets=show_layouts,
             robot=described,
+            own_grasps=grasps,
+            planner=planner,
+            own=found,
+            told_own=told,
+            record=recorded,
         )
 
 
@@ -191,10 +242,59 @@ def _person(
         server.stop()
 
 
+def _own_scenes(
+    bank: str | Path | None,
+    pool: str | Path | None,
+    support: str | Path | None,
+    target: str | Rectangle | None,
+    goals: str,
+    setting: str,
+) -> tuple[OwnScenes, dict[str, object], str]:
+    """What of the setting is the user's own, what a recipe says of that if anything, and the pool."""
+    from cluttergen_jax.assets.support import parse_region
+    from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax.downstream.digests import json_digest
+    from cluttergen_jax.downstream.rearrange.starts import OwnScenes
+    from cluttergen_jax.scene.bank import read_bank, region_of
+
+    found = None if bank is None else read_bank(bank)
+    for what, value in (("pool", pool), ("support", support)):
+        if found is not None and value is not None:
+            raise ConfigError(f"`{what}` together with `bank`", "one or the other", f"leaving out `{what}`")
+    if found is not None and setting != "paper":
+        given = f"setting = {setting!r} together with `bank`, whose scenes take its place"
+        raise ConfigError(given, "one or the other", "leaving out `setting`")
+    pool = "household" if pool is None else str(pool)
+    if found is not None:
+        pool = str(found.record["recipe"].get("pool"))
+    if isinstance(target, str):
+        middle = find_support(support or "table").region if found is None else region_of(found)
+        target = parse_region(target, middle)
+    own = OwnScenes(found, None if support is None else str(support), target, goals)
+    told: dict[str, object] = {}
+    if found is not None:
+        told["bank"] = json_digest(found.record["recipe"])
+    if support is not None:
+        told["support"] = str(support)
+    if target is not None:
+        told["target"] = [*target.center, *target.half_extents, target.yaw]
+    if goals:
+        told["goals"] = goals
+    return own, told and told | {"based_on": setting if found is None else "bank"}, pool
+
+
 def _looking(
-    pool: str | Path, segmenter: str | Path | None, seed: int, robot: RobotDescription
+    pool: str,
+    own: OwnScenes,
+    segmenter: str | Path | None,
+    seed: int,
+    noise: float,
+    cameras: Sequence[str | Path],
+    robot: RobotDescription,
 ) -> PerceptionObserver:
-    """The observer that looks through cameras, for a pool's objects on the usual table."""
+    """The observer that looks through cameras, for a pool's objects on a support, or for a bank's."""
+    from dataclasses import replace
+
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.assets.support_file import find_support
     from cluttergen_jax.downstream.perception.finder import load_finder
@@ -202,9 +302,24 @@ def _looking(
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.learning.ppo import checkpoint
     from cluttergen_jax.rendering.gl import find_backend
+    from cluttergen_jax.scene.bank import region_of
+    from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, parse_cameras
 
-    support, wanted = find_support("table"), pool if segmenter is None else segmenter
-    finder = load_finder(wanted, find_pool(pool).objects, support)
+    support, wanted = find_support(own.support or "table"), pool if segmenter is None else segmenter
+    objects: Sequence[ObjectAsset] = find_pool(pool).objects if own.bank is None else ()
+    if own.bank is not None:
+        support = replace(own.bank.support, region=region_of(own.bank))
+        objects = [own.bank.object(name) for name in own.bank.assets["objects"]]
+    finder = load_finder(wanted, objects, support)
     find_backend()
-    weights = checkpoint.folder_hash(segmenter_folder(wanted))
-    return PerceptionObserver(finder, support, seed=seed, weights=weights, robot=robot)
+    others = [each for each in cameras if str(each) != "wrist"]
+    return PerceptionObserver(
+        finder,
+        support,
+        REALSENSE.scale(noise) if noise else NOISE_OFF,
+        seed,
+        checkpoint.folder_hash(segmenter_folder(wanted)),
+        parse_cameras(others) if others else (),
+        not cameras or len(others) < len(cameras),
+        robot,
+    )

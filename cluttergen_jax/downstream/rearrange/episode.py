@@ -10,7 +10,6 @@ import numpy as np
 
 from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, RearrangementJudge
 from cluttergen_jax.downstream.rearrange.layouts import (
-    AREA,
     ROOM,
     Layouts,
     ReachCheck,
@@ -66,7 +65,7 @@ class Rearranger:
         self._num_moved = task.setting.num_objects
         self._rng = np.random.default_rng(task.seed)
         grasps = [first_grasp(each) for each in task.grasps] if options.one_grasp else task.grasps
-        self.moves = Moves(task.scene, grasps, execution, sight, judge, self._rng)
+        self.moves = Moves(task.scene, grasps, execution, sight, judge, self._rng, task.planner)
         self.fewest = self.layouts = 0
         self.goals, self.layout = task.scene.poses, -1
 
@@ -127,7 +126,10 @@ class Rearranger:
         reach_of = ReachCheck(objects, task.grasps, range(num_moved), self._scene.support, FIRM, task.robot)
         full, gap, reach = np.zeros((0, len(poses), 7)), np.zeros(0), np.zeros(0)
         for draw in range(_DRAWS):
-            drawn = task.draw(task.seed + draw, moved, region, stay, poses[num_moved:])
+            if task.goals is None:
+                drawn = task.draw(task.seed + draw, moved, region, stay, poses[num_moved:])
+            else:
+                drawn = task.goals(draw, poses[num_moved:])
             others = np.broadcast_to(poses[num_moved:], (len(drawn), len(stay), 7))
             more = np.concatenate([drawn, others], axis=1)
             full = np.concatenate([full, more])
@@ -217,7 +219,9 @@ class Rearranger:
         others = [each for each in range(len(self._scene.names)) if each != k and each not in hidden]
         numbers, poses = self._task.numbers, self._sight.poses
         seed = int(self._rng.integers(2**30))
-        drawn = self._task.draw(seed, [numbers[k]], AREA, [numbers[each] for each in others], poses[others])
+        drawn = self._task.draw(
+            seed, [numbers[k]], self._task.area, [numbers[each] for each in others], poses[others]
+        )
         clear, coming = drawn[:, 0], [each for each in pending if each != k]
         # What is hidden is where the object is now, or near it.
         near = poses[others + [k] * bool(hidden), :2]

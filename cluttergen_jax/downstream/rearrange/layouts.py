@@ -14,6 +14,7 @@ from scipy.spatial.distance import cdist
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import LayoutRule, Method
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
@@ -26,9 +27,13 @@ from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
 from cluttergen_jax.generation import make_sampler
+from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import transform_points
+from cluttergen_jax.learning.methods import choose_method, sampler_of
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.placement import config as placement_config
 from cluttergen_jax.placement.region import make_region
+from cluttergen_jax.scene.bank import Bank, region_of
 from cluttergen_jax.types import Array
 
 AREA = Rectangle((0.0, 0.0), (0.27, 0.32))
@@ -43,33 +48,68 @@ class SceneDraw:
     """Draws scenes of given objects in a given region around others: one compiled program for them all.
 
     Args:
-      pool: a pool's name. method: as of `generate`.
+      source: a pool's name; or a bank, of whose objects and on whose support scenes are drawn.
+      method: as of `generate`.
       num_slots: objects that a scene has at most, those that stand there already included.
       num_threads: simulation threads; 0 takes every core.
+      support: a support's name or folder, for a pool; the usual table if None.
+      relations: that each scene fulfils (`placement.relations`); objects of their roles are told by number.
 
     Attributes:
-      objects: K of the pool. support: the usual table.
+      names, objects: K of the pool or bank. support: with the region of that.
+      area: where objects may be: the middle of the support's region, as far as the arm reaches.
     """
 
-    def __init__(self, pool: str, method: Method, num_slots: int, num_threads: int = 0) -> None:
-        sampler = make_sampler(
-            pool, num_objects=num_slots, method=method, region=AREA, num_threads=num_threads
-        )
-        world = sampler.problem.world
-        self.objects: tuple[ObjectAsset, ...] = world.objects
+    def __init__(
+        self,
+        source: str | Bank,
+        method: Method,
+        num_slots: int,
+        num_threads: int = 0,
+        support: str | None = None,
+        relations: Sequence[str] = (),
+    ) -> None:
+        if isinstance(source, Bank):
+            self.area = reached_part(region_of(source))
+            config = placement_config.PlacementConfig(
+                num_slots, min_margin=placement_config.MIN_MARGIN, relations=tuple(relations)
+            )
+            setup = setup_of(source, placement=config, region=self.area, num_threads=num_threads)
+            problem, steps = (
+                setup.problem,
+                sampler_of(setup, choose_method(method, setup.problem.config.pool)),
+            )
+        else:
+            self.area = AREA if support is None else reached_part(find_support(support).region)
+            sampler = make_sampler(
+                source,
+                support="table" if support is None else support,
+                num_objects=num_slots,
+                method=method,
+                region=self.area,
+                num_threads=num_threads,
+                relations=relations,
+            )
+            problem, steps = sampler.problem, sampler.steps
+        world = problem.world
+        self.names, self.objects = world.names, world.objects
         self.support: SupportAsset = world.support
-        self._num_slots = num_slots
-        rules, step, top = sampler.steps.rules, sampler.steps.step_one, float(world.support.top)
+        self._num_slots, self._is_related = num_slots, bool(relations)
+        rules, step, top = steps.rules, steps.step_one, float(world.support.top)
 
-        def draw(key: Array, order: Array, first: Array, poses: Array, is_placed: Array, box: Array) -> Any:
+        def draw(
+            key: Array, order: Array, first: Array, poses: Array, is_placed: Array, box: Array, roles: Array
+        ) -> Any:
             region = make_region(box[:2], box[2:4], box[4], jnp.float32(top))
             episode = rules.begin(key, region).replace(
                 object_index=order, first_slot=first, slot=first, poses=poses, is_placed=is_placed
             )
+            if relations:
+                episode = episode.replace(roles=roles)
             last = jax.lax.while_loop(lambda each: ~each.is_over, lambda each: step(each)[0], episode)
             return last.poses, last.is_success
 
-        self._draw: Any = jax.jit(jax.vmap(draw, in_axes=(0, *[None] * 5)))
+        self._draw: Any = jax.jit(jax.vmap(draw, in_axes=(0, *[None] * 6)))
 
     def __call__(
         self,
@@ -79,18 +119,22 @@ class SceneDraw:
         standing: Sequence[int] = (),
         poses: np.ndarray | None = None,
         number: int = NUM_DRAWN,
+        roles: Sequence[int] = (),
     ) -> np.ndarray:
         """Of `number` scenes those that stand, f64[S, n, 7]: T_world_object of the objects `chosen`.
 
         Args:
           chosen: n of the pool's objects by number; those of the largest footprint are placed first.
-          region: where; no larger than `AREA`.
+          region: where; no larger than `area`.
           standing: objects that are there already; poses: f[m, 7] of these.
+          roles: objects of the relations' roles, in the order of `relations.order_of`; `chosen` then are
+            placed in their own order.
         """
         if len(chosen) + len(standing) > self._num_slots:
             raise ConfigError(f"{len(chosen) + len(standing)} objects", f"{self._num_slots} at most")
         area = [np.prod(self.objects[each].half_extents[:2]) for each in chosen]
         large_first = [chosen[each] for each in np.argsort(-np.array(area), kind="stable")]
+        large_first = list(chosen) if self._is_related else large_first
         order = np.full(self._num_slots, -1, np.int32)
         order[: len(standing) + len(chosen)] = [*standing, *large_first]
         start = np.tile(np.eye(7, dtype=np.float32)[3], (len(self.objects), 1))
@@ -99,10 +143,17 @@ class SceneDraw:
             start[list(standing)], is_placed[list(standing)] = poses, True
         box = np.array([*region.center, *region.half_extents, region.yaw], np.float32)
         keys = jax.random.split(new_key(seed), number)
-        found, stands = self._draw(keys, order, np.int32(len(standing)), start, is_placed, box)
+        taken = np.array(roles, np.int32)
+        found, stands = self._draw(keys, order, np.int32(len(standing)), start, is_placed, box, taken)
         kept = np.asarray(found, np.float64)[np.asarray(stands)][:, list(chosen)]
         kept[..., 3:] /= np.linalg.norm(kept[..., 3:], axis=-1, keepdims=True)
         return kept
+
+
+def reached_part(region: Rectangle) -> Rectangle:
+    """The middle of a region before which the arm stands, as far as it reaches."""
+    half_x, half_y = np.minimum(region.half_extents, AREA.half_extents).tolist()
+    return Rectangle(region.center, (half_x, half_y), region.yaw)
 
 
 @dataclass(frozen=True, eq=False)

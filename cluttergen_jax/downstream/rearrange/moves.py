@@ -16,6 +16,7 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import Mover
 from cluttergen_jax.downstream.robot.motion.plan import PickPlan
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.scene import Scene
 
@@ -35,7 +36,7 @@ class Moves:
     Args:
       scene: N objects as they stood at the start. grasps: of each.
       execution: the simulation; sight: what is known of it; judge: is told before and after each move.
-      rng: draws what is drawn.
+      rng: draws what is drawn. planner: a user's own (`Mover`).
 
     Attributes:
       base: f64[7], T_world_base of the arm. kinematics: its own.
@@ -52,8 +53,9 @@ class Moves:
         sight: ObjectTracker,
         judge: RearrangementJudge,
         rng: np.random.Generator,
+        planner: PathPlanner | None = None,
     ) -> None:
-        self._scene, self._grasps, self._rng = scene, grasps, rng
+        self._scene, self._grasps, self._rng, self._planner = scene, grasps, rng, planner
         self._execution, self._sight, self._judge = execution, sight, judge
         self.base = base_pose(scene.support, execution.robot)
         self.kinematics = ArmKinematics(self.base, execution.robot)
@@ -102,7 +104,8 @@ class Moves:
         seed = int(self._rng.integers(2**30))
         feels = not self._sight.sees_held
         is_apart, room = care
-        mover = Mover(self._execution, world, self.kinematics, k, seed, self._sight, is_apart, (room,), feels)
+        ways = (self._sight, is_apart, (room,), feels, self._planner)
+        mover = Mover(self._execution, world, self.kinematics, k, seed, *ways)
         try:
             plan = mover.find_pick(self._grasps[k], places)
         except Failed as failure:

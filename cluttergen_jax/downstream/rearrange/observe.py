@@ -14,6 +14,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
+from cluttergen_jax.downstream.parts import part_name
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of
 from cluttergen_jax.errors import ConfigError
@@ -149,7 +150,11 @@ class EpisodeView:
 
 
 class Observer(Protocol):
-    """Tells where things are, from what the robot's cameras see."""
+    """Tells where things are, from what the robot's cameras see; `observer=` of `rearrange` takes it.
+
+    An attribute `name` is what tables call it; `downstream.parts.part_label` says how its rows are told from
+    those of others.
+    """
 
     sees_held: bool
     """Whether it can be asked for one object, which may be in the hand, and not only for all."""
@@ -285,7 +290,14 @@ class ObjectTracker:
         if len(numbers) == len(self._poses):
             self.num_looks, self._looked_at = self.num_looks + 1, self._view.time
         names = [self._view.names[number] for number in numbers]
-        return self._observer(self._view, names, self._poses[list(numbers)])
+        found = self._observer(self._view, names, self._poses[list(numbers)])
+        if not isinstance(found, SceneEstimate) or list(found.names) != names:
+            told = found.names if isinstance(found, SceneEstimate) else type(found).__name__
+            raise ConfigError(
+                f"observer {part_name(self._observer)!r} returned {told!r}",
+                f"a `SceneEstimate` of {', '.join(names)}",
+            )
+        return found
 
     def _follow(self) -> None:
         if self._view.is_closed and self._held >= 0:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.downstream.digests import constants_hash
+from cluttergen_jax.downstream.digests import constants_hash, json_digest
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder, finder_hash
 from cluttergen_jax.downstream.perception.types import Look
 from cluttergen_jax.downstream.perception.views.stage import above, wrist_camera
@@ -17,7 +17,7 @@ from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, Camera, NoiseConfig, noisy
+from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, Camera, CameraPlan, NoiseConfig, noisy
 
 UNSURE = 0.5
 """Certainty below which another look is taken."""
@@ -43,6 +43,9 @@ class PerceptionObserver:
     Args:
       finder: of the objects. support: the table.
       noise: of the depth cameras. seed: of the noise, with that of the episode.
+      cameras: that look when the arm has drawn back; the one over the table if empty. Those that do not stand
+        at a fixed place are drawn for each episode.
+      has_wrist: the camera on the hand looks, too.
       weights: which network and rule of certainty the finder has; rows of others are not taken up.
       robot: whose arm is left out of the pictures; the Panda if not given.
     """
@@ -57,6 +60,8 @@ class PerceptionObserver:
         noise: NoiseConfig = REALSENSE,
         seed: int = 0,
         weights: str = "",
+        cameras: Sequence[CameraPlan] = (),
+        has_wrist: bool = True,
         robot: RobotDescription | None = None,
     ) -> None:
         self._finder, self._support, self._noise, self._seed = finder, support, noise, seed
@@ -64,10 +69,13 @@ class PerceptionObserver:
         self._glances: list[Look] = []
         self._num_before = 0
         self.weights = weights
+        self._cameras, self._has_wrist = tuple(cameras), has_wrist
         self.registration = registration_hash(noise)
+        if cameras or not has_wrist:
+            self.registration = json_digest([self.registration, repr(self._cameras), has_wrist])
 
     def glance(self, world: EpisodeView) -> None:
-        self._glances = self._look(world, wrist_camera(world.tool), 0)
+        self._glances = self._look(world, wrist_camera(world.tool), 0) if self._has_wrist else []
 
     def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
         looks, self._glances = self._glances, []
@@ -75,7 +83,8 @@ class PerceptionObserver:
         self._num_before = before + 1
         found: FoundScene | None = None
         for number in range(MOST_LOOKS):
-            looks += self._look(world, above(self._support), number)
+            for place, camera in enumerate(self._around(world)):
+                looks += self._look(world, camera, number + place * MOST_LOOKS)
             if looks:
                 found = self._finder(looks, names, known, before / (before + 1))
                 if (found.certainty >= UNSURE).all():
@@ -86,6 +95,13 @@ class PerceptionObserver:
         # What was never seen and is half hidden may be anywhere under what hides it.
         least = np.where(np.isnan(known).any(1), found.visible, 1.0)
         return SceneEstimate(found.names, found.pose, found.seen, np.minimum(found.certainty, least))
+
+    def _around(self, world: EpisodeView) -> list[Camera]:
+        """The cameras that stand around the table."""
+        if not self._cameras:
+            return [above(self._support)]
+        rng = np.random.default_rng((self._seed, world.seed))
+        return [plan.draw(self._support, rng) for plan in self._cameras]
 
     def _look(self, world: EpisodeView, camera: Camera, number: int) -> list[Look]:
         """The picture of that number from here; none where nothing was measured."""

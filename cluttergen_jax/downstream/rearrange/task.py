@@ -9,10 +9,11 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.config import LayoutRule, Method, PickOrder
-from cluttergen_jax.downstream.rearrange.layouts import Layouts, SceneDraw
+from cluttergen_jax.downstream.rearrange.layouts import AREA, Layouts, SceneDraw
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.outcome import Ending
+from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.scene import Scene
 
 _NEAR = Rectangle((0.0, -0.15), (0.225, 0.125))
@@ -102,7 +103,12 @@ class RearrangeTask:
       numbers: i[N], of these in the pool that `draw` knows.
       grasps: of each of the N. symmetry: of each (`assets.symmetry.turn_symmetry`).
       draw: draws layouts and places to wait.
-      seed: of all that is drawn. robot: that does it; the Panda if not given.
+      seed: of all that is drawn.
+      planner: a user's own, for the paths between places.
+      goals: draws layouts of what is moved, f64[L, n, 7], given how often it has drawn before and where the
+        others stand, f64[m, 7]; None draws them in the setting's target.
+      area: where an object may wait.
+      robot: that does it; the Panda if not given.
     """
 
     setting: RearrangeSetting
@@ -112,6 +118,9 @@ class RearrangeTask:
     symmetry: tuple[int, ...]
     draw: SceneDraw
     seed: int
+    planner: PathPlanner | None = None
+    goals: Callable[[int, np.ndarray], np.ndarray] | None = None
+    area: Rectangle = AREA
     robot: RobotDescription | None = None
 
 

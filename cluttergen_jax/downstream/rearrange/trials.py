@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache, cached_property
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.symmetry import turn_symmetry
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
+from cluttergen_jax.downstream.parts import is_own, part_label
 from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
-from cluttergen_jax.downstream.rearrange.layouts import ReachCheck, SceneDraw
+from cluttergen_jax.downstream.rearrange.goals import task_words
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
-from cluttergen_jax.downstream.rearrange.order import Meetings
 from cluttergen_jax.downstream.rearrange.sheet import save_sheets
+from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts
 from cluttergen_jax.downstream.rearrange.task import (
     Chooser,
     RearrangeOptions,
@@ -30,112 +28,19 @@ from cluttergen_jax.downstream.rearrange.task import (
 )
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, success_of
-from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash
+from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
+from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
+from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash, planner_recipe
 from cluttergen_jax.downstream.rows import RowFile, share_of
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.machine import versions
-from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
 _MOST_DRAWS = 16
 _ADDED = ("grasps", "objects", "planner", "registration", "robot")
 """Of recipes: what files of older versions lack."""
-
-
-class Starts:
-    """Starting scenes of a setting: each is made again by its seed.
-
-    Args:
-      setting: the setting. pool: a pool's name.
-      num_threads: of the simulation and the tests of grasps; 0 takes every core.
-      robot: the Panda if not given.
-    """
-
-    def __init__(
-        self, setting: RearrangeSetting, pool: str, num_threads: int, robot: RobotDescription | None = None
-    ) -> None:
-        self.setting, self._pool, self._robot = setting, pool, robot
-        self._num_threads = num_threads or os.cpu_count() or 1
-        self._grasps: dict[str, Grasps] = {}
-        self._symmetry = cache(turn_symmetry)
-
-    # Compiled when the first scene is asked for.
-
-    @cached_property
-    def _place(self) -> SceneDraw:
-        return SceneDraw(self._pool, "clear", self.setting.num_slots, self._num_threads)
-
-    @cached_property
-    def _start(self) -> SceneDraw:
-        method = self.setting.method
-        if method == "clear":
-            return self._place
-        return SceneDraw(self._pool, method, self.setting.num_slots, self._num_threads)
-
-    def __call__(self, seed: int) -> RearrangeTask:
-        """What is to be rearranged.
-
-        Raises:
-          ConfigError: the pool has too few objects, or no starting scene was found.
-        """
-        setting, place = self.setting, self._place
-        rng = np.random.default_rng(seed)
-        for _ in range(_MOST_DRAWS):
-            numbers = rng.permutation(len(place.objects))[: setting.num_slots].tolist()
-            moved, others = numbers[: setting.num_objects], numbers[setting.num_objects :]
-            stay = np.zeros((0, 7))
-            if others:
-                found = place(_draw_seed(rng), others, setting.target)
-                if not len(found):
-                    continue
-                stay = found[0]
-            objects = tuple(place.objects[each] for each in numbers)
-            scenes = self._start(_draw_seed(rng), moved, setting.start, others, stay)
-            for poses in scenes:
-                scene = Scene(
-                    tuple(each.name for each in objects),
-                    objects,
-                    np.concatenate([poses, stay]),
-                    place.support,
-                )
-                grasps, symmetry = self._grasps_of(objects), tuple(map(self._symmetry, objects))
-                if setting.num_stacked and not is_stacked(scene, grasps, setting.num_stacked, self._robot):
-                    continue
-                asked = (setting, scene, tuple(numbers), grasps, symmetry, place)
-                return RearrangeTask(*asked, _draw_seed(rng), self._robot)
-        raise ConfigError(f"no starting scene of {setting.name!r}", "smaller objects", "another pool")
-
-    def _grasps_of(self, objects: Sequence[ObjectAsset]) -> tuple[Grasps, ...]:
-        """Of each object, found when it is first asked for."""
-        fresh = [each for each in objects if each.name not in self._grasps]
-        if fresh:
-            found = grasps_of(fresh, num_threads=self._num_threads, robot=self._robot)
-            self._grasps.update(zip((each.name for each in fresh), found, strict=True))
-        return tuple(self._grasps[each.name] for each in objects)
-
-
-def _draw_seed(rng: np.random.Generator) -> int:
-    return int(rng.integers(2**30))
-
-
-def is_stacked(
-    scene: Scene, grasps: Sequence[Grasps], number: int, robot: RobotDescription | None = None
-) -> bool:
-    """Whether so many objects lie on others, and the arm gets at those of them on which nothing lies.
-
-    A ring that fell over what it lies on is an example of what no hand can take.
-
-    Args:
-      grasps: of each object of the scene. robot: the Panda if not given.
-    """
-    lies_on = Meetings(scene.objects).relations(scene.poses, scene.poses).lies_on
-    top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0)).tolist()
-    if lies_on.any(1).sum() < number:
-        return False
-    return ReachCheck(scene.objects, grasps, top, scene.support, robot=robot)(scene.poses) == 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +110,11 @@ def run_rearrangements(
     ask: Chooser | None = None,
     films: FilmFormat | None = None,
     sheets: bool = False,
+    own_grasps: GraspSource | GraspSets | None = None,
+    planner: PathPlanner | None = None,
+    own: OwnScenes | None = None,
+    told_own: Mapping[str, object] | None = None,
+    record: RecordAsked | None = None,
     robot: RobotDescription | None = None,
 ) -> Rearrangements:
     """Runs episodes of a setting.
@@ -215,6 +125,8 @@ def run_rearrangements(
       num_threads: of the simulation of layouts and the tests of grasps; 0 takes every core.
       ask: a person, who chooses the layouts.
       films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
+      own_grasps, planner, own: a user's; told_own: what a recipe says of `own`.
+      record: where and how every episode is recorded.
       sheets: draw the layouts of each episode as `out`/layouts-NUMBER.png (`layout_sheet`).
       robot: that does it; the Panda if not given.
 
@@ -226,24 +138,23 @@ def run_rearrangements(
     """
     observer = observer or TrueObserver()
     told = getattr(observer, "name", type(observer).__name__)
-    recipe = {"setting": setting.name, "pool": pool, "seed": seed, "observer": told, **asdict(options)}
+    recipe = {"setting": setting.name, "pool": pool, "seed": seed, **asdict(options), **(told_own or {})}
+    recipe["observer"] = part_label(observer, "observer") if is_own(observer) else told
     recipe |= {name: getattr(observer, name, "") for name in ("weights", "registration")}
     robot = robot or find_robot()
-    recipe |= {
-        "robot": robot.hash,
-        "objects": find_pool(pool).hash,
-        "planner": rearrange_hash(),
-        "versions": versions(),
-    }
+    # Those of a bank are told by the bank.
+    objects = find_pool(pool).hash if own is None or own.bank is None else ""
+    recipe |= {"robot": robot.hash, "objects": objects, "versions": versions()}
+    recipe["planner"] = planner_recipe(rearrange_hash(), planner)
     if ask is not None:
         recipe["choose"] = "person"
     file = RowFile(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange", _ADDED)
     rows = file.read(number)
     # Where nothing is left to be done it is not made.
-    starts = cache(lambda: Starts(setting, pool, num_threads, robot))
+    starts = cache(lambda: Starts(setting, pool, num_threads, own_grasps, planner, own, robot))
 
     def task_of(index: int) -> RearrangeTask:
-        task = starts()(episode_seed(seed, index))
+        task = starts()(episode_seed(seed, index), index)
         file.note_grasps({each.name: each.digest for each in task.grasps})
         return task
 
@@ -255,10 +166,21 @@ def run_rearrangements(
     def run(index: int) -> RearrangeResult:
         return rearrange_episode(task_of(index), options, observer, ask=ask)
 
+    def run_traced(index: int, trace: Trace) -> RearrangeResult:
+        return rearrange_episode(task_of(index), options, observer, trace, ask)
+
     def note(rows: list[RearrangeResult]) -> str:
         return f"{sum(row.is_success for row in rows)} of {len(rows)} good, the last: {rows[-1].outcome}"
 
-    file.complete(rows, number, run, setting.name, note=note)
+    recorder = None
+    if record is not None:
+        words = task_words("" if own is None else own.goals)
+        recorder = open_recorder(record, recipe, seed, words)
+        recorder.complete(rows, again)
+    make = run if recorder is None else partial(recorder.run, run=run_traced)
+    file.complete(rows, number, make, setting.name, note=note)
+    if recorder is not None:
+        recorder.finish()
     if out is not None and sheets:
         save_sheets(rows, task_of, options, observer, out)
     if out is not None and films is not None:

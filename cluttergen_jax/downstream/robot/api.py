@@ -11,6 +11,7 @@ from cluttergen_jax.config import (
     MAX_NOISE,
     FilmFormat,
     Method,
+    RecordFormat,
     RobotTask,
     check_names,
     check_range,
@@ -22,10 +23,11 @@ from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.placer.query import Placer
+    from cluttergen_jax.downstream.placer.query import Placer, PlainPlacer
     from cluttergen_jax.downstream.robot.description import RobotDescription
     from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspDataset
     from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
+    from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
     from cluttergen_jax.downstream.robot.trials import RobotTrials
 
 _MOST_GRASPS = 4096
@@ -104,7 +106,9 @@ def robot_place(
     *,
     task: RobotTask = "place",
     robot: str | Path | RobotDescription = "panda",
-    placer: str | Path = "drop",
+    placer: str | Path | Placer | PlainPlacer = "drop",
+    grasps: GraspSource | GraspSets | None = None,
+    planner: PathPlanner | None = None,
     noise: float | None = None,
     num_episodes: int = 40,
     pool: str | Path | None = None,
@@ -112,6 +116,9 @@ def robot_place(
     support: str | Path | None = None,
     num_objects: int | None = None,
     region: str | None = None,
+    record: str | Path | None = None,
+    record_format: RecordFormat = "lerobot",
+    record_cameras: Sequence[str | Path] = ("third", "wrist"),
     films: bool = False,
     film: FilmFormat = "gif",
     seed: int = 0,
@@ -132,11 +139,25 @@ def robot_place(
       robot: which: a name of `cluttergen list`, or the YAML file of one of your own.
       placer: for `place`: none, the object's own place in the scene; drop, guided or policy, which know the
         whole scene and propose more places if that one cannot be reached; or one that uses depth images:
-        geometry, geometry-occupied, random, scored, or the folder of a trained one.
+        geometry, geometry-occupied, random, scored, the folder of a trained one, or in Python one of your own
+        (`cluttergen_jax.downstream.placer.query.PlainPlacer`, or `Placer` in JAX).
+      grasps: your own, a Parquet file as `robot grasps` writes or with columns object, pose and width; in
+        Python also a mapping from objects' names to poses f[G, 7] (T_object_tool) and widths f[G]
+        (`cluttergen_jax.downstream.robot.protocols`), or what `robot_grasps` returns. Those that were not
+        tested are used as they are, and named. If not given they are made and tested.
+      planner: one of your own for the paths between places
+        (`cluttergen_jax.downstream.robot.protocols.PathPlanner`).
       noise: factor of the simulated sensor noise of a usual depth camera; 1 if not given, 0 for none.
       num_episodes: number of episodes; scenes repeat if the bank has fewer.
       pool, method, support, num_objects, region: for a generated bank, as in `generate`; household, guided,
         the usual table, 8 and 0.5x0.5 if not given.
+      record: record every episode into this folder, 20 frames a second: joints, tool, gripper, contact,
+        set-points, success, the task in words, and pictures. Episodes of which there are only rows are run
+        again for it.
+      record_format: "lerobot", a LeRobot dataset of version 3.0 (with cameras extra `video`); or "robomimic",
+        HDF5 (extra `record`).
+      record_cameras: of the recording: "third" (across the table), "wrist", and others by name or in JSON
+        files as of `render`; none if empty.
       films: draw films of the first success and of the first failure of each kind, in the folder films beside
         the rows; those episodes are run again for it.
       film: "gif", or "mp4" (extra video).
@@ -147,12 +168,13 @@ def robot_place(
       The episodes; printed, the share of successes, and failures by cause and by object.
 
     Raises:
-      ConfigError: a setting is out of range, or contradicts the bank, or the robot is none.
+      ConfigError: a setting is out of range, or contradicts the bank, or the robot is none; a part of your
+        own cannot be told from others, or returned something else than it has to.
       BankError: the bank cannot be read or holds no success, the folder holds episodes of other
-        settings, grasps or weights, or an episode that is filmed does not end as it did.
+        settings, grasps, planners or placers, or an episode that is filmed does not end as it did.
       PoolError: there is no such pool or support.
       MissingExtraError: the extra `robot` is not installed.
-      RendererError: films are asked for, and nothing here can draw.
+      RendererError: pictures are asked for, and nothing here can draw.
     """
     import os
     from dataclasses import replace
@@ -160,10 +182,12 @@ def robot_place(
 
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.downstream.digests import json_digest
+    from cluttergen_jax.downstream.parts import part_label, part_name
     from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
+    from cluttergen_jax.downstream.robot.recorder import RecordAsked
     from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
     from cluttergen_jax.downstream.samples import bank_or_made, poses_of
     from cluttergen_jax.learning.methods import checkpoint_of
@@ -179,6 +203,7 @@ def robot_place(
     looking = _looking(placer)
     factor = _factor(noise, task, looking is not None)
     described = find_robot(robot)
+    recorded = RecordAsked.of(record, record_format, record_cameras)
     if films:
         check_films(film)
 
@@ -199,12 +224,14 @@ def robot_place(
         scenes = keep_upright_last(scenes)
     # Of another bank's scenes the rows would not be comparable.
     made = json_digest(recipe)
-    rows = {"task": task, "placer": str(placer), "seed": seed, "pool": recipe.get("pool"), "bank": made}
+    is_named = isinstance(placer, str | Path)
+    told = str(placer) if is_named else part_label(placer, "placer")
+    rows = {"task": task, "placer": told, "seed": seed, "pool": recipe.get("pool"), "bank": made}
     threads = num_threads or os.cpu_count() or 1
     places: Any = own_place
     if task == "place" and looking is not None:
-        places = CameraPlacer(found, looking, placer, factor)
-        trained = placer_folder(placer)
+        places = CameraPlacer(found, looking, str(placer) if is_named else part_name(placer), factor)
+        trained = placer_folder(placer) if isinstance(placer, str | Path) else None
         rows |= {"noise": factor, "weights": trained and checkpoint.folder_hash(trained)}
     elif task == "place" and placer != "none":
         places = SearchPlaces(found, str(placer), seed, threads)
@@ -221,19 +248,22 @@ def robot_place(
         places=places,
         films=film if films else None,
         robot=described,
+        own_grasps=grasps,
+        planner=planner,
+        record=recorded,
     )
 
 
-def _looking(placer: str | Path) -> Placer | None:
+def _looking(placer: str | Path | Placer | PlainPlacer) -> Placer | PlainPlacer | None:
     """The placer that looks, None of what knows the true state.
 
     Raises:
-      ConfigError: there is none of that name.
+      ConfigError: there is none of that name, or it cannot be called.
       PoolError: the folder holds no placer, or a damaged one.
     """
     from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
 
-    if placer == "none":
+    if isinstance(placer, str) and placer == "none":
         return None
     found = find_placer(placer)
     return None if isinstance(found, FullState) else found

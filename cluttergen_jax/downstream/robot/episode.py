@@ -20,6 +20,7 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
 from cluttergen_jax.downstream.robot.outcome import Ending, Failed, Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer
+from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
 from cluttergen_jax.downstream.transforms import angle_between, matrix_of, motion_between
 from cluttergen_jax.geometry import product, rotate_in_plane, yaw_quaternion
@@ -175,7 +176,7 @@ class Referee:
 class EpisodeWorld(Referee):
     """An episode whose arm is told where everything is: the simulation and its copy for planning.
 
-    Args: as those of `Referee`; seed: of what is drawn.
+    Args: as those of `Referee`; seed: of what is drawn; planner: a user's own (`Mover`).
     """
 
     def __init__(
@@ -185,12 +186,15 @@ class EpisodeWorld(Referee):
         stands: tuple[Box, ...],
         seed: int,
         trace: Trace | None = None,
+        planner: PathPlanner | None = None,
         robot: RobotDescription | None = None,
     ) -> None:
         super().__init__(scene, target, stands, trace, robot)
         base, known = base_pose(scene.support, robot), (scene.names, scene.objects, scene.poses)
         planning = PlanningWorld(*known, target, scene.support, base, stands, robot=robot)
-        self.mover = Mover(self.execution, planning, ArmKinematics(base, robot), target, seed)
+        self.mover = Mover(
+            self.execution, planning, ArmKinematics(base, robot), target, seed, planner=planner
+        )
 
 
 class Put(NamedTuple):
@@ -206,10 +210,11 @@ def lift_episode(
     grasps: Grasps,
     seed: int,
     trace: Trace | None = None,
+    planner: PathPlanner | None = None,
     robot: RobotDescription | None = None,
 ) -> EpisodeResult:
-    """One object is lifted by `mover.LIFT` out of those that stand around it."""
-    world = EpisodeWorld(scene, target, (), seed, trace, robot)
+    """One object is lifted by `mover.LIFT` out of those that stand around it; planner: see `Mover`."""
+    world = EpisodeWorld(scene, target, (), seed, trace, planner, robot)
 
     def run() -> None:
         height = world.execution.pose(target)[2, 3]
@@ -228,6 +233,7 @@ def place_episode(
     places: np.ndarray,
     seed: int,
     trace: Trace | None = None,
+    planner: PathPlanner | None = None,
     robot: RobotDescription | None = None,
 ) -> EpisodeResult:
     """One object is picked from a stand beside the table and put among the others; the arm knows all.
@@ -235,10 +241,10 @@ def place_episode(
     Args:
       scene: all objects; where the target stands in it does not count.
       places: f64[M, 7], T_world_object, settled poses that are proposed for it, best first.
-      seed: of its turn on the stand, and of the motions.
+      seed: of its turn on the stand, and of the motions. planner: see `Mover`.
     """
     scene, stand = _on_stand(scene, target, seed)
-    world = EpisodeWorld(scene, target, (stand,), seed, trace, robot)
+    world = EpisodeWorld(scene, target, (stand,), seed, trace, planner, robot)
     wanted = matrix_of(places)
 
     def run() -> None:
@@ -260,18 +266,20 @@ def sensing_place_episode(
     placer: CameraPlacer,
     seed: int,
     trace: Trace | None = None,
+    planner: PathPlanner | None = None,
     robot: RobotDescription | None = None,
 ) -> EpisodeResult:
     """As `place_episode`, by an arm that sees the others and asks a placer where to put the object.
 
     Args:
       placer: made for the scene's bank.
-      seed: of the object's turn on the stand, of the motions, noise and proposals.
+      seed: of the object's turn on the stand, of the motions, noise and proposals. planner: see `Mover`.
     """
     scene, stand = _on_stand(scene, target, seed)
     world = Referee(scene, target, (stand,), trace, robot)
     asset, start = scene.objects[target], scene.poses[target]
-    arm = SensingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
+    known = (world.execution, asset, start, scene.support, stand, placer)
+    arm = SensingArm(*known, scene.names[target], seed, planner)
 
     def run() -> None:
         mover = arm.pick(grasps)

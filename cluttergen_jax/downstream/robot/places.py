@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.downstream.parts import is_own
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
-from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
+from cluttergen_jax.downstream.placer.query import (
+    PlacementQuery,
+    Placer,
+    PlainPlacer,
+    ask_plain,
+    check_proposals,
+    is_plain,
+)
 from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.downstream.robot.cameras import above
 from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, OccupancyBoxes, occupancy_boxes
@@ -80,17 +87,17 @@ class CameraPlacer:
       overhead: the camera over the table, which sees all of it that objects in the region can reach.
     """
 
-    def __init__(self, bank: Bank, placer: Placer, name: str | Path, noise: float) -> None:
+    def __init__(self, bank: Bank, placer: Placer | PlainPlacer, name: str, noise: float) -> None:
         problem = setup_of(bank, engine="native", num_threads=1).problem
         support, region = problem.world.support, problem.region
-        self.name, self._noise = str(name), REALSENSE.scale(noise)
+        self.name, self._noise = name, REALSENSE.scale(noise)
         self._names = problem.world.names
         self._maker = QueryMaker(problem)
         self._grid = self._maker.grid_of(CELL)
         half_x, half_y = np.abs(self._maker.grid.corner).tolist()
         seen = Rectangle(region.center, (half_x, half_y), region.yaw)
         self.overhead = above(replace(support, region=seen))
-        self._ask: Any = jax.jit(lambda key, query: placer(key, query).pose)
+        self._placer, self._compiled = placer, jax.jit(lambda key, query: placer(key, query))
         self._lower: Any = jax.jit(_lower_poses)
         self._world: Any = jax.jit(jax.vmap(world_pose, in_axes=(None, 0)))
         self._region = problem.rules.region
@@ -118,12 +125,19 @@ class CameraPlacer:
         """
         sight = self._maker.fuse(views, self._noise, np.random.default_rng(seed))
         query = self._maker.query(sight, self._names.index(name))
-        pose = np.array(self._ask(new_key(seed), query))
+        pose = self._ask(new_key(seed), query)
         if last is not None:
-            pose[-1] = last
+            pose = np.concatenate([pose[: max(1, len(pose) - 1)], last[None]])
         pose = np.asarray(self._lower(pose, query))
         is_inside = (np.abs(pose[:, :2]) <= np.asarray(query.region_half_extents)).all(1)
         return pose[is_inside & np.isfinite(pose).all(1)]
+
+    def _ask(self, key: Array, query: PlacementQuery) -> np.ndarray:
+        """f32[M, 4]. Raises ConfigError: a user's placer returned something else."""
+        if is_plain(self._placer):
+            return np.array(ask_plain(self._placer, key, query).pose)
+        found: Any = self._compiled(key, query)
+        return np.array((check_proposals(found, self.name) if is_own(self._placer) else found).pose)
 
     def in_world(self, pose: np.ndarray) -> np.ndarray:
         """f64[M, 4, 4]: T_world_object of proposals f32[M, 4]."""

@@ -22,6 +22,7 @@ from cluttergen_jax.downstream.robot.motion.mover import Mover
 from cluttergen_jax.downstream.robot.motion.plan import PickPlan
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer, DepthView
+from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.sensing import Camera, cast_rays
 
@@ -116,6 +117,7 @@ class SensingArm:
     Args:
       execution: the simulation. asset: the object. start: f64[7], T_world_object, on the stand.
       placer: is asked. name: of the object in the placer's world. seed: of the motions, noise and proposals.
+      planner: a user's own (`Mover`).
 
     Attributes:
       looks: pictures that were taken.
@@ -131,6 +133,7 @@ class SensingArm:
         placer: CameraPlacer,
         name: str,
         seed: int,
+        planner: PathPlanner | None = None,
     ) -> None:
         self._execution, self._asset, self._start = execution, asset, start
         self._support, self._stand, self._placer, self._name = support, stand, placer, name
@@ -138,6 +141,7 @@ class SensingArm:
         self._base = base_pose(support, execution.robot)
         self._silhouette = ArmSilhouette(self._base, asset, execution.robot)
         self._object = HeldPose(execution, start)
+        self._planner = planner
         self._views: list[DepthView] = []
         self._fitting: np.ndarray | None = None
         self.looks = 0
@@ -158,7 +162,17 @@ class SensingArm:
         self._look(self._placer.overhead)
         kinematics = ArmKinematics(self._base, self._execution.robot)
         world, see = self._world(), self._object
-        mover = Mover(self._execution, world, kinematics, 0, self._seed, see=see, rooms=ROOMS, feels=True)
+        mover = Mover(
+            self._execution,
+            world,
+            kinematics,
+            0,
+            self._seed,
+            see=see,
+            rooms=ROOMS,
+            feels=True,
+            planner=self._planner,
+        )
         mover.pick(self._find_pick(mover, grasps))
         return mover
 

@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import cycle, islice
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from cluttergen_jax.config import FilmFormat, RobotTask
 from cluttergen_jax.downstream.digests import constants_hash
+from cluttergen_jax.downstream.parts import part_label
 from cluttergen_jax.downstream.robot import cameras, episode, gripper, model, sensing_arm
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.episode import (
@@ -24,11 +25,14 @@ from cluttergen_jax.downstream.robot.episode import (
 )
 from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
 from cluttergen_jax.downstream.robot.grasping import grips
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, grasps_of
+from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, GraspSets
+from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder
 from cluttergen_jax.downstream.robot.motion import collision, execute, ik, mover, occupancy_boxes, plan
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of, success_of
 from cluttergen_jax.downstream.robot.places import CameraPlacer
+from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
+from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
 from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation.machine import versions
@@ -122,6 +126,9 @@ def run_trials(
     num_threads: int = 1,
     places: Places | CameraPlacer = own_place,
     films: FilmFormat | None = None,
+    own_grasps: GraspSource | GraspSets | None = None,
+    planner: PathPlanner | None = None,
+    record: RecordAsked | None = None,
     robot: RobotDescription | None = None,
 ) -> RobotTrials:
     """Runs episodes: the last object of a scene, upon which nothing lies, is the one that is moved.
@@ -134,6 +141,9 @@ def run_trials(
       num_threads: of the tests of grasps.
       places: where the object may go, for an arm that is told where everything is; or a placer, for one that
         looks.
+      own_grasps: a user's, in place of those that are made and tested.
+      planner: a user's, for the paths between places.
+      record: where and how every episode is recorded.
       films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
       robot: that does it; the Panda if not given.
 
@@ -145,7 +155,12 @@ def run_trials(
     if not scenes:
         raise BankError("no scene stands", "one or more", "more scenes")
     robot = robot or find_robot()
-    recipe = {**recipe, "robot": robot.hash, "planner": planner_hash(), "versions": versions()}
+    recipe = {
+        **recipe,
+        "robot": robot.hash,
+        "planner": planner_recipe(planner_hash(), planner),
+        "versions": versions(),
+    }
     file = RowFile(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place", _ADDED)
     rows = file.read(number)
     for index, row in enumerate(rows):
@@ -156,23 +171,36 @@ def run_trials(
                 "another folder",
             )
     assets = {scene.objects[-1].name: scene.objects[-1] for scene in islice(cycle(scenes), number)}
-    found = grasps_of(list(assets.values()), num_threads=num_threads, robot=robot)
+    found = GraspFinder(own_grasps, num_threads, robot)(list(assets.values()))
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
     file.note_grasps({name: each.digest for name, each in grasps.items()})
 
     def run(index: int, trace: Trace | None = None) -> EpisodeResult:
         scene = scenes[index % len(scenes)]
-        row = _episode(scene, task, grasps[scene.objects[-1].name], places, index, seed, trace, robot)
+        row = _episode(
+            scene, task, grasps[scene.objects[-1].name], places, index, seed, trace, planner, robot
+        )
         return replace(row, scene=_number_of(scenes, index))
 
     def note(rows: list[EpisodeResult]) -> str:
         good = sum(row.is_success for row in rows)
         return f"{good} of {len(rows)} good, {rows[-1].object}: {rows[-1].outcome}"
 
-    file.complete(rows, number, run, task, note=note)
+    recorder = None if record is None else open_recorder(record, recipe, seed, partial(_task_text, task))
+    make = run if recorder is None else partial(recorder.run, run=run)
+    if recorder is not None:
+        recorder.complete(rows, run)
+    file.complete(rows, number, make, task, note=note)
+    if recorder is not None:
+        recorder.finish()
     if out is not None and films is not None:
         film_firsts(rows, run, out / FILMS, films, task)
     return RobotTrials(task, tuple(rows))
+
+
+def _task_text(task: str, row: EpisodeResult) -> str:
+    name = row.object.replace("_", " ")
+    return f"lift the {name}" if task == "lift" else f"put the {name} on the table among the others"
 
 
 def _number_of(scenes: Sequence[Scene], index: int) -> int:
@@ -189,20 +217,26 @@ def _episode(
     index: int,
     seed: int,
     trace: Trace | None,
+    planner: PathPlanner | None,
     robot: RobotDescription,
 ) -> EpisodeResult:
     target, own = len(scene.names) - 1, episode_seed(seed, index)
     if task == "lift":
-        return lift_episode(scene, target, grasps, own, trace, robot)
+        return lift_episode(scene, target, grasps, own, trace, planner, robot)
     if isinstance(places, CameraPlacer):
-        return sensing_place_episode(scene, target, grasps, places, own, trace, robot)
-    row = place_episode(scene, target, grasps, places(index, scene), own, trace, robot)
+        return sensing_place_episode(scene, target, grasps, places, own, trace, planner, robot)
+    row = place_episode(scene, target, grasps, places(index, scene), own, trace, planner, robot)
     return replace(row, placer=getattr(places, "name", row.placer))
 
 
 def episode_seed(seed: int, index: int) -> int:
     """The seed of an episode, by its number alone."""
     return int(np.random.SeedSequence([seed, index]).generate_state(1)[0] % 2**30)
+
+
+def planner_recipe(known: str, planner: PathPlanner | None) -> str:
+    """What a recipe says of how the arm moves: a digest, and which planner of a user's own finds paths."""
+    return known if planner is None else f"{part_label(planner, 'planner')} {known}"
 
 
 @cache

@@ -9,10 +9,20 @@ import jax
 import numpy as np
 
 from cluttergen_jax.downstream.fitting import concatenate, in_parts
+from cluttergen_jax.downstream.parts import is_own, part_name
 from cluttergen_jax.downstream.placer.pairs.store import PairLabels
 from cluttergen_jax.downstream.placer.partial_scenes import ProposalJudge, episode_of, judging_rules
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
-from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, Proposals
+from cluttergen_jax.downstream.placer.query import (
+    PlacementQuery,
+    Placer,
+    PlainPlacer,
+    Proposals,
+    ask_plain,
+    check_proposals,
+    is_plain,
+)
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics.paper_count import PaperCount
 from cluttergen_jax.placement.heightmap import HeightMapper
@@ -68,7 +78,9 @@ class Bench:
         labels = self.labels
         return made(rules, self._keep_out, labels.order, labels.poses, labels.num_standing)
 
-    def proposals(self, placer: Placer | FullState, queries: PlacementQuery, seed: int) -> Proposals:
+    def proposals(
+        self, placer: Placer | PlainPlacer | FullState, queries: PlacementQuery, seed: int
+    ) -> Proposals:
         """Every query's proposals, NumPy arrays; its key is made of the seed and its pair's number.
 
         Raises:
@@ -149,9 +161,24 @@ _answers: Any = jax.jit(jax.vmap(lambda placer, key, query: placer(key, query), 
 """Placers are arguments: those of equal sizes share what is compiled."""
 
 
-def answers(placer: Placer, keys: Array, queries: PlacementQuery) -> Proposals:
-    """What a placer proposes for many queries, NumPy arrays; one key for each."""
-    return interruptible(_in_parts, _answers, placer, keys, queries)
+def answers(placer: Placer | PlainPlacer, keys: Array, queries: PlacementQuery) -> Proposals:
+    """What a placer proposes for many queries, NumPy arrays; one key for each.
+
+    Raises:
+      ConfigError: a user's placer returned something else (`check_proposals`).
+    """
+    if not is_plain(placer):
+        found = interruptible(_in_parts, _answers, placer, keys, queries)
+        return check_proposals(found, part_name(placer)) if is_own(placer) else found
+    queries = jax.tree.map(np.asarray, queries)
+    told = [
+        ask_plain(placer, key, jax.tree.map(lambda leaf, row=row: leaf[row], queries))
+        for row, key in enumerate(keys)
+    ]
+    if len(numbers := {len(each.score) for each in told}) > 1:
+        given = f"placer {part_name(placer)!r} returned {min(numbers)} to {max(numbers)} proposals"
+        raise ConfigError(given, "as many for every query")
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *told)
 
 
 def _in_parts(answer: Any, placer: Any, keys: Array, asked: Any) -> Proposals:

@@ -13,7 +13,7 @@ from cluttergen_jax.downstream.placer.evaluation.bench import answers
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs.store import stack_queries
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge
-from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, PlacementQuery, Placer
+from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, PlainPlacer
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, check_cameras
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.types import Episode
@@ -55,7 +55,7 @@ class Chains:
         self._maker, self._judge = QueryMaker(scenes.problem), ProposalJudge(scenes.rules)
         self._pool = ThreadPoolExecutor(num_threads or os.cpu_count())
 
-    def run(self, placer: Placer) -> dict[str, Any]:
+    def run(self, placer: Placer | PlainPlacer) -> dict[str, Any]:
         """How far the placer gets: `success`, whole tables that stand; `placed`, objects; `by_slot`."""
         order = self._scenes.object_index[: self.num_chains]
         num_slots = int((order >= 0).sum(1).max())
@@ -82,7 +82,7 @@ class Chains:
         return {"success": proportion(stands), "placed": float(placed.mean()), "by_slot": by_slot}
 
     def _place(
-        self, placer: Placer, episodes: Episode, rows: np.ndarray, slot: int
+        self, placer: Placer | PlainPlacer, episodes: Episode, rows: np.ndarray, slot: int
     ) -> tuple[Episode, np.ndarray]:
         """The episodes after one object more in some of them, and in which of these it stands."""
         state = np.asarray(episodes.poses), np.asarray(episodes.is_placed)
@@ -92,7 +92,7 @@ class Chains:
         proposals = answers(placer, keys, queries)
         poses, is_placed = (each.copy() for each in state)
         is_good, left = np.zeros(len(rows), bool), np.arange(len(rows))
-        for place in range(NUM_PROPOSALS):
+        for place in range(proposals.score.shape[1]):
             if not len(left):
                 break
             judged = self._judge.settle(episodes, rows[left], proposals.pose[left, place])

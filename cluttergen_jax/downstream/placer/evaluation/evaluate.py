@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.downstream.digests import json_digest
+from cluttergen_jax.downstream.parts import part_label, part_name
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench, ProposalOutcomes
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, figures_of, tables_of
@@ -18,7 +19,7 @@ from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
 from cluttergen_jax.downstream.placer.pairs.store import PairLabels, PairSet, load_queries, of_tenths
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
-from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer
+from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, PlainPlacer
 from cluttergen_jax.downstream.placer.scene_cameras import check_cameras
 from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
@@ -32,6 +33,9 @@ from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig
 from cluttergen_jax.statistics import proportion
 from cluttergen_jax.tables import Table
+
+AnyPlacer = str | Path | Placer | PlainPlacer
+"""By name, by folder, or one of the user's own."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,7 @@ class PlacerTrials:
 
     def row(
         self,
-        placer: str,
+        placer: AnyPlacer,
         noise: float,
         on_made: Callable[[int], None] = lambda number: None,
         name: str | None = None,
@@ -113,9 +117,10 @@ class PlacerTrials:
           ConfigError, PoolError: there is no such placer, or it is damaged.
         """
         found = find_placer(placer)
-        trial, sources = self._trial(name or placer, noise), self._sources(placer, found)
+        name = name or _name_of(placer)
+        trial, sources = self._trial(name, noise), self._sources(placer, found)
         key = json_digest({"trial": trial, "sources": sources}, 20)
-        title = f"{Path(name or placer).name} noise {noise:g} {self.split} {self._place(trial)}"
+        title = f"{Path(name).name} noise {noise:g} {self.split} {self._place(trial)}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is None:
             figures, outcome = self._evaluate(found, noise)
@@ -135,14 +140,15 @@ class PlacerTrials:
             )
         return read_bank(place)
 
-    def chain(self, placer: str, noise: float, number: int) -> Row | None:
+    def chain(self, placer: AnyPlacer, noise: float, number: int) -> Row | None:
         """How far a placer gets in filling tables by itself (`chain.Chains`); None of full-state methods."""
         found = find_placer(placer)
         if isinstance(found, FullState):
             return None
-        trial = self._trial(placer, noise) | {"chains": number}
+        name = _name_of(placer)
+        trial = self._trial(name, noise) | {"chains": number}
         key = json_digest([trial, self._sources(placer, found)], 20)
-        title = f"{number} chains by {Path(placer).name} noise {noise:g} {self._place(trial)}"
+        title = f"{number} chains by {Path(name).name} noise {noise:g} {self._place(trial)}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is not None:
             return known["figures"]
@@ -183,11 +189,13 @@ class PlacerTrials:
             **more,
         }
 
-    def _sources(self, placer: str, found: Placer | FullState) -> dict[str, object]:
+    def _sources(self, placer: AnyPlacer, found: Placer | PlainPlacer | FullState) -> dict[str, object]:
         """Hashes of what decides the figures beside the trial."""
         if isinstance(found, FullState):
             trained = checkpoint_of(found.method, self.made["recipe"]["pool"])
             weights = None if trained is None else trained.hash
+        elif not isinstance(placer, str | Path):
+            weights = part_label(placer, "placers")
         else:
             folder = placer_folder(placer)
             weights = None if folder is None else checkpoint.folder_hash(folder)
@@ -199,7 +207,9 @@ class PlacerTrials:
             "versions": versions(),
         }
 
-    def _evaluate(self, placer: Placer | FullState, noise: float) -> tuple[dict[str, Any], ProposalOutcomes]:
+    def _evaluate(
+        self, placer: Placer | PlainPlacer | FullState, noise: float
+    ) -> tuple[dict[str, Any], ProposalOutcomes]:
         queries, labels = self._queries(noise)
         outcome = self._bench.judge(self._bench.proposals(placer, queries, self.seed))
         # The published code leaves out pairs where the scene's own pose does not count either.
@@ -239,9 +249,13 @@ class PlacerTrials:
         return self._bench.stands_alone()
 
 
+def _name_of(placer: AnyPlacer) -> str:
+    return str(placer) if isinstance(placer, str | Path) else part_name(placer)
+
+
 def compare_placers(
     trials: PlacerTrials,
-    placers: Sequence[str],
+    placers: Sequence[AnyPlacer],
     noises: Sequence[float],
     folder: Path | None,
     num_chains: int = 0,
@@ -256,7 +270,12 @@ def compare_placers(
     """
     for placer in placers:
         # Before an hour of work.
-        find_placer(placer)
+        if not isinstance(find_placer(placer), FullState) and not isinstance(placer, str | Path):
+            part_label(placer, "placers")
+    names = list(map(_name_of, placers))
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        given = f"placers of one name: {', '.join(twice)}"
+        raise ConfigError(given, "each once", "an attribute `name` of your own ones")
     if num_chains:
         trials.bank()
     total = len(placers) * len(noises) * trials.num_queries

@@ -205,6 +205,10 @@ class PlanningWorld:
         """Whether the arm may be at joints f64[n], each finger `opening` metres from the middle."""
         return self.blocker(joints, opening, mode) is None
 
+    def tilt(self, up: np.ndarray) -> float:
+        """Radians from the vertical of a direction f64[3] of what is held, at the joints last looked at."""
+        return float(np.arccos(np.clip(self.data.xmat[self._held].reshape(3, 3)[2] @ up, -1, 1)))
+
     def is_hand_free(self, T_world_tool: np.ndarray, opening: float, mode: Mode) -> bool:
         """Whether the hand alone, with what it holds, may be there, wherever the arm would have to be.
 

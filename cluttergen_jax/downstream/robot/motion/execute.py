@@ -74,17 +74,22 @@ class Trace:
     Attributes:
       every: steps from one state to the next.
       states: f64[nq] each.
+      controls: f64[nu] each, the set-points of the actuators then.
+      openings: metres that the fingers are from the middle.
       held: the number of the object that the hand is closed on at each of them, -1 if it is open.
-      scene: at the start; stands: that are there besides. robot: that moves.
+      scene: at the start; stands: that are there besides. robot: that moves; arm: where it is found.
       spec, data: of the simulation; its state stays the last one.
     """
 
     every: int
     states: list[np.ndarray] = field(default_factory=list)
+    controls: list[np.ndarray] = field(default_factory=list)
+    openings: list[float] = field(default_factory=list)
     held: list[int] = field(default_factory=list)
     scene: Scene = field(init=False)
     stands: tuple[Box, ...] = field(init=False)
     robot: RobotDescription = field(init=False)
+    arm: Robot = field(init=False)
     spec: mujoco.MjSpec = field(init=False)
     data: mujoco.MjData = field(init=False)
 
@@ -129,6 +134,7 @@ class Execution:
         if trace is not None:
             trace.scene, trace.stands, trace.robot = scene, tuple(stands), self.robot
             trace.spec, trace.data = spec, self.data
+            trace.arm = self.arm
         self.travel = 0.0
         self._start(scene)
 
@@ -249,6 +255,8 @@ class Execution:
         self.num_steps += 1
         if self._trace is not None and self.num_steps % self._trace.every == 0:
             self._trace.states.append(self.data.qpos.copy())
+            self._trace.controls.append(self.data.ctrl.copy())
+            self._trace.openings.append(self.opening)
             self._trace.held.append(self._target if self.is_closed else -1)
         if self.num_steps % _MEASURED == 0:
             now = self.data.site_xpos[self.arm.site].copy()

@@ -14,6 +14,7 @@ from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import LINE_STEP, ArmKinematics
 from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of, raise_by
 
 _APPROACH, _LEAVE = (0.10, 0.06), (0.10, 0.06, 0.03)
@@ -57,6 +58,7 @@ class Mover:
       execution: the simulation; world: its copy for planning; target: the object's number.
       seed: of what is drawn; equal seeds do the same.
       rooms: metres that grasps and places need besides (`PlanningWorld.room`), in the order of trying.
+      planner: a user's own, for the paths between places.
       feels: how the object lies in the hand is not seen: it is carried gently, lowered until it touches
         something, and let go with the fingers wide open.
       is_apart: what is held keeps `collision.APART` from all else once it is a centimetre above its place; it
@@ -79,10 +81,11 @@ class Mover:
         is_apart: bool = False,
         rooms: Sequence[float] = (0.0,),
         feels: bool = False,
+        planner: PathPlanner | None = None,
     ) -> None:
         self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
         self._see: See = see or (lambda only: execution.poses())
-        self.planner = Planner(world, kinematics)
+        self.planner = Planner(world, kinematics, planner)
         self._seeds = count(seed)
         self._above = Mode.APART if is_apart else Mode.CLEAR
         self._rooms, self._feels = rooms, feels
@@ -242,7 +245,8 @@ class Mover:
                 continue
             self.world.hold(self._T_tool_object)
             top, seed = found[0][-1], next(self._seeds)
-            path = self.planner.connect(self.execution.set_point, top, self._opening, seed)
+            where = self.execution.set_point
+            path = self.planner.connect(where, top, self._opening, seed, up=place[2, :3])
             if path is not None:
                 return PlacePlan(path, found[0][::-1], found[1])
         return None

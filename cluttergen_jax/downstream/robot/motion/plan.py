@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from cluttergen_jax.downstream.parts import array_of, part_name
 from cluttergen_jax.downstream.robot.grasping.grips import Grip
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics, import_extra
+from cluttergen_jax.downstream.robot.protocols import PathPlanner, PathQuery
+from cluttergen_jax.errors import ConfigError
 
 MOST_CHECKS = 15_000
 """Collision queries after which a search is given up; time would depend on the machine."""
 CHECKED_STEP = 0.00625
 """Radians between two states of an edge that are looked at: 5 mm of the tool at 0.8 m from an axis."""
+MAX_TILT = float(np.radians(30))
+"""Radians by which what is carried leans at most, where there is a way to keep it up."""
+_COARSE = 16
+_ATTEMPTS, _NEXT_SEED = 4, 7919
+IsFree = Callable[[np.ndarray], bool]
 _SHORTCUTS = 100
 _BEND_STEPS = 2
 
@@ -46,9 +55,16 @@ class PlacePlan(NamedTuple):
 
 
 class Planner:
-    """Finds paths for the arm in one world; world: what stands there; kinematics: of the arm."""
+    """Finds paths for the arm in one world; world: what stands there; kinematics: of the arm.
 
-    def __init__(self, world: PlanningWorld, kinematics: ArmKinematics) -> None:
+    Args:
+      own: a user's planner, which finds the paths between places in place of RRT-Connect.
+    """
+
+    def __init__(
+        self, world: PlanningWorld, kinematics: ArmKinematics, own: PathPlanner | None = None
+    ) -> None:
+        self._own = own
         self._ob: Any = import_extra("ompl.base", "motion planning")
         self._og: Any = import_extra("ompl.geometric", "motion planning")
         self._util: Any = import_extra("ompl.util", "motion planning")
@@ -57,20 +73,61 @@ class Planner:
         self.world, self.kinematics = world, kinematics
 
     def connect(
-        self, start: np.ndarray, goal: np.ndarray, opening: float, seed: int, mode: Mode = Mode.TRAVEL
+        self,
+        start: np.ndarray,
+        goal: np.ndarray,
+        opening: float,
+        seed: int,
+        mode: Mode = Mode.TRAVEL,
+        up: np.ndarray | None = None,
     ) -> np.ndarray | None:
         """Joints f64[L, n] from `start` to `goal`, bent smoothly; None where no path was found.
 
-        Equal seeds give equal paths.
+        The straight one where it is free. Equal seeds give equal paths.
+
+        Args:
+          up: f64[3], what of what is held shall point up, to within `MAX_TILT`, if there is such a path.
         """
-        # OMPL waits for ever for a goal that it may not reach.
         if not all(self.world.is_free(joints, opening, mode) for joints in (start, goal)):
             return None
+        if self._own is not None:
+            return self._ask(self._own, start, goal, opening, seed, mode)
+        is_free = partial(self.world.is_free, opening=opening, mode=mode)
+        ways: list[IsFree] = [is_free]
+        if up is not None:
+            ways.insert(0, lambda joints: is_free(joints) and self.world.tilt(up) <= MAX_TILT)
+        found = (self._shortest(start, goal, is_good, seed) for is_good in ways)
+        return next((path for path in found if path is not None), None)
+
+    def _shortest(self, start: np.ndarray, goal: np.ndarray, is_free: IsFree, seed: int) -> np.ndarray | None:
+        """The straight path if it is free, else of some that are found that on which the tool goes least."""
+        # OMPL waits for ever for a goal that it may not reach.
+        if not (is_free(start) and is_free(goal)):
+            return None
+        number = max(1, int(np.linalg.norm(goal - start) / (CHECKED_STEP * _COARSE)))
+        straight = np.linspace(start, goal, number * _COARSE + 1)
+        # What is in the way is mostly found by a few looks.
+        if all(map(is_free, straight[::_COARSE])) and all(map(is_free, straight)):
+            return straight[::_COARSE] if number > 1 else straight
+        found: list[np.ndarray] = []
+        for attempt in range(_ATTEMPTS):
+            path = self._search(start, goal, is_free, seed + attempt * _NEXT_SEED)
+            if path is None:
+                break
+            found.append(path)
+        return min(found, key=self._tool_way, default=None)
+
+    def _tool_way(self, path: np.ndarray) -> float:
+        """Metres that the tool goes."""
+        tool = np.array([self.kinematics.tool(joints)[:3, 3] for joints in path])
+        return float(np.linalg.norm(np.diff(tool, axis=0), axis=1).sum())
+
+    def _search(self, start: np.ndarray, goal: np.ndarray, is_free: IsFree, seed: int) -> np.ndarray | None:
         self._util.RNG.setSeed(seed + 1)
         space = self._space()
         setup = self._og.SimpleSetup(space)
         last = self.world.num_checks + MOST_CHECKS
-        setup.setStateValidityChecker(lambda state: self.world.is_free(self._joints(state), opening, mode))
+        setup.setStateValidityChecker(lambda state: is_free(self._joints(state)))
         information = setup.getSpaceInformation()
         information.setStateValidityCheckingResolution(CHECKED_STEP / space.getMaximumExtent())
         setup.setStartAndGoalStates(self._state(space, start), self._state(space, goal))
@@ -87,6 +144,32 @@ class Planner:
         simplifier.partialShortcutPath(path, _SHORTCUTS)
         simplifier.smoothBSpline(path, _BEND_STEPS)
         return np.stack([self._joints(state) for state in path.getStates()])
+
+    def _ask(
+        self, own: PathPlanner, start: np.ndarray, goal: np.ndarray, opening: float, seed: int, mode: Mode
+    ) -> np.ndarray | None:
+        """What a user's planner finds. Raises ConfigError: it is no path."""
+        path = own(
+            PathQuery(
+                start.copy(),
+                goal.copy(),
+                self.kinematics.low,
+                self.kinematics.high,
+                seed,
+                lambda joints: self.world.is_free(np.asarray(joints, np.float64), opening, mode),
+                self.kinematics.tool,
+            )
+        )
+        if path is None:
+            return None
+        found = array_of(path)
+        is_path = found.ndim == 2 and found.shape[1] == len(start) and len(found) >= 2
+        if not (is_path and np.isfinite(found).all() and np.allclose(found[[0, -1]], [start, goal], 0, 1e-4)):
+            raise ConfigError(
+                f"planner {part_name(own)!r} returned an array of shape {found.shape}",
+                f"f[L, {len(start)}] of finite numbers from start to goal, L at least 2, or None",
+            )
+        return found.astype(np.float64)
 
     def line(self, start: np.ndarray, along: np.ndarray, opening: float, mode: Mode) -> np.ndarray | None:
         """Joints f64[L, n] on a straight line of the tool (`ArmKinematics.line`), or None.

@@ -1,0 +1,123 @@
+"""Parts of a user's own (placer, planner, observer): what they are called, and how they are told apart."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+import io
+import pickle
+from typing import Any
+
+import numpy as np
+
+from cluttergen_jax.errors import ConfigError
+
+_FAULTS = (OSError, TypeError, AttributeError, ValueError, RecursionError, pickle.PicklingError)
+
+
+def is_own(part: Any) -> bool:
+    """Whether a part is a user's, not one of this package."""
+    return not _home_of(part).startswith("cluttergen_jax.")
+
+
+def _home_of(part: Any) -> str:
+    kind = part if inspect.isroutine(part) or isinstance(part, type) else type(part)
+    return f"{kind.__module__}."
+
+
+def part_name(part: Any) -> str:
+    """What rows call a part: its attribute `name`, else that of its function or class."""
+    name = getattr(part, "name", None) or getattr(part, "__name__", None)
+    return str(name or type(part).__name__)
+
+
+def part_label(part: Any, what: str) -> str:
+    """Name and digest of a user's part, as recipes have them; of one of this package its name alone.
+
+    The digest is made of the attribute `digest`, a text, if there is one; else of the source code of its
+    function or class and of its attributes, random generators left out; else of the attribute `name`. What
+    the code calls elsewhere is not looked at.
+
+    Args:
+      what: the argument that it was given as.
+
+    Raises:
+      ConfigError: it cannot be called, or nothing tells it from others.
+    """
+    if not callable(part):
+        raise ConfigError(f"{what} = {part!r}", "a name, or an object that can be called")
+    if not is_own(part):
+        return part_name(part)
+    told = getattr(part, "digest", None)
+    if isinstance(told, str) and told:
+        content = told.encode()
+    else:
+        try:
+            inner = inspect.unwrap(part)
+            content = _code_of(inner) + _bytes_of(_state_of(inner))
+        except _FAULTS as error:
+            name = getattr(part, "name", None)
+            if not isinstance(name, str) or not name:
+                raise ConfigError(
+                    f"{what} {part_name(part)!r}, which nothing tells from others: {error}",
+                    "a part whose source and attributes can be read, or with an attribute `digest` or `name`",
+                    "`digest`, a text that is another whenever the part does something else",
+                ) from error
+            content = name.encode()
+    return f"{part_name(part)} {hashlib.sha256(content).hexdigest()[:16]}"
+
+
+def _code_of(part: Any) -> bytes:
+    """The source of a function, or of the classes of an object."""
+    if isinstance(part, functools.partial):
+        return _code_of(part.func)
+    if inspect.isroutine(part) or isinstance(part, type):
+        return inspect.getsource(part).encode()
+    kinds = [kind for kind in type(part).__mro__[:-1] if kind.__module__ not in ("typing", "abc")]
+    return inspect.getsource(kinds[0]).encode() + b"".join(_code_if_any(kind) for kind in kinds[1:])
+
+
+def _code_if_any(kind: type) -> bytes:
+    try:
+        return inspect.getsource(kind).encode()
+    except (OSError, TypeError):
+        return kind.__qualname__.encode()
+
+
+def _state_of(part: Any) -> Any:
+    if isinstance(part, functools.partial):
+        return part.args, part.keywords, _state_of(part.func)
+    if inspect.ismethod(part):
+        return _state_of(part.__self__)
+    if inspect.isfunction(part):
+        cells = [cell.cell_contents for cell in part.__closure__ or ()]
+        return part.__defaults__, part.__kwdefaults__, cells
+    return part.__getstate__()
+
+
+class _Pickler(pickle.Pickler):
+    """Equal bytes for equal states: of tensors their numbers, of random generators nothing."""
+
+    def persistent_id(self, found: Any) -> Any:
+        if isinstance(found, np.random.Generator | np.random.RandomState):
+            return "random"
+        if hasattr(found, "detach") and hasattr(found, "numpy"):
+            array = array_of(found)
+            return str(array.dtype), array.shape, hashlib.sha256(array.tobytes()).hexdigest()
+        return None
+
+
+def _bytes_of(state: Any) -> bytes:
+    buffer = io.BytesIO()
+    pickler = _Pickler(buffer)
+    # Without a memory of what came before, it does not matter which equal parts are one.
+    pickler.fast = True
+    pickler.dump(state)
+    return buffer.getvalue()
+
+
+def array_of(value: Any) -> np.ndarray:
+    """NumPy's array of an array, a list, or a tensor of PyTorch on any device."""
+    value = value.detach().cpu() if hasattr(value, "detach") else value
+    return np.asarray(value)

@@ -1,0 +1,143 @@
+"""Recording of episodes as they are run, each once, into a folder of some format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeVar, get_args
+
+from cluttergen_jax.config import RecordFormat
+from cluttergen_jax.downstream.robot.lerobot_folder import LeRobotFolder
+from cluttergen_jax.downstream.robot.model import TIMESTEP
+from cluttergen_jax.downstream.robot.motion.execute import Trace
+from cluttergen_jax.downstream.robot.recording import FPS, RecordCameras, Recording
+from cluttergen_jax.downstream.robot.robomimic_folder import RobomimicFolder
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.files import check_folder
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.rendering.gl import find_backend
+
+
+class EpisodeRow(Protocol):
+    """What a recording has to know of an episode."""
+
+    @property
+    def outcome(self) -> str: ...
+    @property
+    def detail(self) -> str: ...
+    @property
+    def is_success(self) -> bool: ...
+
+
+Row = TypeVar("Row", bound=EpisodeRow)
+
+
+class RecordFolder(Protocol):
+    """A folder of recordings in some format, which an interrupted command continues."""
+
+    def numbers(self) -> list[int]:
+        """Of the episodes that are recorded, in their order."""
+
+    def add(self, recording: Recording) -> None:
+        """Writes an episode, whole or not at all."""
+
+    def finish(self) -> None:
+        """Writes what is told of all episodes."""
+
+
+class Recorder:
+    """Records every episode once, as it is run, and those of which there are only rows by running them again.
+
+    Args:
+      folder: where; cameras: by which.
+      seed: of cameras that are drawn. task: what an episode was to do, of its row.
+    """
+
+    def __init__(
+        self, folder: RecordFolder, cameras: RecordCameras, seed: int, task: Callable[[Any], str]
+    ) -> None:
+        self._folder, self._cameras, self._seed, self._task = folder, cameras, seed, task
+
+    def run(self, number: int, run: Callable[[int, Trace], Row]) -> Row:
+        """Runs an episode and records it; one in which nothing moved has no frames, and is left out."""
+        trace = Trace(round(1 / (FPS * TIMESTEP)))
+        row = run(number, trace)
+        # A command that was killed between the recording and the row has it already.
+        if trace.states and number not in self._folder.numbers():
+            cameras = self._cameras.place(trace.scene.support, (self._seed, number))
+            self._folder.add(Recording(number, self._task(row), row.is_success, trace, cameras))
+        return row
+
+    def complete(self, rows: Sequence[Row], run: Callable[[int, Trace], Row]) -> None:
+        """Records the episodes that were run before, unless they are recorded.
+
+        Raises:
+          BankError: one ends in another way than its row says.
+        """
+        known = set(self._folder.numbers())
+        missing = [number for number in range(len(rows)) if number not in known]
+        with Progress("recording", len(missing), "episode") as progress:
+            for number in missing:
+                found, row = self.run(number, run), rows[number]
+                if (found.outcome, found.detail) != (row.outcome, row.detail):
+                    raise BankError(
+                        f"episode {number} ended with {row.outcome!r}, and run again with {found.outcome!r}",
+                        "episodes that end as they did, as those of the same version and machine do",
+                        "another `out`",
+                    )
+                progress.update()
+
+    def finish(self) -> None:
+        """Writes what is told of all episodes."""
+        self._folder.finish()
+
+
+@dataclass(frozen=True)
+class RecordAsked:
+    """What is recorded where; folder, form and cameras: as given.
+
+    Raises:
+      ConfigError: there is no such format or camera.
+      RendererError: there are cameras, and nothing here can draw.
+    """
+
+    folder: Path
+    form: RecordFormat
+    cameras: RecordCameras
+
+    @staticmethod
+    def of(
+        folder: str | Path | None, form: RecordFormat, cameras: Sequence[str | Path]
+    ) -> RecordAsked | None:
+        """None where no folder is given."""
+        if form not in get_args(RecordFormat):
+            raise ConfigError(f"record_format = {form!r}", ", ".join(get_args(RecordFormat)))
+        asked = RecordCameras.of(cameras)
+        if folder is None:
+            return None
+        check_folder(folder, "record")
+        if asked.sizes:
+            find_backend()
+        return RecordAsked(Path(folder), form, asked)
+
+
+def open_recorder(
+    asked: RecordAsked, recipe: Mapping[str, Any], seed: int, task: Callable[[Any], str]
+) -> Recorder:
+    """A recorder into a folder, which may hold recordings of the same recipe.
+
+    Raises:
+      BankError: the folder holds something else, or recordings of other settings.
+      MissingExtraError: the format or videos need an extra that is not installed.
+    """
+    cameras = asked.cameras
+    told = {
+        "format": asked.form,
+        "fps": FPS,
+        "cameras": repr(cameras),
+        "seed": seed,
+        "episodes": dict(recipe),
+    }
+    kind = LeRobotFolder if asked.form == "lerobot" else RobomimicFolder
+    return Recorder(kind(asked.folder, cameras, told), cameras, seed, task)
