@@ -28,6 +28,8 @@ class EpisodeRow(Protocol):
     def detail(self) -> str: ...
     @property
     def is_success(self) -> bool: ...
+    @property
+    def seconds(self) -> float: ...
 
 
 Row = TypeVar("Row", bound=EpisodeRow)
@@ -59,10 +61,23 @@ class Recorder:
     ) -> None:
         self._folder, self._cameras, self._seed, self._task = folder, cameras, seed, task
 
-    def run(self, number: int, run: Callable[[int, Trace], Row]) -> Row:
-        """Runs an episode and records it; one in which nothing moved has no frames, and is left out."""
+    def run(self, number: int, run: Callable[[int, Trace], Row], known: EpisodeRow | None = None) -> Row:
+        """Runs an episode and records it; one in which nothing moved has no frames, and is left out.
+
+        Args:
+          known: its row, if it was run before.
+
+        Raises:
+          BankError: it ends in another way than its row says; then it is not recorded.
+        """
         trace = Trace(round(1 / (FPS * TIMESTEP)))
         row = run(number, trace)
+        if known is not None and (row.outcome, row.detail) != (known.outcome, known.detail):
+            raise BankError(
+                f"episode {number} ended with {known.outcome!r}, and run again with {row.outcome!r}",
+                "episodes that end as they did, as those of the same version and machine do",
+                "another `out`",
+            )
         # A command that was killed between the recording and the row has it already.
         if trace.states and number not in self._folder.numbers():
             cameras = self._cameras.place(trace.scene.support, (self._seed, number))
@@ -70,22 +85,12 @@ class Recorder:
         return row
 
     def complete(self, rows: Sequence[Row], run: Callable[[int, Trace], Row]) -> None:
-        """Records the episodes that were run before, unless they are recorded.
-
-        Raises:
-          BankError: one ends in another way than its row says.
-        """
+        """Records the episodes that were run before and have frames, unless they are recorded (`run`)."""
         known = set(self._folder.numbers())
-        missing = [number for number in range(len(rows)) if number not in known]
+        missing = [k for k, row in enumerate(rows) if k not in known and row.seconds > 0]
         with Progress("recording", len(missing), "episode") as progress:
             for number in missing:
-                found, row = self.run(number, run), rows[number]
-                if (found.outcome, found.detail) != (row.outcome, row.detail):
-                    raise BankError(
-                        f"episode {number} ended with {row.outcome!r}, and run again with {found.outcome!r}",
-                        "episodes that end as they did, as those of the same version and machine do",
-                        "another `out`",
-                    )
+                self.run(number, run, rows[number])
                 progress.update()
 
     def finish(self) -> None:
