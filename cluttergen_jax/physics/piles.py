@@ -46,6 +46,10 @@ MAX_ROUNDS, MAX_CHECKS = 4, 3
 """Rounds of rest since the last release after which what still moves is let fall again; and last checks after
 which a pile is given up."""
 
+CREEP_SHIFT, CREEP_TURN = 0.001, math.radians(1)
+"""Metres and radians that an object may move in the last check: a fifth of what `verify` allows in five times
+as long. What leans and rolls in a heap goes on as it began."""
+
 _GAP_ABOVE, _INSET, _WAITING = 0.002, 0.001, 20.0
 """Metres: between a box that is let go and those below it; of the walls of air inside the region, so that
 they are touched and not a bin's walls; height above the top at which objects wait."""
@@ -256,9 +260,12 @@ class Piler:
         self.checks[rows] += 1
         self.result.check_steps[rows] += standing.num_steps
         self.result.drift[rows] = standing.shift.max(1)
-        is_good = standing.verdict == int(Verdict.STABLE)
+        verdict = standing.verdict.copy()
+        creeps = ((standing.shift > CREEP_SHIFT) | (standing.turn > CREEP_TURN)).any(1)
+        verdict[creeps & (verdict == int(Verdict.STABLE))] = int(Verdict.CREPT)
+        is_good = verdict == int(Verdict.STABLE)
         is_last = is_good | (self.checks[rows] >= MAX_CHECKS)
-        self.result.verdict[rows[is_last]] = standing.verdict[is_last]
+        self.result.verdict[rows[is_last]] = verdict[is_last]
         self.stage[rows[is_last]] = _Stage.OVER
         self._go_on(rows[~is_last], self._first_round)
 
