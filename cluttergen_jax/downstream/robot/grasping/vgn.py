@@ -132,7 +132,8 @@ def grasp_numbers(pose: np.ndarray, T_world_task: np.ndarray) -> np.ndarray:
 
 def is_inside(numbers: np.ndarray) -> np.ndarray:
     """bool[C]: grasps f64[C, 7] (`grasp_numbers`) in the cube."""
-    return ((numbers[:, 4:] >= 0) & (numbers[:, 4:] < SIZE)).all(axis=1)
+    inside: np.ndarray = ((numbers[:, 4:] >= 0) & (numbers[:, 4:] < SIZE)).all(axis=1)
+    return inside
 
 
 def csv_lines(
@@ -152,7 +153,7 @@ def _numbers(matrix: np.ndarray) -> np.ndarray:
     return np.array([*pose[4:], pose[3], *pose[:3]])
 
 
-def _npz(**arrays: np.ndarray) -> bytes:
+def _npz(**arrays: Any) -> bytes:
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
