@@ -1,0 +1,197 @@
+"""A bank and a robot together: one model with resets of both, exact or made for learning."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.downstream.environments import arm as robots
+from cluttergen_jax.downstream.environments.randomization import RandomizationConfig, draw_fields, prepare
+from cluttergen_jax.downstream.robot.motion.collision import add_stand
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation.bank_world import BankAttachment, BankWorld, WorldState
+from cluttergen_jax.rendering.lighting import add_lighting
+from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene.bank.scene import region_of
+from cluttergen_jax.types import Array
+
+if TYPE_CHECKING:
+    from cluttergen_jax.generation.bank import BankArrays
+
+RobotPhysics = Literal["accurate", "learning"]
+LEARNING_STEP = 1 / 480
+"""Seconds."""
+_ITERATIONS, _LINE_SEARCHES = 10, 15
+_OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "ls_iterations", "noslip_iterations")
+_PROBED = 64
+_HAND_CONTACTS = 32
+_HEADROOM = 2.0
+"""Contacts are looked for in so many scenes at rest; episodes have more, and those of the hand."""
+
+
+class ContactLimits(NamedTuple):
+    """What MJX with Warp has to be told before it makes its data.
+
+    Attributes:
+      nconmax: contacts of a world; `naconmax` is this times the number of worlds.
+      njmax: rows of constraints of a world.
+    """
+
+    nconmax: int
+    njmax: int
+
+
+@dataclass(frozen=True, eq=False)
+class RobotWorld(BankWorld):
+    """All objects of a bank, a support and a robot. Made by `with_robot`.
+
+    `reset(seed or key)` gives states (`WorldState`); `put(data, state)` begins an episode in C MuJoCo.
+
+    Attributes:
+      spec: what `model` was compiled of, to be extended and compiled again (`attachment.world(model)`).
+      physics: "accurate" or "learning".
+      base: f64[7], T_world_base.
+      randomization: what differs between episodes, None for nothing.
+    """
+
+    spec: mujoco.MjSpec = field(default_factory=mujoco.MjSpec)
+    physics: RobotPhysics = "accurate"
+    base: np.ndarray = field(default_factory=lambda: np.zeros(7))
+    randomization: RandomizationConfig | None = None
+
+    @cached_property
+    def robot(self) -> robots.Arm:
+        """Where the robot's joints, actuators, fingers, tool site and bodies are in the model."""
+        return robots.find_arm(self.model)
+
+    @cached_property
+    def support(self) -> SupportAsset:
+        """The support, its region that of the bank."""
+        return replace(self.bank.bank.support, region=region_of(self.bank.bank))
+
+    @cached_property
+    def limits(self) -> ContactLimits:
+        """Sized from the scenes of the bank at rest, with the robot at home: twice as many, and the hand's."""
+        data, most = mujoco.MjData(self.model), np.zeros(2)
+        numbers = np.asarray(self.bank.index)
+        for number in numbers[:: -(-len(numbers) // _PROBED)]:
+            self.put(data, replace_fields(self.reset(0, index=int(number))))
+            most = np.maximum(most, (data.ncon, data.nefc))
+        rows = _HAND_CONTACTS * 6
+        num_contacts, num_rows = np.ceil(_HEADROOM * most) + (_HAND_CONTACTS, rows)
+        return ContactLimits(int(num_contacts), int(num_rows))
+
+    def scene(self, state: WorldState) -> Scene:
+        """The scene of a state as a value, with the names of this model; objects in the order of placement."""
+        present = [int(number) for number in np.asarray(state.object_index) if number >= 0]
+        contained = self.bank.waiting_scene()
+        return replace(
+            contained,
+            names=tuple(self.names[number] for number in present),
+            objects=tuple(self.bank.compiled.objects[number] for number in present),
+            poses=np.asarray(state.qpos, np.float64)[self.object_qpos[present]],
+            support=self.support,
+            cameras=(),
+        )
+
+    def _state(self, scene: BankArrays, key: Array) -> WorldState:
+        state = super()._state(scene, key)
+        if self.randomization is None:
+            return state
+        drawn, mass = draw_fields(key, self.randomization, self.model, self.bodies, self.object_dofs)
+        factor = jnp.ones(self.model.nbody).at[self.bodies].set(mass)
+        return state.replace(fields=drawn, xfrc_applied=state.xfrc_applied * factor[:, None])
+
+
+def replace_fields(state: WorldState) -> WorldState:
+    """The state with the model's own fields."""
+    return state.replace(fields={})
+
+
+def with_robot(
+    bank: BankArrays,
+    robot: str = "panda",
+    pose: Sequence[float] | None = None,
+    physics: RobotPhysics = "accurate",
+    *,
+    stands: Sequence[Box] = (),
+    randomization: RandomizationConfig | None = None,
+) -> RobotWorld:
+    """Puts a robot and all objects of a bank into one model, with resets of both. Extra `robot`.
+
+        world = cg.with_robot(cg.load_bank("bank"), physics="learning")
+        states = jax.vmap(world.reset)(jax.random.split(jax.random.key(0), 1024))
+
+    "accurate" is what `robot place` uses: convex parts of the arm, elliptic cones, 1/960 s. "learning" is for
+    training: Menagerie's colliders for MJX (a capsule for the hand, a pad a finger; links touch nothing),
+    pyramidal cones, 10 iterations, 1/480 s. Objects are the same in both. On a GPU it is meant for MJX with
+    Warp (`mjx.put_model(world.model, impl="warp")`, sized by `world.limits`); MJX in pure JAX takes minutes
+    to compile a step of it, so on a CPU use MuJoCo itself.
+
+    Args:
+      bank: of `load_bank`.
+      robot: "panda".
+      pose: T_world_base, metres, wxyz; before the region at the height of the support's top if not given.
+      physics: "accurate" or "learning".
+      stands: more boxes that objects can stand on.
+      randomization: what differs between episodes; `state.fields` are then fields of the model, written by
+        `world.put`, or by `mjx_model.tree_replace(state.fields)`.
+
+    Raises:
+      ConfigError: there is no such robot or physics, or the pose is none.
+      MissingExtraError: the extra `robot` is not installed.
+    """
+    from cluttergen_jax.generation.bank import BankArrays as Kind
+
+    if not isinstance(bank, Kind):
+        raise ConfigError(f"a bank of type {type(bank).__name__}", "that of cg.load_bank", "load_bank(folder)")
+    if physics not in get_args(RobotPhysics):
+        raise ConfigError(f"physics = {physics!r}", ", ".join(get_args(RobotPhysics)))
+    if pose is not None and not _is_pose(pose):
+        raise ConfigError(f"pose = {pose!r}", "seven finite numbers: metres, then a unit quaternion wxyz")
+    robots.check_robot(robot)
+    contact = bank.waiting_scene().contact
+    spec = bank.to_mjspec()
+    child = robots.arm_spec(contact, is_simple=physics == "learning")
+    spec.option.timestep = child.option.timestep
+    spec.option.integrator = child.option.integrator
+    spec.option.impratio = child.option.impratio
+    if physics == "learning":
+        _make_fast(spec)
+    for option in _OPTIONS:
+        setattr(child.option, option, getattr(spec.option, option))
+    child.option.disableflags = spec.option.disableflags
+    for number, box in enumerate(stands):
+        add_stand(spec, box, f"stand-{number}")
+    support = replace(bank.bank.support, region=region_of(bank.bank))
+    base = robots.base_of(support, None if pose is None else np.asarray(pose, np.float64))
+    spec.attach(child, prefix=robots.PREFIX, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:]))
+    if randomization is not None:
+        prepare(spec, randomization)
+    add_lighting(spec)
+    model = spec.compile()
+    qpos, ctrl = model.qpos0.copy(), np.zeros(model.nu)
+    robots.set_home(robots.find_arm(model), qpos, ctrl)
+    return RobotWorld(BankAttachment(bank), model, qpos, ctrl, spec, physics, base, randomization)
+
+
+def _make_fast(spec: mujoco.MjSpec) -> None:
+    option = spec.option
+    option.timestep = LEARNING_STEP
+    option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    option.impratio = 1.0
+    option.iterations, option.ls_iterations = _ITERATIONS, _LINE_SEARCHES
+    option.noslip_iterations = 0
+
+
+def _is_pose(pose: Sequence[float]) -> bool:
+    values = np.asarray(pose, np.float64)
+    return values.shape == (7,) and bool(np.isfinite(values).all() and abs(np.linalg.norm(values[3:]) - 1) < 1e-6)
