@@ -100,7 +100,7 @@ class BankArrays(struct.PyTreeNode):
         return SceneCollection(self.compiled, np.asarray(self.object_index), np.asarray(self.poses))
 
     def waiting_scene(self) -> Scene:
-        """All K objects as one scene on the bank's support, where they wait; drawn surfaces and cameras too."""
+        """All K objects as one scene on the bank's support, where they wait, with its cameras."""
         stability, contact = _rules_of(self.bank)
         return Scene(
             self.names,

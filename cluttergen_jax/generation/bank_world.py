@@ -1,4 +1,4 @@
-"""A bank inside a model that holds more than its objects: a robot, a room. States for it, drawn with a key."""
+"""A bank inside a model that holds more than its objects, such as a robot; states for it, drawn with a key."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class BankAttachment:
         return BankWorld(self, model)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BankWorld:
     """A model with all objects of a bank in it, whatever else it holds and in whatever order.
 

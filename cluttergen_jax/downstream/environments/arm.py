@@ -25,8 +25,6 @@ from cluttergen_jax.downstream.robot.model import (
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.scene.cameras import Camera
 
-__all__ = ["HAND_CAMERA", "MAX_OPENING", "Arm", "arm_spec", "arm_state", "base_pose", "kinematics_of"]
-
 ROBOTS = ("panda",)
 HAND_CAMERA = "hand"
 """The camera on the hand; others bear the names of `scene.cameras`."""

@@ -99,7 +99,9 @@ def draw_fields(
         found["dof_invweight0"] = _times(model.dof_invweight0, dofs, inverse)
         found["dof_M0"] = _times(model.dof_M0, dofs, factor)
     if config.friction != (1, 1):
-        factor = jax.random.uniform(keys["friction"], (), minval=config.friction[0], maxval=config.friction[1])
+        factor = jax.random.uniform(
+            keys["friction"], (), minval=config.friction[0], maxval=config.friction[1]
+        )
         found["geom_friction"] = factor * jnp.asarray(model.geom_friction, jnp.float32)
     is_support = (model.geom_bodyid == model.body("support").id) & (model.geom_group == VISUAL_GROUP)
     if config.colour:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -17,20 +16,20 @@ from cluttergen_jax.downstream.environments import arm as robots
 from cluttergen_jax.downstream.environments.randomization import RandomizationConfig, draw_fields, prepare
 from cluttergen_jax.downstream.robot.motion.collision import add_stand
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation import BankArrays
 from cluttergen_jax.generation.bank_world import BankAttachment, BankWorld, WorldState
 from cluttergen_jax.rendering.lighting import add_lighting
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank.scene import region_of
 from cluttergen_jax.types import Array
 
-if TYPE_CHECKING:
-    from cluttergen_jax.generation.bank import BankArrays
-
 RobotPhysics = Literal["accurate", "learning"]
 LEARNING_STEP = 1 / 480
 """Seconds."""
 _ITERATIONS, _LINE_SEARCHES = 10, 15
 _OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "ls_iterations", "noslip_iterations")
+_EXTENT, _NEAR, _FAR = 1.5, 0.02, 40.0
+"""Metres that lamps and cameras are made for; what waits is farther away than they see."""
 _PROBED = 64
 _HAND_CONTACTS = 32
 _HEADROOM = 2.0
@@ -49,7 +48,7 @@ class ContactLimits(NamedTuple):
     njmax: int
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RobotWorld(BankWorld):
     """All objects of a bank, a support and a robot. Made by `with_robot`.
 
@@ -75,7 +74,7 @@ class RobotWorld(BankWorld):
     @cached_property
     def support(self) -> SupportAsset:
         """The support, its region that of the bank."""
-        return replace(self.bank.bank.support, region=region_of(self.bank.bank))
+        return support_of(self.bank)
 
     @cached_property
     def limits(self) -> ContactLimits:
@@ -109,6 +108,11 @@ class RobotWorld(BankWorld):
         drawn, mass = draw_fields(key, self.randomization, self.model, self.bodies, self.object_dofs)
         factor = jnp.ones(self.model.nbody).at[self.bodies].set(mass)
         return state.replace(fields=drawn, xfrc_applied=state.xfrc_applied * factor[:, None])
+
+
+def support_of(bank: BankArrays) -> SupportAsset:
+    """The support of a bank, its region the one that scenes were made in."""
+    return replace(bank.bank.support, region=region_of(bank.bank))
 
 
 def replace_fields(state: WorldState) -> WorldState:
@@ -149,10 +153,10 @@ def with_robot(
       ConfigError: there is no such robot or physics, or the pose is none.
       MissingExtraError: the extra `robot` is not installed.
     """
-    from cluttergen_jax.generation.bank import BankArrays as Kind
-
-    if not isinstance(bank, Kind):
-        raise ConfigError(f"a bank of type {type(bank).__name__}", "that of cg.load_bank", "load_bank(folder)")
+    if not isinstance(bank, BankArrays):
+        raise ConfigError(
+            f"a bank of type {type(bank).__name__}", "that of cg.load_bank", "load_bank(folder)"
+        )
     if physics not in get_args(RobotPhysics):
         raise ConfigError(f"physics = {physics!r}", ", ".join(get_args(RobotPhysics)))
     if pose is not None and not _is_pose(pose):
@@ -171,12 +175,15 @@ def with_robot(
     child.option.disableflags = spec.option.disableflags
     for number, box in enumerate(stands):
         add_stand(spec, box, f"stand-{number}")
-    support = replace(bank.bank.support, region=region_of(bank.bank))
+    support = support_of(bank)
     base = robots.base_of(support, None if pose is None else np.asarray(pose, np.float64))
     spec.attach(child, prefix=robots.PREFIX, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:]))
     if randomization is not None:
         prepare(spec, randomization)
     add_lighting(spec)
+    # Of what is looked at, not of where objects wait.
+    spec.stat.center, spec.stat.extent = support.region_points[0], _EXTENT
+    spec.visual.map.znear, spec.visual.map.zfar = _NEAR / _EXTENT, _FAR / _EXTENT
     model = spec.compile()
     qpos, ctrl = model.qpos0.copy(), np.zeros(model.nu)
     robots.set_home(robots.find_arm(model), qpos, ctrl)
@@ -194,4 +201,6 @@ def _make_fast(spec: mujoco.MjSpec) -> None:
 
 def _is_pose(pose: Sequence[float]) -> bool:
     values = np.asarray(pose, np.float64)
-    return values.shape == (7,) and bool(np.isfinite(values).all() and abs(np.linalg.norm(values[3:]) - 1) < 1e-6)
+    return values.shape == (7,) and bool(
+        abs(np.linalg.norm(values[3:]) - 1) < 1e-6 and np.isfinite(values).all()
+    )

@@ -90,6 +90,7 @@ class Referee:
       target: the number of the one that is to be moved.
       stands: more boxes that objects can stand on.
       trace: see `Execution`.
+      execution: the simulation, if it is there already.
 
     Attributes:
       put: where the object was put, once it was.
@@ -102,10 +103,11 @@ class Referee:
         target: int,
         stands: tuple[Box, ...],
         trace: Trace | None = None,
+        execution: Execution | None = None,
     ) -> None:
         self.put: Put | None = None
         self.scene, self.target = scene, target
-        self.execution = Execution(scene, target, stands, trace)
+        self.execution = execution or Execution(scene, target, stands, trace)
         self._others = [k for k in range(len(scene.names)) if k != target]
         self.displaced = 0.0
 
@@ -223,7 +225,7 @@ def place_episode(
       places: f64[M, 7], T_world_object, settled poses that are proposed for it, best first.
       seed: of its turn on the stand, and of the motions.
     """
-    scene, stand = _on_stand(scene, target, seed)
+    scene, stand = set_on_stand(scene, target, seed)
     world = EpisodeWorld(scene, target, (stand,), seed, trace=trace)
     wanted = matrix_of(places)
 
@@ -248,7 +250,7 @@ def sensing_place_episode(
       placer: made for the scene's bank.
       seed: of the object's turn on the stand, of the motions, noise and proposals.
     """
-    scene, stand = _on_stand(scene, target, seed)
+    scene, stand = set_on_stand(scene, target, seed)
     world = Referee(scene, target, (stand,), trace=trace)
     asset, start = scene.objects[target], scene.poses[target]
     arm = SensingArm(world.execution, asset, start, scene.support, stand, placer, scene.names[target], seed)
@@ -266,7 +268,7 @@ def sensing_place_episode(
     return replace(_run_episode(world, run), placer=placer.name, looks=arm.looks)
 
 
-def _on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
+def set_on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
     """The scene with the target on a stand beside the table, somehow turned."""
     stand, asset = stand_beside(scene.support), scene.objects[target]
     yaw = np.random.default_rng(seed).uniform(-np.pi, np.pi)

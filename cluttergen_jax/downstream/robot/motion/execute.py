@@ -105,10 +105,7 @@ class Execution:
         trace: Trace | None = None,
         sleeps: bool = False,
     ) -> None:
-        spec = with_panda(scene)
-        for number, box in enumerate(stands):
-            add_stand(spec, box, f"ground-{number}")
-        self.model = spec.compile()
+        spec, self.model = self._compile(scene, stands)
         if sleeps:
             self.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         self.data = mujoco.MjData(self.model)
@@ -121,6 +118,13 @@ class Execution:
             trace.scene, trace.spec, trace.data = scene, spec, self.data
         self.travel = 0.0
         self._start(scene)
+
+    def _compile(self, scene: Scene, stands: Sequence[Box]) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+        """A model of the scene, the stands and the arm; where many scenes have one model, that one."""
+        spec = with_panda(scene)
+        for number, box in enumerate(stands):
+            add_stand(spec, box, f"ground-{number}")
+        return spec, spec.compile()
 
     def wake(self) -> None:
         """From now on nothing sleeps."""
