@@ -1,4 +1,4 @@
-"""A bank inside a model that holds more than its objects, such as a robot; states for it, drawn with a key."""
+"""A bank inside a model that holds more than its objects, such as a robot; states of it, drawn by a key."""
 
 from __future__ import annotations
 

@@ -45,6 +45,8 @@ def check_robot(robot: str) -> None:
 def arm_spec(contact: ContactConfig, is_simple: bool) -> mujoco.MjSpec:
     """The arm with its base at the origin, and a camera on its hand; is_simple: few, simple colliders."""
     spec = panda_spec(contact)
+    for light in list(spec.lights):
+        spec.delete(light)
     if is_simple:
         _simplify(spec)
     T_hand_tool = np.eye(4)

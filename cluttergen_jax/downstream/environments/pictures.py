@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import weakref
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -33,12 +35,12 @@ class Pictures:
         self._rect = mujoco.MjrRect(0, 0, width, height)
         shown = model.vis.global_
         shown.offwidth, shown.offheight = max(shown.offwidth, width), max(shown.offheight, height)
-        self._free: weakref.finalize | None = None
+        self._gl: Any = None
 
     def _open(self) -> None:
         self._gl = new_context(self._rect.width, self._rect.height)
-        # At the end of Python, too, before what it needs is gone.
-        self._free = weakref.finalize(self, self._gl.free)
+        # Registered after the library's own end, so it comes before that.
+        atexit.register(_close, weakref.ref(self))
         self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + 100)
         self._option = mujoco.MjvOption()
@@ -51,7 +53,7 @@ class Pictures:
         Raises:
           RendererError: nothing here can draw.
         """
-        if self._free is None:
+        if self._gl is None:
             self._open()
         self._gl.make_current()
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
@@ -68,8 +70,13 @@ class Pictures:
 
     def close(self) -> None:
         """Gives the context back; the next picture opens another."""
-        if self._free is not None:
+        if self._gl is not None:
             self._gl.make_current()
             self._context.free()
-            self._free()
-            self._free = None
+            self._gl.free()
+            self._gl = None
+
+
+def _close(pictures: weakref.ref[Pictures]) -> None:
+    if (there := pictures()) is not None:
+        there.close()

@@ -78,22 +78,20 @@ class RobotWorld(BankWorld):
 
     @cached_property
     def limits(self) -> ContactLimits:
-        """Sized from the scenes of the bank at rest, with the robot at home: twice as many, and the hand's."""
+        """Sized from scenes of the bank at rest, with the robot at home: twice as many, and the hand's."""
         data, most = mujoco.MjData(self.model), np.zeros(2)
         numbers = np.asarray(self.bank.index)
         for number in numbers[:: -(-len(numbers) // _PROBED)]:
             self.put(data, replace_fields(self.reset(0, index=int(number))))
             most = np.maximum(most, (data.ncon, data.nefc))
-        rows = _HAND_CONTACTS * 6
-        num_contacts, num_rows = np.ceil(_HEADROOM * most) + (_HAND_CONTACTS, rows)
-        return ContactLimits(int(num_contacts), int(num_rows))
+        num_contacts, num_rows = (int(each) for each in np.ceil(_HEADROOM * most))
+        return ContactLimits(num_contacts + _HAND_CONTACTS, num_rows + 6 * _HAND_CONTACTS)
 
     def scene(self, state: WorldState) -> Scene:
-        """The scene of a state as a value, with the names of this model; objects in the order of placement."""
+        """The scene of a state as a value, with this model's names; objects in the order of placement."""
         present = [int(number) for number in np.asarray(state.object_index) if number >= 0]
-        contained = self.bank.waiting_scene()
         return replace(
-            contained,
+            self.bank.waiting_scene(),
             names=tuple(self.names[number] for number in present),
             objects=tuple(self.bank.compiled.objects[number] for number in present),
             poses=np.asarray(state.qpos, np.float64)[self.object_qpos[present]],
