@@ -196,6 +196,7 @@ def test_an_object_is_placed_if_it_stands_in_the_region_and_nothing_else_moved(p
     assert end_of(place, lambda env: env.start.scene.poses[env.start.target])[2:4] == (False, False)
 
 
+@pytest.mark.slow
 def test_objects_are_rearranged_if_each_is_where_another_scene_has_it(bank):
     env = cg.make_robot_env("rearrange", bank)
     seen, info = env.reset(seed=0)
@@ -212,6 +213,7 @@ def test_objects_are_rearranged_if_each_is_where_another_scene_has_it(bank):
     assert info["outcome"] == "success"
 
 
+@pytest.mark.slow
 def test_an_arm_that_presses_on_the_table_fails_and_time_runs_out(bank):
     env = cg.make_robot_env("grasp", bank, action="tool", max_seconds=4.0)
     env.reset(seed=1)

