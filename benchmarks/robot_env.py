@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import tyro
@@ -45,7 +46,8 @@ def run_episode(env: RobotEnv, seed: int, is_scripted: bool) -> str:
     """How an episode ends."""
     env.reset(seed=seed)
     env.action_space.seed(seed)
-    actions = cg.scripted_actions(env) if is_scripted else iter(env.action_space.sample, None)
+    drawn = (env.action_space.sample() for _ in count())
+    actions = cg.scripted_actions(env) if is_scripted else drawn
     for action in actions:
         *_, terminated, truncated, info = env.step(action)
         if terminated or truncated:

@@ -77,16 +77,19 @@ def make_robot_env(
     world = with_robot(
         found, robot, physics=physics, stands=kind.stands(support_of(found)), randomization=randomization
     )
-    settings = {
-        "action": action,
-        "cameras": tuple(cameras),
-        "image_size": image_size,
-        "physics": physics,
-        "randomization": randomization,
-        "control_hz": control_hz,
-        "max_seconds": max_seconds,
-    }
-    recipe = partial(make_robot_env, task, found.bank.path, robot, **settings)
+    recipe = partial(
+        make_robot_env,
+        task,
+        bank,
+        robot,
+        action=action,
+        cameras=tuple(cameras),
+        image_size=image_size,
+        physics=physics,
+        randomization=randomization,
+        control_hz=control_hz,
+        max_seconds=max_seconds,
+    )
     return RobotEnv(world, kind, action, tuple(cameras), image_size, control_hz, max_seconds, recipe)
 
 

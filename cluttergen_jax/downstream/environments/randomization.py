@@ -132,8 +132,7 @@ def draw_fields(
 
 def _times(values: np.ndarray, rows: np.ndarray, factor: Array) -> Array:
     """The values, those of some rows multiplied; dofs i[K, 6] by f[K, 1], bodies i[K] by f[K, ...]."""
-    values = jnp.asarray(values, jnp.float32)
-    return values.at[rows].multiply(factor)
+    return jnp.asarray(values, jnp.float32).at[rows].multiply(factor)
 
 
 def _turned(quaternion: Array, turn: Array) -> Array:
