@@ -68,7 +68,16 @@ class BankAttachment:
     quaternion: tuple[float, ...] = _UNTURNED
 
     def world(self, model: mujoco.MjModel) -> BankWorld:
-        """The compiled model with resets from the bank; what is no object begins as the model has it."""
+        """The compiled model with resets from the bank; what is no object begins as the model has it.
+
+        Raises:
+          ConfigError: the model is not of the specification that the bank was attached to.
+        """
+        missing = [name for name in self.bank.names if not _has_joint(model, self.prefix + name)]
+        if missing:
+            raise ConfigError(
+                f"a model without {self.prefix}{missing[0]}", "that of the specification it was attached to"
+            )
         return BankWorld(self, model)
 
 
@@ -192,6 +201,10 @@ class BankWorld:
         for name in ("qpos", "qvel", "ctrl", "xfrc_applied"):
             getattr(data, name)[:] = getattr(host, name)
         mujoco.mj_forward(self.model, data)
+
+
+def _has_joint(model: mujoco.MjModel, name: str) -> bool:
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0
 
 
 def attach_bank(

@@ -72,6 +72,8 @@ def make_robot_env(
     if task not in TASKS:
         raise ConfigError(f"task = {task!r}", ", ".join(TASKS), "task='place'")
     check_settings(action, cameras, image_size, control_hz, max_seconds)
+    if not isinstance(bank, (BankArrays, str, Path)):
+        raise ConfigError(f"a bank of type {type(bank).__name__}", "a folder, or that of cg.load_bank")
     kind = TASKS[task]
     found = bank if isinstance(bank, BankArrays) else load_bank(bank)
     world = with_robot(

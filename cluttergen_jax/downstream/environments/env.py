@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Literal
+from numbers import Real
+from typing import Any, Literal, get_args
 
 import gymnasium
 import numpy as np
@@ -14,7 +15,7 @@ from cluttergen_jax.downstream.environments import arm as robots
 from cluttergen_jax.downstream.environments.pictures import Pictures, check_cameras
 from cluttergen_jax.downstream.environments.simulation import WorldExecution
 from cluttergen_jax.downstream.environments.tasks import Start, Task
-from cluttergen_jax.downstream.environments.world import RobotWorld
+from cluttergen_jax.downstream.environments.world import RobotWorld, numbers_of
 from cluttergen_jax.downstream.robot.motion.plan import MAX_SPEED
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import pose_of
@@ -160,7 +161,7 @@ class RobotEnv(gymnasium.Env):
         """f64[nu]: the set-points that an action asks for, as far as speed limits let them come."""
         run, arm = self.execution, self.world.robot
         assert run is not None
-        values = np.asarray(action, np.float64)
+        values = numbers_of(action)
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
             raise ConfigError(
                 f"an action of shape {values.shape}{'' if np.isfinite(values).all() else ' with NaN'}",
@@ -253,13 +254,14 @@ def check_settings(
     max_seconds: float | None,
 ) -> None:
     """Refuses what no environment can have (ConfigError)."""
-    if action not in RobotAction.__args__:  # type: ignore[attr-defined]
-        raise ConfigError(f"action = {action!r}", ", ".join(RobotAction.__args__))  # type: ignore[attr-defined]
-    if isinstance(cameras, str) or len(set(cameras)) < len(cameras):
+    if action not in get_args(RobotAction):
+        raise ConfigError(f"action = {action!r}", ", ".join(get_args(RobotAction)))
+    if not isinstance(cameras, (tuple, list)) or len(set(cameras)) < len(cameras):
         raise ConfigError(f"cameras = {cameras!r}", "a sequence of names, each once", 'cameras=("front",)')
-    if len(image_size) != 2 or not all(16 <= side <= 4096 and side == int(side) for side in image_size):
+    is_size = isinstance(image_size, (tuple, list)) and len(image_size) == 2
+    if not is_size or not all(isinstance(side, int) and 16 <= side <= 4096 for side in image_size):
         raise ConfigError(f"image_size = {image_size!r}", "height and width, 16 to 4096 pixels")
-    if not 1 <= control_hz <= 240:
+    if not isinstance(control_hz, Real) or not 1 <= control_hz <= 240:
         raise ConfigError(f"control_hz = {control_hz!r}", "1 to 240", "control_hz=20")
-    if max_seconds is not None and not 0.1 <= max_seconds <= 3600:
+    if max_seconds is not None and not (isinstance(max_seconds, Real) and 0.1 <= max_seconds <= 3600):
         raise ConfigError(f"max_seconds = {max_seconds!r}", "0.1 to 3600, or None")

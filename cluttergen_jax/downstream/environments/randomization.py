@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from numbers import Real
 
 import jax
 import jax.numpy as jnp
@@ -53,8 +53,10 @@ class RandomizationConfig:
     def __post_init__(self) -> None:
         for name in _FACTORS:
             given = getattr(self, name)
-            is_range = isinstance(given, Sequence) and len(given) == 2 and np.isfinite(given).all()
-            if not (is_range and _LEAST_FACTOR <= given[0] <= given[1] <= _MOST):
+            is_pair = isinstance(given, (tuple, list)) and len(given) == 2
+            if not (is_pair and all(isinstance(each, Real) for each in given)) or not (
+                _LEAST_FACTOR <= given[0] <= given[1] <= _MOST
+            ):
                 raise ConfigError(
                     f"{type(self).__name__}.{name} = {given!r}",
                     f"two factors, the lesser first, {_LEAST_FACTOR:g} to {_MOST:g}",
@@ -63,7 +65,7 @@ class RandomizationConfig:
         most = {"colour": _MAX_COLOUR, "camera_shift": _MAX_SHIFT, "camera_turn": _MAX_TURN}
         for name, limit in most.items():
             given = getattr(self, name)
-            if isinstance(given, bool) or not isinstance(given, (int, float)) or not 0 <= given <= limit:
+            if isinstance(given, bool) or not isinstance(given, Real) or not 0 <= given <= limit:
                 raise ConfigError(f"{type(self).__name__}.{name} = {given!r}", f"0 to {limit:g}")
         if not isinstance(self.texture, bool):
             raise ConfigError(f"{type(self).__name__}.texture = {self.texture!r}", "True or False")

@@ -159,6 +159,10 @@ def with_robot(
         raise ConfigError(f"physics = {physics!r}", ", ".join(get_args(RobotPhysics)))
     if pose is not None and not _is_pose(pose):
         raise ConfigError(f"pose = {pose!r}", "seven finite numbers: metres, then a unit quaternion wxyz")
+    if randomization is not None and not isinstance(randomization, RandomizationConfig):
+        raise ConfigError(
+            f"randomization = {randomization!r}", "None or a RandomizationConfig", "cg.RandomizationConfig()"
+        )
     robots.check_robot(robot)
     contact = bank.waiting_scene().contact
     spec = bank.to_mjspec()
@@ -198,7 +202,15 @@ def _make_fast(spec: mujoco.MjSpec) -> None:
 
 
 def _is_pose(pose: Sequence[float]) -> bool:
-    values = np.asarray(pose, np.float64)
+    values = numbers_of(pose)
     return values.shape == (7,) and bool(
-        abs(np.linalg.norm(values[3:]) - 1) < 1e-6 and np.isfinite(values).all()
+        np.isfinite(values).all() and abs(np.linalg.norm(values[3:]) - 1) < 1e-6
     )
+
+
+def numbers_of(given: object) -> np.ndarray:
+    """f64 of what was given, of no shape that is wanted if it is none."""
+    try:
+        return np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        return np.full((0, 0), np.nan)
