@@ -77,10 +77,11 @@ def _simplify(spec: mujoco.MjSpec) -> None:
             conaffinity=geom.conaffinity,
             group=geom.group,
             mass=0,
-            friction=spec.default.geom.friction,
+            # Of their own: with the friction of scenes pyramidal cones let slip, or throw, what is held.
+            friction=geom.friction,
             condim=spec.default.geom.condim,
-            solref=spec.default.geom.solref,
-            solimp=spec.default.geom.solimp,
+            solref=geom.solref,
+            solimp=geom.solimp,
         )
     used = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):

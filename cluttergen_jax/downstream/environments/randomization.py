@@ -65,7 +65,7 @@ class RandomizationConfig:
         most = {"colour": _MAX_COLOUR, "camera_shift": _MAX_SHIFT, "camera_turn": _MAX_TURN}
         for name, limit in most.items():
             given = getattr(self, name)
-            if isinstance(given, bool) or not isinstance(given, Real) or not 0 <= given <= limit:
+            if isinstance(given, bool) or not isinstance(given, (int, float)) or not 0 <= given <= limit:
                 raise ConfigError(f"{type(self).__name__}.{name} = {given!r}", f"0 to {limit:g}")
         if not isinstance(self.texture, bool):
             raise ConfigError(f"{type(self).__name__}.texture = {self.texture!r}", "True or False")

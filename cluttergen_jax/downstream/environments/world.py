@@ -26,7 +26,7 @@ from cluttergen_jax.types import Array
 RobotPhysics = Literal["accurate", "learning"]
 LEARNING_STEP = 1 / 480
 """Seconds."""
-_ITERATIONS, _LINE_SEARCHES = 10, 15
+_ITERATIONS = 10
 _OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "ls_iterations", "noslip_iterations")
 _EXTENT, _NEAR, _FAR = 1.5, 0.02, 40.0
 """Metres that lamps and cameras are made for; what waits is farther away than they see."""
@@ -197,7 +197,7 @@ def _make_fast(spec: mujoco.MjSpec) -> None:
     option.timestep = LEARNING_STEP
     option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     option.impratio = 1.0
-    option.iterations, option.ls_iterations = _ITERATIONS, _LINE_SEARCHES
+    option.iterations = _ITERATIONS
     option.noslip_iterations = 0
 
 
