@@ -77,7 +77,7 @@ def _simplify(spec: mujoco.MjSpec) -> None:
             conaffinity=geom.conaffinity,
             group=geom.group,
             mass=0,
-            # Of their own: with the friction of scenes pyramidal cones let slip, or throw, what is held.
+            # Of their own: so small a pad holds too little with the friction of scenes.
             friction=geom.friction,
             condim=spec.default.geom.condim,
             solref=geom.solref,
