@@ -122,6 +122,7 @@ def test_what_is_randomized_stays_in_its_range_and_is_drawn_by_the_key(bank):
     np.testing.assert_allclose(model.dof_invweight0[dofs], kept["dof_invweight0"][dofs], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_environment_passes_the_checker_and_is_pickled(place):
     with warnings.catch_warnings():
         # Of boxes without bounds, and of an environment that is in no registry.
@@ -154,6 +155,7 @@ def test_actions_of_joints_are_set_points(bank, place):
         np.testing.assert_allclose(env.execution.data.ctrl, ctrl, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_actions_of_the_tool_move_it_straight(bank):
     env = cg.make_robot_env("grasp", bank, action="tool")
     env.reset(seed=0)

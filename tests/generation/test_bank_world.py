@@ -72,10 +72,14 @@ def test_what_a_scene_lacks_waits_and_the_rest_stays_at_rest(bank, world):
     assert np.abs(data.qpos[world.object_qpos] - start)[:, :3].max() < 1e-3
 
 
-def test_equal_seeds_give_equal_states_and_keys_are_mapped(world):
+def test_equal_seeds_and_keys_give_equal_states(world):
     one, again, keyed = world.reset(5), world.reset(5), world.reset(cg.generation.bank_world.new_key(5))
     np.testing.assert_array_equal(one.qpos, again.qpos)
     np.testing.assert_array_equal(one.qpos, np.asarray(keyed.qpos))
+
+
+@pytest.mark.slow
+def test_keys_are_mapped_to_scenes(world):
     many = jax.jit(jax.vmap(world.reset))(jax.random.split(jax.random.key(0), 32))
     assert many.qpos.shape == (32, world.model.nq)
     assert len(set(np.asarray(many.index).tolist())) > 1
