@@ -134,10 +134,10 @@ def with_robot(
 
     "accurate" is what `robot place` uses: convex parts of the arm, elliptic cones, 1/960 s. "learning" is for
     training: Menagerie's colliders for MJX (a capsule, wider than the hand, and a pad a finger; links touch
-    nothing), 10 iterations, 1/480 s. Objects and elliptic cones are the same in both: with pyramidal ones the hand threw
-    what it held, and they were no faster. On a GPU it is meant for MJX with Warp (`mjx.put_model(world.model,
-    impl="warp")`, sized by `world.limits`); MJX in pure JAX does not compile a step of it within two minutes,
-    so on a CPU use MuJoCo itself.
+    nothing), 10 iterations, 1/480 s. Objects and elliptic cones are the same in both: with pyramidal ones the
+    hand threw what it held, and they were no faster. On a GPU it is meant for MJX with Warp
+    (`mjx.put_model(world.model, impl="warp")`, sized by `world.limits`); MJX in pure JAX does not compile a
+    step of it within two minutes, so on a CPU use MuJoCo itself.
 
     Args:
       bank: of `load_bank`.
