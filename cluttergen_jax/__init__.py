@@ -23,6 +23,7 @@ Every command has a function with the same defaults:
     robot_grasps, robot_place      grasps of a pool's objects; objects moved by a simulated arm
     grasp_dataset                  labelled grasps in a bank's clutter
     read_robot                     a robot of your own, from a YAML file beside its models
+    with_robot, make_robot_env     a bank and a robot in one model; Gymnasium's environment of it
     rearrange                      objects brought into new layouts by that arm
     push_bank, pull_bank           a bank to and from a hub
     pull_policies                  weights of ablations, which do not come with the package
@@ -55,6 +56,9 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support_file import list_supports
     from cluttergen_jax.downstream.api import evaluate_suite
     from cluttergen_jax.downstream.dataset.api import make_dataset
+    from cluttergen_jax.downstream.environments.api import make_robot_env, scripted_actions
+    from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
+    from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
     from cluttergen_jax.downstream.perception.api import perception_data, perception_eval, perception_train
     from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
     from cluttergen_jax.downstream.rearrange.api import rearrange
@@ -83,9 +87,11 @@ __all__ = [
     "Bank",
     "BankArrays",
     "KeepOut",
+    "RandomizationConfig",
     "Rectangle",
     "Replay",
     "RobotDescription",
+    "RobotWorld",
     "Sampler",
     "Scene",
     "SceneBatch",
@@ -111,6 +117,7 @@ __all__ = [
     "make_env",
     "make_gym_env",
     "make_region",
+    "make_robot_env",
     "make_sampler",
     "make_sb3_env",
     "make_vector_env",
@@ -136,6 +143,7 @@ __all__ = [
     "repair",
     "robot_grasps",
     "robot_place",
+    "scripted_actions",
     "set_pose",
     "stats_of",
     "stats_text",
@@ -145,6 +153,7 @@ __all__ = [
     "train_suite",
     "verify",
     "view",
+    "with_robot",
 ]
 
 # What is in no module of this list is in `generation`.
@@ -152,6 +161,9 @@ _MODULES = {
     "evaluation.api": ("certify", "evaluate", "judge"),
     "downstream.api": ("evaluate_suite",),
     "downstream.dataset.api": ("make_dataset",),
+    "downstream.environments.api": ("make_robot_env", "scripted_actions"),
+    "downstream.environments.randomization": ("RandomizationConfig",),
+    "downstream.environments.world": ("RobotWorld", "with_robot"),
     "downstream.perception.api": ("perception_data", "perception_eval", "perception_train"),
     "downstream.placer.api": ("placer_data", "placer_eval", "placer_train"),
     "downstream.rearrange.api": ("rearrange",),

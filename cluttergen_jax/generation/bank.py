@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sized
+from collections.abc import Iterator, Sequence, Sized
 from pathlib import Path
 
 import jax
@@ -16,13 +16,16 @@ from flax import struct
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_range
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.arguments import check_key, is_known
+from cluttergen_jax.generation.bank_world import BankAttachment, attach_bank
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement.region import from_pose
-from cluttergen_jax.scene import SceneCollection
+from cluttergen_jax.scene import Scene, SceneCollection
 from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.hub import find_bank
 from cluttergen_jax.scene.bank.scene import SceneArrayReader, SceneArrays, config_of, join_scenes
+from cluttergen_jax.scene.cameras import scene_cameras
 from cluttergen_jax.scene.collection import SceneModel, compile_scenes
+from cluttergen_jax.scene.scene import KEYFRAME
 from cluttergen_jax.types import Array
 
 _MOST = 2**31 - 1
@@ -95,6 +98,58 @@ class BankArrays(struct.PyTreeNode):
     def collection(self) -> SceneCollection:
         """The same scenes on the host, to be put into a `mujoco.MjData`."""
         return SceneCollection(self.compiled, np.asarray(self.object_index), np.asarray(self.poses))
+
+    def waiting_scene(self) -> Scene:
+        """All K objects as one scene on the bank's support, where they wait, with its cameras."""
+        stability, contact = _rules_of(self.bank)
+        return Scene(
+            self.names,
+            self.compiled.objects,
+            self.compiled.model.qpos0.reshape(-1, 7),
+            self.bank.support,
+            stability,
+            contact,
+            cameras=scene_cameras(self.bank.support),
+        )
+
+    def to_mjspec(self) -> mujoco.MjSpec:
+        """A specification of all scenes together, to be extended and compiled.
+
+        It holds the support, each of the K objects once (as often as a scene has it at most), and the
+        support's cameras. Objects wait far away in the air; `attach_to` and `cg.with_robot` give states in
+        which those of a scene stand. Surfaces are drawn, parts collide; time step, solver and contact
+        parameters are those of the bank's files. There is no keyframe.
+        """
+        spec = self.waiting_scene().to_mjspec()
+        spec.delete(spec.key(KEYFRAME))
+        return spec
+
+    def attach_to(
+        self,
+        spec: mujoco.MjSpec,
+        prefix: str = "clutter/",
+        *,
+        position: Sequence[float] = (0.0, 0.0, 0.0),
+        quaternion: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
+        support: bool = True,
+    ) -> BankAttachment:
+        """Puts all objects of the bank into a user's own specification, such as that of a robot.
+
+            attached = bank.attach_to(spec)
+            world = attached.world(spec.compile())
+            state = world.reset(jax.random.key(0))      # qpos, qvel, ctrl, xfrc_applied of the whole model
+
+        Args:
+          spec: changed in place; compile it afterwards. Its own options stay as they are; the objects keep
+            their contact parameters.
+          prefix: before every name of the bank.
+          position, quaternion: T_world_scene, metres, wxyz: where the origin of the scenes comes to be.
+          support: whether the support comes along.
+
+        Raises:
+          ConfigError: as `Scene.attach_to`.
+        """
+        return attach_bank(self, spec, prefix, position, quaternion, support)
 
     @with_own_settings
     def reset(self, key: Array) -> BankArrays:
@@ -204,11 +259,16 @@ def _check_any(bank: Bank, found: Sized) -> None:
 
 def _compile_model(bank: Bank, reader: SceneArrayReader) -> SceneModel:
     """The model of all scenes that a reader has seen."""
-    recipe = bank.record.get("recipe", {})
-    stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)
-    contact = config_of(ContactConfig, recipe.get("contact", {}), bank.path)
+    stability, contact = _rules_of(bank)
     assets = [bank.object(name) for name in reader.names]
     return compile_scenes(assets, reader.most, bank.support, stability.timestep, contact)
+
+
+def _rules_of(bank: Bank) -> tuple[StabilityConfig, ContactConfig]:
+    """With which its scenes were made."""
+    recipe = bank.record.get("recipe", {})
+    stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)
+    return stability, config_of(ContactConfig, recipe.get("contact", {}), bank.path)
 
 
 @with_own_settings

@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from cluttergen_jax.errors import ClutterGenError
 
@@ -141,6 +142,24 @@ def renderer_status() -> tuple[bool, str]:
         return False, str(error)
 
 
+def new_context(width: int, height: int) -> Any:
+    """A GL context of the caller's own, made current: `make_current()`, and in the end `free()`.
+
+    Raises:
+      RendererError: as `gl_context`.
+    """
+    backend = find_backend()
+    try:
+        context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+        context.make_current()
+    except Exception as error:
+        raise RendererError(
+            f"{backend} works in a fresh process but not in this one ({error})",
+            hint=f"setting MUJOCO_GL={backend} before Python starts",
+        ) from error
+    return context
+
+
 @contextmanager
 def gl_context(width: int, height: int) -> Iterator[None]:
     """Makes a GL context current for the block; one thread at a time. Within another's block it is that one.
@@ -151,19 +170,11 @@ def gl_context(width: int, height: int) -> Iterator[None]:
     Raises:
       RendererError: there is no backend, or it works elsewhere but not in this process.
     """
-    backend = find_backend()
     with _LOCK:
         if _OPEN:
             yield
             return
-        try:
-            context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
-            context.make_current()
-        except Exception as error:
-            raise RendererError(
-                f"{backend} works in a fresh process but not in this one ({error})",
-                hint=f"setting MUJOCO_GL={backend} before Python starts",
-            ) from error
+        context = new_context(width, height)
         _OPEN.append(context)
         try:
             yield

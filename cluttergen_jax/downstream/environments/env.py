@@ -1,0 +1,266 @@
+"""A robot in a bank's scenes, for Gymnasium: place, rearrange or grasp, judged as the robot's trials are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from numbers import Real
+from typing import Any, Literal, get_args
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from cluttergen_jax.downstream.environments import arm as robots
+from cluttergen_jax.downstream.environments.pictures import Pictures, check_cameras
+from cluttergen_jax.downstream.environments.simulation import WorldExecution
+from cluttergen_jax.downstream.environments.tasks import Start, Task
+from cluttergen_jax.downstream.environments.world import RobotWorld, numbers_of
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import pose_of
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation.arguments import required_recipe
+
+RobotAction = Literal["joint", "joint_delta", "tool"]
+TIME_LIMIT = "time limit"
+"""The outcome of an episode that ends in nothing else."""
+MAX_TOOL_SPEED, MAX_TURN_SPEED = 0.5, 2.0
+"""m/s and rad/s of a tool action of length 1."""
+GRIP_SPEED = 0.32
+"""m/s of the gripper's set-point at most."""
+_OBJECT_ROW, _POSE = 11, 7
+_ARM_STATE = 2 * robots.NUM_JOINTS + 1 + _POSE
+Info = dict[str, Any]
+
+
+class RobotEnv(gymnasium.Env):
+    """One robot in the scenes of a bank; made by `cg.make_robot_env`, which says what it does.
+
+    Observations, f32, metres and radians, world frame, quaternions wxyz:
+
+    - `agent_pos` [22]: the arm's joints, their speeds, metres of a finger from the middle, T_world_tool.
+    - `environment_state` [N * 11], of each object, the target first: T_world_object, half extents, and 1; 0
+      where a scene has fewer. For `rearrange` [N * 18]: then T_world_object where it shall go.
+    - `pixels`, with cameras: u8[height, width, 3] of each.
+
+    Actions run from -1 to 1. The last number is the gripper's: from 0 to 1 how far it opens, below 0 how
+    hard it presses.
+
+    - `joint` [8]: the arm's joints, each over its range.
+    - `joint_delta` [8]: changes of their set-points, as shares of what Franka's speed limits allow.
+    - `tool` [7]: how the tool moves (0.5 m/s) and turns (2 rad/s, rotation vector), in world axes.
+
+    Rewards are 1 at success, else 0. `info` has `is_success`, `outcome` ("" before the end, then an
+    `Outcome`, one of rearrangement's, or "time limit"), `detail`, `scene` and `target`.
+
+    Attributes:
+      world: the model and its resets. task: what is to be done. start: how this episode began.
+      execution: the simulation.
+    """
+
+    metadata: Info = {"render_modes": ["rgb_array"]}  # noqa: RUF012  Gymnasium looks for it on the class.
+
+    def __init__(
+        self,
+        world: RobotWorld,
+        task: Task,
+        action: RobotAction,
+        cameras: tuple[str, ...],
+        image_size: tuple[int, int],
+        control_hz: float,
+        max_seconds: float | None,
+        recipe: partial[RobotEnv] | None = None,
+    ) -> None:
+        self.world, self.task_kind, self.recipe = world, task, recipe
+        self._places = task.places(world.bank)
+        check_cameras(world.model, cameras, robots.PREFIX)
+        self._action, self._cameras = action, cameras
+        self.render_mode = "rgb_array"
+        self._substeps = max(1, round(1 / control_hz / world.model.opt.timestep))
+        self._period = self._substeps * float(world.model.opt.timestep)
+        self.metadata = {**self.metadata, "render_fps": round(1 / self._period)}
+        self._num_slots = int((np.asarray(world.bank.object_index) >= 0).sum(1).max())
+        seconds = max_seconds or task.seconds * (self._num_slots if task.has_goals else 1)
+        self._max_episode_steps = max(1, round(seconds / self._period))
+        self.task, self.task_description = task.name, task.name
+        arm = world.robot
+        self._low, self._high = arm.low, arm.high
+        self._pictures = Pictures(world.model, *image_size, robots.PREFIX)
+        self._kinematics = robots.kinematics_of(world.base) if action == "tool" else None
+        number = 7 if action == "tool" else robots.NUM_JOINTS + 1
+        self.action_space = spaces.Box(-1.0, 1.0, (number,), np.float32)
+        columns = _OBJECT_ROW + _POSE * task.has_goals
+        infinite = partial(spaces.Box, -np.inf, np.inf, dtype=np.float32)
+        parts: dict[str, spaces.Space] = {
+            "agent_pos": infinite(shape=(_ARM_STATE,)),
+            "environment_state": infinite(shape=(self._num_slots * columns,)),
+        }
+        if cameras:
+            image = spaces.Box(0, 255, (*image_size, 3), np.uint8)
+            parts["pixels"] = spaces.Dict(dict.fromkeys(cameras, image))
+        self.observation_space = spaces.Dict(parts)
+        self.execution: WorldExecution | None = None
+        self.start: Start | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return required_recipe(self.recipe, "make_robot_env"), ()
+
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
+        """A new episode; options: `scene`, its number in the bank."""
+        super().reset(seed=seed)
+        place = self._place_of(options)
+        index = int(self.world.bank.index[place])
+        state = self.world.reset(int(self.np_random.integers(2**31)), index=index)
+        scene = self.world.scene(state)
+        self.start = self.task_kind.begin(scene, self.world.bank, place, self.np_random)
+        self.execution = WorldExecution(self.world, state, self.start.scene, self.start.target)
+        self._judge = self.task_kind.judge(self.start, self.execution)
+        self._order = [self.start.target, *(k for k in range(len(scene.names)) if k != self.start.target)]
+        self._tool, self._num_steps = self.execution.tool, 0
+        objects = [self.start.scene.objects[k] for k in self._order]
+        self._extents = np.array([asset.half_extents for asset in objects])
+        self.task_description = self.task_kind.sentence([asset.label for asset in objects])
+        self._info: Info = {"scene": index, "target": scene.names[self.start.target]}
+        return self._observe(), self._told("", "")
+
+    def _place_of(self, options: Info | None) -> int:
+        options = options or {}
+        if unknown := options.keys() - {"scene"}:
+            raise ConfigError(f"options {sorted(unknown)} of reset", "scene", 'reset(options={"scene": 0})')
+        if (number := options.get("scene")) is None:
+            return int(self.np_random.choice(self._places))
+        known = np.asarray(self.world.bank.index)[self._places]
+        if number not in known:
+            raise ConfigError(f"scene {number} for {self.task}", f"one of {', '.join(map(str, known[:20]))}")
+        return int(self._places[np.flatnonzero(known == number)[0]])
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, Info]:
+        """One step of control. After the episode's last one, `reset` has to follow."""
+        if self.execution is None:
+            raise gymnasium.error.ResetNeeded("reset() has to be called before the first step of an episode")
+        ctrl = self._ctrl_of(action)
+        self._num_steps += 1
+        outcome, detail = "", ""
+        try:
+            self.execution.advance(ctrl, self._substeps)
+            outcome = str(Outcome.SUCCESS) if self._judge.check() else ""
+        except Failed as failure:
+            outcome, detail = str(failure.outcome), failure.detail
+        is_late = not outcome and self._num_steps >= self._max_episode_steps
+        seen, told = self._observe(), self._told(TIME_LIMIT if is_late else outcome, detail)
+        if outcome or is_late:
+            self.execution = None
+        return seen, float(told["is_success"]), bool(outcome), is_late, told
+
+    def _told(self, outcome: str, detail: str) -> Info:
+        is_success = outcome == Outcome.SUCCESS
+        return {**self._info, "is_success": is_success, "outcome": outcome, "detail": detail}
+
+    def _ctrl_of(self, action: Any) -> np.ndarray:
+        """f64[nu]: the set-points that an action asks for, as far as speed limits let them come."""
+        run, arm = self.execution, self.world.robot
+        assert run is not None
+        values = numbers_of(action)
+        if values.shape != self.action_space.shape or not np.isfinite(values).all():
+            raise ConfigError(
+                f"an action of shape {values.shape}{'' if np.isfinite(values).all() else ' with NaN'}",
+                f"{self.action_space.shape[0]} finite numbers, -1 to 1",
+            )
+        values, ctrl = np.clip(values, -1, 1), run.data.ctrl.copy()
+        now, most = ctrl[arm.ctrl], robots.max_speed() * self._period
+        if self._action == "joint":
+            wanted = self._low + (values[:-1] + 1) / 2 * (self._high - self._low)
+        elif self._action == "joint_delta":
+            wanted = now + values[:-1] * most
+        else:
+            wanted = self._solve(values[:6], now)
+        ctrl[arm.ctrl] = np.clip(now + np.clip(wanted - now, -most, most), self._low, self._high)
+        grip = robots.control_of(float(values[-1]))
+        step = GRIP_SPEED * self._period
+        ctrl[arm.grip] += np.clip(grip - ctrl[arm.grip], -step, step)
+        return ctrl
+
+    def _solve(self, values: np.ndarray, now: np.ndarray) -> np.ndarray:
+        """Joints for the tool moved by f64[6]; where none are found the arm stays."""
+        assert self._kinematics is not None
+        shift, turn = np.split(values * self._period, 2)
+        target = robots.turned(self._tool, shift * MAX_TOOL_SPEED, turn * MAX_TURN_SPEED)
+        joints = self._kinematics.solve(target, now)
+        if joints is None:
+            return now
+        self._tool = target
+        return joints
+
+    def action_of(self, ctrl: np.ndarray) -> np.ndarray:
+        """f32[8]: the action that brings the set-points to f64[nu] from where they are now.
+
+        Raises:
+          ConfigError: actions are the tool's.
+        """
+        if self._action == "tool" or self.execution is None:
+            raise ConfigError("set-points as an action of the tool", "action='joint' or 'joint_delta'")
+        arm = self.world.robot
+        joints, grip = ctrl[arm.ctrl], float(ctrl[arm.grip])
+        if self._action == "joint":
+            share = 2 * (joints - self._low) / (self._high - self._low) - 1
+        else:
+            share = (joints - self.execution.set_point) / (robots.max_speed() * self._period)
+        hand = robots.share_of(grip)
+        return np.clip([*share, hand], -1, 1).astype(np.float32)
+
+    @property
+    def substeps(self) -> int:
+        """Steps of the simulation in one of control."""
+        return self._substeps
+
+    def render(self) -> np.ndarray:
+        """u8[height, width, 3]: the camera `front`; the first of the environment's own if it has some."""
+        if self.start is None or not hasattr(self, "_data"):
+            raise gymnasium.error.ResetNeeded("reset() has to be called before render()")
+        return self._pictures.draw(self._data, self._cameras[0] if self._cameras else "front")
+
+    def close(self) -> None:
+        """Frees what pictures are drawn with."""
+        self._pictures.close()
+
+    def _observe(self) -> dict[str, Any]:
+        run, arm = self.execution, self.world.robot
+        assert run is not None
+        assert self.start is not None
+        self._data = run.data
+        poses = run.poses()[self._order]
+        speed = run.data.qvel[arm.dofs]
+        hand = np.array([*run.joints, *speed, run.opening, *pose_of(run.tool)])
+        columns = _OBJECT_ROW + _POSE * self.task_kind.has_goals
+        rows = np.zeros((self._num_slots, columns))
+        rows[: len(poses), :_OBJECT_ROW] = np.column_stack([poses, self._extents, np.ones(len(poses))])
+        if self.task_kind.has_goals:
+            rows[: len(poses), _OBJECT_ROW:] = self.start.goals[self._order]
+        seen: dict[str, Any] = {
+            "agent_pos": hand.astype(np.float32),
+            "environment_state": rows.ravel().astype(np.float32),
+        }
+        if self._cameras:
+            seen["pixels"] = {name: self._pictures.draw(run.data, name) for name in self._cameras}
+        return seen
+
+
+def check_settings(
+    action: str,
+    cameras: Sequence[str],
+    image_size: Sequence[int],
+    control_hz: float,
+    max_seconds: float | None,
+) -> None:
+    """Refuses what no environment can have (ConfigError)."""
+    if action not in get_args(RobotAction):
+        raise ConfigError(f"action = {action!r}", ", ".join(get_args(RobotAction)))
+    if not isinstance(cameras, (tuple, list)) or len(set(cameras)) < len(cameras):
+        raise ConfigError(f"cameras = {cameras!r}", "a sequence of names, each once", 'cameras=("front",)')
+    is_size = isinstance(image_size, (tuple, list)) and len(image_size) == 2
+    if not is_size or not all(isinstance(side, int) and 16 <= side <= 4096 for side in image_size):
+        raise ConfigError(f"image_size = {image_size!r}", "height and width, 16 to 4096 pixels")
+    if not isinstance(control_hz, Real) or not 1 <= control_hz <= 240:
+        raise ConfigError(f"control_hz = {control_hz!r}", "1 to 240", "control_hz=20")
+    if max_seconds is not None and not (isinstance(max_seconds, Real) and 0.1 <= max_seconds <= 3600):
+        raise ConfigError(f"max_seconds = {max_seconds!r}", "0.1 to 3600, or None")

@@ -1,0 +1,307 @@
+"""Tasks of environments: where an episode begins, and the judge that says how it ends.
+
+The judges are those of `robot place` and `rearrange`; here they are asked after every step of control.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.assets.symmetry import turn_symmetry
+from cluttergen_jax.downstream.environments.simulation import WorldExecution
+from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
+from cluttergen_jax.downstream.robot.episode import Referee, set_on_stand, stand_beside
+from cluttergen_jax.downstream.robot.motion.mover import LIFT
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation import BankArrays
+from cluttergen_jax.geometry import rotate_in_plane, rotation_matrix
+from cluttergen_jax.scene import Scene
+
+LEFT = 0.025
+"""Metres from where it last touched an object from which on the open hand has left it."""
+_FALLEN = 0.1
+"""Metres below the support's top."""
+_LIFTED = 0.8 * LIFT
+_UPRIGHT = np.cos(np.radians(3.0))
+
+
+class Judge(Protocol):
+    """Says how an episode ends."""
+
+    def check(self) -> bool:
+        """Whether it has just ended in success. Raises Failed: in failure."""
+
+
+class Task(Protocol):
+    """What is to be done.
+
+    Attributes:
+      name: of it. seconds: that an episode may take, if nothing else is said; for each object.
+      has_goals: objects are to come to poses.
+    """
+
+    name: str
+    seconds: float
+    has_goals: bool
+
+    def stands(self, support: SupportAsset) -> tuple[Box, ...]:
+        """Boxes that it needs beside the support."""
+
+    def places(self, bank: BankArrays) -> np.ndarray:
+        """i[M]: the scenes that it can be done in, by their place in the bank. Raises ConfigError: none."""
+
+    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+        """An episode in the scene at this place."""
+
+    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+        """Of an episode that has begun."""
+
+    def sentence(self, labels: list[str]) -> str:
+        """The task in words; labels: what people call the objects, the first one first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """How an episode begins.
+
+    Attributes:
+      scene: objects where they stand. target: the number of the one that is to be moved (first).
+      goals: f64[N, 7], T_world_object where they shall go; of the target alone one that is known to do.
+    """
+
+    scene: Scene
+    target: int
+    goals: np.ndarray
+
+
+class _OneObject:
+    """What tasks of one object have in common: it is the last of a scene, on which nothing lies."""
+
+    has_goals = False
+
+    def places(self, bank: BankArrays) -> np.ndarray:
+        """All scenes."""
+        return np.arange(len(bank))
+
+
+class GraspTask(_OneObject):
+    """Lift the last object of the scene by 10 cm out of those around it (`robot place --task lift`)."""
+
+    name = "grasp"
+    seconds = 15.0
+
+    def stands(self, support: SupportAsset) -> tuple[Box, ...]:
+        """None."""
+        return ()
+
+    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+        """The scene as it is."""
+        return Start(scene, len(scene.names) - 1, scene.poses.copy())
+
+    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+        """Of `robot place --task lift`."""
+        return _GraspJudge(start, execution)
+
+    def sentence(self, labels: list[str]) -> str:
+        """In words."""
+        return f"lift the {labels[0]}"
+
+
+class PlaceTask(_OneObject):
+    """Bring an object from the stand beside the support into the region, among the others."""
+
+    name = "place"
+    seconds = 40.0
+
+    def stands(self, support: SupportAsset) -> tuple[Box, ...]:
+        """The one that the object stands on."""
+        return (stand_beside(support),)
+
+    def places(self, bank: BankArrays) -> np.ndarray:
+        """The scenes whose last object stands upright."""
+        index = np.asarray(bank.object_index)
+        last = (index >= 0).sum(1) - 1
+        quaternions = np.asarray(bank.poses)[np.arange(len(bank)), last, 3:]
+        found = np.flatnonzero([rotation_matrix(each)[2, 2] > _UPRIGHT for each in quaternions])
+        if not len(found):
+            raise ConfigError(
+                f"{bank!r}, in whose scenes the last object lies", "an upright last object", "task='grasp'"
+            )
+        return found
+
+    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+        """The last object on the stand, somehow turned."""
+        target = len(scene.names) - 1
+        moved, _ = set_on_stand(scene, target, int(rng.integers(2**31)))
+        return Start(moved, target, scene.poses.copy())
+
+    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+        """Of `robot place`."""
+        return _PlaceJudge(start, execution)
+
+    def sentence(self, labels: list[str]) -> str:
+        """In words."""
+        return f"put the {labels[0]} on the table, among the other objects"
+
+
+class RearrangeTask:
+    """Bring all objects of a scene to where they are in another scene of the bank that has the same ones."""
+
+    name = "rearrange"
+    seconds = 25.0
+    has_goals = True
+
+    def stands(self, support: SupportAsset) -> tuple[Box, ...]:
+        """None."""
+        return ()
+
+    def places(self, bank: BankArrays) -> np.ndarray:
+        """The scenes that another one has the objects of."""
+        _, kind, number = np.unique(_sets(bank), axis=0, return_inverse=True, return_counts=True)
+        found = np.flatnonzero(number[kind.ravel()] > 1)
+        if not len(found):
+            raise ConfigError(
+                f"{bank!r}, in which no two scenes have the same objects",
+                "a goal for each object: another scene of the same ones",
+                "a bank of as many objects as its pool has, or with --objects",
+            )
+        return found
+
+    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+        """The scene as it is, and another one for its goals."""
+        sets = _sets(bank)
+        others = np.flatnonzero((sets == sets[place]).all(1))
+        other = int(rng.choice(others[others != place]))
+        index, poses = np.asarray(bank.object_index), np.asarray(bank.poses, np.float64)
+        slots = [int(np.flatnonzero(index[other] == k)[0]) for k in index[place][: len(scene.names)]]
+        goals = poses[other, slots]
+        goals[:, 3:] /= np.linalg.norm(goals[:, 3:], axis=1, keepdims=True)
+        return Start(scene, 0, goals)
+
+    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+        """Of `rearrange`."""
+        return _LayoutJudge(start, execution)
+
+    def sentence(self, labels: list[str]) -> str:
+        """In words."""
+        return f"bring {', '.join(f'the {label}' for label in labels)} to their places"
+
+
+TASKS: dict[str, Task] = {each.name: each for each in (PlaceTask(), RearrangeTask(), GraspTask())}
+
+
+def _sets(bank: BankArrays) -> np.ndarray:
+    """i[S, N]: the objects of each scene, sorted."""
+    return np.sort(np.asarray(bank.object_index), axis=1)
+
+
+class _HandWatch:
+    """Where the tool was when the hand last touched the object that it may touch."""
+
+    def __init__(self, execution: WorldExecution) -> None:
+        self._execution = execution
+        self._touched: np.ndarray | None = None
+
+    @property
+    def is_idle(self) -> bool:
+        """It has touched nothing since the beginning, or since it left."""
+        return self._touched is None
+
+    def has_left(self) -> bool:
+        """It touched the object, is open, and went away."""
+        run = self._execution
+        if run.is_touching:
+            self._touched = run.tool[:3, 3]
+            return False
+        if self._touched is None or run.is_closed:
+            return False
+        return float(np.linalg.norm(run.tool[:3, 3] - self._touched)) > LEFT
+
+    def forget(self) -> None:
+        """It has touched nothing yet."""
+        self._touched = None
+
+
+def _check_fallen(execution: WorldExecution, scene: Scene) -> None:
+    low = execution.poses()[:, 2] < scene.support.top - _FALLEN
+    if low.any():
+        raise Failed(Outcome.OUTSIDE, f"{scene.names[int(low.argmax())]} fell")
+
+
+@dataclass(eq=False)
+class _GraspJudge:
+    start: Start
+    execution: WorldExecution
+
+    @cached_property
+    def _referee(self) -> Referee:
+        return Referee(self.start.scene, self.start.target, (), execution=self.execution)
+
+    def check(self) -> bool:
+        scene, target = self.start.scene, self.start.target
+        _check_fallen(self.execution, scene)
+        height = self.execution.pose(target)[2, 3] - scene.poses[target, 2]
+        if height < _LIFTED or not self.execution.is_touching:
+            return False
+        self._referee.check_others()
+        return True
+
+
+class _PlaceJudge:
+    def __init__(self, start: Start, execution: WorldExecution) -> None:
+        self._execution, self._scene, self._target = execution, start.scene, start.target
+        self._referee = Referee(start.scene, start.target, (), execution=execution)
+        self._stand = stand_beside(start.scene.support)
+        self._hand = _HandWatch(execution)
+
+    def check(self) -> bool:
+        _check_fallen(self._execution, self._scene)
+        if not self._hand.has_left() or self._is_on_stand():
+            return False
+        self._referee.check_others()
+        self._referee.check_stands()
+        self._referee.check_region()
+        return True
+
+    def _is_on_stand(self) -> bool:
+        place = self._execution.pose(self._target)[:2, 3] - np.asarray(self._stand.center[:2])
+        side = np.abs(rotate_in_plane(place, -self._stand.yaw))
+        return bool((side <= self._stand.half_extents[:2]).all())
+
+
+class _LayoutJudge:
+    def __init__(self, start: Start, execution: WorldExecution) -> None:
+        self._execution, self._start = execution, start
+        symmetry = [turn_symmetry(asset) for asset in start.scene.objects]
+        self._judge = RearrangementJudge(execution, start.scene, len(symmetry), symmetry)
+        self._hand, self._target = _HandWatch(execution), start.target
+
+    def check(self) -> bool:
+        run = self._execution
+        _check_fallen(run, self._start.scene)
+        if not self._hand.has_left():
+            if self._hand.is_idle:
+                self._aim()
+            return False
+        self._judge.check_others(self._target)
+        self._hand.forget()
+        if not self._judge.is_right(self._start.goals).all():
+            self._aim()
+            return False
+        self._judge.check_end(self._start.goals)
+        return True
+
+    def _aim(self) -> None:
+        """The hand may touch the object that is nearest to it, none other."""
+        run = self._execution
+        nearest = int(np.linalg.norm(run.poses()[:, :3] - run.tool[:3, 3], axis=1).argmin())
+        if nearest != self._target:
+            run.aim_at(nearest)
+            self._target = nearest
+        self._judge.begin_move()

@@ -1,0 +1,215 @@
+"""A bank and a robot together: one model with resets of both, exact or made for learning."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal, NamedTuple, get_args
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.downstream.environments import arm as robots
+from cluttergen_jax.downstream.environments.randomization import RandomizationConfig, draw_fields, prepare
+from cluttergen_jax.downstream.robot.motion.collision import add_stand
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation import BankArrays
+from cluttergen_jax.generation.bank_world import BankAttachment, BankWorld, WorldState
+from cluttergen_jax.rendering.lighting import add_lighting
+from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene.bank.scene import region_of
+from cluttergen_jax.types import Array
+
+RobotPhysics = Literal["accurate", "learning"]
+LEARNING_STEP = 1 / 480
+"""Seconds."""
+_ITERATIONS = 10
+_OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "ls_iterations", "noslip_iterations")
+_EXTENT, _NEAR, _FAR = 1.5, 0.02, 40.0
+"""Metres that lamps and cameras are made for; what waits is farther away than they see."""
+_PROBED = 64
+_HAND_CONTACTS = 32
+_HEADROOM = 2.0
+"""Contacts are looked for in so many scenes at rest; episodes have more, and those of the hand."""
+
+
+class ContactLimits(NamedTuple):
+    """What MJX with Warp has to be told before it makes its data.
+
+    Attributes:
+      nconmax: contacts of a world; `naconmax` is this times the number of worlds.
+      njmax: rows of constraints of a world.
+    """
+
+    nconmax: int
+    njmax: int
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RobotWorld(BankWorld):
+    """All objects of a bank, a support and a robot. Made by `with_robot`.
+
+    `reset(seed or key)` gives states (`WorldState`); `put(data, state)` begins an episode in C MuJoCo.
+
+    Attributes:
+      spec: what `model` was compiled of, to be extended and compiled again (`attachment.world(model)`).
+      physics: "accurate" or "learning".
+      base: f64[7], T_world_base.
+      randomization: what differs between episodes, None for nothing.
+    """
+
+    spec: mujoco.MjSpec = field(default_factory=mujoco.MjSpec)
+    physics: RobotPhysics = "accurate"
+    base: np.ndarray = field(default_factory=lambda: np.zeros(7))
+    randomization: RandomizationConfig | None = None
+
+    @cached_property
+    def robot(self) -> robots.Arm:
+        """Where the robot's joints, actuators, fingers, tool site and bodies are in the model."""
+        return robots.find_arm(self.model)
+
+    @cached_property
+    def support(self) -> SupportAsset:
+        """The support, its region that of the bank."""
+        return support_of(self.bank)
+
+    @cached_property
+    def limits(self) -> ContactLimits:
+        """Sized from scenes of the bank at rest, with the robot at home: twice as many, and the hand's."""
+        data, most = mujoco.MjData(self.model), np.zeros(2)
+        numbers = np.asarray(self.bank.index)
+        for number in numbers[:: -(-len(numbers) // _PROBED)]:
+            self.put(data, replace_fields(self.reset(0, index=int(number))))
+            most = np.maximum(most, (data.ncon, data.nefc))
+        num_contacts, num_rows = (int(each) for each in np.ceil(_HEADROOM * most))
+        return ContactLimits(num_contacts + _HAND_CONTACTS, num_rows + 6 * _HAND_CONTACTS)
+
+    def scene(self, state: WorldState) -> Scene:
+        """The scene of a state as a value, with this model's names; objects in the order of placement."""
+        present = [int(number) for number in np.asarray(state.object_index) if number >= 0]
+        return replace(
+            self.bank.waiting_scene(),
+            names=tuple(self.names[number] for number in present),
+            objects=tuple(self.bank.compiled.objects[number] for number in present),
+            poses=np.asarray(state.qpos, np.float64)[self.object_qpos[present]],
+            support=self.support,
+            cameras=(),
+        )
+
+    def _state(self, scene: BankArrays, key: Array) -> WorldState:
+        state = super()._state(scene, key)
+        if self.randomization is None:
+            return state
+        drawn, mass = draw_fields(key, self.randomization, self.model, self.bodies, self.object_dofs)
+        factor = jnp.ones(self.model.nbody).at[self.bodies].set(mass)
+        return state.replace(fields=drawn, xfrc_applied=state.xfrc_applied * factor[:, None])
+
+
+def support_of(bank: BankArrays) -> SupportAsset:
+    """The support of a bank, its region the one that scenes were made in."""
+    return replace(bank.bank.support, region=region_of(bank.bank))
+
+
+def replace_fields(state: WorldState) -> WorldState:
+    """The state with the model's own fields."""
+    return state.replace(fields={})
+
+
+def with_robot(
+    bank: BankArrays,
+    robot: str = "panda",
+    pose: Sequence[float] | None = None,
+    physics: RobotPhysics = "accurate",
+    *,
+    stands: Sequence[Box] = (),
+    randomization: RandomizationConfig | None = None,
+) -> RobotWorld:
+    """Puts a robot and all objects of a bank into one model, with resets of both. Extra `robot`.
+
+        world = cg.with_robot(cg.load_bank("bank"), physics="learning")
+        states = jax.vmap(world.reset)(jax.random.split(jax.random.key(0), 1024))
+
+    "accurate" is what `robot place` uses: convex parts of the arm, elliptic cones, 1/960 s. "learning" is for
+    training: Menagerie's colliders for MJX (a capsule, wider than the hand, and a pad a finger; links touch
+    nothing), 10 iterations, 1/480 s. Objects and elliptic cones are the same in both: with pyramidal ones the
+    hand threw what it held, and they were no faster. On a GPU it is meant for MJX with Warp
+    (`mjx.put_model(world.model, impl="warp")`, sized by `world.limits`); MJX in pure JAX does not compile a
+    step of it within two minutes, so on a CPU use MuJoCo itself.
+
+    Args:
+      bank: of `load_bank`.
+      robot: "panda".
+      pose: T_world_base, metres, wxyz; before the region at the height of the support's top if not given.
+      physics: "accurate" or "learning".
+      stands: more boxes that objects can stand on.
+      randomization: what differs between episodes; `state.fields` are then fields of the model, written by
+        `world.put`, or by `mjx_model.tree_replace(state.fields)`.
+
+    Raises:
+      ConfigError: there is no such robot or physics, or the pose is none.
+      MissingExtraError: the extra `robot` is not installed.
+    """
+    if not isinstance(bank, BankArrays):
+        raise ConfigError(
+            f"a bank of type {type(bank).__name__}", "that of cg.load_bank", "load_bank(folder)"
+        )
+    if physics not in get_args(RobotPhysics):
+        raise ConfigError(f"physics = {physics!r}", ", ".join(get_args(RobotPhysics)))
+    if pose is not None and not _is_pose(pose):
+        raise ConfigError(f"pose = {pose!r}", "seven finite numbers: metres, then a unit quaternion wxyz")
+    if randomization is not None and not isinstance(randomization, RandomizationConfig):
+        raise ConfigError(
+            f"randomization = {randomization!r}", "None or a RandomizationConfig", "cg.RandomizationConfig()"
+        )
+    robots.check_robot(robot)
+    contact = bank.waiting_scene().contact
+    spec = bank.to_mjspec()
+    child = robots.arm_spec(contact, is_simple=physics == "learning")
+    spec.option.timestep = child.option.timestep
+    spec.option.integrator = child.option.integrator
+    spec.option.impratio = child.option.impratio
+    if physics == "learning":
+        _make_fast(spec)
+    for option in _OPTIONS:
+        setattr(child.option, option, getattr(spec.option, option))
+    child.option.disableflags = spec.option.disableflags
+    for number, box in enumerate(stands):
+        add_stand(spec, box, f"stand-{number}")
+    support = support_of(bank)
+    base = robots.base_of(support, None if pose is None else np.asarray(pose, np.float64))
+    spec.attach(child, prefix=robots.PREFIX, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:]))
+    if randomization is not None:
+        prepare(spec, randomization)
+    add_lighting(spec)
+    # Of what is looked at, not of where objects wait.
+    spec.stat.center, spec.stat.extent = support.region_points[0], _EXTENT
+    spec.visual.map.znear, spec.visual.map.zfar = _NEAR / _EXTENT, _FAR / _EXTENT
+    model = spec.compile()
+    qpos, ctrl = model.qpos0.copy(), np.zeros(model.nu)
+    robots.set_home(robots.find_arm(model), qpos, ctrl)
+    return RobotWorld(BankAttachment(bank), model, qpos, ctrl, spec, physics, base, randomization)
+
+
+def _make_fast(spec: mujoco.MjSpec) -> None:
+    option = spec.option
+    option.timestep = LEARNING_STEP
+    option.iterations = _ITERATIONS
+    option.noslip_iterations = 0
+
+
+def _is_pose(pose: Sequence[float]) -> bool:
+    values = numbers_of(pose)
+    return values.shape == (7,) and bool(
+        np.isfinite(values).all() and abs(np.linalg.norm(values[3:]) - 1) < 1e-6
+    )
+
+
+def numbers_of(given: object) -> np.ndarray:
+    """f64 of what was given, of no shape that is wanted if it is none."""
+    try:
+        return np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        return np.full((0, 0), np.nan)
