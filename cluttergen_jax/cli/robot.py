@@ -41,7 +41,7 @@ class RobotPlace(Options):
         return 0
 
 
-@options_from(grasp_dataset, bank=Annotated[str, tyro.conf.Positional])
+@options_from(grasp_dataset, bank=Annotated[str, tyro.conf.Positional], robot=str)
 class RobotDataset(Options):
     """Make a dataset of labelled grasps in the scenes of a bank, failures kept (extra `robot`).
 

@@ -348,7 +348,8 @@ def test_pictures_differ_by_camera_and_by_what_is_randomized(bank):
 @pytest.mark.slow
 @pytest.mark.parametrize("impl", ["jax", "warp"])
 def test_mjx_takes_the_learning_model_and_its_randomized_fields(bank, impl):
-    mjx = pytest.importorskip("mujoco.mjx")
+    from mujoco import mjx
+
     if impl == "warp":
         pytest.importorskip("warp", reason="needs the extra gpu")
     world = cg.with_robot(bank, physics="learning", randomization=RANDOM)

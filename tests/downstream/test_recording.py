@@ -24,7 +24,7 @@ from tests.helpers.arm import SCENE
 from tests.helpers.environments import ask_peer
 
 LENGTHS, SECONDS = (6, 0, 5), 2 / FPS
-CLOSED = -0.1
+CLOSED = 0.0
 
 
 def episode(number, trace):

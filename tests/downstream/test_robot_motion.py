@@ -231,7 +231,7 @@ def test_a_free_way_is_straight_and_what_is_carried_stays_upright(world, kinemat
     assert np.allclose(path, np.linspace(ends[0], near, len(path)))
     world.hold(rigid(DOWN.T, np.zeros(3)))
     up, told = np.array([0.0, 0.0, 1.0]), []
-    for joints in time_path(planner.connect(*ends, 0.03, seed=3, up=up), 1 / 240).joints:
+    for joints in time_path(planner.connect(*ends, 0.03, seed=3, up=up), 1 / 240, *LIMITS).joints:
         assert world.is_free(joints, 0.03)
         told.append(world.tilt(up))
         turn = kinematics.tool(joints)[:3, :3] @ DOWN.T

@@ -169,7 +169,7 @@ class RearrangeTask:
             raise ConfigError(
                 f"{bank!r}, in which no two scenes have the same objects",
                 "a goal for each object: another scene of the same ones",
-                "a bank of as many objects as its pool has, or with --objects",
+                "a bank of as many objects as its pool has, or with `objects`",
             )
         return found
 

@@ -82,7 +82,9 @@ class GraspFinder:
             is_ours = given.gripper == self._robot.gripper.hash
             if len(given) and given.hash == content and is_ours:
                 return given
-            other = "another object of that name" if is_ours else f"another gripper than {self._robot.name}'s"
+            other = f"another gripper than {self._robot.name}'s"
+            if given.hash != content:
+                other = "another object of that name"
             what = f"those of {other}" if len(given) else "none"
             raise ConfigError(f"`grasps` of {asset.name}: {what}", "grasps of this object", _HINT)
         return _untested(asset.name, content, given, self._robot)
