@@ -203,6 +203,7 @@ def place(planner, out=None, grasps=None):
     return run_trials([arm.SCENE], "place", 1, 0, out, {}, own_grasps=own, planner=planner)
 
 
+@pytest.mark.slow
 def test_the_arm_goes_the_ways_of_an_own_planner_by_own_grasps(tmp_path):
     planner = Straight()
     found = place(planner, tmp_path)

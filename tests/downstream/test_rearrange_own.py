@@ -159,6 +159,7 @@ def test_a_banks_scenes_are_taken_in_turn_and_its_layouts_are_goals(bank, starts
     assert not is_bank("mug on book:3")
 
 
+@pytest.mark.slow
 def test_an_episode_asks_its_goals_for_layouts():
     goals = arm.standing(arm.PLACES[::-1])
     asked = []
