@@ -112,17 +112,17 @@ def is_whole_shard(path: Path, form: ShardForm, num_views: int, digest: str | No
         return False
 
 
-def dataset_folder(path: Path) -> KeptFolder:
-    """The folder of a dataset, which may not exist yet."""
+def dataset_folder(path: Path, content: str = "views") -> KeptFolder:
+    """The folder of a dataset of views, or of other `content`, which may not exist yet."""
     return KeptFolder(
         path,
         is_whole=lambda folder: (folder / INDEX).is_file(),
-        refusal="{path} exists and holds no dataset of views",
+        refusal="{path} exists and holds no dataset of " + content,
         is_begun=lambda each: False,
     )
 
 
-def begin_record(path: Path, recipe: dict[str, Any]) -> dict[str, Any]:
+def begin_record(path: Path, recipe: dict[str, Any], content: str = "views") -> dict[str, Any]:
     """What is known of a dataset; empty where it is begun now, and then it says how it is made.
 
     Raises:
@@ -130,18 +130,18 @@ def begin_record(path: Path, recipe: dict[str, Any]) -> dict[str, Any]:
     """
     file = path / INDEX
     if not file.exists():
-        write_record(path, {"recipe": recipe})
+        write_record(path, {"recipe": recipe}, content)
         return {}
     try:
         known = checked_record(file.read_bytes())
         theirs = known["recipe"]
     except (OSError, SchemaError, KeyError) as error:
         raise BankError(f"{file} cannot be read ({error})", hint="another `out`") from error
-    check_recipe(path, "views made", recipe, theirs)
+    check_recipe(path, f"{content} made", recipe, theirs)
     return known
 
 
-def write_record(path: Path, record: dict[str, Any]) -> None:
+def write_record(path: Path, record: dict[str, Any], content: str = "views") -> None:
     """Stores the record of a dataset."""
-    text = json.dumps(with_checksum({"format": 1, "kind": "views of scenes", **record}), indent=1) + "\n"
+    text = json.dumps(with_checksum({"format": 1, "kind": f"{content} of scenes", **record}), indent=1) + "\n"
     write_atomically(path / INDEX, text.encode(), is_durable=True)

@@ -118,7 +118,7 @@ def kinematics_of(base: np.ndarray) -> ArmKinematics:
     return ArmKinematics(base)
 
 
-def turned(T_world_tool: np.ndarray, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
+def move_tool(T_world_tool: np.ndarray, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """f64[4, 4]: a pose moved by f[3] metres and turned by the rotation vector f[3], in world axes."""
     pose = T_world_tool.copy()
     pose[:3, 3] += shift

@@ -121,7 +121,7 @@ class RobotEnv(gymnasium.Env):
         self._extents = np.array([asset.half_extents for asset in objects])
         self.task_description = self.task_kind.sentence([asset.label for asset in objects])
         self._info: Info = {"scene": index, "target": scene.names[self.start.target]}
-        return self._observe(), self._told("", "")
+        return self._observe(), self._info_at("", "")
 
     def _place_of(self, options: Info | None) -> int:
         options = options or {}
@@ -147,12 +147,12 @@ class RobotEnv(gymnasium.Env):
         except Failed as failure:
             outcome, detail = str(failure.outcome), failure.detail
         is_late = not outcome and self._num_steps >= self._max_episode_steps
-        seen, told = self._observe(), self._told(TIME_LIMIT if is_late else outcome, detail)
+        seen, told = self._observe(), self._info_at(TIME_LIMIT if is_late else outcome, detail)
         if outcome or is_late:
             self.execution = None
         return seen, float(told["is_success"]), bool(outcome), is_late, told
 
-    def _told(self, outcome: str, detail: str) -> Info:
+    def _info_at(self, outcome: str, detail: str) -> Info:
         is_success = outcome == Outcome.SUCCESS
         return {**self._info, "is_success": is_success, "outcome": outcome, "detail": detail}
 
@@ -184,7 +184,7 @@ class RobotEnv(gymnasium.Env):
         """Joints for the tool moved by f64[6]; where none are found the arm stays."""
         assert self._kinematics is not None
         shift, turn = np.split(values * self._period, 2)
-        target = robots.turned(self._tool, shift * MAX_TOOL_SPEED, turn * MAX_TURN_SPEED)
+        target = robots.move_tool(self._tool, shift * MAX_TOOL_SPEED, turn * MAX_TURN_SPEED)
         joints = self._kinematics.solve(target, now)
         if joints is None:
             return now

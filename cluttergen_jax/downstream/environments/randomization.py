@@ -128,7 +128,7 @@ def draw_fields(
         if config.camera_shift:
             found["cam_pos"] = jnp.asarray(model.cam_pos, jnp.float32) + shift
         if config.camera_turn:
-            found["cam_quat"] = _turned(jnp.asarray(model.cam_quat, jnp.float32), turn)
+            found["cam_quat"] = _rotate(jnp.asarray(model.cam_quat, jnp.float32), turn)
     return found, mass
 
 
@@ -137,7 +137,7 @@ def _times(values: np.ndarray, rows: np.ndarray, factor: Array) -> Array:
     return jnp.asarray(values, jnp.float32).at[rows].multiply(factor)
 
 
-def _turned(quaternion: Array, turn: Array) -> Array:
+def _rotate(quaternion: Array, turn: Array) -> Array:
     """f32[n, 4] wxyz, turned first by rotation vectors f32[n, 3] of their own frames."""
     angle = jnp.linalg.norm(turn, axis=-1, keepdims=True)
     half = jnp.concatenate([jnp.cos(angle / 2), turn * jnp.sinc(angle / (2 * jnp.pi)) / 2], axis=-1)

@@ -120,7 +120,7 @@ class Starts:
         if own.bank is not None:
             setting = replace(setting, start=area, target=own.target or area)
         elif own.support is not None:
-            start, target = (_moved(each, area) for each in (setting.start, setting.target))
+            start, target = (_carry_over(each, area) for each in (setting.start, setting.target))
             setting = replace(setting, start=start, target=own.target or target)
         elif own.target is not None:
             setting = replace(setting, target=own.target)
@@ -235,7 +235,7 @@ def _fitting_scenes(bank: Bank, goals: RelationGoals | BankGoals | None) -> list
     return kept
 
 
-def _moved(rectangle: Rectangle, area: Rectangle) -> Rectangle:
+def _carry_over(rectangle: Rectangle, area: Rectangle) -> Rectangle:
     """A setting's rectangle, told from the usual table's middle, on another support."""
     x, y = np.asarray(area.center) + rotate_in_plane(np.array(rectangle.center), area.yaw)
     return Rectangle((float(x), float(y)), rectangle.half_extents, area.yaw + rectangle.yaw)

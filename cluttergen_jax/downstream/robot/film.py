@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.robot.model import TIMESTEP, Robot, add_pedestal, base_pose
 from cluttergen_jax.downstream.robot.motion.execute import Trace
+from cluttergen_jax.downstream.robot.outcome import EpisodeRow
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
 from cluttergen_jax.progress import Progress
@@ -39,19 +39,6 @@ _AZIMUTH, _ELEVATION = 205.0, -32.0
 """Degrees, of the camera: from across the table, towards the arm."""
 _ARM_WIDTH, _ROOM = 0.08, 0.1
 """Metres around the middles of the arm's links, and over the region, that are in the picture."""
-
-
-class EpisodeRow(Protocol):
-    """What a film has to know of an episode (`outcome.Ending`), and its simulated seconds."""
-
-    @property
-    def outcome(self) -> str: ...
-    @property
-    def detail(self) -> str: ...
-    @property
-    def is_success(self) -> bool: ...
-    @property
-    def seconds(self) -> float: ...
 
 
 def check_films(film: FilmFormat) -> None:

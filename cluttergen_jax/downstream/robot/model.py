@@ -238,7 +238,7 @@ class Robot:
         arm = [model.joint(prefix + name).id for name in robot.arm.joints]
         ctrl = np.array([model.actuator(prefix + name).id for name in robot.arm.actuators])
         hand = model.body(prefix + robot.of_gripper(robot.gripper.body)).id
-        is_hand = _descends(model, hand)
+        is_hand = bodies_of_tree(model, hand)
         root = int(model.body_rootid[hand])
         fingers = [joint for joint in range(model.njnt) if is_hand[model.jnt_bodyid[joint]]]
         return cls(
@@ -254,7 +254,7 @@ class Robot:
             site=model.site(prefix + robot.of_gripper(TOOL)).id,
             hand=hand,
             is_hand=is_hand,
-            is_arm=_descends(model, root),
+            is_arm=bodies_of_tree(model, root),
         )
 
     def tool(self, data: mujoco.MjData) -> np.ndarray:
@@ -264,9 +264,20 @@ class Robot:
         return pose
 
 
-def _descends(model: mujoco.MjModel, root: int) -> np.ndarray:
+def bodies_of_tree(model: mujoco.MjModel, root: int) -> np.ndarray:
     """bool[nbody]: the body and all that hang on it."""
     is_below = np.zeros(model.nbody, bool)
     for body in range(1, model.nbody):
         is_below[body] = body == root or is_below[model.body_parentid[body]]
     return is_below
+
+
+def remove_drawings(spec: mujoco.MjSpec) -> None:
+    """Takes away the surfaces that are only drawn, and their meshes."""
+    for geom in list(spec.geoms):
+        if not (geom.contype or geom.conaffinity):
+            spec.delete(geom)
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)

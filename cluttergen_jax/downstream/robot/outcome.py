@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Protocol
 
 from cluttergen_jax.downstream.rows import share_of
 
@@ -51,6 +52,19 @@ class Ending:
     def is_success(self) -> bool:
         """Nothing went wrong."""
         return self.outcome == Outcome.SUCCESS
+
+
+class EpisodeRow(Protocol):
+    """What films and recordings have to know of an episode (`Ending`), and its simulated seconds."""
+
+    @property
+    def outcome(self) -> str: ...
+    @property
+    def detail(self) -> str: ...
+    @property
+    def is_success(self) -> bool: ...
+    @property
+    def seconds(self) -> float: ...
 
 
 class Endings:

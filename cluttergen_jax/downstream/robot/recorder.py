@@ -11,26 +11,13 @@ from cluttergen_jax.config import RecordFormat
 from cluttergen_jax.downstream.robot.lerobot_folder import LeRobotFolder
 from cluttergen_jax.downstream.robot.model import TIMESTEP
 from cluttergen_jax.downstream.robot.motion.execute import Trace
+from cluttergen_jax.downstream.robot.outcome import EpisodeRow
 from cluttergen_jax.downstream.robot.recording import FPS, RecordCameras, Recording
 from cluttergen_jax.downstream.robot.robomimic_folder import RobomimicFolder
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.gl import find_backend
-
-
-class EpisodeRow(Protocol):
-    """What a recording has to know of an episode."""
-
-    @property
-    def outcome(self) -> str: ...
-    @property
-    def detail(self) -> str: ...
-    @property
-    def is_success(self) -> bool: ...
-    @property
-    def seconds(self) -> float: ...
-
 
 Row = TypeVar("Row", bound=EpisodeRow)
 

@@ -17,7 +17,7 @@ from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.antipodal import Pairs, Union, sample_pairs
 from cluttergen_jax.downstream.robot.grasping.candidates import MARGIN, draw_approaches
 from cluttergen_jax.downstream.robot.gripper import gripper_of
-from cluttergen_jax.downstream.robot.model import hand_spec
+from cluttergen_jax.downstream.robot.model import bodies_of_tree, hand_spec, remove_drawings
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of, rigid, shift_along
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.sensing import Camera, cast_rays
@@ -235,7 +235,7 @@ class StillScene:
         self._carriage = self._model.body(_CARRIAGE).id
         self._hand = self._model.body(hand.name).id
         self._fingers = _fingers_of(self._model)
-        self._is_hand = _tree_of(self._model, self._carriage)
+        self._is_hand = bodies_of_tree(self._model, self._carriage)
         self._groups = np.zeros(mujoco.mjNGROUP, np.uint8)
         self._groups[VISUAL_GROUP] = 1
 
@@ -304,7 +304,7 @@ class LiftScene:
         if not np.isfinite(data.qpos).all():
             return Lift(LiftEnd.DIVERGED, -1, 0.0, np.inf)
         if (gap := self._gap()) < _EMPTY:
-            return Lift(LiftEnd.EMPTY, -1, gap, self._moved(start, -1))
+            return Lift(LiftEnd.EMPTY, -1, gap, self._largest_shift(start, -1))
         for step in range(0, round((_RISE + _HOLD) / _TIMESTEP), _AT_ONCE):
             share = min(1.0, step * _TIMESTEP / _RISE)
             data.ctrl[self._up] = LIFT * share**2 * (3 - 2 * share)
@@ -314,13 +314,13 @@ class LiftScene:
         rise = data.xpos[self._bodies, 2] - start[:, 2]
         highest = int(rise.argmax())
         if rise[highest] < RAISED * LIFT or self._gap() < _EMPTY:
-            return Lift(LiftEnd.LOST, -1, self._gap(), self._moved(start, -1))
-        return Lift(LiftEnd.LIFTED, highest, self._gap(), self._moved(start, highest))
+            return Lift(LiftEnd.LOST, -1, self._gap(), self._largest_shift(start, -1))
+        return Lift(LiftEnd.LIFTED, highest, self._gap(), self._largest_shift(start, highest))
 
     def _gap(self) -> float:
         return 2 * self._gripper.measure(self._data.qpos[self._fingers])
 
-    def _moved(self, start: np.ndarray, held: int) -> float:
+    def _largest_shift(self, start: np.ndarray, held: int) -> float:
         shift = np.linalg.norm(self._data.xpos[self._bodies] - start, axis=1)
         return float(np.delete(shift, held).max(initial=0.0) if held >= 0 else shift.max(initial=0.0))
 
@@ -331,7 +331,7 @@ def _spec_with_hand(scene: Scene, robot: RobotDescription, visual: bool) -> mujo
         scene.names, scene.objects, scene.support, _TIMESTEP, scene.contact, poses=scene.poses, visual=visual
     )
     hand = hand_spec(scene.contact, robot)
-    _leave_collisions(hand)
+    remove_drawings(hand)
     spec.option.integrator, spec.option.impratio = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, _IMPRATIO
     for option in _OPTIONS:
         setattr(hand.option, option, getattr(spec.option, option))
@@ -349,17 +349,6 @@ def _spec_with_hand(scene: Scene, robot: RobotDescription, visual: bool) -> mujo
     return spec
 
 
-def _leave_collisions(hand: mujoco.MjSpec) -> None:
-    """Takes away what is only drawn."""
-    for geom in list(hand.geoms):
-        if not (geom.contype or geom.conaffinity):
-            hand.delete(geom)
-    used = {geom.meshname for geom in hand.geoms}
-    for mesh in list(hand.meshes):
-        if mesh.name not in used:
-            hand.delete(mesh)
-
-
 def _put_hand(model: mujoco.MjModel, carriage: int, hand: int, T_world_hand: np.ndarray) -> None:
     """Puts the hand at f64[4, 4]."""
     pose = pose_of(T_world_hand)
@@ -370,11 +359,3 @@ def _fingers_of(model: mujoco.MjModel) -> list[int]:
     """Where the hand's joints are in `qpos`, in the order of its own model."""
     named = [model.joint(index) for index in range(model.njnt)]
     return [int(joint.qposadr[0]) for joint in named if joint.name.startswith(_PREFIX)]
-
-
-def _tree_of(model: mujoco.MjModel, root: int) -> np.ndarray:
-    """bool[nbody]: a body and all that hangs on it."""
-    is_in = np.zeros(model.nbody, bool)
-    for body in range(1, model.nbody):
-        is_in[body] = body == root or is_in[model.body_parentid[body]]
-    return is_in

@@ -26,6 +26,7 @@ import pyarrow.parquet as pq
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.obj import mesh_text
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.downstream.dataset.files import begin_record, dataset_folder
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import vgn
 from cluttergen_jax.downstream.robot.grasping.clutter import (
@@ -40,19 +41,16 @@ from cluttergen_jax.downstream.robot.grasping.clutter import (
 )
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
-from cluttergen_jax.errors import BankError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.files import remove_partial, write_atomically, writing
-from cluttergen_jax.kept_folder import KeptFolder, check_recipe
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank import assets_section, front_matter, read_bank, write_unless_own
 from cluttergen_jax.scene.bank.scene import read_scenes
-from cluttergen_jax.schema import SchemaError, checked_record, with_checksum
 from cluttergen_jax.sensing import REALSENSE, Camera, noisy
 from cluttergen_jax.tables import markdown_table
 
-INDEX, GRASPS = "dataset.json", "grasps.parquet"
+GRASPS, _CONTENT = "grasps.parquet", "grasps"
 _COLUMNS = {
     "scene": (pa.int32(), "number of the scene in its bank"),
     "object": (pa.string(), "name of the object that is meant"),
@@ -116,16 +114,6 @@ class GraspDataset:
         )
 
 
-def grasp_folder(path: Path) -> KeptFolder:
-    """The folder of such a dataset, which may not exist yet."""
-    return KeptFolder(
-        path,
-        is_whole=lambda folder: (folder / INDEX).is_file(),
-        refusal="{path} exists and holds no dataset of grasps",
-        is_begun=lambda each: False,
-    )
-
-
 def make(bank: Path, num_scenes: int | None, plan: GraspPlan, out: Path, num_threads: int) -> GraspDataset:
     """A dataset in a folder, begun or continued; see `cluttergen_jax.grasp_dataset`."""
     source = read_bank(bank)
@@ -136,9 +124,9 @@ def make(bank: Path, num_scenes: int | None, plan: GraspPlan, out: Path, num_thr
         "robot": {"name": plan.robot.name, "hash": plan.robot.hash},
         "versions": versions(),
     }
-    with grasp_folder(out).lock(), writing(out):
+    with dataset_folder(out, _CONTENT).lock(), writing(out):
         remove_partial(out)
-        _begin(out, recipe)
+        begin_record(out, recipe, _CONTENT)
         meshes = {asset.name: asset for scene in scenes for asset in scene.objects}
         for name, asset in meshes.items():
             _write(out / _mesh_name(name), mesh_text(_surface_of(asset)).encode())
@@ -153,20 +141,6 @@ def make(bank: Path, num_scenes: int | None, plan: GraspPlan, out: Path, num_thr
         finally:
             pool.shutdown(cancel_futures=True)
         return _finish(out, scenes, list(meshes.values()), recipe, gripper_of(plan.robot).max_opening)
-
-
-def _begin(out: Path, recipe: dict[str, Any]) -> None:
-    """Stores how the dataset is made, or refuses another recipe."""
-    file = out / INDEX
-    if file.exists():
-        try:
-            theirs = checked_record(file.read_bytes())["recipe"]
-        except (OSError, SchemaError, KeyError) as error:
-            raise BankError(f"{file} cannot be read ({error})", hint="another `out`") from error
-        check_recipe(out, "grasps made", recipe, theirs)
-        return
-    record = with_checksum({"format": 1, "kind": "grasps in clutter", "recipe": recipe})
-    _write(file, (json.dumps(record, indent=1) + "\n").encode())
 
 
 def _make_scene(out: Path, plan: GraspPlan, scene: Scene) -> str:

@@ -87,7 +87,7 @@ class GraspFinder:
                 other = "another object of that name"
             what = f"those of {other}" if len(given) else "none"
             raise ConfigError(f"`grasps` of {asset.name}: {what}", "grasps of this object", _HINT)
-        return _untested(asset.name, content, given, self._robot)
+        return _make_grasps(asset.name, content, given, self._robot)
 
 
 def _read_plain(path: Path) -> dict[str, Any]:
@@ -108,7 +108,7 @@ def _read_plain(path: Path) -> dict[str, Any]:
         raise PoolError(f"{path}: no grasps can be read ({error})", allowed, _HINT) from error
 
 
-def _untested(name: str, content: str, given: Any, robot: RobotDescription) -> Grasps:
+def _make_grasps(name: str, content: str, given: Any, robot: RobotDescription) -> Grasps:
     widest = 2 * gripper_of(robot).max_opening
     try:
         pose, width = (array_of(each).astype(np.float64) for each in given)

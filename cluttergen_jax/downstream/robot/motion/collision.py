@@ -14,7 +14,7 @@ from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.gripper import gripper_of
-from cluttergen_jax.downstream.robot.model import Robot, arm_spec, attach_robot
+from cluttergen_jax.downstream.robot.model import Robot, arm_spec, attach_robot, remove_drawings
 from cluttergen_jax.downstream.robot.motion.occupancy_boxes import OccupancyBoxes
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.geometry import yaw_quaternion
@@ -153,7 +153,7 @@ class PlanningWorld:
             for box in boxes:
                 _add_box(body, box)
         arm = arm_spec(contact, robot)
-        _without_drawings(arm)
+        remove_drawings(arm)
         held = arm.body(robot.of_gripper(robot.gripper.body)).add_body(name=_HELD)
         for index, part in enumerate(objects[target].parts):
             add_part(arm, held, f"{_HELD}/part-{index}", part.vertices)
@@ -269,14 +269,3 @@ def _add_box(body: mujoco.MjsBody, box: Box) -> mujoco.MjsGeom:
 def _name_of(kind: Kind) -> str:
     """Of the body of columns."""
     return f"columns/{kind.name.lower()}"
-
-
-def _without_drawings(arm: mujoco.MjSpec) -> None:
-    """Takes away the surfaces that are only drawn, and their meshes."""
-    for geom in list(arm.geoms):
-        if not (geom.contype or geom.conaffinity):
-            arm.delete(geom)
-    used = {geom.meshname for geom in arm.geoms}
-    for mesh in list(arm.meshes):
-        if mesh.name not in used:
-            arm.delete(mesh)

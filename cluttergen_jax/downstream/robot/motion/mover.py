@@ -244,9 +244,8 @@ class Mover:
             if found is None:
                 continue
             self.world.hold(self._T_tool_object)
-            top, seed = found[0][-1], next(self._seeds)
-            where = self.execution.set_point
-            path = self.planner.connect(where, top, self._opening, seed, up=place[2, :3])
+            asked = self.execution.set_point, found[0][-1], self._opening, next(self._seeds)
+            path = self.planner.connect(*asked, up=place[2, :3])
             if path is not None:
                 return PlacePlan(path, found[0][::-1], found[1])
         return None
