@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, product
 from pathlib import Path
 
 import tyro
@@ -30,13 +30,14 @@ class RobotEnvironments:
       num_episodes: of each policy and task.
       bank: scenes; made of `pool` if empty.
       pool: of objects.
-      tasks, physics: of environments.
+      robots, tasks, physics: of environments.
       write: put the table into reports/benchmarks.md.
     """
 
     num_episodes: int = 10
     bank: str = ""
     pool: str = "household"
+    robots: tuple[str, ...] = ("panda",)
     tasks: tuple[str, ...] = ("place", "grasp")
     physics: tuple[str, ...] = ("accurate", "learning")
     write: bool = False
@@ -74,18 +75,17 @@ def body_of(args: RobotEnvironments, folder: Path) -> str:
         shape = {"num_objects": 8, "region": "0.5x0.5", "order": "random"}
         cg.generate(bank, pool=args.pool, num_scenes=args.num_episodes, render=False, max_files=0, **shape)
     found, rows = cg.load_bank(bank), []
-    for task in args.tasks:
-        for physics in args.physics:
-            env = cg.make_robot_env(task, found, action="joint_delta", physics=physics)
-            of_reset, of_step = cost(env)
-            for is_scripted in (False, True):
-                ends = Counter(run_episode(env, seed, is_scripted) for seed in range(args.num_episodes))
-                causes = ", ".join(f"{name} {n}" for name, n in ends.most_common() if name != "success")
-                name = "scripted" if is_scripted else "random"
-                wins = f"{ends['success']} of {args.num_episodes}"
-                rows.append((task, physics, name, wins, causes or "-", f"{of_reset:.1f}", f"{of_step:.1f}"))
-                print(*rows[-1], flush=True)
-    head = ("task", "physics", "policy", "success", "failures", "ms a reset", "ms a step")
+    for robot, task, physics in product(args.robots, args.tasks, args.physics):
+        env = cg.make_robot_env(task, found, robot, action="joint_delta", physics=physics)
+        costs = [f"{each:.1f}" for each in cost(env)]
+        for is_scripted in (False, True):
+            ends = Counter(run_episode(env, seed, is_scripted) for seed in range(args.num_episodes))
+            causes = ", ".join(f"{name} {n}" for name, n in ends.most_common() if name != "success")
+            name = "scripted" if is_scripted else "random"
+            wins = f"{ends['success']} of {args.num_episodes}"
+            rows.append((robot, task, physics, name, wins, causes or "-", *costs))
+            print(*rows[-1], flush=True)
+    head = ("robot", "task", "physics", "policy", "success", "failures", "ms a reset", "ms a step")
     text = prose(
         f"""{len(found)} scenes, {len(found.names)} objects in the model. A step of control is 50 ms of
         simulated time; both costs are CPU-milliseconds, judge and observation of the state included."""

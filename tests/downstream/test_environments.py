@@ -18,6 +18,7 @@ from gymnasium.utils.env_checker import check_env
 import cluttergen_jax as cg
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.downstream.environments import scripted
+from cluttergen_jax.downstream.environments.arm import GripShare
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.transforms import inverse, motion_between, pose_of, rigid
 from cluttergen_jax.errors import ConfigError
@@ -169,6 +170,30 @@ def test_actions_of_the_tool_move_it_straight(bank):
     assert angle == pytest.approx(0.1, abs=5e-3)
 
 
+def test_another_robot_has_its_own_actions_and_its_gripper_opens_and_closes(bank):
+    env = cg.make_robot_env("grasp", bank, "panda_2f85", action="joint_delta", physics="learning")
+    seen, _ = env.reset(seed=0)
+    assert env.action_space.shape == (8,)
+    assert seen["agent_pos"].shape == (22,)
+    given, arm, model = env.world.description.gripper, env.world.robot, env.world.model
+    share = GripShare(env.world.description)
+    assert share.control_of(1.0) == pytest.approx(given.open)
+    assert share.control_of(-1.0) == pytest.approx(given.closed)
+    for each in (-0.5, -1e-3, 0.0, 0.2, 1.0):
+        assert share.share_of(share.control_of(each)) == pytest.approx(each, abs=1e-9)
+    colliders = arm.is_arm[model.geom_bodyid] & ((model.geom_contype > 0) | (model.geom_conaffinity > 0))
+    assert colliders.any()
+    assert arm.is_hand[model.geom_bodyid[colliders]].all()
+    widths = []
+    for command in (0.0, 1.0):
+        for _ in range(12):
+            seen, *_, info = env.step([*np.zeros(7), command])
+        assert info["outcome"] == ""
+        widths.append(seen["agent_pos"][14])
+    assert widths[0] < 0.005
+    assert widths[1] > 0.03
+
+
 def end_of(env, pose, seed=0):
     """What the judge says of the target at f64[7], once a hand that touched it is open and away."""
     env.reset(seed=seed)
@@ -302,6 +327,23 @@ def grasps_from_above(asset):
         1,
         pose_of(inverse(pose)),
     )
+
+
+@pytest.mark.slow
+def test_a_scripted_policy_rearranges(bank, monkeypatch):
+    monkeypatch.setattr(
+        scripted, "grasps_of", lambda assets, **_: [grasps_from_above(each) for each in assets]
+    )
+    env = cg.make_robot_env("rearrange", bank)
+    env.reset(seed=0)
+    # It has no two sides to be gripped by.
+    prism = env.start.scene.names.index("prism")
+    env.start.goals[prism] = env.start.scene.poses[prism]
+    for action in cg.scripted_actions(env):
+        *_, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            break
+    assert info["is_success"], info
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.env import RobotAction, RobotEnv
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.world import RobotPhysics
+    from cluttergen_jax.downstream.robot.description import RobotLike
     from cluttergen_jax.generation import BankArrays
 
 RobotEnvTask = Literal["place", "rearrange", "grasp"]
@@ -23,7 +24,7 @@ RobotEnvTask = Literal["place", "rearrange", "grasp"]
 def make_robot_env(
     task: RobotEnvTask = "place",
     bank: BankArrays | str | Path = "bank",
-    robot: str = "panda",
+    robot: RobotLike = "panda",
     *,
     action: RobotAction = "joint",
     cameras: Sequence[str] = (),
@@ -45,7 +46,8 @@ def make_robot_env(
         lift the scene's last object out of them; "rearrange", bring all objects to where another scene of the
         bank has them.
       bank: a folder, OWNER/NAME on a hub, or what `load_bank` gives.
-      robot: "panda".
+      robot: a name, the path of a YAML file, or a `RobotDescription`. Its n joints and one gripper make
+        actions of n + 1 numbers.
       action: "joint" (set-points), "joint_delta" (their changes) or "tool" (changes of the tool's pose).
       cameras: whose pictures are observed: overhead, front, side and wrist, which stand still, and hand.
       image_size: height and width, pixels.
@@ -102,15 +104,16 @@ def scripted_actions(env: RobotEnv, seed: int = 0) -> Iterator[np.ndarray]:
         for action in cg.scripted_actions(env):
             observation, reward, terminated, truncated, info = env.step(action)
 
-    It plans and runs the motion of `robot place` in a copy of the simulation, and then yields what that did,
-    step by step. The first call tests grasps of the object, which takes some seconds and is kept.
+    It plans and runs the motion of `robot place`, or of `rearrange`, in a copy of the simulation, and then
+    yields what that did, step by step. The first call tests grasps of the object, which takes some seconds
+    and is kept.
 
     Args:
-      env: of task "place" or "grasp", whose actions are of joints, just reset.
+      env: whose actions are of joints, just reset.
       seed: of the planner.
 
     Raises:
-      ConfigError: of another task, or with actions of the tool, or before a reset.
+      ConfigError: with actions of the tool, or before a reset.
     """
     from cluttergen_jax.downstream.environments.scripted import plan_actions
 

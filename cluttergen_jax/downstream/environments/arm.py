@@ -1,4 +1,4 @@
-"""The arm of a world: the one file here that knows which robot it is."""
+"""The robot of a world: its model, exact or simple, and what set-points of its gripper mean."""
 
 from __future__ import annotations
 
@@ -6,53 +6,54 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import ContactConfig, no_such
+from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.cameras import SIZE, wrist_camera
-from cluttergen_jax.downstream.robot.description import find_robot
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot as Arm
 from cluttergen_jax.downstream.robot.model import arm_spec as whole_arm
-from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.scene.cameras import Camera
 
-ROBOTS = ("panda",)
 HAND_CAMERA = "hand"
 """The camera on the hand; others bear the names of `scene.cameras`."""
-_LEARNING_MODEL = "mjx_panda.xml"
-PREFIX = "panda/"
-NUM_JOINTS = 7
+_LEARNING_MODELS = {"panda": "mjx_panda.xml"}
+"""Of Menagerie: the same robot with few, simple colliders, beside the file of the arm."""
+_GRIP_RATE = 8.0
+"""By how many times its range the gripper's set-point moves in a second at most: 0.32 m/s of the Panda's."""
 
 
-def check_robot(robot: str) -> None:
-    """Refuses a robot that there is none of (ConfigError), and an extra that is missing."""
-    if robot not in ROBOTS:
-        raise no_such("robot", str(robot), ROBOTS)
-    find_robot(robot)
-
-
-def arm_spec(contact: ContactConfig, is_simple: bool) -> mujoco.MjSpec:
-    """The arm with its base at the origin, and a camera on its hand; is_simple: few, simple colliders."""
-    robot = find_robot()
+def arm_spec(contact: ContactConfig, robot: RobotDescription, is_simple: bool) -> mujoco.MjSpec:
+    """The robot with its base at the origin, and a camera on its hand; is_simple: few, simple colliders."""
     spec = whole_arm(contact, robot)
     for light in list(spec.lights):
         spec.delete(light)
     if is_simple:
-        _simplify(spec)
+        _simplify(spec, robot)
     camera = Camera.of(HAND_CAMERA, wrist_camera(gripper_of(robot).T_hand_tool))
-    spec.body(robot.gripper.body).add_camera(
+    spec.body(robot.of_gripper(robot.gripper.body)).add_camera(
         name=HAND_CAMERA, pos=camera.position, quat=camera.quaternion, fovy=camera.fovy, resolution=SIZE
     )
     return spec
 
 
-def _simplify(spec: mujoco.MjSpec) -> None:
-    """Replaces colliders by those of Menagerie's model for MJX: a capsule for the hand, a pad a finger."""
+def _simplify(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
+    """Leaves the links without colliders; the hand has those of Menagerie's model for MJX if there is one."""
+    simple = _LEARNING_MODELS.get(robot.name)
+    root = spec.body(robot.of_gripper(robot.gripper.body))
+    hand = {root.name, *(body.name for body in root.find_all("body"))}
     for geom in list(spec.geoms):
-        if geom.contype or geom.conaffinity:
+        if (geom.contype or geom.conaffinity) and (simple or geom.parent.name not in hand):
             spec.delete(geom)
-    simple = mujoco.MjSpec.from_file(str(find_robot().arm.path.with_name(_LEARNING_MODEL)))
+    if simple:
+        _add_colliders(spec, mujoco.MjSpec.from_file(str(robot.arm.path.with_name(simple))))
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)
+
+
+def _add_colliders(spec: mujoco.MjSpec, simple: mujoco.MjSpec) -> None:
+    """Those of another model of the same robot."""
     for geom in simple.geoms:
         if not (geom.contype or geom.conaffinity):
             continue
@@ -72,50 +73,41 @@ def _simplify(spec: mujoco.MjSpec) -> None:
             solref=geom.solref,
             solimp=geom.solimp,
         )
-    used = {geom.meshname for geom in spec.geoms}
-    for mesh in list(spec.meshes):
-        if mesh.name not in used:
-            spec.delete(mesh)
 
 
-def base_of(support: SupportAsset, pose: np.ndarray | None) -> np.ndarray:
-    """f64[7]: T_world_base; before the support if it is not given."""
-    return base_pose(support) if pose is None else np.asarray(pose, np.float64)
-
-
-def find_arm(model: mujoco.MjModel) -> Arm:
-    """Where the arm is in a model in which `PREFIX` is before its names."""
-    return Arm.of(model)
-
-
-def set_home(arm: Arm, qpos: np.ndarray, ctrl: np.ndarray) -> None:
+def set_home(robot: RobotDescription, arm: Arm, qpos: np.ndarray, ctrl: np.ndarray) -> None:
     """Writes the home pose, the hand open, into f64[nq] and f64[nu]."""
-    gripper = gripper_of()
-    qpos[arm.qpos] = ctrl[arm.ctrl] = find_robot().arm.home
+    gripper = gripper_of(robot)
+    qpos[arm.qpos] = ctrl[arm.ctrl] = robot.arm.home
     qpos[arm.fingers] = gripper.joints_of(np.array(gripper.max_opening))
     ctrl[arm.grip] = gripper.control_of(np.array(gripper.max_opening))
 
 
-def max_speed() -> np.ndarray:
-    """f64[7]: rad/s, of the joints."""
-    return np.array(find_robot().arm.speed)
+class GripShare:
+    """The gripper's set-point as a number: 1 is open, 0 is where the fingers meet, -1 presses hardest.
 
+    Args:
+      robot: whose gripper it is.
 
-def control_of(share: float) -> float:
-    """The gripper's set-point: 1 is open, 0 is where the fingers meet, -1 presses as hard as it can."""
-    given = find_robot().gripper
-    return share * (given.open if share >= 0 else -given.closed)
+    Attributes:
+      speed: how fast the set-point moves at most, in units of the actuator, per second.
+    """
 
+    def __init__(self, robot: RobotDescription) -> None:
+        given = robot.gripper
+        self._meet = float(gripper_of(robot).control[0])
+        self._open, self._closed = given.open - self._meet, given.closed - self._meet
+        self.speed = _GRIP_RATE * abs(self._open)
 
-def share_of(control: float) -> float:
-    """What `control_of` makes a set-point of."""
-    given = find_robot().gripper
-    return control / (given.open if control >= 0 else -given.closed)
+    def control_of(self, share: float) -> float:
+        """The set-point."""
+        return self._meet + share * (self._open if share >= 0 else -self._closed)
 
-
-def kinematics_of(base: np.ndarray) -> ArmKinematics:
-    """Inverse kinematics of the arm whose base stands at f64[7]."""
-    return ArmKinematics(base)
+    def share_of(self, control: float) -> float:
+        """What `control_of` makes a set-point of; 0 to -1 where the gripper cannot press."""
+        beyond = control - self._meet
+        side = self._open if beyond * self._open >= 0 else -self._closed
+        return beyond / side if side else 0.0
 
 
 def move_tool(T_world_tool: np.ndarray, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:

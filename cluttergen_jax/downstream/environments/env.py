@@ -11,11 +11,12 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from cluttergen_jax.downstream.environments import arm as robots
+from cluttergen_jax.downstream.environments.arm import GripShare, move_tool
 from cluttergen_jax.downstream.environments.pictures import Pictures, check_cameras
 from cluttergen_jax.downstream.environments.simulation import WorldExecution
 from cluttergen_jax.downstream.environments.tasks import Start, Task
 from cluttergen_jax.downstream.environments.world import RobotWorld, numbers_of
+from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.errors import ConfigError
@@ -26,10 +27,7 @@ TIME_LIMIT = "time limit"
 """The outcome of an episode that ends in nothing else."""
 MAX_TOOL_SPEED, MAX_TURN_SPEED = 0.5, 2.0
 """m/s and rad/s of a tool action of length 1."""
-GRIP_SPEED = 0.32
-"""m/s of the gripper's set-point at most."""
 _OBJECT_ROW, _POSE = 11, 7
-_ARM_STATE = 2 * robots.NUM_JOINTS + 1 + _POSE
 Info = dict[str, Any]
 
 
@@ -38,7 +36,8 @@ class RobotEnv(gymnasium.Env):
 
     Observations, f32, metres and radians, world frame, quaternions wxyz:
 
-    - `agent_pos` [22]: the arm's joints, their speeds, metres of a finger from the middle, T_world_tool.
+    - `agent_pos` [2 n + 8]: the arm's n joints, their speeds, metres of a finger from the middle,
+      T_world_tool.
     - `environment_state` [N * 11], of each object, the target first: T_world_object, half extents, and 1; 0
       where a scene has fewer. For `rearrange` [N * 18]: then T_world_object where it shall go.
     - `pixels`, with cameras: u8[height, width, 3] of each.
@@ -46,8 +45,8 @@ class RobotEnv(gymnasium.Env):
     Actions run from -1 to 1. The last number is the gripper's: from 0 to 1 how far it opens, below 0 how
     hard it presses.
 
-    - `joint` [8]: the arm's joints, each over its range.
-    - `joint_delta` [8]: changes of their set-points, as shares of what Franka's speed limits allow.
+    - `joint` [n + 1]: the arm's joints, each over its range.
+    - `joint_delta` [n + 1]: changes of their set-points, as shares of what the robot's speed limits allow.
     - `tool` [7]: how the tool moves (0.5 m/s) and turns (2 rad/s, rotation vector), in world axes.
 
     Rewards are 1 at success, else 0. `info` has `is_success`, `outcome` ("" before the end, then an
@@ -73,7 +72,8 @@ class RobotEnv(gymnasium.Env):
     ) -> None:
         self.world, self.task_kind, self.recipe = world, task, recipe
         self._places = task.places(world.bank)
-        check_cameras(world.model, cameras, robots.PREFIX)
+        prefix = world.description.prefix
+        check_cameras(world.model, cameras, prefix)
         self._action, self._cameras = action, cameras
         self.render_mode = "rgb_array"
         self._substeps = max(1, round(1 / control_hz / world.model.opt.timestep))
@@ -85,14 +85,17 @@ class RobotEnv(gymnasium.Env):
         self.task, self.task_description = task.name, task.name
         arm = world.robot
         self._low, self._high = arm.low, arm.high
-        self._pictures = Pictures(world.model, *image_size, robots.PREFIX)
-        self._kinematics = robots.kinematics_of(world.base) if action == "tool" else None
-        number = 7 if action == "tool" else robots.NUM_JOINTS + 1
+        self._most = np.array(world.description.arm.speed) * self._period
+        self._share = GripShare(world.description)
+        self._pictures = Pictures(world.model, *image_size, prefix)
+        is_tool = action == "tool"
+        self._kinematics = ArmKinematics(world.base, world.description) if is_tool else None
+        number = 7 if is_tool else len(arm.qpos) + 1
         self.action_space = spaces.Box(-1.0, 1.0, (number,), np.float32)
         columns = _OBJECT_ROW + _POSE * task.has_goals
         infinite = partial(spaces.Box, -np.inf, np.inf, dtype=np.float32)
         parts: dict[str, spaces.Space] = {
-            "agent_pos": infinite(shape=(_ARM_STATE,)),
+            "agent_pos": infinite(shape=(2 * len(arm.qpos) + 1 + _POSE,)),
             "environment_state": infinite(shape=(self._num_slots * columns,)),
         }
         if cameras:
@@ -167,7 +170,7 @@ class RobotEnv(gymnasium.Env):
                 f"{self.action_space.shape[0]} finite numbers, -1 to 1",
             )
         values, ctrl = np.clip(values, -1, 1), run.data.ctrl.copy()
-        now, most = ctrl[arm.ctrl], robots.max_speed() * self._period
+        now, most = ctrl[arm.ctrl], self._most
         if self._action == "joint":
             wanted = self._low + (values[:-1] + 1) / 2 * (self._high - self._low)
         elif self._action == "joint_delta":
@@ -175,8 +178,8 @@ class RobotEnv(gymnasium.Env):
         else:
             wanted = self._solve(values[:6], now)
         ctrl[arm.ctrl] = np.clip(now + np.clip(wanted - now, -most, most), self._low, self._high)
-        grip = robots.control_of(float(values[-1]))
-        step = GRIP_SPEED * self._period
+        grip = self._share.control_of(float(values[-1]))
+        step = self._share.speed * self._period
         ctrl[arm.grip] += np.clip(grip - ctrl[arm.grip], -step, step)
         return ctrl
 
@@ -184,7 +187,7 @@ class RobotEnv(gymnasium.Env):
         """Joints for the tool moved by f64[6]; where none are found the arm stays."""
         assert self._kinematics is not None
         shift, turn = np.split(values * self._period, 2)
-        target = robots.move_tool(self._tool, shift * MAX_TOOL_SPEED, turn * MAX_TURN_SPEED)
+        target = move_tool(self._tool, shift * MAX_TOOL_SPEED, turn * MAX_TURN_SPEED)
         joints = self._kinematics.solve(target, now)
         if joints is None:
             return now
@@ -192,7 +195,7 @@ class RobotEnv(gymnasium.Env):
         return joints
 
     def action_of(self, ctrl: np.ndarray) -> np.ndarray:
-        """f32[8]: the action that brings the set-points to f64[nu] from where they are now.
+        """f32[n + 1]: the action that brings the set-points to f64[nu] from where they are now.
 
         Raises:
           ConfigError: actions are the tool's.
@@ -204,9 +207,8 @@ class RobotEnv(gymnasium.Env):
         if self._action == "joint":
             share = 2 * (joints - self._low) / (self._high - self._low) - 1
         else:
-            share = (joints - self.execution.set_point) / (robots.max_speed() * self._period)
-        hand = robots.share_of(grip)
-        return np.clip([*share, hand], -1, 1).astype(np.float32)
+            share = (joints - self.execution.set_point) / self._most
+        return np.clip([*share, self._share.share_of(grip)], -1, 1).astype(np.float32)
 
     @property
     def substeps(self) -> int:

@@ -4,14 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cluttergen_jax.downstream.environments import arm as robots
+from cluttergen_jax.assets.symmetry import turn_symmetry
+from cluttergen_jax.downstream.environments.simulation import WorldExecution
+from cluttergen_jax.downstream.environments.tasks import PlaceTask, Start
+from cluttergen_jax.downstream.rearrange.episode import Rearranger
+from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
+from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
+from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, TrueObserver
+from cluttergen_jax.downstream.rearrange.task import RearrangeOptions, RearrangeSetting, RearrangeTask
 from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.grasping.grasps import grasps_of
 from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
+from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import Mover
 from cluttergen_jax.downstream.robot.outcome import Failed
 from cluttergen_jax.downstream.transforms import matrix_of
@@ -26,25 +35,51 @@ _WAIT = 10
 
 def plan_actions(env: RobotEnv, seed: int) -> Iterator[np.ndarray]:
     """See `scripted_actions`."""
-    if env.task not in ("place", "grasp"):
-        raise ConfigError(
-            f"a scripted policy for {env.task!r}", "place, grasp", "cg.rearrange, which plans it"
-        )
     if env.execution is None or env.start is None:
         raise ConfigError("a scripted policy of no episode", "an environment that was just reset")
-    start, base = env.start, env.world.base
-    scene, target = start.scene, start.target
     copy = env.execution.fork(env.substeps)
     env.action_of(copy.data.ctrl)
-    stands = (stand_beside(scene.support),) if env.task == "place" else ()
-    planning = PlanningWorld(scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
-    mover = Mover(copy, planning, robots.kinematics_of(base), target, seed)
-    grasps = next(iter(grasps_of([scene.objects[target]])))
-    goal = matrix_of(start.goals[target : target + 1]) if env.task == "place" else None
     # Where the planner fails the episode does, too: it goes on as far as that came.
     with suppress(Failed):
-        mover.pick(mover.find_pick(grasps, goal))
-        if goal is not None:
-            mover.place(goal)
+        if env.task_kind.has_goals:
+            _rearrange(env, env.start, copy, seed)
+        else:
+            _move_target(env, env.start, copy, seed)
     commands = [*copy.commands, *[copy.data.ctrl.copy()] * _WAIT]
     return (env.action_of(ctrl) for ctrl in commands)
+
+
+def _move_target(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -> None:
+    """Lifts the target, and brings it to its goal if the task is to place it."""
+    scene, target, base, robot = start.scene, start.target, env.world.base, env.world.description
+    is_placed = env.task == PlaceTask.name
+    stands = (stand_beside(scene.support),) if is_placed else ()
+    known = (scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
+    mover = Mover(copy, PlanningWorld(*known, robot=robot), ArmKinematics(base, robot), target, seed)
+    grasps = next(iter(grasps_of([scene.objects[target]], robot=robot)))
+    goal = matrix_of(start.goals[target : target + 1]) if is_placed else None
+    mover.pick(mover.find_pick(grasps, goal))
+    if goal is not None:
+        mover.place(goal)
+
+
+def _rearrange(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -> None:
+    """Brings all objects to their goals, those that are in the way aside first."""
+    scene, robot, number = start.scene, env.world.description, len(start.goals)
+    draw = SceneDraw(env.world.bank.bank, "clear", number)
+    task = RearrangeTask(
+        RearrangeSetting(env.task, num_objects=number, start=draw.area, target=draw.area),
+        replace(scene, support=draw.support),
+        tuple(draw.names.index(name) for name in scene.names),
+        tuple(grasps_of(scene.objects, robot=robot)),
+        tuple(map(turn_symmetry, scene.objects)),
+        draw,
+        seed,
+        goals=lambda _, others: start.goals[None],
+        area=draw.area,
+        robot=robot,
+    )
+    judge = RearrangementJudge(copy, scene, number, task.symmetry)
+    with EpisodeView(copy, scene.names, seed) as view:
+        sight = ObjectTracker(TrueObserver(), view, True, task.symmetry)
+        Rearranger(task, RearrangeOptions(), copy, sight, judge).run()

@@ -27,7 +27,7 @@ class WorldExecution(Execution):
 
     def __init__(self, world: RobotWorld, state: WorldState, scene: Scene, target: int) -> None:
         self._world, self._state = world, state
-        super().__init__(scene, target)
+        super().__init__(scene, target, robot=world.description)
 
     def _compile(self, scene: Scene, stands: Sequence[Box]) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         return self._world.spec, self._world.model

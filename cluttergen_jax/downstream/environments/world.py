@@ -12,8 +12,11 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.support import Box, SupportAsset
-from cluttergen_jax.downstream.environments import arm as robots
+from cluttergen_jax.downstream.environments.arm import arm_spec, set_home
 from cluttergen_jax.downstream.environments.randomization import RandomizationConfig, draw_fields, prepare
+from cluttergen_jax.downstream.robot.description import RobotDescription, RobotLike, find_robot
+from cluttergen_jax.downstream.robot.model import Robot as Arm
+from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import add_stand
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays
@@ -57,19 +60,21 @@ class RobotWorld(BankWorld):
     Attributes:
       spec: what `model` was compiled of, to be extended and compiled again (`attachment.world(model)`).
       physics: "accurate" or "learning".
+      description: of the robot.
       base: f64[7], T_world_base.
       randomization: what differs between episodes, None for nothing.
     """
 
     spec: mujoco.MjSpec = field(default_factory=mujoco.MjSpec)
     physics: RobotPhysics = "accurate"
+    description: RobotDescription = field(default_factory=find_robot)
     base: np.ndarray = field(default_factory=lambda: np.zeros(7))
     randomization: RandomizationConfig | None = None
 
     @cached_property
-    def robot(self) -> robots.Arm:
+    def robot(self) -> Arm:
         """Where the robot's joints, actuators, fingers, tool site and bodies are in the model."""
-        return robots.find_arm(self.model)
+        return Arm.of(self.model, self.description)
 
     @cached_property
     def support(self) -> SupportAsset:
@@ -120,7 +125,7 @@ def replace_fields(state: WorldState) -> WorldState:
 
 def with_robot(
     bank: BankArrays,
-    robot: str = "panda",
+    robot: RobotLike = "panda",
     pose: Sequence[float] | None = None,
     physics: RobotPhysics = "accurate",
     *,
@@ -133,15 +138,15 @@ def with_robot(
         states = jax.vmap(world.reset)(jax.random.split(jax.random.key(0), 1024))
 
     "accurate" is what `robot place` uses: convex parts of the arm, elliptic cones, 1/960 s. "learning" is for
-    training: Menagerie's colliders for MJX (a capsule, wider than the hand, and a pad a finger; links touch
-    nothing), 10 iterations, 1/480 s. Objects and elliptic cones are the same in both: with pyramidal ones the
-    hand threw what it held, and they were no faster. On a GPU it is meant for MJX with Warp
-    (`mjx.put_model(world.model, impl="warp")`, sized by `world.limits`); MJX in pure JAX does not compile a
-    step of it within two minutes, so on a CPU use MuJoCo itself.
+    training: links touch nothing, 10 iterations, 1/480 s; the Panda's own hand has Menagerie's colliders for
+    MJX, a capsule wider than the hand and a pad a finger. Objects and elliptic cones are the same in both:
+    with pyramidal ones the hand threw what it held, and they were no faster. On a GPU it is meant for MJX
+    with Warp (`mjx.put_model(world.model, impl="warp")`, sized by `world.limits`); MJX in pure JAX does not
+    compile a step of it within two minutes, so on a CPU use MuJoCo itself.
 
     Args:
       bank: of `load_bank`.
-      robot: "panda".
+      robot: a name, the path of a YAML file, or a `RobotDescription` (docs/guide/robots.md).
       pose: T_world_base, metres, wxyz; before the region at the height of the support's top if not given.
       physics: "accurate" or "learning".
       stands: more boxes that objects can stand on.
@@ -164,10 +169,10 @@ def with_robot(
         raise ConfigError(
             f"randomization = {randomization!r}", "None or a RandomizationConfig", "cg.RandomizationConfig()"
         )
-    robots.check_robot(robot)
+    found = find_robot(robot)
     contact = bank.waiting_scene().contact
     spec = bank.to_mjspec()
-    child = robots.arm_spec(contact, is_simple=physics == "learning")
+    child = arm_spec(contact, found, is_simple=physics == "learning")
     spec.option.timestep = child.option.timestep
     spec.option.integrator = child.option.integrator
     spec.option.impratio = child.option.impratio
@@ -179,8 +184,8 @@ def with_robot(
     for number, box in enumerate(stands):
         add_stand(spec, box, f"stand-{number}")
     support = support_of(bank)
-    base = robots.base_of(support, None if pose is None else np.asarray(pose, np.float64))
-    spec.attach(child, prefix=robots.PREFIX, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:]))
+    base = base_pose(support, found) if pose is None else np.asarray(pose, np.float64)
+    spec.attach(child, prefix=found.prefix, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:]))
     if randomization is not None:
         prepare(spec, randomization)
     add_lighting(spec)
@@ -189,8 +194,9 @@ def with_robot(
     spec.visual.map.znear, spec.visual.map.zfar = _NEAR / _EXTENT, _FAR / _EXTENT
     model = spec.compile()
     qpos, ctrl = model.qpos0.copy(), np.zeros(model.nu)
-    robots.set_home(robots.find_arm(model), qpos, ctrl)
-    return RobotWorld(BankAttachment(bank), model, qpos, ctrl, spec, physics, base, randomization)
+    set_home(found, Arm.of(model, found), qpos, ctrl)
+    attached = BankAttachment(bank)
+    return RobotWorld(attached, model, qpos, ctrl, spec, physics, found, base, randomization)
 
 
 def _make_fast(spec: mujoco.MjSpec) -> None:

@@ -1,6 +1,6 @@
 """Where the CPU's time goes while scenes are sampled, and while a policy is trained.
 
-    python -m benchmarks.profile [--write]
+    python -m benchmarks.host_profile [--write]
 
 CPU-seconds of the whole process, all threads, in each piece of the work: one piece runs at a time.
 Compilation and the first block of scenes, or the first update, are left out.
