@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Protocol
 
 import jax
@@ -12,8 +11,8 @@ from flax import struct
 from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.boxes import Boxes
-from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
-from cluttergen_jax.placement.containers import draw_contents, num_contained, openings_of
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.containers import num_contained, openings_of
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
@@ -27,6 +26,8 @@ from cluttergen_jax.placement.region import (
 )
 from cluttergen_jax.placement.related import RelatedObjects, carriers_of, holds_among
 from cluttergen_jax.placement.removal import choose_removal, footprint_area
+from cluttergen_jax.placement.reward import reward_of
+from cluttergen_jax.placement.slots import SlotDraw
 from cluttergen_jax.placement.support_graph import (
     empty_graph,
     graph_after_settling,
@@ -130,7 +131,7 @@ class Rules(struct.PyTreeNode, eq=False):
         """
         key_order, key_episode = jax.random.split(key)
         config = self.config
-        start = empty_start(self.geometry.num_objects) if start is None else start
+        start = Start.empty(self.geometry.num_objects) if start is None else start
         first_slot = start.is_placed.sum().astype(jnp.int32)
         if region is None and self.draw_region is not None:
             # Orders are those of unchanged regions; `fold_in` of 0 or 1 would be a key of the split again.
@@ -140,7 +141,7 @@ class Rules(struct.PyTreeNode, eq=False):
             key=key_episode,
             region=self.region if region is None else region,
             keep_out=no_keep_out() if keep_out is None else keep_out,
-            object_index=self._draw_slots(key_order, start.is_placed, roles),
+            object_index=self.slots.draw(key_order, start.is_placed, roles),
             first_slot=first_slot,
             slot=first_slot,
             attempt=jnp.int32(0),
@@ -184,61 +185,14 @@ class Rules(struct.PyTreeNode, eq=False):
         return last // stride + 1 if stride else 0
 
     @property
-    def num_slots(self) -> int:
-        """S: slots of those that stand there already, then of those to be placed."""
-        return self.num_started + self.config.num_objects
-
-    def _draw_slots(self, key: Array, is_taken: Array, roles: Array | None) -> Array:
-        """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
-
-        Those to place are a uniform subset of the objects not taken, whatever their order but "fixed"; those
-        of roles are among them and come first, each after those to which it is placed. Where objects are to
-        be inside of others, so many that fit are among them, and what they fit into comes first.
-        """
-        ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
-        if self.config.order != "fixed":
-            ranks = jax.random.uniform(key, ranks.shape)
-        ranks = jnp.where(is_taken, jnp.inf, ranks)
-        if roles is not None:
-            ranks = ranks.at[roles].set(-1.0)
-        is_container = None
-        if self._num_contained and self.config.order != "fixed":
-            # No search finds room inside of others where nothing that is drawn fits into anything.
-            is_content, is_container = draw_contents(
-                jax.random.fold_in(key, 6),
-                self.geometry,
-                is_taken,
-                self._num_contained,
-                self.config.num_objects,
-            )
-            ranks = jnp.where((is_content | is_container) & ~is_taken, ranks - 1.0, ranks)
-        chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
-        chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
-        if self.config.order in ("largest", "weighted"):
-            chosen = chosen[jnp.argsort(-self._weight(key)[chosen])]
-        if is_container is not None:
-            chosen = chosen[jnp.argsort(~is_container[chosen], stable=True)]
-        if roles is not None and self.related is not None:
-            chosen = chosen[jnp.argsort(self.related.priority(roles)[chosen], stable=True)]
-        standing = jnp.nonzero(is_taken, size=self.num_started, fill_value=-1)[0].astype(jnp.int32)
-        slots = jnp.concatenate([standing, chosen])
-        slots = jnp.pad(slots, (0, self.num_slots - slots.shape[0]), constant_values=-1)
-        return slots[jnp.argsort(slots < 0, stable=True)]
+    def slots(self) -> SlotDraw:
+        """Which objects come, in which order."""
+        return SlotDraw(self.config, self.geometry, self.num_started, self.related)
 
     @property
-    def _num_contained(self) -> int:
-        """Objects that are drawn to be inside of others: one more than are asked for, for want of room."""
-        clutter = self.config.clutter
-        asked = math.ceil((clutter and clutter.contained) or 0)
-        return min(asked + 1, self.config.num_objects - 1) if asked else 0
-
-    def _weight(self, key: Array) -> Array:
-        """f32[K]: who comes first, highest first. With noise of Gumbel's it is a draw by Plackett-Luce."""
-        weight = jnp.log(footprint_area(self.geometry))
-        if self.config.order == "largest":
-            return weight
-        noise = jax.random.gumbel(jax.random.fold_in(key, 1), weight.shape)
-        return ORDER_POWER * weight + noise
+    def num_slots(self) -> int:
+        """S: slots of those that stand there already, then of those to be placed."""
+        return self.slots.num_slots
 
     def focus(self, episode: Episode) -> Array:
         """i32: the current object (of a finished episode: some object)."""
@@ -261,7 +215,7 @@ class Rules(struct.PyTreeNode, eq=False):
         assert episode.surface is not None
         focus = self.focus(episode)
         drawn = self.surfaces.draw(key, episode, focus, footprint_area(self.geometry))
-        if self._num_contained and self.surfaces.number is None:
+        if self.slots.num_contained and self.surfaces.number is None:
             drawn = self._beside_container(key, episode, drawn)
         surface = episode.surface.at[focus].set(
             jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
@@ -396,7 +350,7 @@ class Rules(struct.PyTreeNode, eq=False):
         """Whether all relations hold of which both objects are placed, the focus object included; bool."""
         assert episode.roles is not None
         is_placed = episode.is_placed.at[focus].set(True)
-        poses = jnp.where(is_placed[:, None], settling.poses, empty_start(len(is_placed)).poses)
+        poses = jnp.where(is_placed[:, None], settling.poses, Start.empty(len(is_placed)).poses)
         boxes = Boxes.of(self.geometry.half_extents, poses)
         carriers = carriers_of(related, episode.roles, focus, episode.is_placed)
         is_carried = jnp.all(settling.bears | ~carriers)
@@ -534,7 +488,7 @@ class Rules(struct.PyTreeNode, eq=False):
             object_index=episode.object_index[order],
             slot=is_kept.sum().astype(jnp.int32),
             attempt=jnp.int32(0),
-            poses=jnp.where(which[:, None], empty_start(len(which)).poses, episode.poses),
+            poses=jnp.where(which[:, None], Start.empty(len(which)).poses, episode.poses),
             is_placed=episode.is_placed & ~which,
             history=jax.tree.map(jnp.zeros_like, episode.history),
             counts=counts.replace(
@@ -563,12 +517,6 @@ class Rules(struct.PyTreeNode, eq=False):
         )
 
 
-def empty_start(num_objects: int) -> Start:
-    """Nothing stands there."""
-    poses = jnp.zeros((num_objects, 7), jnp.float32).at[:, 3].set(1.0)
-    return Start(poses, jnp.zeros(num_objects, bool))
-
-
 def empty_history(max_attempts: int, num_rows: int) -> History:
     """No attempt yet: all rows zero."""
     return History(
@@ -578,28 +526,3 @@ def empty_history(max_attempts: int, num_rows: int) -> History:
         num_steps=jnp.zeros(max_attempts, jnp.int32),
         is_tried=jnp.zeros(max_attempts, bool),
     )
-
-
-_CODE_LAST_BONUS = 1000.0
-
-
-def reward_of(
-    settling: Settling, is_stable: Array, ordinal: Array, is_last: Array, config: PlacementConfig
-) -> Array:
-    """The reward of one attempt, f32.
-
-    "paper": -c sum_t (|v_t| + |a_t|) + n R0 1[stable], n the object's ordinal from 1 (paper, equation 1).
-    "code": -c sum_t |v_t|_1 + R0 1[stable], and 1,000 more for the last object (its published code).
-    "compressed": 1[stable] - log(1 + c sum_t (|v_t| + |a_t|)) / 10. The paper's penalty on a failed attempt
-      is 69 in the median and up to 1,600; its logarithm keeps the order and spares the critic.
-
-    Args:
-      ordinal: i32, 1 for the first object.
-    """
-    stable = is_stable.astype(jnp.float32)
-    if config.reward == "paper":
-        return -config.motion_cost * settling.motion_sum + ordinal * config.success_reward * stable
-    if config.reward == "code":
-        bonus = config.success_reward + _CODE_LAST_BONUS * is_last
-        return -config.motion_cost * settling.speed_sum + bonus * stable
-    return stable - jnp.log1p(config.motion_cost * settling.motion_sum) / 10

@@ -38,8 +38,8 @@ from cluttergen_jax.placement.problem import (
     keep_out_of,
 )
 from cluttergen_jax.placement.region import KeepOut
-from cluttergen_jax.placement.rules import empty_start
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import World, columns_of
 from cluttergen_jax.types import Array
 
@@ -132,7 +132,7 @@ class ShelfWorlds:
             self._names.append(tuple(asset.name for asset in objects))
         self._keep(number, problem.world)
         problem = replace(problem, rules=problem.rules.replace(engine=jnp.int32(number)))
-        return Setup(problem, self.keep_out, empty_start(self.config.shelf))
+        return Setup(problem, self.keep_out, Start.empty(self.config.shelf))
 
     def _compose(self, objects: Sequence[ObjectAsset]) -> Problem:
         return compose(objects, self.support, self.config, sizes=self._sizes)

@@ -253,6 +253,12 @@ class Start(struct.PyTreeNode):
     poses: Array
     is_placed: Array
 
+    @staticmethod
+    def empty(num_objects: int) -> Start:
+        """Nothing stands there."""
+        poses = jnp.zeros((num_objects, 7), jnp.float32).at[:, 3].set(1.0)
+        return Start(poses, jnp.zeros(num_objects, bool))
+
 
 class History(struct.PyTreeNode):
     """The failed attempts of the current object, oldest first: A attempts, H kept trajectory rows.

@@ -10,7 +10,7 @@ import cluttergen_jax as cg
 from cluttergen_jax.generation.hand import HandBank
 from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import no_keep_out
-from cluttergen_jax.placement.rules import empty_start
+from cluttergen_jax.placement.types import Start
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 from tests.helpers.problems import trio_problem
@@ -21,7 +21,7 @@ SEED = 7
 @pytest.fixture(scope="module")
 def setup():
     problem = trio_problem(history_stride=0, num_objects=2, min_margin=0.003)
-    return Setup(problem, no_keep_out(), empty_start(3))
+    return Setup(problem, no_keep_out(), Start.empty(3))
 
 
 def opened(path, setup, **kinds):

@@ -9,7 +9,7 @@ import pytest
 from cluttergen_jax.placement.hand import HandScene
 from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import no_keep_out
-from cluttergen_jax.placement.rules import empty_start
+from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
 from tests.helpers.problems import trio_problem
 
@@ -19,7 +19,7 @@ HALF_HEIGHT = (0.05, 0.03, 0.1)
 
 def setup_of(**placement):
     problem = trio_problem(history_stride=0, **placement)
-    return Setup(problem, no_keep_out(), empty_start(3))
+    return Setup(problem, no_keep_out(), Start.empty(3))
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.hand import HandScene
 from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import no_keep_out
-from cluttergen_jax.placement.rules import empty_start
+from cluttergen_jax.placement.types import Start
 from cluttergen_jax.rendering.viewer.viewer import open_server
 from tests.helpers.problems import HalfTable, trio_problem
 
@@ -26,7 +26,7 @@ class Scenes:
     def __init__(self):
         problem = trio_problem(history_stride=0, num_objects=2)
         rules = problem.rules.replace(physics=HalfTable())
-        self.setup = Setup(replace(problem, rules=rules), no_keep_out(), empty_start(3))
+        self.setup = Setup(replace(problem, rules=rules), no_keep_out(), Start.empty(3))
         self.support, self.region = problem.world.support, problem.region
         self.kept, self.is_full = [], False
 

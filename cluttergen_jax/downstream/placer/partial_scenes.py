@@ -17,8 +17,8 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.region import KeepOut, Region, to_pose
-from cluttergen_jax.placement.rules import Rules, empty_start
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.types import Array, Verdict
 
@@ -94,7 +94,7 @@ def episode_of(rules: Rules, keep_out: KeepOut, object_index: Array, poses: Arra
     return episode.replace(
         object_index=object_index,
         slot=slot,
-        poses=empty_start(num_objects).poses.at[place].set(poses, mode="drop"),
+        poses=Start.empty(num_objects).poses.at[place].set(poses, mode="drop"),
         is_placed=jnp.zeros(num_objects, bool).at[place].set(True, mode="drop"),
     )
 
