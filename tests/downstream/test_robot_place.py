@@ -12,6 +12,7 @@ pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.cli.main import main
+from cluttergen_jax.downstream.robot import film
 from cluttergen_jax.downstream.robot import trials as robot_trials
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.grasping import own_grasps
@@ -99,6 +100,37 @@ def test_rows_are_not_continued_with_other_grasps_or_another_planner(bank, made,
             run_trials(scenes, "lift", 3, 0, tmp_path, {})
     planner_hash.cache_clear()
     assert len(run_trials(scenes, "lift", 3, 0, tmp_path, {}).rows) == 3
+
+
+def test_films_are_drawn_of_what_was_kept_and_of_earlier_processes_run_again(bank, tmp_path, monkeypatch):
+    ran, drawn = [], []
+
+    def episode(scene, task, grasps, places, index, seed, trace, planner, robot):
+        ran.append(index)
+        trace.states = [index]
+        return failed(Outcome.NO_PATH, scene.objects[-1].name) if index == 1 else GOOD
+
+    def save(frames, path, fps):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"film")
+        drawn.append((path.name, list(frames)))
+
+    monkeypatch.setattr(robot_trials, "_episode", episode)
+    monkeypatch.setattr(own_grasps, "grasps_of", lambda assets, **_: [GRASPS] * len(assets))
+    monkeypatch.setattr(film, "save_film", save)
+    monkeypatch.setattr(film, "episode_frames", lambda trace, title, row: iter(trace.states))
+    scenes = list(read_scenes(bank))
+    run_trials(scenes, "place", 3, 0, tmp_path, {}, films="gif")
+    assert ran == [0, 1, 2]
+    assert drawn == [("success-0.gif", [0]), ("no-path-1.gif", [1])]
+    (tmp_path / "films" / "no-path-1.gif").unlink()
+    run_trials(scenes, "place", 3, 0, tmp_path, {}, films="gif")
+    assert ran == [0, 1, 2, 1]
+    assert drawn[2:] == [("no-path-1.gif", [1])]
+    (tmp_path / "films" / "success-0.gif").unlink()
+    monkeypatch.setattr(robot_trials, "_episode", lambda scene, *_: failed(Outcome.SLIP))
+    with pytest.raises(BankError, match="ended with 'success', and run again with 'slip'"):
+        run_trials(scenes, "place", 3, 0, tmp_path, {}, films="gif")
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ from cluttergen_jax.downstream.rearrange.task import (
     RearrangeTask,
 )
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
-from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
+from cluttergen_jax.downstream.robot.film import FILMS, Films
 from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, success_of
@@ -124,7 +124,7 @@ def run_rearrangements(
       observer: tells where things are; the true poses if not given.
       num_threads: of the simulation of layouts and the tests of grasps; 0 takes every core.
       ask: a person, who chooses the layouts.
-      films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
+      films: film the first episode of each outcome in the folder `films` of `out` (`Films`).
       own_grasps, planner, own: a user's; told_own: what a recipe says of `own`.
       record: where and how every episode is recorded.
       sheets: draw the layouts of each episode as `out`/layouts-NUMBER.png (`layout_sheet`).
@@ -163,10 +163,7 @@ def run_rearrangements(
         given = options if ask is None else replace(options, layout=rows[index].layout)
         return rearrange_episode(task_of(index), given, observer, trace)
 
-    def run(index: int) -> RearrangeResult:
-        return rearrange_episode(task_of(index), options, observer, ask=ask)
-
-    def run_traced(index: int, trace: Trace) -> RearrangeResult:
+    def run(index: int, trace: Trace | None = None) -> RearrangeResult:
         return rearrange_episode(task_of(index), options, observer, trace, ask)
 
     def note(rows: list[RearrangeResult]) -> str:
@@ -177,12 +174,14 @@ def run_rearrangements(
         words = task_words("" if own is None else own.goals)
         recorder = open_recorder(record, recipe, seed, words)
         recorder.complete(rows, again)
-    make = run if recorder is None else partial(recorder.run, run=run_traced)
+    filmed = None if out is None or films is None else Films(run, out / FILMS, films, setting.name)
+    shown = run if filmed is None else filmed.run
+    make = shown if recorder is None else partial(recorder.run, run=shown)
     file.complete(rows, number, make, setting.name, note=note)
     if recorder is not None:
         recorder.finish()
     if out is not None and sheets:
         save_sheets(rows, task_of, options, observer, out)
-    if out is not None and films is not None:
-        film_firsts(rows, again, out / FILMS, films, setting.name)
+    if filmed is not None:
+        filmed.draw(rows, again)
     return Rearrangements(setting.name, told, tuple(rows))

@@ -1,9 +1,10 @@
-"""Films of episodes: the first success and the first failure of each kind, run again by their seeds."""
+"""Films of episodes: the first success and the first failure of each kind."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import mujoco
 import numpy as np
@@ -19,16 +20,20 @@ from cluttergen_jax.rendering.camera import fit_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.figure import GREEN
 from cluttergen_jax.rendering.gl import find_backend
-from cluttergen_jax.rendering.lighting import add_lighting
+from cluttergen_jax.rendering.lighting import KEY_LIGHT, add_lighting
 from cluttergen_jax.rendering.overlay import with_caption, with_frame
 from cluttergen_jax.rendering.renderer import open_renderer, set_range
 from cluttergen_jax.rendering.scene_renderer import RED
 from cluttergen_jax.rendering.video import check_format, save_film
 
+RowT = TypeVar("RowT", bound=EpisodeRow)
+
 FILMS = "films"
-FPS = 12.5
-"""Frames per second: 8 hundredths of a second each, which GIF can tell."""
-_SECONDS, _FASTEST = 10.0, 8.0
+FPS = 10
+"""Frames per second: 10 hundredths of a second each, which GIF can tell."""
+EVERY = round(1 / (2 * FPS * TIMESTEP))
+"""Steps from one state that is kept to the next."""
+_SECONDS, _FASTEST = 8.0, 8.0
 """A film is as fast as it takes to last so long, but never faster than so many times reality."""
 _HELD = 1.0
 """Seconds for which the end is shown."""
@@ -53,59 +58,70 @@ def check_films(film: FilmFormat) -> None:
     find_backend()
 
 
-def film_firsts(
-    rows: Sequence[EpisodeRow],
-    again: Callable[[int, Trace], EpisodeRow],
-    folder: Path,
-    film: FilmFormat,
-    title: str,
-) -> list[Path]:
-    """Films the first episode of each outcome; those that are there already are left as they are.
+class Films(Generic[RowT]):
+    """Films of the first episode of each outcome, drawn of what was kept while it ran.
 
     Args:
-      rows: of all episodes, by number.
-      again: runs an episode by its number.
-      folder: for the films, OUTCOME-NUMBER.gif or .mp4.
-      title: of all of them.
-
-    Returns:
-      The films that were made.
-
-    Raises:
-      BankError: an episode that was run again ended in another way.
-      RendererError: nothing here can draw.
-      MissingExtraError: "mp4" without an encoder.
+      run: runs an episode by its number, and fills a trace of every `EVERY` steps.
+      folder: for the films, OUTCOME-NUMBER.gif or .mp4. film: which of the two. title: of all of them.
     """
-    firsts: dict[str, int] = {}
-    for number, row in enumerate(rows):
-        firsts.setdefault(row.outcome, number)
-    paths = {
-        number: inside(folder, f"{outcome.replace(' ', '-')}-{number}.{film}")
-        for outcome, number in firsts.items()
-    }
-    missing = {number: path for number, path in paths.items() if not path.exists()}
-    with Progress("films", len(missing), "film") as progress:
-        for number, path in missing.items():
-            row = rows[number]
-            trace = Trace(_every(row.seconds))
-            found = again(number, trace)
-            if (found.outcome, found.detail) != (row.outcome, row.detail):
-                raise BankError(
-                    f"episode {number} in {folder.parent} ended with {_ending(row)!r}, and run again with "
-                    f"{_ending(found)!r}",
-                    "episodes that end as they did, as those of the same version and machine do",
-                    "another folder",
-                )
-            save_film(episode_frames(trace, f"{title}, episode {number}", row), path, FPS)
-            progress.update()
-    return list(missing.values())
 
+    def __init__(self, run: Callable[[int, Trace], RowT], folder: Path, film: FilmFormat, title: str) -> None:
+        self._run, self._folder, self._film, self._title = run, folder, film, title
+        self._kept: dict[str, tuple[int, Trace]] = {}
 
-def _every(seconds: float) -> int:
-    """Steps from one frame to the next."""
-    speed = float(np.clip(seconds / _SECONDS, 1.0, _FASTEST))
-    # Rounded down, it is never faster.
-    return max(1, int(speed / FPS / TIMESTEP))
+    def run(self, number: int, trace: Trace | None = None) -> RowT:
+        """Runs an episode, and keeps its trace if none ended like this before."""
+        trace = Trace(EVERY) if trace is None else trace
+        row = self._run(number, trace)
+        self._kept.setdefault(row.outcome, (number, trace))
+        return row
+
+    def draw(self, rows: Sequence[RowT], again: Callable[[int, Trace], RowT] | None = None) -> list[Path]:
+        """Films the first of each outcome; those that are there already are left as they are.
+
+        Args:
+          rows: of all episodes, by number.
+          again: runs one that ran in an earlier process once more; as all others if not given.
+
+        Returns:
+          The films that were made.
+
+        Raises:
+          BankError: an episode that was run again ended in another way.
+          RendererError: nothing here can draw.
+          MissingExtraError: "mp4" without an encoder.
+        """
+        firsts: dict[str, int] = {}
+        for number, row in enumerate(rows):
+            firsts.setdefault(row.outcome, number)
+        paths = {
+            number: inside(self._folder, f"{outcome.replace(' ', '-')}-{number}.{self._film}")
+            for outcome, number in firsts.items()
+        }
+        missing = {number: path for number, path in paths.items() if not path.exists()}
+        with Progress("films", len(missing), "film") as progress:
+            for number, path in missing.items():
+                row = rows[number]
+                trace = self._trace_of(number, row, again or self._run)
+                save_film(episode_frames(trace, f"{self._title}, episode {number}", row), path, FPS)
+                progress.update()
+        return list(missing.values())
+
+    def _trace_of(self, number: int, row: RowT, again: Callable[[int, Trace], RowT]) -> Trace:
+        kept, trace = self._kept.get(row.outcome, (-1, None))
+        if kept == number and trace is not None:
+            return trace
+        trace = Trace(EVERY)
+        found = again(number, trace)
+        if (found.outcome, found.detail) != (row.outcome, row.detail):
+            raise BankError(
+                f"episode {number} in {self._folder.parent} ended with {_ending(row)!r}, and run again with "
+                f"{_ending(found)!r}",
+                "episodes that end as they did, as those of the same version and machine do",
+                "another folder",
+            )
+        return trace
 
 
 def _ending(row: EpisodeRow) -> str:
@@ -116,9 +132,14 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
     """Pictures u8[360, 480, 3] of an episode, with what the hand holds, the time, and at last the outcome."""
     _add_pedestals(trace)
     model = add_lighting(trace.spec).compile()
+    # Each shadow costs more than all else of a picture without a GPU.
+    model.light_castshadow[:] = False
+    model.light_castshadow[model.light(KEY_LIGHT).id] = True
     data = mujoco.MjData(model)
     width, height = _FINE * _WIDTH, _FINE * _HEIGHT
     step = model.opt.timestep * trace.every
+    speed = float(np.clip(len(trace.states) * step / _SECONDS, 1.0, _FASTEST))
+    shown = np.arange(0, len(trace.states), speed / (FPS * step)).astype(int)
     azimuth = _AZIMUTH + float(np.degrees(trace.scene.support.region.yaw))
     view = CameraView(azimuth=azimuth, elevation=_ELEVATION)
     # The lamps stand to the camera as they do in pictures of scenes.
@@ -138,9 +159,10 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
             image = with_caption(small.astype(np.uint8), text, rgb)
             return image if rgb is None else with_frame(image, rgb)
 
-        for number, (state, held) in enumerate(zip(trace.states, trace.held, strict=True), 1):
+        for number in shown:
+            held = trace.held[number]
             moved = f": {trace.scene.names[held]} in hand" if held >= 0 else ""
-            yield frame_of(state, f"{title}{moved}, {number * step:.1f} s")
+            yield frame_of(trace.states[number], f"{title}{moved}, {(number + 1) * step:.1f} s")
         text = f"{title}: {_ending(row)}, {row.seconds:.1f} s"
         last = frame_of(trace.data.qpos, text, GREEN if row.is_success else RED)
         yield from [last] * round(_HELD * FPS)

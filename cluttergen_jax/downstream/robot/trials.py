@@ -23,7 +23,7 @@ from cluttergen_jax.downstream.robot.episode import (
     place_episode,
     sensing_place_episode,
 )
-from cluttergen_jax.downstream.robot.film import FILMS, film_firsts
+from cluttergen_jax.downstream.robot.film import FILMS, Films
 from cluttergen_jax.downstream.robot.grasping import grips
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, GraspSets
 from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder
@@ -144,7 +144,7 @@ def run_trials(
       own_grasps: a user's, in place of those that are made and tested.
       planner: a user's, for the paths between places.
       record: where and how every episode is recorded.
-      films: film the first episode of each outcome in the folder `films` of `out` (`film_firsts`).
+      films: film the first episode of each outcome in the folder `films` of `out` (`Films`).
       robot: that does it; the Panda if not given.
 
     Raises:
@@ -186,15 +186,17 @@ def run_trials(
         good = sum(row.is_success for row in rows)
         return f"{good} of {len(rows)} good, {rows[-1].object}: {rows[-1].outcome}"
 
+    filmed = None if out is None or films is None else Films(run, out / FILMS, films, task)
+    shown = run if filmed is None else filmed.run
     recorder = None if record is None else open_recorder(record, recipe, seed, partial(_task_text, task))
-    make = run if recorder is None else partial(recorder.run, run=run)
+    make = shown if recorder is None else partial(recorder.run, run=shown)
     if recorder is not None:
         recorder.complete(rows, run)
     file.complete(rows, number, make, task, note=note)
     if recorder is not None:
         recorder.finish()
-    if out is not None and films is not None:
-        film_firsts(rows, run, out / FILMS, films, task)
+    if filmed is not None:
+        filmed.draw(rows)
     return RobotTrials(task, tuple(rows))
 
 
