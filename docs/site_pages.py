@@ -133,11 +133,9 @@ def _command(name: str, text: str) -> str:
 
 def _option(anchor: str, written: str, text: str) -> str:
     """One argument: how it is written, its default, and what it does."""
-    default = re.search(r"\((default: (.*)|required)\)$", text)
+    default = re.search(r"\((default: .*|required|optional)\)$", text)
     about = text[: default.start()].strip() if default else text
-    after = default[1] if default and default[2] not in ("", "None") else "optional"
-    plain = written.replace("{None}|", "").replace("{None,", "{")
-    return f'<a id="{anchor}"></a>`{plain}` ({after})\n:   {about}'
+    return f'<a id="{anchor}"></a>`{written}` ({default[1] if default else "optional"})\n:   {about}'
 
 
 def _actions(name: str) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -32,7 +32,7 @@ class Inspect:
     """
 
     pool: tyro.conf.Positional[str]
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="(optional)")] = None
     objects: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     columns: int = 4

@@ -16,6 +16,7 @@ from cluttergen_jax import spec
 from cluttergen_jax.cli.flags import FLAGS, option_help, options_of
 from cluttergen_jax.errors import ConfigError
 
+_WRITTEN = {str: "STR", int: "INT", float: "FLOAT"}
 _NO_OPTIONS = ("show", "spec", "planner")
 
 
@@ -99,7 +100,12 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
         for field in dataclasses.fields(made):
             if field.name not in docs:
                 continue
-            option = tyro.conf.arg(help=option_help(docs[field.name], made), name=FLAGS.get(field.name))
+            option = tyro.conf.arg(
+                help=option_help(docs[field.name], made),
+                name=FLAGS.get(field.name),
+                metavar=_metavar(field.type),
+                help_behavior_hint="(optional)" if field.default in (None, "", ()) else None,
+            )
             made.__annotations__[field.name] = field.type = Annotated[field.type, option]
         return made
 
@@ -132,6 +138,22 @@ def _as_given(kind: Any) -> Any:
         # A config of its defaults is what None stands for.
         return others[0] if dataclasses.is_dataclass(others[0]) else kind
     return types.GenericAlias(tuple, (*get_args(kind), ...)) if get_origin(kind) is Sequence else kind
+
+
+def _metavar(kind: Any) -> str | None:
+    """What stands for a value that may be left out: its type, or its choices; None for other types."""
+    kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    if get_origin(kind) not in (types.UnionType, typing.Union):
+        return None
+    written = []
+    for part in get_args(kind):
+        if get_origin(part) is typing.Literal:
+            written.append(f"{{{','.join(map(str, get_args(part)))}}}")
+        elif part in _WRITTEN:
+            written.append(_WRITTEN[part])
+        elif part is not types.NoneType:
+            return None
+    return "|".join(written)
 
 
 def _default(value: Any, kind: Any, is_needed: bool) -> Any:

@@ -54,11 +54,12 @@ def options_told(name, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     assert main([*name.split(), "--help"]) == 0
     text = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).replace("│", " ")
+    assert "{None" not in text
     told = {}
     # An option begins its line after two spaces; what is said of it may go on below, further in.
     for entry in re.findall(r"^  --?[a-z].*(?:\n {3,}\S.*)*", text, re.MULTILINE):
         flags = re.findall(r"(?<![\w-])-{1,2}[a-z][\w-]*", re.split(r"(?<=\S) {2}|\n", entry)[0])
-        default = re.search(r"\((default: .*|required)\)\s*$", entry)
+        default = re.search(r"\((default: .*|required|optional)\)\s*$", entry)
         told[", ".join(sorted(flags))] = default and default[1]
     return {flags: default for flags, default in told.items() if flags != "--help, -h"}
 
