@@ -32,7 +32,7 @@ pool = cg.load_pool("household").objects
 placed = dict(zip(scene.names, scene.poses, strict=True))
 poses = np.array([placed.get(asset.name, np.eye(7)[3]) for asset in pool])
 rng = np.random.default_rng(1)
-with open_stage(pool, scene.support, has_arm=False) as (stage, _):
+with open_stage(pool, scene.support, has_arm=False) as stage:
     stage.place(poses, np.array([asset.name in placed for asset in pool]))
     stage.move_arm(scene.support.top, None)
     seen = stage.picture(free(scene.support, rng, *SIZE, FOCAL))

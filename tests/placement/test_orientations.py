@@ -120,13 +120,13 @@ def test_methods_that_see_clouds_take_upright_objects_alone():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("poses", ["resting", "any"])
-def test_objects_lie_in_scenes_that_stand(poses, tmp_path):
+@pytest.mark.parametrize(("poses", "least"), [("resting", 60), ("any", 30)])
+def test_objects_lie_in_scenes_that_stand(poses, least, tmp_path):
     bank = generate(
         tmp_path / "bank", pool="dining", poses=poses, num_scenes=64, seed=3, render=False, max_files=0
     )
-    scenes = read_scenes(bank)
-    assert len(scenes) > 60
+    scenes = list(read_scenes(bank))
+    assert len(scenes) > least
     ups = [Rotation.from_quat(s.poses[:, 3:], scalar_first=True).as_matrix()[:, 2, 2] for s in scenes]
     assert 0.2 < np.mean(np.concatenate(ups) < np.cos(np.radians(30))) < 0.9
     assert bank.recipe["placement"]["poses"] == poses

@@ -176,7 +176,7 @@ def test_relations_hold_in_scenes_that_succeed(tmp_path):
         render=False,
         max_files=0,
     )
-    scenes = read_scenes(bank)
+    scenes = list(read_scenes(bank))
     assert len(scenes) >= 60
     for scene in scenes:
         place = {name: index for index, name in enumerate(scene.names)}

@@ -17,7 +17,7 @@ from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.search import FORBIDDEN
 from cluttergen_jax.placement.surface_set import check_surface
-from cluttergen_jax.scene.bank import read_scenes
+from cluttergen_jax.scene.bank import read_bank, read_scenes
 from cluttergen_jax.sensing.partial import Grid
 from cluttergen_jax.spec import SceneSpec
 from cluttergen_jax.types import Settling, Verdict
@@ -196,7 +196,7 @@ def test_scenes_on_all_boards_of_a_bookcase_stand_where_they_belong(tmp_path):
     asked = {"support": "bookcase", "surface": "top:3,shelf_1:2,shelf_3:4", "pool": "dining"}
     summary = generate(tmp_path / "bank", num_scenes=4, render=False, **asked)
     assert summary is not None
-    for scene in read_scenes(tmp_path / "bank"):
+    for scene in read_scenes(read_bank(tmp_path / "bank")):
         bottom = [
             pose[2] - asset.resting[0].height for asset, pose in zip(scene.objects, scene.poses, strict=True)
         ]

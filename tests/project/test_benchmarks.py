@@ -65,7 +65,7 @@ def test_every_part_about_a_gpu_runs_in_miniature(part, tmp_path):
 
 @pytest.mark.slow
 def test_library_runs(capsys):
-    library.main(library.Library(sizes=(3, 260), num_scenes=2))
+    library.main(library.Library(sizes=(10, 260), num_scenes=2))
     out = capsys.readouterr().out
-    assert "| 3 | all |" in out
+    assert "| 10 | all |" in out
     assert "| 260 | 64 |" in out
