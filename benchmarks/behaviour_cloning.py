@@ -160,7 +160,7 @@ def collect(args: BehaviourCloning, task: str, bank: Path) -> tuple[list[np.ndar
         each.join()
         if each.exitcode:
             raise SystemExit(f"a worker ended with status {each.exitcode}")
-    files = [np.load(path) for path in paths]
+    files = [np.load(path, allow_pickle=False) for path in paths]
     good = [each for each in files if each["is_success"]]
     return [each["rows"] for each in good], [each["actions"] for each in good], len(files)
 

@@ -59,7 +59,7 @@ _MJCF = """<mujoco model="cluttergen scene">
 <compiler angle="radian" meshdir={assets} texturedir={assets}/>
 <option timestep="{timestep!r}" gravity="0 0 {gravity:.9g}" cone={cone} {solver}>
 <flag multiccd="enable"{flag}/></option>
-<default><geom {touch}/></default>
+<default><geom {touch} gap="0"/></default>
 <visual><headlight ambient="0.32 0.32 0.33" diffuse="0.28 0.28 0.28" specular="0.05 0.05 0.05"/>
 <global offwidth="1280" offheight="960"/><quality shadowsize="4096"/><map haze="0.6"/>
 <rgba haze="0.90 0.905 0.915 1"/></visual>

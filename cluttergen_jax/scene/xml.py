@@ -111,8 +111,8 @@ def _add_options(
     if takes_libccd:
         flag.set("nativeccd", "disable")
     # Newton sees 10 cm ahead where no gap is stated, and the older detector errs by as much.
-    touch = contact_attributes(contact, stability.file_margin)
-    ET.SubElement(ET.SubElement(root, "default"), "geom", touch, gap="0")
+    touch = contact_attributes(contact, stability.file_margin) | {"gap": "0"}
+    ET.SubElement(ET.SubElement(root, "default"), "geom", touch)
 
 
 def weightless(piece: Piece) -> dict[str, str]:

@@ -162,7 +162,7 @@ def made_rows(monkeypatch):
     """How many episodes were run; every third fails."""
     numbers = []
 
-    def episode(task, options, observer, ask=None):
+    def episode(task, options, observer, trace=None, ask=None):
         numbers.append(task.seed)
         bad = replace(GOOD, outcome="slip", right=[True, False], error=np.nan)
         return bad if len(numbers) % 3 == 0 else GOOD
