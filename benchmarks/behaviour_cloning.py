@@ -137,7 +137,7 @@ def _work(args: BehaviourCloning, task: str, bank: Path, left: list[tuple[int, P
 
 def collect(args: BehaviourCloning, task: str, bank: Path) -> tuple[list[np.ndarray], list[np.ndarray], int]:
     """Rows and actions of each successful episode, and how many were made."""
-    folder = args.out / task
+    folder = args.out / f"{args.robot}-{task}"
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{seed:06d}.npz" for seed in range(args.num_episodes)]
     left = [(seed, path) for seed, path in enumerate(paths) if not path.exists()]

@@ -22,9 +22,9 @@ import cluttergen_jax as cg
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.downstream.environments import scripted
 from cluttergen_jax.downstream.environments.arm import GripShare
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.transforms import inverse, motion_between, pose_of, rigid
+from cluttergen_jax.downstream.transforms import motion_between
 from cluttergen_jax.errors import ConfigError
+from tests.helpers.arm import ALONG_X, untested_grasp
 from tests.helpers.placing import write_bank
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -328,22 +328,8 @@ def grasps_from_above(asset):
     """By the two sides that are nearest to each other; nothing was tested."""
     half = np.asarray(asset.half_extents)
     along = int(np.argmin(half[:2]))
-    turn = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]) if along == 0 else np.diag([1.0, -1, -1])
-    pose = rigid(turn, np.array([0, 0, max(half[2] - 0.03, 0.0)]))[None]
-    nothing = np.zeros(1)
-    return Grasps(
-        asset.name,
-        "",
-        pose_of(pose),
-        2 * half[[along]],
-        nothing,
-        nothing,
-        nothing,
-        nothing + 4,
-        nothing > -1,
-        1,
-        pose_of(inverse(pose)),
-    )
+    turn = ALONG_X if along == 0 else np.diag([1.0, -1, -1])
+    return untested_grasp(asset.name, turn, max(half[2] - 0.03, 0.0), 2 * half[along])
 
 
 @pytest.mark.slow

@@ -31,16 +31,14 @@ def standing(xy: Any) -> np.ndarray:
 SCENE = Scene(("red", "blue"), BOXES, standing(PLACES), TABLE)
 
 
-def grasps_of_box(name: str) -> Grasps:
-    """From above, by the narrow sides; nothing was tested."""
-    pose = rigid(np.diag([1.0, -1, -1]), np.array([0.0, 0.0, 0.01]))[None]
-    pose[0, :3, :3] = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]
-    nothing = np.zeros(1)
+def untested_grasp(name: str, turn: np.ndarray, height: float, width: float) -> Grasps:
+    """One grasp of an object: f[3, 3] and metres, the tool in the object's frame."""
+    pose, nothing = rigid(np.asarray(turn, float), np.array([0.0, 0.0, height]))[None], np.zeros(1)
     return Grasps(
         name,
         "",
         pose_of(pose),
-        np.array([0.04]),
+        np.array([width]),
         nothing,
         nothing,
         nothing,
@@ -49,6 +47,15 @@ def grasps_of_box(name: str) -> Grasps:
         1,
         pose_of(inverse(pose)),
     )
+
+
+ALONG_X = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+"""From above, the fingers closing along the object's x."""
+
+
+def grasps_of_box(name: str) -> Grasps:
+    """From above, by the narrow sides; nothing was tested."""
+    return untested_grasp(name, ALONG_X, 0.01, 0.04)
 
 
 def draws(goals: np.ndarray) -> Callable[..., np.ndarray]:

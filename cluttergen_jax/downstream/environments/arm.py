@@ -12,6 +12,7 @@ from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot as Arm
 from cluttergen_jax.downstream.robot.model import arm_spec as whole_arm
+from cluttergen_jax.downstream.robot.model import remove_unused_meshes
 from cluttergen_jax.scene.cameras import Camera
 
 HAND_CAMERA = "hand"
@@ -46,10 +47,7 @@ def _simplify(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
             spec.delete(geom)
     if simple:
         _add_colliders(spec, mujoco.MjSpec.from_file(str(robot.arm.path.with_name(simple))))
-    used = {geom.meshname for geom in spec.geoms}
-    for mesh in list(spec.meshes):
-        if mesh.name not in used:
-            spec.delete(mesh)
+    remove_unused_meshes(spec)
 
 
 def _add_colliders(spec: mujoco.MjSpec, simple: mujoco.MjSpec) -> None:

@@ -59,7 +59,7 @@ def check_films(film: FilmFormat) -> None:
 
 
 class Films(Generic[RowT]):
-    """Films of the first episode of each outcome, drawn of what was kept while it ran.
+    """Films of the first episode of each outcome, drawn from traces that are kept while it runs.
 
     Args:
       run: runs an episode by its number, and fills a trace of every `EVERY` steps.

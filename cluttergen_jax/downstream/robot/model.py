@@ -277,6 +277,11 @@ def remove_drawings(spec: mujoco.MjSpec) -> None:
     for geom in list(spec.geoms):
         if not (geom.contype or geom.conaffinity):
             spec.delete(geom)
+    remove_unused_meshes(spec)
+
+
+def remove_unused_meshes(spec: mujoco.MjSpec) -> None:
+    """Takes away the meshes that no geom has."""
     used = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):
         if mesh.name not in used:
