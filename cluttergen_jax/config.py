@@ -152,7 +152,7 @@ def check_names(names: Sequence[str], argument: str) -> None:
 
 
 def _is_positive(value: object) -> bool:
-    return isinstance(value, Real) and 0 < float(value) < math.inf
+    return isinstance(value, Real) and not isinstance(value, bool) and 0 < float(value) < math.inf
 
 
 def check_positive(config: object, *names: str) -> None:

@@ -57,9 +57,28 @@ def check_recipe(
     Raises:
       ClutterGenError: of the kind `error`, where something differs; the message names it.
     """
-    if changed := changed_settings(json.loads(json.dumps(ours)), theirs):
-        given = f"{place} holds {content} with another {', '.join(changed)}"
-        raise error(given, "the same settings, which continue it", hint)
+    plain = json.loads(json.dumps(ours))
+    if changed := changed_settings(plain, theirs):
+        what = ", ".join(name + _both_values(name, plain, theirs) for name in changed)
+        raise error(
+            f"{place} holds {content} with another {what}", "the same settings, which continue it", hint
+        )
+
+
+_LONGEST = 40
+
+
+def _both_values(name: str, ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> str:
+    """The values of a setting, in brackets, where both are short."""
+    values = []
+    for record in (theirs, ours):
+        value: Any = record
+        for key in name.split("."):
+            value = value.get(key) if isinstance(value, Mapping) else None
+        if isinstance(value, list | Mapping) or len(str(value)) > _LONGEST:
+            return ""
+        values.append(f"{value}")
+    return f" ({values[0]} there, {values[1]} asked for)"
 
 
 @dataclass(frozen=True)

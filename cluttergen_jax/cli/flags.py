@@ -26,7 +26,7 @@ def with_flags(text: str, command: Any) -> str:
 
     Arguments stand in backticks (`num_threads`), with what was given (num_threads = -1), or with what to give
     (num_threads=0); a class before the name (View.azimuth = 500) is left out. Whatever the command has no
-    option for stays as it is.
+    option for stays as it is, and so does what is quoted of an XML file.
     """
     flags = {name: FLAGS.get(name, name).replace("_", "-") for name in options_of(command)}
     if not flags:
@@ -34,8 +34,8 @@ def with_flags(text: str, command: Any) -> str:
     names = "|".join(flags)
     text = re.sub(rf"`({names})`", lambda found: f"--{flags[found[1]]}", text)
     return re.sub(
-        rf"(?<![\w./=-])(?:[A-Z]\w*\.)?({names})(?: = |=)({_VALUE})",
-        lambda found: _flag(flags[found[1]], found[2]),
+        rf"<\w[^<>]*>|(?<![\w./=-])(?:[A-Z]\w*\.)?({names})(?: = |=)({_VALUE})",
+        lambda found: _flag(flags[found[1]], found[2]) if found[1] else found[0],
         text,
     )
 

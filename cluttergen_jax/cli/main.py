@@ -23,6 +23,8 @@ from cluttergen_jax.rendering.gl import check_importable
 
 INTERRUPTED = 130
 _MANY_OBJECTS = 100_000
+_MOMENT = 0.05
+"""Seconds."""
 
 
 def program(args: Sequence[str] | None = None) -> None:
@@ -34,7 +36,11 @@ def program(args: Sequence[str] | None = None) -> None:
     gc.set_threshold(_MANY_OBJECTS)
     # What the API's functions ask of JAX for themselves, in all threads of this process and in its children.
     os.environ.update(OF_THIS_PACKAGE)
-    status = main(args)
+    try:
+        status = main(args)
+    except KeyboardInterrupt:
+        print("\nstopped; nothing was done yet", file=sys.stderr)
+        status = INTERRUPTED
     if status == INTERRUPTED:
         # What was computed is on disk. A compilation that is still at work in a thread would hold up an
         # orderly exit, or bring it down.
@@ -46,9 +52,23 @@ def program(args: Sequence[str] | None = None) -> None:
 
 def _on_interrupt(number: int, frame: FrameType | None) -> None:
     """The first Ctrl-C interrupts what is done, in good order; a second one waits for nothing."""
+    if _is_importing(frame):
+        # A compiled library that is interrupted while it is loaded brings the process down: a moment later.
+        signal.signal(signal.SIGALRM, _on_interrupt)
+        signal.setitimer(signal.ITIMER_REAL, _MOMENT)
+        return
     signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     stop_asked.set()
     raise KeyboardInterrupt
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    """Whether an import is under way in a frame or those that called it."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def main(args: Sequence[str] | None = None) -> int:

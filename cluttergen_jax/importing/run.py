@@ -9,6 +9,7 @@ from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.config import NUM_TRIALS, TIME_LIMIT
@@ -18,6 +19,7 @@ from cluttergen_jax.assets.pool import ALL, EMBEDDED, Pool, read_pool, user_pool
 from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.config import check_positive, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
+from cluttergen_jax.files import writing
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
 from cluttergen_jax.importing.processes import Crew, Outcome, Watch
@@ -243,6 +245,9 @@ def import_sources(
     made: dict[str, ObjectAsset] = {} if config.force else _load_cached(jobs)
     missing = [job for job in jobs if job.source.name not in made]
     cached = set(made)
+    if missing:
+        for folder in (cache.cache_root(), user_root()):
+            _check_writable(folder)
     if config.force:
         for job in missing:
             cache.drop(job.key)
@@ -277,6 +282,14 @@ def _final_names(planned: Sequence[Planned], kept: Sequence[Planned]) -> dict[st
     taken = set(names.values())
     others = {each.source.name: each.place for each in planned if each.source.name not in names}
     return names | {name: f"{name} ({place})" if name in taken else name for name, place in others.items()}
+
+
+def _check_writable(folder: Path) -> None:
+    """Refuses, before any work, a folder that takes no files (BankError)."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder):
+            pass
 
 
 def _check_name(name: str) -> None:

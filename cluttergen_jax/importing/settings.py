@@ -127,7 +127,7 @@ def read_settings(path: Path) -> Settings:
         document = _rows_of(path, text) if is_list else tomllib.loads(text)
     except OSError as error:
         raise ConfigError(f"settings {path} cannot be read ({error.strerror})") from error
-    except ValueError as error:
+    except (ValueError, csv.Error) as error:
         kind = "a table of CSV" if is_list else "TOML"
         raise ConfigError(f"settings {path} are not {kind}: {error}") from error
     tables = {pattern: _check_table(path, pattern, table) for pattern, table in document.items()}

@@ -203,12 +203,13 @@ def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
     path = folder / "models" / "models_info.json"
     infos = json.loads(path.read_bytes()) if path.exists() else {}
     ids = {info["name"]: int(key) for key, info in infos.items()}
+    new: dict[int, ObjectAsset] = {}
     for asset in sorted({each.name: each for each in objects}.values(), key=lambda each: each.name):
         pieces = drawn_pieces(asset)
         extent = _extent(np.concatenate([piece.mesh.vertices for piece in pieces]) * 1000)
         key = ids.setdefault(asset.name, len(ids) + 1)
         if (known := infos.get(str(key))) is None:
-            write_atomically(path.with_name(f"obj_{key:06d}.ply"), model_ply(asset))
+            new[key] = asset
             source = {"name": asset.name, "label": asset.label, **asdict(asset.provenance)}
             infos[str(key)] = source | extent | _symmetries(pieces)
         elif any(abs(known[name] - value) > _SAME for name, value in extent.items()):
@@ -217,6 +218,8 @@ def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
                 "objects of one pool in one dataset",
                 "another folder",
             )
+    for key, asset in new.items():
+        write_atomically(path.with_name(f"obj_{key:06d}.ply"), model_ply(asset))
     write_atomically(path, lines(infos))
     return ids
 

@@ -19,7 +19,7 @@ from cluttergen_jax.importing.readers import ReadOptions
 from cluttergen_jax.importing.run import ObjectConfig
 from tests.helpers.banks import two_scenes
 
-NOT_POSITIVE = (math.nan, math.inf, 0.0, -1.0)
+NOT_POSITIVE = (math.nan, math.inf, 0.0, -1.0, True)
 
 
 @pytest.mark.parametrize("value", NOT_POSITIVE)

@@ -39,6 +39,31 @@ def test_ctrl_c_ends_what_does_not_answer():
     assert process.wait(20) == 130
 
 
+# Ctrl-C comes while a module is loaded.
+LOADING = """
+import signal, sys, time
+from cluttergen_jax.cli import main
+signal.signal(signal.SIGINT, main._on_interrupt)
+sys.path.insert(0, {folder!r})
+import slow_module
+assert slow_module.is_loaded
+print("loaded", flush=True)
+try:
+    time.sleep(20)
+except KeyboardInterrupt:
+    print("stopped", flush=True)
+"""
+
+
+def test_ctrl_c_while_a_module_is_loaded_waits_for_it(tmp_path):
+    (tmp_path / "slow_module.py").write_text(
+        "import signal\nsignal.raise_signal(signal.SIGINT)\nis_loaded = True\n"
+    )
+    code = LOADING.format(folder=str(tmp_path))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert (done.stdout, done.returncode) == ("loaded\nstopped\n", 0), done.stderr
+
+
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_what_saves_first_is_waited_for_until_it_is_asked_again(number, status):
     process = busy("Interrupt()")

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+import trimesh
+from PIL import Image
 
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import ReadOptions, read_source
+from cluttergen_jax.importing.readers.gltf_file import read_document
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from tests.helpers.cases import CASES
 from tests.helpers.gltf import POINTS, Gltf
@@ -149,3 +152,57 @@ def test_draco_without_its_library_is_told(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "DracoPy", None)
     with pytest.raises(AssetError, match=r"draco\.glb with KHR_draco_mesh_compression.*pip install DracoPy"):
         read_source(CASES / "08_glb_compressed" / "draco.glb", ReadOptions())
+
+
+def painted(path, size=8):
+    """A box with a red image, as trimesh writes it: its material has no name."""
+    box = trimesh.creation.box((0.1, 0.06, 0.04))
+    look = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.new("RGB", (size, size), (255, 0, 0)))
+    box.visual = trimesh.visual.TextureVisuals(uv=np.full((8, 2), 0.5), material=look)
+    box.export(path)
+    return path
+
+
+def test_a_material_needs_no_name(tmp_path):
+    path = painted(tmp_path / "red.glb")
+    assert "name" not in read_document(path)["materials"][0]
+    (piece,), notes = read_mesh_file(path)
+    assert piece.texture is not None
+    assert not notes
+    document = read_document(path)
+    view = document["bufferViews"][document["images"][0]["bufferView"]]
+    data = bytearray(path.read_bytes())
+    start = len(data) - document["buffers"][0]["byteLength"] + view.get("byteOffset", 0)
+    data[start : start + view["byteLength"]] = bytes(view["byteLength"])
+    path.write_bytes(data)
+    (piece,), notes = read_mesh_file(path)
+    assert piece.texture is None
+    assert notes == ("the image of material 'number 0' cannot be read",)
+
+
+LEFT_OUT = ("its vertex colours are left out: the colour or the image of its material is taken",)
+
+
+@pytest.mark.parametrize(
+    ("material", "rgba", "said"),
+    [
+        ({}, (0, 128, 0, 255), ()),
+        ({"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1]}}, (0, 128, 0, 255), ()),
+        ({"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 0]}}, (255, 0, 0, 255), LEFT_OUT),
+        (
+            {"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 0.4]}, "alphaMode": "BLEND"},
+            (255, 0, 0, 102),
+            LEFT_OUT,
+        ),
+    ],
+)
+def test_colours_at_vertices_show_under_a_white_material_and_alpha_where_it_is_meant(
+    tmp_path, material, rgba, said
+):
+    gltf = Gltf()
+    green = np.tile(np.array([[0, 128, 0, 255]], np.uint8), (len(POINTS), 1))
+    gltf.primitive["attributes"]["COLOR_0"] = gltf.add(green, normalized=True)
+    gltf.document["materials"], gltf.primitive["material"] = [material], 0
+    (piece,), notes = read_mesh_file(gltf.write(tmp_path / "box.glb"))
+    np.testing.assert_allclose(np.array(piece.rgba) * 255, rgba, atol=1)
+    assert notes == said

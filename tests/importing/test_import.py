@@ -1,5 +1,6 @@
 """Imports: pools from trees of files, failures named, nothing made twice, nothing half-written."""
 
+import errno
 import time
 
 import pytest
@@ -10,7 +11,7 @@ from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.inspect_ import Inspect
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.importing import cache, run
 from cluttergen_jax.importing.readers import ReadOptions, find_sources
 from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
@@ -97,3 +98,13 @@ def test_a_damaged_entry_is_made_again(tree, here):
     (entry,) = cache.cache_root().iterdir()
     (entry / "cloud.npy").write_bytes(b"")
     assert import_sources([tree / "crate.obj"], "mine", QUICK).num_cached == 0
+
+
+def test_a_home_that_takes_no_files_is_told_before_any_work(tree, monkeypatch):
+    def refuse(dir):
+        raise OSError(errno.EROFS, "Read-only file system", str(dir))
+
+    monkeypatch.setattr(run, "TemporaryFile", refuse)
+    monkeypatch.setattr(run, "_make", lambda *_: pytest.fail("work was done"))
+    with pytest.raises(BankError, match=r"cannot be written: Read-only file system"):
+        import_sources([str(tree)], "mine", QUICK)

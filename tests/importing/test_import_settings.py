@@ -128,6 +128,8 @@ def test_a_table_of_a_whole_library(folder, tmp_path):
         ("file,label\n,a\n", "no file"),
         ("file,labl\nslab.glb,a\n", "key 'labl'.*did you mean 'label'"),
         ("file,mass\nslab.glb,heavy\n", "mass = 'heavy'"),
+        ('file,label\nslab.glb,"a\n', "are not a table of CSV: unexpected end of data"),
+        ("file,density\nslab.glb,true\n", "density = True. Allowed: a finite number above zero"),
         ("file,label\nother.glb,a\n", "'other.glb'] fits no object"),
     ],
 )

@@ -120,6 +120,8 @@ def test_what_is_left_out_or_taken_is_said(tmp_path):
     assert shape.notes == ("left out, as planes have no inside: 'ground'",)
     shape = read_body(tmp_path, BALL + "<geom type='box' size='.03 .03 .03'/>")
     assert shape.notes == ("taken for collision alone, as what is seen covers them: a box",)
+    shape = read_body(tmp_path, CARTON + REGION + " mass='.3' group='4'/>")
+    assert shape.notes[-1] == "what is left out weighs 0.3 kg: it counts, as in MuJoCo"
     (shape,) = read_source(CASES / "04_mjcf_region_box" / "region.xml")
     assert shape.notes == ("left out, as they are not seen and do not collide: 'reg_bbox'",)
 

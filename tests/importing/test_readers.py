@@ -103,6 +103,9 @@ def obj_with(line):
     return (exported("obj") + f"\n{line}\n").encode()
 
 
+NAN_DAE = re.sub(rb"(<float_array[^>]*>)\S+", rb"\1-NaN", exported("dae"), count=1)
+
+
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
@@ -125,6 +128,7 @@ def obj_with(line):
         ("a.ply", exported("ply")[:100], "damaged, cut short or of another format"),
         ("a.glb", exported("glb")[:-50], "is damaged"),
         ("a.dae", exported("dae")[:900], "cannot be read"),
+        ("a.dae", NAN_DAE, "a vertex at '-NaN'"),
         ("a.dae", b"<COLLADA/>", "damaged, cut short or of another format"),
     ],
 )

@@ -170,3 +170,24 @@ def test_materials_give_colours_and_images(tmp_path):
         shape = read(tmp_path, model(link(visual(BOX + look))))
         assert shape.pieces[0].rgba == pytest.approx(rgba), look
     assert "material 'Cup/Glaze' is named and nowhere defined" in shape.notes
+
+
+HEAVY = visual() + "<inertial><mass>0.2</mass></inertial>"
+
+
+def test_links_of_one_name_in_two_models_both_weigh(tmp_path):
+    inner = [model(link(HEAVY), name) for name in ("left", "right")]
+    assert read(tmp_path, model("".join(inner))).stated.body.mass == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (link(HEAVY), "two <link> are called 'a'"),
+        ("<joint name='j'><parent>a</parent><child>b</child></joint>", "joint 'j' has the child 'b'"),
+        ("<joint name='j'><parent>c::d</parent><child>a</child></joint>", "joint 'j' has the parent 'c::d'"),
+    ],
+)
+def test_links_of_one_name_and_joints_of_none_are_refused(tmp_path, more, told):
+    with pytest.raises(AssetError, match=told):
+        read(tmp_path, model(link(HEAVY) + more))

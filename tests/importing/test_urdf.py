@@ -1,5 +1,7 @@
 """URDF: numbers that are too few, mimicked joints, materials by name, paths of another machine, xacro."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -108,3 +110,29 @@ def test_a_joint_that_mimics_another_follows_it(tmp_path):
     shape = read(write(tmp_path, fingers('<mimic joint="f1" multiplier="-2" offset="0.01"/>')))
     assert heights(shape) == [0.02, -0.03]
     assert "'f2' (prismatic) at -0.03 m" in shape.notes[0]
+
+
+def joint(name, parent, child):
+    return f'<joint name="{name}" type="fixed"><parent link="{parent}"/><child link="{child}"/></joint>'
+
+
+@pytest.mark.parametrize(
+    ("joints", "told"),
+    [
+        (link("a"), "two <link> are called 'a'"),
+        (joint("j", "a", "b") + joint("j", "a", "c"), "two <joint> are called 'j'"),
+        (joint("j", "a", "c") + joint("k", "b", "c"), "link 'c' is the child of joints 'j' and 'k'"),
+        (joint("j", "a", "d"), "joint 'j' has the child 'd', which is no link. Allowed: 'a', 'b', 'c'"),
+        (joint("j", "d", "a"), "joint 'j' has the parent 'd', which is no link"),
+    ],
+)
+def test_what_is_no_tree_of_links_is_refused(tmp_path, joints, told):
+    with pytest.raises(AssetError, match=re.escape(told)):
+        read(write(tmp_path, link("a") + link("b") + link("c") + joints))
+
+
+def test_degrees_are_told_from_radians(tmp_path):
+    shape = read(write(tmp_path, link(inside='<origin rpy="0 0 90"/>')))
+    assert any('rpy="0 0 90" is read as radians' in note for note in shape.notes)
+    whole_turn = read(write(tmp_path, link(inside='<origin rpy="0 0 6.2832"/>')))
+    assert not any("radians" in note for note in whole_turn.notes)

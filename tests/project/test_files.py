@@ -208,7 +208,8 @@ def test_a_kept_folder_is_continued_by_the_same_recipe_alone(tmp_path):
     written = json.loads(json.dumps(recipe))
     check_recipe(tmp_path, "a bank made", recipe, written)
     other = {"seed": 2, "rules": {"margin": 0.1, "sides": [1, 2]}}
-    with pytest.raises(BankError, match=r"holds a bank made with another rules\.margin, seed.*another `out`"):
+    said = r"with another rules\.margin \(0\.0 there, 0\.1 asked for\), seed \(1 there, 2 asked for\)\."
+    with pytest.raises(BankError, match=said + ".*another `out`"):
         check_recipe(tmp_path, "a bank made", other, written)
     folder = KeptFolder(
         tmp_path / "kept", lambda path: (path / "index").exists(), "{other} is in {path}", Path.is_dir

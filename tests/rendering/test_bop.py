@@ -1,6 +1,7 @@
 """A BOP dataset, read as bop_toolkit's documentation says (it is on no package index)."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +11,14 @@ from scipy.ndimage import maximum_filter
 from scipy.spatial import ConvexHull, cKDTree
 
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.bop import SPLIT, BopDataset, add_models, model_ply
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera, free
 from tests.helpers.drawing import RED, needs_gl
+from tests.helpers.worlds import box
 
 TABLE = cuboid_table()
 SIZE = (160, 120)
@@ -201,6 +205,16 @@ def test_symmetries_are_told_as_the_format_has_them(tmp_path):
         for motion in motions:
             # Points of the same surface lie 3 mm apart or so.
             assert tree.query(trimesh.transform_points(points[:500], motion))[0].max() < 6
+
+
+def test_another_model_of_a_name_is_refused_and_leaves_nothing_behind(tmp_path):
+    add_models(tmp_path, [RED])
+    before = sorted(tmp_path.rglob("*"))
+    larger = replace(RED, pieces=(Piece(box("red", (0.1, 0.1, 0.1)).parts[0].hull()),))
+    # By name, what is new comes first.
+    with pytest.raises(ConfigError, match="another model of the name 'red'"):
+        add_models(tmp_path, [find_pool("dining")["mug"], larger])
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_models_are_in_millimetres_with_normals_and_colours():

@@ -67,6 +67,27 @@ def test_what_was_changed_is_named_does_not_count_and_is_mended(bank, whole, cap
     assert verify(bank) == 0
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text[:-20], "cannot be loaded"),
+        (lambda text: text.replace('key name="scene"', 'key name="other"'), "has no keyframe called 'scene'"),
+    ],
+)
+def test_a_file_that_cannot_be_simulated_keeps_up_no_other(bank, capsys, change, said):
+    text = (bank / SCENE).read_text()
+    (bank / SCENE).write_text(change(text))
+    assert (bank / SCENE).read_text() != text
+    assert verify(bank) == 1
+    out = capsys.readouterr().out
+    assert "1 of 2 scenes stand" in out
+    assert f"  000000.xml: {bank / SCENE} {said}" in out
+    broken, whole = json.loads((bank / "verification.json").read_text())
+    assert said in broken["fault"]
+    assert (broken["stands"], whole["stands"]) == (False, True)
+    assert "fault" not in whole
+
+
 def test_what_is_missing_or_was_added_is_named(bank, whole, capsys):
     (bank / "assets/objects/tall/visual-9.obj").write_text("v 0 0 0\n")
     shutil.copy(bank / SCENE, bank / "scenes/000077.xml")

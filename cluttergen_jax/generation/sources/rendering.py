@@ -98,6 +98,7 @@ class Rendering:
         notes += opened.notes if isinstance(opened, FileSource) else ()
         # Beside a sheet, single pictures are drawn of scenes that are named.
         singles = self._makes("picture") and (not self._makes("sheet") or bool(scenes))
+        there = set(self.out.iterdir()) if self.out.is_dir() else set[Path]()
         made: list[Path] = []
         failures: list[_Failure] = []
         with ExitStack() as stack:
@@ -119,6 +120,8 @@ class Rendering:
             # Called after its source: those of several lie in one folder.
             path = self.out / f"{_plain(opened.name)}-sheet.png"
             made.append(save_png(self._sheet(opened, numbers, path.name), path))
+        if replaced := there.intersection(made) - {self.out / "bop"}:
+            notes += (f"{len(replaced)} files of these names were there, and are replaced",)
         return RenderReport(tuple(made), tuple(failures), notes)
 
     def _can_draw(self) -> tuple[bool, tuple[str, ...]]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.gltf_file import DTYPES, WIDTHS, Json
-from cluttergen_jax.importing.readers.xml_tree import parse_numbers
+from cluttergen_jax.importing.readers.xml_tree import parse_numbers, parse_xml, plain_tag
 
 _HEAD = 84
 _RECORD = np.dtype([("normal", "<3f4"), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -138,6 +138,7 @@ def check_whole(path: Path) -> None:
         ".stl": _check_stl,
         ".ply": _check_ply,
         ".obj": _check_obj,
+        ".dae": _check_dae,
     }
     if (check := checks.get(path.suffix.lower())) is None:
         return
@@ -165,6 +166,27 @@ def _check_obj(path: Path) -> None:
         raise AssetError(
             f"{path} is damaged: line {line} has a face with vertex 0", "vertices counted from 1", _AGAIN
         )
+
+
+_NO_NUMBER = re.compile(r"(?<!\S)\S*(?:nan|inf)\S*", re.IGNORECASE)
+
+
+def _check_dae(path: Path) -> None:
+    """pycollada puts a zero where a coordinate is no number."""
+    tree = parse_xml(path)
+    elements = [] if tree is None else list(tree.iter())
+    places = {
+        each.get("source", "").removeprefix("#")
+        for each in elements
+        if plain_tag(each) == "input" and each.get("semantic") == "POSITION"
+    }
+    for source in elements:
+        if plain_tag(source) != "source" or source.get("id") not in places:
+            continue
+        for array in source:
+            is_array = plain_tag(array) == "float_array"
+            if is_array and (found := _NO_NUMBER.search(array.text or "")):
+                raise AssetError(f"{path} is damaged: a vertex at {found[0]!r}", "finite numbers", _AGAIN)
 
 
 def _obj_fault(path: Path) -> str:

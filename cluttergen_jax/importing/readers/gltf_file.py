@@ -40,6 +40,7 @@ _SAID = {
     "licence": ("licence", "license"),
     "attribution": ("attribution", "author"),
 }
+_WHITE = [1, 1, 1, 1]
 _HOLDERS = ("scenes", "nodes", "meshes")
 _LONGEST = 300
 
@@ -76,6 +77,14 @@ def _first(document: Json, key: str) -> Any:
     return (
         values[0] if isinstance(values, list) and (len(values) == 1 or (values and key == "scenes")) else None
     )
+
+
+def is_coloured_by_vertices(document: Json, primitive: Json) -> bool:
+    """Whether the colours at a primitive's vertices are all that it has: its material is white."""
+    if "COLOR_0" not in primitive["attributes"] or "material" not in primitive:
+        return False
+    look = document["materials"][primitive["material"]].get("pbrMetallicRoughness", {})
+    return "baseColorTexture" not in look and look.get("baseColorFactor", _WHITE)[:3] == _WHITE[:3]
 
 
 class Buffers:

@@ -22,6 +22,7 @@ from cluttergen_jax.importing.readers.gltf_file import (
     Json,
     check_understood,
     glb,
+    is_coloured_by_vertices,
     read_document,
 )
 
@@ -139,6 +140,9 @@ def _is_not_plain(document: Json) -> bool:
                 return True
             if "weights" in mesh or DRACO in _extensions(primitive) or primitive.get("mode") == _FAN:
                 return True
+            # trimesh takes the material's colour, white, for that of its vertices.
+            if is_coloured_by_vertices(document, primitive):
+                return True
     return False
 
 
@@ -252,7 +256,8 @@ class _Plain:
         new = {"attributes": attributes, "mode": mode}
         if indices is not None:
             new["indices"] = self._accessor(indices[:, None].astype(np.uint32))
-        return new | ({"material": old["material"]} if "material" in old else {})
+        is_material_kept = "material" in old and not is_coloured_by_vertices(self._old, old)
+        return new | ({"material": old["material"]} if is_material_kept else {})
 
     def _apply_skin(self, points: np.ndarray, arrays: dict[str, np.ndarray], skin: Json) -> np.ndarray:
         """f64[V, 3] in the scene, as the joints stand in the file."""

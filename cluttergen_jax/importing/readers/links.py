@@ -179,6 +179,14 @@ class Surfaces:
         return factors
 
 
+def check_unique(path: Path, elements: Sequence[Element]) -> None:
+    """Refuses two elements of one name, of which others could mean either (AssetError)."""
+    names = [each.get("name", "") for each in elements]
+    if twice := next((name for name in names if name and names.count(name) > 1), None):
+        tag = elements[names.index(twice)].tag
+        raise AssetError(f"{path}: two <{tag}> are called {twice!r}", "a name for each")
+
+
 @dataclass(frozen=True)
 class Link:
     """A link of a model."""
@@ -224,8 +232,8 @@ def rigid(
     )
     if not visuals and not collisions:
         raise AssetError(f"{surfaces.path} has neither visual nor collision geometry")
-    masses = {link.name: mass for link in links if (mass := _link_mass(surfaces.path, link)) is not None}
-    stated = combine_masses(list(masses.values()))
+    masses = [_link_mass(surfaces.path, link) for link in links]
+    stated = combine_masses([mass for mass in masses if mass is not None])
     own_notes = [*notes, *_weightless(links, masses)]
     return Model(
         pieces=_visible(visuals, surfaces.notes) or collisions,
@@ -249,10 +257,13 @@ def _visible(visuals: list[Piece], notes: list[str]) -> list[Piece]:
     return [replace(piece, rgba=(*piece.rgba[:3], 1.0)) for piece in visuals]
 
 
-def _weightless(links: Sequence[Link], masses: dict[str, MassProperties]) -> Iterator[str]:
-    solid = [link.name for link in links if link.element.find("visual") is not None]
-    without = [name for name in solid if name not in masses]
-    if masses and without:
+def _weightless(links: Sequence[Link], masses: Sequence[MassProperties | None]) -> Iterator[str]:
+    without = [
+        link.name
+        for link, mass in zip(links, masses, strict=True)
+        if mass is None and link.element.find("visual") is not None
+    ]
+    if any(mass is not None for mass in masses) and without:
         yield f"its file states no mass for {', '.join(map(repr, without))}"
 
 

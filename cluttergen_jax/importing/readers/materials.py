@@ -14,7 +14,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.gltf_file import extension_notes, read_document
+from cluttergen_jax.importing.readers.gltf_file import extension_notes, is_coloured_by_vertices, read_document
 
 Rgba = tuple[float, float, float, float]
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
@@ -100,7 +100,8 @@ class Dresser:
         if factor is None:
             return (1.0, 1.0, 1.0, 1.0)
         rgba = np.asarray(factor, np.float64) / 255
-        return _rgba([*(_srgb(rgba[:3]) if self._is_linear else rgba[:3]), rgba[3] if len(rgba) > 3 else 1])
+        alpha = rgba[3] if len(rgba) > 3 and not _is_opaque(material) else 1.0
+        return _rgba([*(_srgb(rgba[:3]) if self._is_linear else rgba[:3]), alpha])
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
@@ -138,6 +139,11 @@ def _other_maps(material: Any) -> list[str]:
     """What a material lays on a surface beside its colour: relief, gloss, light, holes."""
     named = [name for name in _PBR_MAPS if getattr(material, name, None) is not None]
     return named + sorted(key for key in getattr(material, "kwargs", {}) if _MTL_MAP.fullmatch(key))
+
+
+def _is_opaque(material: Any) -> bool:
+    """Whether the material is one of glTF's that are opaque whatever their alpha: those that do not say."""
+    return hasattr(material, "alphaMode") and material.alphaMode in (None, "OPAQUE")
 
 
 def _spread(visual: Any) -> float:
@@ -180,7 +186,8 @@ def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
         # What trimesh puts where a material or its texture is missing.
         return np.array(GREY)
     main = np.asarray(material.main_color, np.float64) / 255.0
-    return np.append(_srgb(main[:3]), main[3:]) if is_linear else main
+    main = np.append(_srgb(main[:3]), main[3:]) if is_linear else main
+    return np.append(main[:3], 1.0) if _is_opaque(material) else main
 
 
 def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
@@ -191,14 +198,22 @@ def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
     """
     document = read_document(path)
     yield from extension_notes(document)
+    primitives = [each for mesh in document.get("meshes", []) for each in mesh["primitives"]]
+    if any(
+        "COLOR_0" in each["attributes"] and "material" in each and not is_coloured_by_vertices(document, each)
+        for each in primitives
+    ):
+        yield "its vertex colours are left out: the colour or the image of its material is taken"
     has_image = {each.name for each in materials if getattr(each, "baseColorTexture", None) is not None}
     read = {each.name for each in materials if each is not None}
     for index, material in enumerate(document.get("materials", [])):
-        name = material.get("name", f"number {index}")
+        # A name is optional.
+        own = material.get("name")
+        name = f"number {index}" if own is None else own
         image = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
         if image is None:
             continue
-        if material.get("name") in read and material["name"] not in has_image:
+        if own in read and own not in has_image:
             yield f"the image of material {name!r} cannot be read"
         if "KHR_texture_transform" in image.get("extensions", {}):
             yield f"the image of material {name!r} is transformed (KHR_texture_transform): that is ignored"

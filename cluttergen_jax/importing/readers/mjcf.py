@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import mujoco
@@ -130,12 +130,15 @@ def read_mjcf(
         )
     of_pictures = (*of_pictures, *picture_notes(model, roles.surface))
     colliding = tuple(geom_mesh(model, data, i, 16) for i in roles.colliding)
+    notes = (*frozen_note(_frozen_joints(model, data, bodies)), *roles.notes)
+    if kilograms := _mass_of(path, roles.unseen):
+        notes += (f"what is left out weighs {kilograms:.3g} kg: it counts, as in MuJoCo",)
     is_usable = 0 < len(colliding) <= MAX_PARTS and all(is_convex(model, i) for i in roles.colliding)
     return Model(
         pieces=[geom_piece(model, data, i, max_side) for i in roles.surface],
         parts=tuple(Mesh.points(each.vertices) for each in colliding) if is_usable else None,
         stated=combine_masses([_body_mass(model, data, i) for i in bodies]),
-        notes=(*frozen_note(_frozen_joints(model, data, bodies)), *roles.notes, *dict.fromkeys(of_pictures)),
+        notes=(*notes, *dict.fromkeys(of_pictures)),
         colliding=colliding,
     )
 
@@ -170,6 +173,21 @@ def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassPro
     axes = data.ximat[body].reshape(3, 3)
     inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
     return MassProperties(float(model.body_mass[body]), data.xipos[body].copy(), inertia)
+
+
+def _mass_of(path: Path, geoms: Collection[int]) -> float:
+    """Kilograms that geoms add to their bodies; 0 where these state their own, or consist of nothing else."""
+    if not geoms:
+        return 0.0
+    spec = mujoco.MjSpec.from_file(str(path))
+    try:
+        before = spec.compile().body_mass.sum()
+        for geom in spec.geoms:
+            if geom.id in geoms:
+                geom.mass = 0.0
+        return float(before - spec.compile().body_mass.sum())
+    except ValueError:
+        return 0.0
 
 
 def compile_with_notes(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:

@@ -134,11 +134,13 @@ class Roles:
       surface: the geoms that are the object to the eye; empty if nothing is seen or collides.
       colliding: the geoms that collide, some of them perhaps surface as well.
       notes: what was decided, in words.
+      unseen: the geoms that neither are seen nor collide.
     """
 
     surface: tuple[int, ...]
     colliding: tuple[int, ...]
     notes: tuple[str, ...] = ()
+    unseen: tuple[int, ...] = ()
 
 
 def roles_of(model: mujoco.MjModel, data: mujoco.MjData, geoms: Iterable[int]) -> Roles:
@@ -151,14 +153,15 @@ def roles_of(model: mujoco.MjModel, data: mujoco.MjData, geoms: Iterable[int]) -
     shown_colliding = [i for i in colliding if is_visible(model, i)]
     stand_ins = _find_stand_ins(model, data, shown_colliding, shown)
     surface = [i for i in solid if i in shown or (i in shown_colliding and i not in stand_ins)]
+    unseen = tuple(i for i in others if i not in shown)
     reasons = {
         "left out, as planes have no inside": [i for i in geoms if i not in solid],
-        "left out, as they are not seen and do not collide": [i for i in others if i not in shown],
+        "left out, as they are not seen and do not collide": unseen,
         "taken for collision alone, as what is seen covers them": stand_ins,
         "taken for the surface, as nothing else is there to be seen": [] if surface else colliding,
     }
     notes = tuple(f"{reason}: {_names(model, which)}" for reason, which in reasons.items() if which)
-    return Roles(tuple(surface or colliding), tuple(colliding), notes)
+    return Roles(tuple(surface or colliding), tuple(colliding), notes, unseen)
 
 
 def is_visible(model: mujoco.MjModel, geom: int) -> bool:

@@ -15,7 +15,7 @@ import trimesh
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import refuse_stand_in
-from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, rigid
+from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, rigid
 from cluttergen_jax.importing.readers.materials import GREY, Rgba
 from cluttergen_jax.importing.readers.mesh_text import as_utf8
 from cluttergen_jax.importing.readers.model import Model, frozen_note
@@ -174,7 +174,10 @@ def _links(path: Path, model: Element, pose: np.ndarray) -> Iterator[Link]:
             "a model that is written out",
             f"gz sdf -p {path.name} > whole.sdf",
         )
+    for tag in ("link", "joint", "model"):
+        check_unique(path, model.findall(tag))
     frames = _Frames(path, model)
+    frames.check_joints(model)
     for link in model.findall("link"):
         yield Link(link, pose, partial(frames.pose_of_element, parent=link.get("name", "")))
     for inner in model.findall("model"):
@@ -188,6 +191,15 @@ class _Frames:
         self._path = path
         tags = ("link", "joint", "model", "frame")
         self._named = {each.get("name", ""): each for tag in tags for each in model.findall(tag)}
+
+    def check_joints(self, model: Element) -> None:
+        """Refuses a joint between what is not there; `other::link` is in a nested model (AssetError)."""
+        for joint in model.findall("joint"):
+            for tag in ("parent", "child"):
+                name = joint.findtext(tag, "").strip()
+                if name.partition("::")[0] not in ("", "world", "__model__", *self._named):
+                    given = f"{self._path}: joint {joint.get('name')!r} has the {tag} {name!r}, which is none"
+                    raise AssetError(given, ", ".join(map(repr, self._named)))
 
     def pose_of_element(self, element: Element, parent: str, below: tuple[str, ...] = ()) -> np.ndarray:
         """f64[4, 4] from an element to the model.

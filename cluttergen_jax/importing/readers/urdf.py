@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ import trimesh
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import refuse_stand_in
-from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, rigid
+from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, rigid
 from cluttergen_jax.importing.readers.materials import GREY
 from cluttergen_jax.importing.readers.model import Model, check_joints, frozen_note, opened_joint
 from cluttergen_jax.importing.readers.places import mesh_place
@@ -27,6 +27,7 @@ from cluttergen_jax.importing.readers.xml_tree import (
     all_numbers,
     number,
     numbers,
+    parse_numbers,
     without_namespace,
     wrong_attribute,
 )
@@ -94,11 +95,14 @@ class Joints:
         self._links = [link.get("name", "") for link in robot.findall("link")]
         self._joints = robot.findall("joint")
         self._by_name = {joint.get("name", ""): joint for joint in self._joints}
+        check_unique(path, robot.findall("link"))
+        check_unique(path, self._joints)
         self.notes = [
             f"joint {joint.get('name')!r} is of type {kind!r}, which URDF does not have: it is fixed"
             for joint in self._joints
             if (kind := joint.get("type")) not in _KINDS
         ]
+        self.notes += _notes_of_turns(robot)
 
     def value(self, joint: Element) -> float:
         """Radians or metres.
@@ -137,10 +141,16 @@ class Joints:
           AssetError: the links are no tree.
         """
         children: dict[str, list[Element]] = {}
+        above: dict[str, Element] = {}
         for joint in self._joints:
             children.setdefault(self._link_of(joint, "parent"), []).append(joint)
-        below = {self._link_of(joint, "child") for joint in self._joints}
-        roots = [name for name in self._links if name not in below]
+            child = self._link_of(joint, "child")
+            if child in above:
+                both = f"{above[child].get('name')!r} and {joint.get('name')!r}"
+                given = f"{self._path}: link {child!r} is the child of joints {both}"
+                raise AssetError(given, "a tree of links: each is the child of one joint")
+            above[child] = joint
+        roots = [name for name in self._links if name not in above]
         if len(roots) > 1:
             names = ", ".join(map(repr, roots))
             self.notes.append(f"its links {names} hang on no joint: all are put at the model's origin")
@@ -161,7 +171,11 @@ class Joints:
         link = joint.find(tag)
         if link is None or not link.get("link"):
             raise AssetError(f"{self._path}: joint {joint.get('name')!r} names no {tag} link")
-        return link.get("link", "")
+        name = link.get("link", "")
+        if name not in self._links:
+            given = f"{self._path}: joint {joint.get('name')!r} has the {tag} {name!r}, which is no link"
+            raise AssetError(given, ", ".join(map(repr, self._links)))
+        return name
 
     def _motion(self, joint: Element) -> np.ndarray:
         kind = joint.get("type")
@@ -188,6 +202,16 @@ class Joints:
         if len(values) != 3 or not np.isfinite(values).all() or not (any(values) or self.value(joint) == 0):
             raise wrong_attribute(self._path, element, "xyz", "3 numbers, not all of them 0")
         return np.array(values)
+
+
+_MOST_RADIANS = 2 * math.pi + 0.01
+
+
+def _notes_of_turns(robot: Element) -> Iterator[str]:
+    """Of angles that look like degrees."""
+    for text in dict.fromkeys(each.get("rpy", "") for each in robot.iter("origin")):
+        if any(abs(angle) > _MOST_RADIANS for angle in parse_numbers(text) or ()):
+            yield f'rpy="{text}" is read as radians, as URDF has it: more than a whole turn'
 
 
 def origin(path: Path, element: Element) -> np.ndarray:
@@ -238,7 +262,8 @@ def _parse(path: Path) -> Element:
     except BROKEN as error:
         refuse_xacro(path)
         refuse_stand_in(path)
-        raise AssetError(f"{path} cannot be read as URDF: {error}") from error
+        hint = "saving it in UTF-8" if "encoding" in str(error) else ""
+        raise AssetError(f"{path} cannot be read as URDF: {error}", hint=hint) from error
     refuse_xacro(path, robot)
     without_namespace(robot)
     if robot.tag != "robot":

@@ -48,6 +48,7 @@ class Verification:
       turn: f64[N], the most each had turned, radians.
       stands: all of them stayed within the limits.
       detector: of MuJoCo's two detectors of convex collisions, the one with which they moved the most.
+      fault: why it could not be simulated, in words; there are no objects then.
     """
 
     path: Path
@@ -56,6 +57,7 @@ class Verification:
     turn: np.ndarray
     stands: bool
     detector: Detector = "native"
+    fault: str = ""
 
     @property
     def worst(self) -> str:
@@ -104,6 +106,7 @@ class VerificationReport:
                 "stands": bool(stands),
                 "detector": scene.detector,
                 "changed_files": list(changed),
+                **({"fault": scene.fault} if scene.fault else {}),
                 "shift_m_and_turn_rad": {
                     # JSON has no numbers for what diverged.
                     name: [float(each) if np.isfinite(each) else None for each in moved]
@@ -121,14 +124,19 @@ class VerificationReport:
             *self._of_files(),
             f"{self.stands.sum()} of {len(self.scenes)} scenes stand for {self.config.seconds:g} s "
             f"(no object moved more than {limits}, by either detector of MuJoCo's)",
-            f"movement of {len(shift)} objects: median {small_length(np.median(shift))}, "
-            f"99th percentile {small_length(np.percentile(shift, 99))}, "
-            f"most {small_length(shift.max())} and {turn.max():.2f} deg",
         ]
+        if len(shift):
+            lines.append(
+                f"movement of {len(shift)} objects: median {small_length(np.median(shift))}, "
+                f"99th percentile {small_length(np.percentile(shift, 99))}, "
+                f"most {small_length(shift.max())} and {turn.max():.2f} deg"
+            )
         if num_changed := sum(map(bool, self.changed_files)):
             lines.append(f"  {num_changed} scenes do not count: files that they are made of were changed")
         for each in self.scenes:
-            if not each.stands:
+            if each.fault:
+                lines.append(f"  {each.path.name}: {each.fault}")
+            elif not each.stands:
                 moved = (
                     f"{each.worst} moved {small_length(each.shift.max())} with the detector {each.detector}"
                 )
@@ -204,7 +212,19 @@ def _check_here(
 def _checker(check: VerifyConfig) -> Callable[[Path], Verification]:
     # MuJoCo keeps meshes that it has read, and takes a file of the same second for the one that it knows.
     mujoco.mj_clearCache(mujoco.mj_getCache())
-    return partial(verify_scene, config=check)
+    return partial(_verify_of_many, config=check)
+
+
+def _verify_of_many(path: Path, config: VerifyConfig) -> Verification:
+    """As `verify_scene`; a file of a bank that cannot be simulated is found out, and keeps up no other."""
+    try:
+        return verify_scene(path, config)
+    except BankError as error:
+        if not (path.parent.parent / INDEX).is_file():
+            raise
+        return Verification(
+            path, (), np.zeros(0), np.zeros(0), False, fault=error.given.removeprefix(f"{path}: ")
+        )
 
 
 def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verification:
