@@ -93,4 +93,29 @@ def test_collada_polygons_are_the_triangles_that_they_hold(tmp_path, kind):
     assert shape.pieces[0].mesh.volume == pytest.approx(np.prod(SIZES["inch_die"]), rel=1e-3)
     hole = f'<polygons count="1">{SAID}<ph><p>0 1 3 2</p><h>4 6 7</h></ph></polygons>'
     path.write_text(path.read_text().replace("</mesh>", hole + "</mesh>"))
-    assert "1 polygons with holes (<ph>) are left out" in read_source(path)[0].notes
+    said = "1 polygons with holes (<ph>) cannot be cut into triangles and are left out"
+    assert said in read_source(path)[0].notes
+
+
+@pytest.mark.parametrize("hole", ["4 5 6 7", "7 6 5 4"], ids=["one way round", "the other"])
+def test_collada_polygons_keep_their_holes(tmp_path, hole):
+    """A plate of 80 x 80 x 30 mm with a hole of 40 x 40 mm."""
+    side, inner = 0.04, 0.02
+    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    points = [(k * x, k * y, z) for z in (0.0, 0.03) for k in (side, inner) for x, y in corners]
+    walls = [
+        f"<p>{a} {b} {b + 8} {a + 8}</p>"
+        for a, b in [(0, 1), (1, 2), (2, 3), (3, 0), (5, 4), (6, 5), (7, 6), (4, 7)]
+    ]
+    above = " ".join(str(int(each) + 8) for each in hole.split())
+    plates = f"<ph><p>3 2 1 0</p><h>{hole}</h></ph><ph><p>8 9 10 11</p><h>{above}</h></ph>"
+    text = re.sub(
+        "<triangles.*</triangles>", f'<polygons count="10">{SAID}{"".join(walls)}{plates}</polygons>', DIE
+    )
+    numbers = " ".join(str(each / 0.0254) for point in points for each in point)
+    text = re.sub(r"(<float_array[^>]*count=)[^>]*>[^<]*", rf'\1"{3 * len(points)}">{numbers}', text, count=1)
+    text = re.sub(r'(<accessor[^>]*count=)"\d+"', rf'\1"{len(points)}"', text, count=1)
+    (tmp_path / "plate.dae").write_text(text)
+    (shape,) = read_source(tmp_path / "plate.dae")
+    assert shape.pieces[0].mesh.volume == pytest.approx(0.03 * 4 * (side**2 - inner**2))
+    assert not any("<ph>" in note for note in shape.notes)

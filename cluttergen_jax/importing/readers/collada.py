@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.polygons import CROSSING, cuts
+from cluttergen_jax.importing.readers.polygons import CROSSING, cut_with_holes, cuts
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_numbers, parse_xml, plain_tag
 
 
@@ -40,12 +40,25 @@ def _declared_unit(path: Path) -> str:
     return "1"
 
 
-def with_image_paths(path: Path) -> bytes | None:
-    """The file with a name in place of each image's missing path; None if none is missing.
+def plain_collada(path: Path) -> bytes | None:
+    """The file with a name in place of each image's missing path, and polygons with holes as triangles.
 
-    pycollada drops an image without a path, and with it the effect, the material and the surfaces.
+    pycollada drops an image without a path, and with it the effect, the material and the surfaces; and it
+    drops polygons with holes (<ph>). None if there are neither.
     """
-    tree = parse_xml(path)
+    if (tree := parse_xml(path)) is None:
+        return None
+    is_changed = _name_images(tree)
+    for polygons in list(_all(tree, "polygons")):
+        try:
+            is_changed |= _cut_holes(tree, polygons)
+        except (LookupError, ValueError, TypeError):
+            # They stay, are dropped, and `collada_notes` says so.
+            continue
+    return ElementTree.tostring(tree) if is_changed else None
+
+
+def _name_images(tree: Element) -> bool:
     is_changed = False
     for image in _all(tree, "image"):
         places = [each for each in image if plain_tag(each) == "init_from"]
@@ -55,14 +68,49 @@ def with_image_paths(path: Path) -> bytes | None:
         place = places[0] if places else ElementTree.SubElement(image, image.tag[:-5] + "init_from")
         # COLLADA 1.5 has the path one level deeper.
         place.text = next((each.text for each in place if each.text), f"{image.get('id')} (no path is given)")
-    return ElementTree.tostring(tree) if tree is not None and is_changed else None
+    return is_changed
+
+
+def _cut_holes(tree: Element, polygons: Element) -> bool:
+    """Puts triangles in place of the <ph> of one <polygons>; whether there were some that can be cut."""
+    inputs = [each for each in polygons if plain_tag(each) == "input"]
+    width = 1 + max(int(each.get("offset", 0)) for each in inputs)
+    (vertex,) = (each for each in inputs if each.get("semantic") == "VERTEX")
+    points = _positions(tree, vertex.get("source", "")[1:])
+    is_changed = False
+    for polygon in [each for each in polygons if plain_tag(each) == "ph"]:
+        rings = [np.array((each.text or "").split(), np.int64).reshape(-1, width) for each in polygon]
+        outlines = [points[ring[:, int(vertex.get("offset", 0))]] for ring in rings]
+        if (triangles := cut_with_holes(outlines)) is None:
+            continue
+        corners, tag = np.concatenate(rings), polygon.tag[:-2] + "p"
+        for triangle in triangles:
+            words = corners[triangle].reshape(-1).tolist()
+            ElementTree.SubElement(polygons, tag).text = " ".join(map(str, words))
+        polygons.remove(polygon)
+        is_changed = True
+    if is_changed:
+        polygons.set("count", str(sum(plain_tag(each) in ("p", "ph") for each in polygons)))
+    return is_changed
+
+
+def _positions(tree: Element, vertices: str) -> np.ndarray:
+    """f64[V, 3]: where the vertices of an id are."""
+    by_id = {each.get("id"): each for each in tree.iter() if each.get("id")}
+    (place,) = (each for each in by_id[vertices] if each.get("semantic") == "POSITION")
+    source = by_id[place.get("source", "")[1:]]
+    (array,) = (each for each in source if plain_tag(each) == "float_array")
+    (accessor,) = _all(source, "accessor")
+    numbers = np.array((array.text or "").split(), np.float64)
+    return numbers[int(accessor.get("offset", 0)) :].reshape(-1, int(accessor.get("stride", 1)))[:, :3]
 
 
 def collada_notes(path: Path) -> Iterator[str]:
     """What is not read of a COLLADA file."""
-    tree = parse_xml(path)
+    data = plain_collada(path)
+    tree = parse_xml(path) if data is None else ElementTree.fromstring(data)
     if holes := sum(1 for _ in _all(tree, "ph")):
-        yield f"{holes} polygons with holes (<ph>) are left out"
+        yield f"{holes} polygons with holes (<ph>) cannot be cut into triangles and are left out"
     if skins := sum(1 for _ in _all(tree, "instance_controller")):
         yield f"{skins} surfaces with a skeleton or a morph (<instance_controller>) are left out"
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import trimesh
 from PIL import Image
 
-from cluttergen_jax.importing.readers.collada import with_image_paths
+from cluttergen_jax.importing.readers.collada import plain_collada
 from cluttergen_jax.importing.readers.damage import is_text_stl
 from cluttergen_jax.importing.readers.gltf_plain import plain_glb
 from cluttergen_jax.importing.readers.places import OPTIONS, find_named
@@ -42,7 +42,7 @@ def mesh_input(path: Path) -> MeshInput:
     suffix = path.suffix.lower()
     if suffix in (".glb", ".gltf") and (plain := plain_glb(path)) is not None:
         return MeshInput(io.BytesIO(plain), "glb")
-    if suffix == ".dae" and (named := with_image_paths(path)) is not None:
+    if suffix == ".dae" and (named := plain_collada(path)) is not None:
         return MeshInput(io.BytesIO(named), "dae")
     if suffix not in (".obj", ".ply", ".stl"):
         return MeshInput(str(path))

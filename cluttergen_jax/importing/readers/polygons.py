@@ -19,6 +19,8 @@ import numpy as np
 
 _SLACK = 1e-9
 """Of a polygon's area: so much of a triangle may face the other way, by rounding."""
+_BENT = 0.01
+"""Of a polygon's size: so far its holes may lie beside its plane."""
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
 _OBJ_POLYGON = re.compile(rb"^[ \t]*f((?:[ \t]+[-+\d/]+){4,})[ \t\r]*(?:#.*)?$", re.MULTILINE)
 _OBJ_BACKWARD = re.compile(rb"^[ \t]*f[^\n]*[ \t/]-", re.MULTILINE)
@@ -64,24 +66,49 @@ def _is_folded_fan(corners: np.ndarray) -> np.ndarray:
 
 def _ears(corners: np.ndarray) -> np.ndarray | None:
     """The triangles of one polygon seen along its normal; None if they would overlap."""
-    flat = _seen_along_normal(corners)
+    return cut_with_holes([corners])
+
+
+def cut_with_holes(rings: Sequence[np.ndarray]) -> np.ndarray | None:
+    """The triangles of one polygon with holes seen along its normal; None if they would overlap, or if its
+    holes lie elsewhere.
+
+    Args:
+      rings: f64[N, 3] each, the outline and its holes, which may turn either way.
+
+    Returns:
+      i64[M, 3], places in all rings one after another, turned as the outline is.
+    """
+    plane = _plane_of(rings[0])
+    flat = [(ring - rings[0][0]) @ plane for ring in rings]
+    across = np.concatenate(rings) @ np.cross(*plane.T)
+    if len(rings) > 1 and np.ptp(across) > _BENT * np.ptp(flat[0]):
+        return None
+    order, start = [], 0
+    for number, ring in enumerate(flat):
+        places = np.arange(start, start + len(ring))
+        # Manifold wants holes that turn against their outline.
+        order.append(places[::-1] if number and _area(ring) > 0 else places)
+        start += len(ring)
+    whole, places = np.concatenate(flat), np.concatenate(order)
     try:
-        triangles = np.asarray(manifold3d.triangulate([flat]), np.int64)
+        triangles = places[np.asarray(manifold3d.triangulate([whole[each] for each in order]), np.int64)]
     except (RuntimeError, ValueError):
         return None
-    areas, area = _areas(flat[triangles]), _area(flat)
-    is_sound = len(triangles) == len(corners) - 2 and (areas >= -_SLACK * area).all()
+    areas, area = _areas(whole[triangles]), sum(_area(whole[each]) for each in order)
+    # Each hole is joined to the outline by two more triangles.
+    is_sound = len(triangles) == len(whole) + 2 * (len(rings) - 1) - 2 and (areas >= -_SLACK * area).all()
     return triangles if is_sound and np.isclose(areas.sum(), area, rtol=1e-6) else None
 
 
-def _seen_along_normal(corners: np.ndarray) -> np.ndarray:
-    """f64[N, 2]: the polygon projected along its normal, counter-clockwise."""
+def _plane_of(corners: np.ndarray) -> np.ndarray:
+    """f64[3, 2]: two axes in which the polygon f64[N, 3] is seen along its normal, counter-clockwise."""
     arms = corners[1:] - corners[0]
     normal = np.cross(arms[:-1], arms[1:]).sum(0)
     normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
     side = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     side = side / max(float(np.linalg.norm(side)), 1e-300)
-    return (corners - corners[0]) @ np.stack([side, np.cross(normal, side)], axis=1)
+    return np.stack([side, np.cross(normal, side)], axis=1)
 
 
 def _areas(triangles: np.ndarray) -> np.ndarray:
