@@ -46,6 +46,13 @@ def test_colours_are_read(tmp_path, suffix):
     np.testing.assert_allclose(shape.pieces[0].rgba[:3], np.array([200, 40, 40]) / 255, atol=0.02)
 
 
+def test_colours_are_read_as_early_ply_files_call_them(tmp_path):
+    path = save_box(tmp_path / "crate.ply")
+    path.write_bytes(re.sub(rb"uchar (red|green|blue)", rb"uchar diffuse_\1", path.read_bytes()))
+    (shape,) = read_source(path)
+    np.testing.assert_allclose(shape.pieces[0].rgba[:3], np.array([200, 40, 40]) / 255, atol=0.02)
+
+
 URDF = """<robot name="r">
   <material name="red"><color rgba="0.8 0.1 0.1 1"/></material>
   <link name="base"/>

@@ -23,6 +23,8 @@ from cluttergen_jax.importing.readers.gltf_plain import plain_glb
 from cluttergen_jax.importing.readers.places import OPTIONS, find_named
 
 _END_OF_HEADER = b"end_header"
+_OLD_COLOUR = re.compile(rb"(?<=[ \t])diffuse_(red|green|blue)\b")
+"""What early PLY files call their colours."""
 _WORD_AND_TAB = re.compile(rb"^[ \t]*([a-z]+)[ ]*\t[ \t]*", re.MULTILINE)
 ALL_MATERIALS = "*.mtl"
 """What an OBJ file's text calls all its material files together: trimesh asks for one."""
@@ -49,7 +51,7 @@ def mesh_input(path: Path) -> MeshInput:
     data = path.read_bytes()
     if suffix == ".ply":
         head, end, body = data.partition(_END_OF_HEADER)
-        data = (as_utf8(head) if end else head) + end + body
+        data = (_OLD_COLOUR.sub(rb"\1", as_utf8(head)) if end else head) + end + body
     elif suffix == ".obj":
         data = _plain_obj(as_utf8(data))
     elif is_text_stl(data, len(data)):
