@@ -180,6 +180,7 @@ def test_a_material_needs_no_name(tmp_path):
     assert notes == ("the image of material 'number 0' cannot be read",)
 
 
+GLOSSY = {"diffuseFactor": [1, 0, 0, 1], "specularFactor": [0, 0, 0], "glossinessFactor": 0.5}
 LEFT_OUT = ("its vertex colours are left out: the colour or the image of its material is taken",)
 
 
@@ -189,6 +190,11 @@ LEFT_OUT = ("its vertex colours are left out: the colour or the image of its mat
         ({}, (0, 128, 0, 255), ()),
         ({"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1]}}, (0, 128, 0, 255), ()),
         ({"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 0]}}, (255, 0, 0, 255), LEFT_OUT),
+        (
+            {"extensions": {"KHR_materials_pbrSpecularGlossiness": GLOSSY}},
+            (255, 0, 0, 255),
+            LEFT_OUT,
+        ),
         (
             {"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 0.4]}, "alphaMode": "BLEND"},
             (255, 0, 0, 102),

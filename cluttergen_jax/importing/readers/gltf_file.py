@@ -83,7 +83,11 @@ def is_coloured_by_vertices(document: Json, primitive: Json) -> bool:
     """Whether the colours at a primitive's vertices are all that it has: its material is white."""
     if "COLOR_0" not in primitive["attributes"] or "material" not in primitive:
         return False
-    look = document["materials"][primitive["material"]].get("pbrMetallicRoughness", {})
+    material = document["materials"][primitive["material"]]
+    look = material.get("pbrMetallicRoughness", {})
+    if "KHR_materials_pbrSpecularGlossiness" in material.get("extensions", {}):
+        # The colour is there.
+        return False
     return "baseColorTexture" not in look and look.get("baseColorFactor", _WHITE)[:3] == _WHITE[:3]
 
 
