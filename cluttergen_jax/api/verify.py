@@ -37,8 +37,9 @@ def verify(
       allow_unchecked: simulate a bank that has no digests of its files, as those of older versions have none.
 
     Raises:
-      BankError: there is nothing to verify, or a file cannot be loaded or simulated, or a bank
-        has no digests of its files.
+      BankError: there is nothing to verify, or the one file that is given cannot be loaded or simulated
+        (of a bank, such a scene is not stable, and its `fault` says why), or a bank has no digests of its
+        files.
       UnsafePathError: a file of a bank names files outside of that bank.
       ConfigError: `jobs` is out of range.
       MissingExtraError: a cluster without the extra `ray`.
