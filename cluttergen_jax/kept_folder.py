@@ -77,7 +77,7 @@ def _both_values(name: str, ours: Mapping[str, Any], theirs: Mapping[str, Any]) 
             value = value.get(key) if isinstance(value, Mapping) else None
         if isinstance(value, list | Mapping) or len(str(value)) > _LONGEST:
             return ""
-        values.append(f"{value}")
+        values.append(str(value))
     return f" ({values[0]} there, {values[1]} asked for)"
 
 

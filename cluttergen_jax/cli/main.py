@@ -24,7 +24,7 @@ from cluttergen_jax.rendering.gl import check_importable
 INTERRUPTED = 130
 _MANY_OBJECTS = 100_000
 _MOMENT = 0.05
-"""Seconds."""
+"""Seconds after which a Ctrl-C that came during an import is tried again."""
 
 
 def program(args: Sequence[str] | None = None) -> None:

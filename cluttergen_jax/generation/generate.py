@@ -335,7 +335,7 @@ def write_bank(
         asked = [each.line() for each in clutter.features() if each.asked is not None]
         summary = totals.text(num_new, time.perf_counter() - started)
         if bank.num_scenes > num_scenes:
-            summary += f"\nbank       holds {bank.num_scenes} scenes; the figures are of {num_scenes}"
+            summary += f"\nbank       holds {bank.num_scenes} scenes, {num_scenes} counted here"
         summary = "\n".join([summary, *(f"clutter    {line}" for line in asked)])
         with writing(bank.path):
             write_card(bank)

@@ -138,4 +138,6 @@ def test_scenes_of_unknown_origin_are_not_mixed_with_others(first, tmp_path):
 def test_files_that_are_replaced_are_counted(first, second, tmp_path):
     asked = {"picture": False, "points": True, "scenes": "0-2"}
     assert not render(first, tmp_path, **asked).notes
-    assert render(second, tmp_path, **asked).notes == ("3 files of these names were there, and are replaced",)
+    assert render(second, tmp_path, **asked).notes == (
+        f"replaced 3 files of the same names that were in {tmp_path}",
+    )

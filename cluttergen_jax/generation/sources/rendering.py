@@ -120,8 +120,8 @@ class Rendering:
             # Called after its source: those of several lie in one folder.
             path = self.out / f"{_plain(opened.name)}-sheet.png"
             made.append(save_png(self._sheet(opened, numbers, path.name), path))
-        if replaced := there.intersection(made) - {self.out / "bop"}:
-            notes += (f"{len(replaced)} files of these names were there, and are replaced",)
+        if replaced := there.intersection(made):
+            notes += (f"replaced {len(replaced)} files of the same names that were in {self.out}",)
         return RenderReport(tuple(made), tuple(failures), notes)
 
     def _can_draw(self) -> tuple[bool, tuple[str, ...]]:

@@ -40,7 +40,6 @@ _SAID = {
     "licence": ("licence", "license"),
     "attribution": ("attribution", "author"),
 }
-_WHITE = [1, 1, 1, 1]
 _HOLDERS = ("scenes", "nodes", "meshes")
 _LONGEST = 300
 
@@ -77,6 +76,9 @@ def _first(document: Json, key: str) -> Any:
     return (
         values[0] if isinstance(values, list) and (len(values) == 1 or (values and key == "scenes")) else None
     )
+
+
+_WHITE = [1, 1, 1, 1]
 
 
 def is_coloured_by_vertices(document: Json, primitive: Json) -> bool:

@@ -142,7 +142,7 @@ def _other_maps(material: Any) -> list[str]:
 
 
 def _is_opaque(material: Any) -> bool:
-    """Whether the material is one of glTF's that are opaque whatever their alpha: those that do not say."""
+    """Whether it is a material of glTF that is opaque whatever its alpha: `OPAQUE` is the default."""
     return hasattr(material, "alphaMode") and material.alphaMode in (None, "OPAQUE")
 
 

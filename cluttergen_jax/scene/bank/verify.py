@@ -212,11 +212,11 @@ def _check_here(
 def _checker(check: VerifyConfig) -> Callable[[Path], Verification]:
     # MuJoCo keeps meshes that it has read, and takes a file of the same second for the one that it knows.
     mujoco.mj_clearCache(mujoco.mj_getCache())
-    return partial(_verify_of_many, config=check)
+    return partial(_verify_or_report, config=check)
 
 
-def _verify_of_many(path: Path, config: VerifyConfig) -> Verification:
-    """As `verify_scene`; a file of a bank that cannot be simulated is found out, and keeps up no other."""
+def _verify_or_report(path: Path, config: VerifyConfig) -> Verification:
+    """As `verify_scene`; a file of a bank that cannot be simulated is reported as not stable (`fault`)."""
     try:
         return verify_scene(path, config)
     except BankError as error:
