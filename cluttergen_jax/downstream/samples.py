@@ -21,6 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
 from cluttergen_jax.kept_folder import KeptFolder
@@ -370,6 +371,32 @@ def check_upright(poses: object, what: str) -> None:
             f"scenes of poses {poses!r} for {what}",
             "scenes of upright objects: it proposes a position and a turn about the vertical",
             "a bank of `cluttergen generate` with --poses upright",
+        )
+
+
+def check_one_level(support: SupportAsset, what: str) -> None:
+    """Refuses scenes on a slope, or on several surfaces of a support.
+
+    Args:
+      support: with the surfaces that objects are asked for on; what: who has no use for them.
+
+    Raises:
+      ConfigError: they are on such.
+    """
+    asked = [surface for surface, _ in support.asked]
+    if len(asked) > 1:
+        names = ", ".join(each.name for each in asked)
+        raise ConfigError(
+            f"scenes on {len(asked)} surfaces of support {support.name!r} ({names}) for {what}",
+            "scenes on one level surface",
+            f"scenes of `cluttergen generate` with --surface {asked[0].name}",
+        )
+    if not asked[0].is_level:
+        raise ConfigError(
+            f"surface {asked[0].name!r} of support {support.name!r}, which slopes by "
+            f"{np.degrees(asked[0].tilt):.3g} degrees, for {what}",
+            "a level surface",
+            "another support (`cluttergen list`)",
         )
 
 

@@ -11,6 +11,7 @@ pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
+import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.robot import film
 from cluttergen_jax.downstream.robot import trials as robot_trials
@@ -21,6 +22,7 @@ from cluttergen_jax.downstream.robot.motion import plan
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES, planner_hash, run_trials
 from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers.placing import write_bank
 
@@ -152,6 +154,16 @@ def test_the_command_moves_objects_and_says_how_it_went(bank, home, tmp_path, ca
     assert (tmp_path / "place" / EPISODES).is_file()
     assert main(words) == 0
     assert capsys.readouterr().out == told
+
+
+@pytest.mark.slow
+def test_the_arm_places_into_a_bin_smaller_than_the_usual_region(home, tmp_path):
+    trials = cg.robot_place(
+        out=tmp_path, support="bin", num_objects=3, num_episodes=1, method="drop", placer="none", num_threads=1
+    )
+    asked = read_bank(tmp_path / "bank").recipe["region"]
+    np.testing.assert_allclose(asked["half_extents"], (0.2, 0.15))
+    assert [row.outcome for row in trials.rows] == [Outcome.SUCCESS]
 
 
 def test_of_scenes_in_which_objects_lie_those_are_taken_whose_last_one_is_upright(bank, capsys):

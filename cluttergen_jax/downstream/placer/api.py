@@ -80,9 +80,16 @@ def placer_data(
       PoolError: there is no such pool or support.
     """
     from cluttergen_jax.api.generate import generate
+    from cluttergen_jax.assets.support_file import find_support
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
     from cluttergen_jax.downstream.placer.pairs.store import PAIRS
-    from cluttergen_jax.downstream.samples import SPLITS, bank_or_made, check_upright, poses_of
+    from cluttergen_jax.downstream.samples import (
+        SPLITS,
+        bank_or_made,
+        check_one_level,
+        check_upright,
+        poses_of,
+    )
     from cluttergen_jax.scene.bank import AGAIN, Bank
 
     check_folder(out)
@@ -98,6 +105,7 @@ def placer_data(
         PAIRS.check_place(Path(out))
         asked = (spec or SceneSpec(pool="household")).replace_given(pool, method, support, num_objects)
         check_upright(asked.poses, "a placer")
+        check_one_level(find_support(asked.support).on_surface(asked.surface), "a placer")
         return generate(
             Path(out) / f"bank-{name}",
             replace(asked, num_threads=num_threads),
@@ -111,6 +119,7 @@ def placer_data(
     given = (spec, pool, num_scenes, method, support, num_objects)
     found = bank_or_made(bank, make, "spec pool num_scenes method support num_objects", given)
     check_upright(poses_of(found), "a placer")
+    check_one_level(found.support, "a placer")
     if "assets" not in found.record:
         raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
     if found.recipe.get("method") == PILE:

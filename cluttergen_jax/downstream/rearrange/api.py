@@ -255,6 +255,7 @@ def _own_scenes(
     from cluttergen_jax.assets.support_file import find_support
     from cluttergen_jax.downstream.digests import json_digest
     from cluttergen_jax.downstream.rearrange.starts import OwnScenes
+    from cluttergen_jax.downstream.samples import check_one_level
     from cluttergen_jax.scene.bank import read_bank, region_of
 
     found = None if bank is None else read_bank(bank)
@@ -264,6 +265,7 @@ def _own_scenes(
     if found is not None and setting != "paper":
         given = f"setting = {setting!r} together with `bank`, whose scenes take its place"
         raise ConfigError(given, "one or the other", "leaving out `setting`")
+    check_one_level(find_support(support or "table") if found is None else found.support, "`rearrange`")
     pool = "household" if pool is None else str(pool)
     if found is not None:
         pool = str(found.record["recipe"].get("pool"))

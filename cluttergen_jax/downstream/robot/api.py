@@ -23,6 +23,7 @@ from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.downstream.placer.query import Placer, PlainPlacer
     from cluttergen_jax.downstream.robot.description import RobotDescription
     from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspDataset
@@ -34,7 +35,7 @@ _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
 _MOST_VIEWS = 64
 _MOST_EPISODES = 1_000_000
-_REGION = "0.5x0.5"
+_REGION = 0.5
 _NUM_OBJECTS = 8
 
 
@@ -150,7 +151,7 @@ def robot_place(
       noise: factor of the simulated sensor noise of a usual depth camera; 1 if not given, 0 for none.
       num_episodes: number of episodes; scenes repeat if the bank has fewer.
       pool, method, support, num_objects, region: for a generated bank, as in `generate`; household, guided,
-        the usual table, 8 and 0.5x0.5 if not given.
+        the usual table, 8 and the middle of its region, 0.5x0.5 at most, if not given.
       record: record every episode into this folder, 20 frames a second: joints, tool, gripper, contact,
         set-points, success, the task in words, and pictures. Episodes of which there are only rows are run
         again for it.
@@ -209,7 +210,8 @@ def robot_place(
 
     def make() -> Bank:
         # In a random order the last object is any of the pool, not mostly a small one.
-        usual = SceneSpec(pool="household", num_objects=_NUM_OBJECTS, region=_REGION, order="random")
+        usual = SceneSpec(pool="household", num_objects=_NUM_OBJECTS, order="random")
+        usual = replace(usual, region=_usual_region(usual.support if support is None else support))
         asked = usual.replace_given(pool, method, support, num_objects, region)
         asked = replace(asked, num_threads=num_threads)
         place = Path(out) / "bank"
@@ -252,6 +254,17 @@ def robot_place(
         planner=planner,
         record=recorded,
     )
+
+
+def _usual_region(support: str | Path) -> Rectangle:
+    """The middle of a support's region, which the arm reaches: half a metre a side at most."""
+    from dataclasses import replace
+
+    from cluttergen_jax.assets.support_file import find_support
+
+    region = find_support(support).region
+    half_x, half_y = region.half_extents
+    return replace(region, half_extents=(min(half_x, _REGION / 2), min(half_y, _REGION / 2)))
 
 
 def _looking(placer: str | Path | Placer | PlainPlacer) -> Placer | PlainPlacer | None:

@@ -25,6 +25,7 @@ from cluttergen_jax.downstream.placer.query import (
 from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.downstream.robot.cameras import above
 from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, OccupancyBoxes, occupancy_boxes
+from cluttergen_jax.downstream.samples import check_one_level
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key
@@ -88,6 +89,7 @@ class CameraPlacer:
     """
 
     def __init__(self, bank: Bank, placer: Placer | PlainPlacer, name: str, noise: float) -> None:
+        check_one_level(bank.support, "a placer")
         problem = setup_of(bank, engine="native", num_threads=1).problem
         support, region = problem.world.support, problem.region
         self.name, self._noise = name, REALSENSE.scale(noise)
