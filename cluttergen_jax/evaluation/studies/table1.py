@@ -89,13 +89,14 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
 
 
 def imported_trials(scale: Scale) -> tuple[Trial, ...]:
-    """The full method and chance on the paper's own objects, as far as they were imported."""
+    """Chance and policies on the paper's own objects, as far as they were imported."""
     base = scale.trial_by_both_counts(1000, 6)
+    methods = ("random", "open_loop", CLUTTERGEN, "policy")
     return tuple(
         trial
         for pool, number in scale.imported
         if pool in scale.pools_or(pool)
-        for trial in grid(base, pool=(pool,), num_objects=(number,), method=("random", "policy"))
+        for trial in grid(base, pool=(pool,), num_objects=(number,), method=methods)
     )
 
 
