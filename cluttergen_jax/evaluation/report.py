@@ -14,6 +14,7 @@ from cluttergen_jax.evaluation.rankings import OURS, TWIN, tally
 from cluttergen_jax.evaluation.records import Origin, Result
 from cluttergen_jax.evaluation.store import FORMAT, json_bytes
 from cluttergen_jax.evaluation.studies.study import Scale
+from cluttergen_jax.evaluation.studies.table1 import IMPORTED
 from cluttergen_jax.evaluation.suites import STUDIES
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import write_atomically
@@ -98,19 +99,22 @@ def with_earlier_rows(result: Result, earlier: Result) -> Result:
             "studies whose tables are made here, of rows",
             "`python reports/make_results.py FOLDER`; a study made again into FOLDER keeps its rows itself",
         )
-    asked = {trial.method for trial in STUDIES[result["name"]].trials(Scale())}
-    made = made_rows(result["records"])
-    before = [row for row in made_rows(earlier["records"]) if row["trial"]["method"] in asked]
+    made, before = made_rows(result["records"]), made_rows(earlier["records"])
+    # Whether a study of imported objects asks for a method is seen where there are some.
+    given = [row["trial"] for row in (*made, *before) if str(row["trial"].get("pool")).startswith(IMPORTED)]
+    scale = Scale(imported=tuple((trial["pool"], trial["num_objects"]) for trial in given))
+    asked = {trial.method for trial in STUDIES[result["name"]].trials(scale)}
+    before = [row for row in before if row["trial"]["method"] in asked]
     # An earlier version may have named fewer of a trial's settings: it knew of no others than the defaults.
     usual = asdict(Trial())
     rows = {json.dumps({**usual, **row["trial"]}, sort_keys=True): row for row in (*before, *made)}
     if len(rows) == len(made):
         return result
-    pools = list(dict.fromkeys(row["trial"].get("pool") for row in rows.values()))
+    order = list(dict.fromkeys(row["trial"].get("pool") for row in rows.values()))
     names = ("command", "trials", "date", "machine", "also_made")
     origin: Any = {name: values_of(earlier)[name] for name in names if name in earlier}
     return result | Result(
-        records=sorted(rows.values(), key=lambda row: pools.index(row["trial"].get("pool"))),
+        records=sorted(rows.values(), key=lambda row: order.index(row["trial"].get("pool"))),
         earlier=[origin, *earlier.get("earlier", ())],
     )
 

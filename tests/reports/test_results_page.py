@@ -85,6 +85,9 @@ def test_rows_that_were_not_made_again_stay_with_where_they_come_from():
     largest = again | {"trial": again["trial"] | {"order": "largest"}}
     merged = with_earlier_rows(made | {"records": [again, largest]}, earlier | {"records": [first, *others]})
     assert len(merged["records"]) == len(others) + 2
+    imported = next(each for each in read_results(REPORTS / "results") if each["name"] == "imported")
+    last = imported | {"records": [imported["records"][-1] | {"figures": again["figures"]}]}
+    assert len(with_earlier_rows(last, imported)["records"]) == len(imported["records"])
     robot = next(each for each in read_results(REPORTS / "results") if each["name"] == "robot")
     with pytest.raises(ConfigError, match="'robot' to be kept"):
         with_earlier_rows(robot, robot)

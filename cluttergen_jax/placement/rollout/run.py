@@ -176,7 +176,8 @@ class Rollout:
         self._ask: Any = quick_jit(ask, static_argnums=static)
         self._finish_piles: Any = quick_jit(finish_piles, static_argnums=static)
         self._begin: Any = quick_jit(lambda sampler, *args: sampler.begin(*args), static_argnums=static)
-        self._step: Any = quick_jit(step, static_argnums=static, donate_argnums=1)
+        # Physics that is compiled is most of its program's time.
+        self._step: Any = jax.jit(step, static_argnums=static, donate_argnums=1)
         self._refill: Any = quick_jit(refill, static_argnums=static, donate_argnums=2)
         self._propose: Any = quick_jit(propose, static_argnums=static)
         self._judge: Any = quick_jit(judge, static_argnums=static)
