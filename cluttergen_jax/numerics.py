@@ -157,22 +157,6 @@ def fast_compilation(is_wanted: bool = True) -> Iterator[None]:
         jax.clear_caches()
 
 
-def quick_jit(function: Callable[..., Any], **options: Any) -> Any:
-    """`jax.jit` with fewer of LLVM's optimisations on a CPU, where a program's loops take little of the time.
-
-    It compiles a third sooner and computes the same bits. Such a function cannot be part of another that is
-    compiled.
-
-    Args:
-      options: of `jax.jit`.
-    """
-    import jax
-
-    if jax.default_backend() == "cpu":
-        options["compiler_options"] = {"xla_backend_optimization_level": 1}
-    return jax.jit(function, **options)
-
-
 def as_float32(tree: T) -> T:
     """A pytree with its float64 arrays as float32: what a program that computes in 64 bits hands over."""
     import jax

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.numerics import new_key, quick_jit
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics.host import HostPhysics
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Proposer, Rules
@@ -173,16 +173,15 @@ class Rollout:
             return after, after.is_over, look(before, after, transition)
 
         static = (0,) if is_constant else ()
-        self._ask: Any = quick_jit(ask, static_argnums=static)
-        self._finish_piles: Any = quick_jit(finish_piles, static_argnums=static)
-        self._begin: Any = quick_jit(lambda sampler, *args: sampler.begin(*args), static_argnums=static)
-        # Physics that is compiled is most of its program's time.
+        self._ask: Any = jax.jit(ask, static_argnums=static)
+        self._finish_piles: Any = jax.jit(finish_piles, static_argnums=static)
+        self._begin: Any = jax.jit(lambda sampler, *args: sampler.begin(*args), static_argnums=static)
         self._step: Any = jax.jit(step, static_argnums=static, donate_argnums=1)
-        self._refill: Any = quick_jit(refill, static_argnums=static, donate_argnums=2)
-        self._propose: Any = quick_jit(propose, static_argnums=static)
-        self._judge: Any = quick_jit(judge, static_argnums=static)
-        self._conclude: Any = quick_jit(conclude, static_argnums=static)
-        self._finish: Any = quick_jit(lambda sampler, *args: sampler.finish(*args), static_argnums=static)
+        self._refill: Any = jax.jit(refill, static_argnums=static, donate_argnums=2)
+        self._propose: Any = jax.jit(propose, static_argnums=static)
+        self._judge: Any = jax.jit(judge, static_argnums=static)
+        self._conclude: Any = jax.jit(conclude, static_argnums=static)
+        self._finish: Any = jax.jit(lambda sampler, *args: sampler.finish(*args), static_argnums=static)
 
     @property
     def num_programs(self) -> int:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import compress
-from typing import Any
 
 import jax
 import numpy as np
 import pyarrow as pa
 
-from cluttergen_jax.numerics import quick_jit
 from cluttergen_jax.placement.boxes import spacing_of
 from cluttergen_jax.placement.containers import num_contained
 from cluttergen_jax.placement.scenes import SceneBatch
@@ -211,11 +208,11 @@ def table_of(
     """
     numbers = np.arange(len(names)) if numbers is None else numbers
     half = half_extents[np.maximum(scenes.object_index, 0)]
-    near, hidden = jax.device_get(_of_scenes(spacing_of)(half, scenes.poses, scenes.is_placed))
+    near, hidden = jax.device_get(_spacing(half, scenes.poses, scenes.is_placed))
     inside = None
     if hollows is not None:
         own = jax.device_get(hollows.take(np.maximum(scenes.object_index, 0)))
-        inside = jax.device_get(_of_scenes(num_contained)(half, own, scenes.poses, scenes.is_placed))
+        inside = jax.device_get(_num_contained(half, own, scenes.poses, scenes.is_placed))
     rows = [
         _row(int(index), scenes, place, names, numbers)
         | {"near": float(near[place]), "occlusion": float(hidden[place])}
@@ -225,9 +222,7 @@ def table_of(
     return pa.Table.from_pylist(rows, schema=pa.unify_schemas([SCHEMA, CLUTTER]))
 
 
-@cache
-def _of_scenes(function: Callable[..., Any]) -> Any:
-    return quick_jit(jax.vmap(function))
+_spacing, _num_contained = (jax.jit(jax.vmap(each)) for each in (spacing_of, num_contained))
 
 
 def _row(
