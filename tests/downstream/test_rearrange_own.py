@@ -189,6 +189,7 @@ def test_settings_that_contradict_are_refused(bank, tmp_path, capsys):
         ({"bank": bank.path, "support": "table"}, "`support` together with `bank`"),
         ({"bank": bank.path, "setting": "eight"}, "setting = 'eight' together with `bank`"),
         ({"target": "1x"}, "region '1x'"),
+        ({"support": "tilted_board_5"}, "slopes by 5 degrees, for `rearrange`"),
     ]
     for more, match in asked:
         with pytest.raises(ConfigError, match=match):
