@@ -12,25 +12,22 @@ from __future__ import annotations
 import io
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
 from cluttergen_jax.kept_folder import KeptFolder
-from cluttergen_jax.scene.bank import Bank, read_bank
+from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.schema import (
     SEAL,
-    Numbers,
     SchemaError,
-    check_numbers,
     check_seal,
     checked_record,
     convert,
@@ -303,161 +300,3 @@ class SampleSet:
         """
         for block, rows in self.form.sizes(self.num_samples(split, number)).items():
             yield self.form.read_block(self.path, split, block, rows)
-
-
-class StableScenes(NamedTuple):
-    """The S scenes of a bank that are stable, with N slots.
-
-    Attributes:
-      number: i[S], in the bank, which has `num_scenes`. method: that made them.
-      objects: i[S, N], in the order of placement, -1 is padding.
-      poses: f64[S, N, 7], T_world_object, metres, wxyz.
-    """
-
-    number: np.ndarray
-    objects: np.ndarray
-    poses: np.ndarray
-    num_scenes: int
-    method: str
-
-    @classmethod
-    def read(cls, bank: Bank) -> StableScenes:
-        """All of a bank. Raises BankError: there is none."""
-        columns = ("index", "is_success", "object_index", "poses")
-        rows = [row for table in bank.tables(columns) for row in table.to_pylist() if row["is_success"]]
-        if not rows:
-            raise BankError(f"{bank.path}: none of its scenes stands", "one that does or more", "more scenes")
-        number, objects, poses = (
-            np.array([row[name] for row in rows]) for name in (columns[0], *columns[2:])
-        )
-        method = str(bank.record["recipe"]["method"])
-        return cls(number, objects, poses.astype(np.float64), bank.num_scenes, method)
-
-    def row(self, scene: int) -> int:
-        """The row of a scene, or of the last stable one before it, or the first row.
-
-        It does not depend on later scenes, so a bank may be continued.
-        """
-        return max(0, int(np.searchsorted(self.number, scene % self.num_scenes, side="right")) - 1)
-
-
-def bank_or_made(
-    bank: str | Path | None, make: Callable[[], Bank], names: str, given: Sequence[object]
-) -> Bank:
-    """The bank in a folder, or one made along, as it is given; names: of what is given for that.
-
-    Raises:
-      ConfigError: there is a bank, and something of one that would be made is given as well.
-    """
-    if bank is None:
-        return make()
-    for name, value in zip(names.split(), given, strict=True):
-        if value is not None:
-            raise ConfigError(f"`{name}` together with `bank`", "one or the other", f"leaving out `{name}`")
-    return read_bank(bank)
-
-
-def check_upright(poses: object, what: str) -> None:
-    """Refuses scenes whose objects were not released upright.
-
-    Args:
-      poses: `SceneSpec.poses` of the scenes; what: who has no use for them.
-
-    Raises:
-      ConfigError: they were not.
-    """
-    if poses != "upright":
-        raise ConfigError(
-            f"scenes of poses {poses!r} for {what}",
-            "scenes of upright objects: it proposes a position and a turn about the vertical",
-            "a bank of `cluttergen generate` with --poses upright",
-        )
-
-
-def check_one_level(support: SupportAsset, what: str) -> None:
-    """Refuses scenes on a slope, or on several surfaces of a support.
-
-    Args:
-      support: with the surfaces that objects are asked for on; what: who has no use for them.
-
-    Raises:
-      ConfigError: they are on such.
-    """
-    asked = [surface for surface, _ in support.asked]
-    if len(asked) > 1:
-        names = ", ".join(each.name for each in asked)
-        raise ConfigError(
-            f"scenes on {len(asked)} surfaces of support {support.name!r} ({names}) for {what}",
-            "scenes on one level surface",
-            f"scenes of `cluttergen generate` with --surface {asked[0].name}",
-        )
-    if not asked[0].is_level:
-        raise ConfigError(
-            f"surface {asked[0].name!r} of support {support.name!r}, which slopes by "
-            f"{np.degrees(asked[0].tilt):.3g} degrees, for {what}",
-            "a level surface",
-            "another support (`cluttergen list`)",
-        )
-
-
-def poses_of(bank: Bank) -> object:
-    """`SceneSpec.poses` of a bank's scenes."""
-    return bank.recipe.get("placement", {}).get("poses", "upright")
-
-
-# Columns of rows, for the checks of what was read.
-
-MOST_PIXELS = 4096
-"""Of an image's side."""
-FAR = 100.0
-"""Metres beyond which nothing of a table's scene is."""
-_UNIT = 1e-3
-"""By which the length of a quaternion may differ from 1."""
-
-
-def read_columns(table: pa.Table, numbers: Mapping[str, Numbers]) -> dict[str, np.ndarray]:
-    """Columns of a block as arrays (`numbers_of`).
-
-    Raises:
-      SchemaError: a number is missing, not finite or out of its range.
-    """
-    found = {name: numbers_of(table, name) for name in numbers}
-    check_numbers(found, numbers)
-    return found
-
-
-def numbers_of(table: pa.Table, name: str) -> np.ndarray:
-    """A column of numbers or texts as an array; lists are flattened, a fixed size is that of the last axis.
-
-    Raises:
-      SchemaError: a value is missing.
-    """
-    values, last = table[name].combine_chunks(), list[int]()
-    while True:
-        if values.null_count:
-            raise SchemaError(f"{name!r} lacks a value")
-        if pa.types.is_fixed_size_list(values.type):
-            last = [values.type.list_size]
-        elif not pa.types.is_list(values.type):
-            break
-        values = values.flatten()
-    return values.to_numpy(zero_copy_only=False).reshape(-1, *last)
-
-
-def lengths_of(table: pa.Table, name: str) -> np.ndarray:
-    """i64[R]: how many entries, or bytes, each row of a column has; -1 where there is none."""
-    column = table[name].combine_chunks()
-    is_list = pa.types.is_list(column.type)
-    found = (pa.compute.list_value_length if is_list else pa.compute.binary_length)(column)
-    return found.cast(pa.int64()).fill_null(-1).to_numpy()
-
-
-def faults_of(table: pa.Table, lengths: Mapping[str, np.ndarray], *poses: np.ndarray) -> list[str]:
-    """What is wrong with lengths i[R] of columns, and with quaternions of poses f[..., 7]."""
-    faults = [
-        f"{name!r} is not as long as it should be"
-        for name, length in lengths.items()
-        if not np.array_equal(lengths_of(table, name), length)
-    ]
-    turns = np.concatenate([np.linalg.norm(each[:, 3:], axis=1) for each in poses])
-    return faults + ["a quaternion is not of length 1"] * bool(np.abs(turns - 1).max(initial=0) > _UNIT)

@@ -31,8 +31,8 @@ from cluttergen_jax.physics import engine_of, make_physics
 from cluttergen_jax.physics.host import SwappablePhysics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.protocol import Physics
+from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
-from cluttergen_jax.placement.removal import footprint_area
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible
@@ -282,7 +282,7 @@ class Runner:
 
     def _fill(self, resolved: ResolvedTrial) -> float:
         """Footprints of a scene's objects over the region's area, on average, before any change of it."""
-        areas = footprint_area(self._base_setup(resolved).rules.geometry)
+        areas = footprint_area(self._base_setup(resolved).rules.geometry.half_extents)
         width, depth = (2 * each for each in resolved.region.half_extents)
         return float(np.mean(areas) * resolved.trial.num_objects / (width * depth))
 

@@ -18,13 +18,8 @@ from cluttergen_jax.evaluation.studies.paper_figures import (
 )
 from cluttergen_jax.evaluation.studies.pictures import CLOSED_LOOP
 from cluttergen_jax.evaluation.studies.relations import RELATIONS
-from cluttergen_jax.evaluation.studies.robustness import (
-    MARGIN,
-    MARGIN_SURVIVAL,
-    ROBUSTNESS,
-    STABILITY,
-    SURVIVAL,
-)
+from cluttergen_jax.evaluation.studies.robust_scenes import STABILITY
+from cluttergen_jax.evaluation.studies.robustness import MARGIN, MARGIN_SURVIVAL, ROBUSTNESS, SURVIVAL
 from cluttergen_jax.evaluation.studies.study import Scale, Study, of_methods
 from cluttergen_jax.evaluation.studies.table1 import IMPORTED, IMPORTED_GROUPS, TABLE1
 from cluttergen_jax.evaluation.studies.tables import TABLE2, TABLE_TOPS, TABLES

@@ -10,9 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support_map import top_bounds_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.types import Start
+from cluttergen_jax.types import Array
+
+_ROUNDING = 1e-5
+"""Metres, for float32."""
 
 
 def is_known(*arrays: Any) -> bool:
@@ -60,6 +66,47 @@ def _check_boxes(boxes: KeepOut) -> None:
         raise ConfigError(f"KeepOut of shapes {shapes}", "center [B, 2], half_extents [B, 2], yaw [B]")
     if is_known(*arrays) and not all(np.isfinite(np.asarray(each)).all() for each in arrays):
         raise ConfigError("a KeepOut with numbers that are not finite", "metres and radians")
+
+
+def region_fits(region: Region, usual: Region, support: SupportAsset) -> Array:
+    """bool: the region lies on the support, and is no larger than the world was made for; known or not."""
+    half, place = jnp.asarray(region.half_extents), region.T_world_region.wxyz_xyz
+    fits = jnp.all((half > 0) & (half <= usual.half_extents + 1e-6)) & jnp.all(jnp.isfinite(place))
+    fits &= _is_on_top(region, support)
+    if is_known(fits) and not fits:
+        raise ConfigError(
+            f"a region of {2 * half[0]:g} x {2 * half[1]:g} m about ({place[4]:g}, {place[5]:g})",
+            f"a place on support {support.name!r}, and sides up to those of the sampler's own, "
+            f"{2 * usual.half_extents[0]:g} x {2 * usual.half_extents[1]:g} m, "
+            "compared one by one along the region's own axes",
+            "make_sampler(region=...) with the largest that will be asked for",
+        )
+    return fits
+
+
+def _is_on_top(region: Region, support: SupportAsset) -> Array:
+    """bool: all corners are within the support's reach (`assets.support_map`)."""
+    signs = jnp.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
+    corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
+    if support.named:
+        surface = support.chosen
+        corners = (corners - jnp.array(surface.position)) @ jnp.array(surface.T_world_surface[:3, :3])
+    reach = top_bounds_of(support)
+    local = corners[:, :2] @ reach.axes
+    return jnp.all((local >= reach.lower - _ROUNDING) & (local <= reach.upper + _ROUNDING))
+
+
+def start_fits(start: Start, most: int) -> Array:
+    """bool: no more objects stand there than the sampler was made for; if their number is known, it is so."""
+    number = start.is_placed.sum()
+    fits = number <= most
+    if is_known(fits) and not fits:
+        raise ConfigError(
+            f"a start of {number} objects",
+            f"up to {most}, as the sampler was made",
+            "make_sampler(start=...)",
+        )
+    return fits
 
 
 T = TypeVar("T")

@@ -15,10 +15,17 @@ from flax import struct
 
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.assets.support_map import top_bounds_of
 from cluttergen_jax.config import check_range, check_whole
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation.arguments import check_call, check_key, is_known, recipe_text, required_recipe
+from cluttergen_jax.generation.arguments import (
+    check_call,
+    check_key,
+    is_known,
+    recipe_text,
+    region_fits,
+    required_recipe,
+    start_fits,
+)
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of, with_history_of
 from cluttergen_jax.numerics import as_float32, with_own_settings
 from cluttergen_jax.placement.observation import ObservationConfig, observe
@@ -33,9 +40,6 @@ from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.scene.bank.reference import read_start
 from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 from cluttergen_jax.types import Array, Verdict
-
-_ROUNDING = 1e-5
-"""Metres, for float32."""
 
 
 class _Drawing(struct.PyTreeNode):
@@ -166,9 +170,9 @@ class Sampler:
             )
         if region is not None and rules.polygon is not None:
             raise ConfigError("a region in a call, with a polygon for a region", "the polygon", "a rectangle")
-        fits = jnp.bool_(True) if region is None else _fits(region, rules.region, support)
+        fits = jnp.bool_(True) if region is None else region_fits(region, rules.region, support)
         if start is not None:
-            fits &= _has_room(start, rules.num_started)
+            fits &= start_fits(start, rules.num_started)
         begin = partial(
             rules.begin,
             region=region,
@@ -287,47 +291,6 @@ def _unflatten_sampler(static: tuple[Any, ...], parts: tuple[Any, ...]) -> Sampl
 
 
 jax.tree_util.register_pytree_node(Sampler, _flatten_sampler, _unflatten_sampler)
-
-
-def _fits(region: Region, usual: Region, support: SupportAsset) -> Array:
-    """bool: the region lies on the support, and is no larger than the world was made for; known or not."""
-    half, place = jnp.asarray(region.half_extents), region.T_world_region.wxyz_xyz
-    fits = jnp.all((half > 0) & (half <= usual.half_extents + 1e-6)) & jnp.all(jnp.isfinite(place))
-    fits &= _is_on_top(region, support)
-    if is_known(fits) and not fits:
-        raise ConfigError(
-            f"a region of {2 * half[0]:g} x {2 * half[1]:g} m about ({place[4]:g}, {place[5]:g})",
-            f"a place on support {support.name!r}, and sides up to those of the sampler's own, "
-            f"{2 * usual.half_extents[0]:g} x {2 * usual.half_extents[1]:g} m, "
-            "compared one by one along the region's own axes",
-            "make_sampler(region=...) with the largest that will be asked for",
-        )
-    return fits
-
-
-def _is_on_top(region: Region, support: SupportAsset) -> Array:
-    """bool: all corners are within the support's reach (`assets.support_map`)."""
-    signs = jnp.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
-    corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
-    if support.named:
-        surface = support.chosen
-        corners = (corners - jnp.array(surface.position)) @ jnp.array(surface.T_world_surface[:3, :3])
-    reach = top_bounds_of(support)
-    local = corners[:, :2] @ reach.axes
-    return jnp.all((local >= reach.lower - _ROUNDING) & (local <= reach.upper + _ROUNDING))
-
-
-def _has_room(start: Start, most: int) -> Array:
-    """bool: no more objects stand there than the sampler was made for; if their number is known, it is so."""
-    number = start.is_placed.sum()
-    fits = number <= most
-    if is_known(fits) and not fits:
-        raise ConfigError(
-            f"a start of {number} objects",
-            f"up to {most}, as the sampler was made",
-            "make_sampler(start=...)",
-        )
-    return fits
 
 
 MAX_RETRIES = 10_000

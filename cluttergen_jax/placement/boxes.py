@@ -163,3 +163,8 @@ def spacing_of(half_extents: Array, poses: Array, is_there: Array) -> tuple[Arra
     number = jnp.maximum(is_there.sum(), 1)
     hidden = jnp.where(is_there, 1.0 - seen_shares(Views.of(boxes), is_there).mean(1), 0.0)
     return nearest_gaps(boxes, is_there).sum() / number, hidden.sum() / number
+
+
+def footprint_area(half_extents: Array) -> Array:
+    """f32[K], square metres: boxes seen from above, of half extents f32[K, 3]."""
+    return 4 * half_extents[:, 0] * half_extents[:, 1]

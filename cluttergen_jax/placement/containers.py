@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.placement.boxes import Boxes, is_over, reach_up
-from cluttergen_jax.placement.removal import footprint_area
+from cluttergen_jax.placement.boxes import Boxes, footprint_area, is_over, reach_up
 from cluttergen_jax.placement.types import Geometry, Hollows
 from cluttergen_jax.types import Array
 
@@ -87,7 +86,7 @@ def draw_contents(
     Args:
       is_taken: bool[K], what stands there already; num_slots: objects that are to be placed.
     """
-    hollows, area = geometry.hollows, footprint_area(geometry)
+    hollows, area = geometry.hollows, footprint_area(geometry.half_extents)
     assert hollows is not None
     room = 4 * _FULL * hollows.half_extents[:, 0] * hollows.half_extents[:, 1]
 

@@ -10,31 +10,24 @@ from flax import struct
 
 from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
-from cluttergen_jax.placement.boxes import Boxes
+from cluttergen_jax.placement.acceptance import Acceptance
+from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.containers import num_contained, openings_of
 from cluttergen_jax.placement.region import (
     KeepOut,
     Region,
-    box_corners,
-    from_pose,
-    is_in_polygon,
-    is_inside,
-    is_kept_out,
     no_keep_out,
     pose_of_action,
 )
-from cluttergen_jax.placement.related import RelatedObjects, carriers_of, holds_among
-from cluttergen_jax.placement.removal import choose_removal, footprint_area
+from cluttergen_jax.placement.related import RelatedObjects
+from cluttergen_jax.placement.removal import choose_removal, remove
 from cluttergen_jax.placement.reward import reward_of
 from cluttergen_jax.placement.slots import SlotDraw
 from cluttergen_jax.placement.support_graph import (
     empty_graph,
     graph_after_settling,
-    graph_without,
-    supported_by,
 )
-from cluttergen_jax.placement.support_map import most_beyond, on_map, shares_beyond
+from cluttergen_jax.placement.support_map import map_below
 from cluttergen_jax.placement.surface_set import SurfaceSet
 from cluttergen_jax.placement.types import (
     Body,
@@ -47,10 +40,6 @@ from cluttergen_jax.placement.types import (
     Transition,
 )
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
-
-_OWN_SHARE = 1 / 3
-"""Of what a narrow object has on a flat table: so much support margin is asked of it at most. Of a round face
-engines name four points or so, which can leave less than half of it."""
 
 
 class Proposer(Protocol):
@@ -194,6 +183,12 @@ class Rules(struct.PyTreeNode, eq=False):
         """S: slots of those that stand there already, then of those to be placed."""
         return self.slots.num_slots
 
+    @property
+    def acceptance(self) -> Acceptance:
+        """What is asked of a place, beyond standing still."""
+        parts = (self.related, self.surfaces, self.polygon, self.support_map)
+        return Acceptance(self.config, self.geometry, *parts)
+
     def focus(self, episode: Episode) -> Array:
         """i32: the current object (of a finished episode: some object)."""
         return jnp.maximum(episode.object_index[self._slot(episode)], 0)
@@ -214,34 +209,19 @@ class Rules(struct.PyTreeNode, eq=False):
             return episode
         assert episode.surface is not None
         focus = self.focus(episode)
-        drawn = self.surfaces.draw(key, episode, focus, footprint_area(self.geometry))
+        drawn = self.surfaces.draw(key, episode, focus, footprint_area(self.geometry.half_extents))
         if self.slots.num_contained and self.surfaces.number is None:
-            drawn = self._beside_container(key, episode, drawn)
+            assert self.config.clutter is not None
+            asked = self.config.clutter.contained or 0
+            drawn = self.surfaces.beside_container(key, episode, focus, self.geometry, asked, drawn)
         surface = episode.surface.at[focus].set(
             jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
         )
         return episode.replace(surface=surface, region=self.surfaces.region(drawn))
 
-    def _beside_container(self, key: Array, episode: Episode, drawn: Array) -> Array:
-        """i32: a surface with something into which the current object fits, while more is to be inside."""
-        hollows, clutter, surfaces = self.geometry.hollows, self.config.clutter, self.surfaces
-        assert hollows is not None
-        assert clutter is not None
-        assert surfaces is not None
-        assert episode.surface is not None
-        focus = self.focus(episode)
-        inside = num_contained(self.geometry.half_extents, hollows, episode.poses, episode.is_placed)
-        surface = jnp.maximum(episode.surface, 0)
-        holds = hollows.fits[focus] & episode.is_placed & surfaces.fits[focus][surface]
-        noise = jax.random.gumbel(jax.random.fold_in(key, 1), holds.shape)
-        chosen = surface[jnp.argmax(jnp.where(holds, noise, -jnp.inf))]
-        return jnp.where(jnp.any(holds) & (inside < (clutter.contained or 0)), chosen, drawn)
-
     def support_map_of(self, episode: Episode) -> SupportMap | None:
         """The map of the surface that the current object goes on; None for a flat top."""
-        if self.geometry.support_map is None or episode.surface is None:
-            return self.geometry.support_map
-        return self.geometry.support_map.of_surface(jnp.maximum(episode.surface[self.focus(episode)], 0))
+        return map_below(self.geometry, episode.surface, self.focus(episode))
 
     def _slot(self, episode: Episode) -> Array:
         """i32: the current slot (of a finished episode: some slot)."""
@@ -286,7 +266,7 @@ class Rules(struct.PyTreeNode, eq=False):
         """
         is_active = ~episode.is_over
         focus, height_range = self.focus(episode), self.height_range(episode)
-        verdict = self._judge_place(episode, focus, settling)
+        verdict = self.acceptance.verdict(episode, focus, settling)
         is_stable = verdict == Verdict.STABLE
         is_last = episode.slot + 1 >= episode.num_slots
         ordinal = episode.slot - episode.first_slot + 1
@@ -311,79 +291,6 @@ class Rules(struct.PyTreeNode, eq=False):
             is_made=is_active,
         )
         return after, transition, is_stable & is_last & is_active
-
-    def _judge_place(self, episode: Episode, focus: Array, settling: Settling) -> Array:
-        """The attempt's verdict once margins, queried region and keep-out boxes have their say, i32."""
-        verdict = settling.verdict
-        if self.config.min_margin:
-            is_poor = (verdict == Verdict.STABLE) & ~self.is_supported(episode, focus, settling)
-            verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
-        pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
-        inside = is_inside(pose, half_extents, episode.region, self.config.containment)
-        support_map = self.support_map_of(episode)
-        inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
-        inside &= self.is_in_polygon(on_map(support_map, pose), half_extents)
-        if self.surfaces is not None:
-            inside &= self.surfaces.has_room(episode, focus)
-        if support_map is not None:
-            center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
-            height = episode.region.T_world_region.inverse().apply(center)[2]
-            # Physics knows the lowest point of a surface alone.
-            is_graver = (verdict == Verdict.OVERFLOW) | (verdict == Verdict.NON_FINITE)
-            has_fallen = (height < 0) & ~is_graver & (verdict != Verdict.NONE)
-            verdict = jnp.where(has_fallen, int(Verdict.FELL), verdict)
-            if support_map.ceiling is not None:
-                xy = on_map(support_map, pose)[:2]
-                ceiling = support_map.ceiling.reshape(-1)[support_map.index_of(xy[0], xy[1])]
-                inside &= height < ceiling
-        if self.config.overhang != "any":
-            inside &= ~self._is_beyond(episode, focus, settling)
-        verdict = jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
-        if self.related is None:
-            return verdict
-        is_related = self._is_related(self.related, episode, focus, settling)
-        return jnp.where((verdict == Verdict.STABLE) & ~is_related, int(Verdict.UNRELATED), verdict)
-
-    def _is_related(
-        self, related: RelatedObjects, episode: Episode, focus: Array, settling: Settling
-    ) -> Array:
-        """Whether all relations hold of which both objects are placed, the focus object included; bool."""
-        assert episode.roles is not None
-        is_placed = episode.is_placed.at[focus].set(True)
-        poses = jnp.where(is_placed[:, None], settling.poses, Start.empty(len(is_placed)).poses)
-        boxes = Boxes.of(self.geometry.half_extents, poses)
-        carriers = carriers_of(related, episode.roles, focus, episode.is_placed)
-        is_carried = jnp.all(settling.bears | ~carriers)
-        openings = openings_of(self.geometry, poses)
-        return is_carried & holds_among(related, episode.roles, boxes, openings, is_placed, episode.region)
-
-    def is_in_polygon(self, pose: Array, half_extents: Array) -> Array:
-        """bool: whether an object, its pose f32[7] in the polygon's frame, is in it as far as is asked."""
-        if self.polygon is None:
-            return jnp.bool_(True)
-        is_center = self.config.containment == "center"
-        points = pose[None, :2] if is_center else box_corners(pose, half_extents)[:, :2]
-        return jnp.all(is_in_polygon(points, self.polygon))
-
-    def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
-        """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""
-        assert self.support_map is not None
-        is_focus = jnp.arange(self.geometry.num_objects) == focus
-        is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
-        if episode.surface is None:
-            shares = shares_beyond(self.support_map, self.geometry, settling.poses)
-        else:
-            each = jax.vmap(lambda one: shares_beyond(one, self.geometry, settling.poses))(self.support_map)
-            shares = each[jnp.maximum(episode.surface, 0), jnp.arange(each.shape[1])]
-        return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
-
-    def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
-        """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
-        is_focus = jnp.arange(self.geometry.num_objects) == focus
-        is_judged = (episode.is_placed | is_focus) & ~self._is_started(episode)
-        own = self.geometry.own_margins_at(settling.poses)
-        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * own)
-        return ~jnp.any(is_judged & (settling.margin < asked))
 
     def _push(self, episode: Episode, action: Array, height_range: Array, settling: Settling) -> Episode:
         """The episode with the attempt at the end of the object's history."""
@@ -450,10 +357,10 @@ class Rules(struct.PyTreeNode, eq=False):
         is_over = self._is_spent(episode)
         if not config.ruin_after:
             return episode.replace(is_over=is_over | (episode.attempt >= config.max_attempts))
-        stays = self._is_started(episode)
+        stays = episode.is_started
         if episode.surface is not None:
             stays |= episode.surface != episode.surface[self.focus(episode)]
-        ruined = self.remove(episode, choose_removal(episode, self.geometry, stays))
+        ruined = remove(episode, choose_removal(episode, self.geometry, stays), self.geometry, self.related)
         # What could not be filled again within the budget is not worth taking apart.
         is_ruined = (episode.attempt >= config.ruin_after) & ~self._is_spent(ruined)
         after = jax.tree.map(lambda new, old: jnp.where(is_ruined, new, old), ruined, episode)
@@ -463,47 +370,6 @@ class Rules(struct.PyTreeNode, eq=False):
         """Whether the attempts that are left are fewer than the slots to fill, bool."""
         left = episode.num_slots - episode.slot
         return episode.counts.attempts.sum() + left > self.config.max_scene_attempts
-
-    def remove(self, episode: Episode, which: Array) -> Episode:
-        """The episode without some placed objects, and without all that leans on them.
-
-        They come again, after the current object. What was spent on them stays counted, in their new slots.
-
-        Args:
-          which: bool[K]; of what stood there from the beginning nothing is taken.
-        """
-        is_mine = episode.is_placed & ~self._is_started(episode)
-        which = supported_by(which & is_mine, episode.support_graph.leans_on & is_mine[:, None])
-        slots, index = jnp.arange(self.num_slots), jnp.maximum(episode.object_index, 0)
-        is_kept = (slots < episode.slot) & ~which[index]
-        group = jnp.where(is_kept, 0, jnp.where(slots == episode.slot, 1, 2))
-        last = 3
-        if self.related is not None and episode.roles is not None:
-            # Nothing comes before that to which it is placed.
-            group = jnp.where(is_kept, 0, 1 + self.related.priority(episode.roles)[index])
-            last = self.related.num_roles + 2
-        order = jnp.argsort(jnp.where(episode.object_index < 0, last, group), stable=True)
-        counts = episode.counts
-        return episode.replace(
-            object_index=episode.object_index[order],
-            slot=is_kept.sum().astype(jnp.int32),
-            attempt=jnp.int32(0),
-            poses=jnp.where(which[:, None], Start.empty(len(which)).poses, episode.poses),
-            is_placed=episode.is_placed & ~which,
-            history=jax.tree.map(jnp.zeros_like, episode.history),
-            counts=counts.replace(
-                attempts=counts.attempts[order],
-                steps=counts.steps[order],
-                rest_steps=jnp.where(is_kept, counts.rest_steps, 0)[order],
-            ),
-            support_graph=graph_without(episode.support_graph, which, self.geometry),
-        )
-
-    def _is_started(self, episode: Episode) -> Array:
-        """bool[K]: the objects that stood there when the episode began."""
-        is_started = jnp.arange(self.num_slots)[:, None] < episode.first_slot
-        objects = jnp.arange(self.geometry.num_objects)
-        return jnp.any(is_started & (episode.object_index[:, None] == objects), axis=0)
 
     def conclude(self, episode: Episode, standing: Standing, is_filled: Array) -> Episode:
         """The episode after the last check, where it was due (`is_filled`, bool); else as it is."""

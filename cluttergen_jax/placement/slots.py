@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.containers import draw_contents
 from cluttergen_jax.placement.related import RelatedObjects
-from cluttergen_jax.placement.removal import footprint_area
 from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.types import Array
 
@@ -82,7 +82,7 @@ class SlotDraw:
 
     def _weight(self, key: Array) -> Array:
         """f32[K]: who comes first, highest first. With noise of Gumbel's it is a draw by Plackett-Luce."""
-        weight = jnp.log(footprint_area(self.geometry))
+        weight = jnp.log(footprint_area(self.geometry.half_extents))
         if self.config.order == "largest":
             return weight
         noise = jax.random.gumbel(jax.random.fold_in(key, 1), weight.shape)

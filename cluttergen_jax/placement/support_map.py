@@ -53,6 +53,17 @@ def map_of_surfaces(support: SupportAsset) -> SupportMap | None:
     return jax.tree.map(lambda *each: np.stack(each), *maps) if len(maps) > 1 else maps[0]
 
 
+def map_below(geometry: Geometry, surface: Array | None, focus: Array) -> SupportMap | None:
+    """The map of the surface that an object goes on; None for a flat top.
+
+    Args:
+      surface: i32[K], `Episode.surface`; focus: i32, the object.
+    """
+    if geometry.support_map is None or surface is None:
+        return geometry.support_map
+    return geometry.support_map.of_surface(jnp.maximum(surface[focus], 0))
+
+
 def _map_of(surface: Surface, found: SurfaceHeights, shape: np.ndarray) -> SupportMap:
     more = [(0, most - own) for most, own in zip(shape, found.ground.shape, strict=True)]
     inverse = np.linalg.inv(surface.T_world_surface)

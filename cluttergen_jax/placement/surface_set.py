@@ -16,8 +16,9 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.containers import num_contained
 from cluttergen_jax.placement.region import Region
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.placement.types import Episode, Geometry
 from cluttergen_jax.types import Array
 
 ROOM = 0.003
@@ -92,6 +93,25 @@ class SurfaceSet(struct.PyTreeNode):
             weight = jnp.where(is_possible, kept, jnp.maximum(left, 0))
         weight = jnp.where(self.fits[focus], weight, 0.0)
         return jax.random.categorical(key, jnp.log(weight)).astype(jnp.int32)
+
+    def beside_container(
+        self, key: Array, episode: Episode, focus: Array, geometry: Geometry, asked: float, drawn: Array
+    ) -> Array:
+        """i32: a surface with something into which the current object fits, while more is to be inside.
+
+        Args:
+          focus: i32, the current object; asked: how many objects are to be inside of others.
+          drawn: i32, the surface where there is none, or enough are inside.
+        """
+        hollows = geometry.hollows
+        assert hollows is not None
+        assert episode.surface is not None
+        inside = num_contained(geometry.half_extents, hollows, episode.poses, episode.is_placed)
+        surface = jnp.maximum(episode.surface, 0)
+        holds = hollows.fits[focus] & episode.is_placed & self.fits[focus][surface]
+        noise = jax.random.gumbel(jax.random.fold_in(key, 1), holds.shape)
+        chosen = surface[jnp.argmax(jnp.where(holds, noise, -jnp.inf))]
+        return jnp.where(jnp.any(holds) & (inside < asked), chosen, drawn)
 
     def has_room(self, episode: Episode, focus: Array) -> Array:
         """bool: whether the current object's surface has fewer objects than it is to have."""

@@ -369,6 +369,12 @@ class Episode(struct.PyTreeNode):
         """i32: slots that have an object, those that stood there at the beginning included."""
         return (self.object_index >= 0).sum(-1)
 
+    @property
+    def is_started(self) -> Array:
+        """bool[K]: the objects that stood there when the episode began."""
+        is_started = jnp.arange(len(self.object_index))[:, None] < self.first_slot
+        return jnp.any(is_started & (self.object_index[:, None] == jnp.arange(len(self.is_placed))), axis=0)
+
 
 class Transition(struct.PyTreeNode):
     """What one attempt was and what came of it. What nobody reads of it, XLA leaves out.

@@ -14,9 +14,10 @@ from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import, print_report
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing import run
+from cluttergen_jax.importing.job import ObjectConfig, make_job
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
-from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
+from cluttergen_jax.importing.run import ImportConfig, import_sources
 from cluttergen_jax.importing.table_top import Limits
 from tests.helpers.cases import CASES
 from tests.helpers.shapes import make_box
@@ -131,7 +132,7 @@ CONFIG = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 def at_once(jobs, config, watch=None):
     """The jobs one by one in this process: no test here is about processes."""
     for index, job in enumerate(jobs):
-        yield index, run.Outcome(run.make_job(job))
+        yield index, run.Outcome(make_job(job))
 
 
 def plain_body(shape, config, trials):

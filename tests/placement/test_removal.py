@@ -17,7 +17,7 @@ from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, compose
-from cluttergen_jax.placement.removal import choose_removal
+from cluttergen_jax.placement.removal import choose_removal, remove
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.record import Recorder
 from cluttergen_jax.placement.scenes import scene_of
@@ -213,7 +213,7 @@ def test_what_carries_what_is_known_from_contacts():
     assert bearing.level.tolist() == [0, 1, 2, 0, 1, 0]
     assert sorted(map(tuple, np.argwhere(bearing.leans_on).tolist())) == sorted(PILE)
     np.testing.assert_allclose(bearing.margin, [0.001, 0.002, 0.003, 0.004, 0.005, 0.02])
-    after = rules.remove(play(rules, [GOOD] * 5)[-1], some(0)).support_graph
+    after = remove(play(rules, [GOOD] * 5)[-1], some(0), rules.geometry).support_graph
     assert np.argwhere(after.leans_on).tolist() == [[4, 3]]
     assert after.level.tolist() == [0, 0, 0, 0, 1, 0]
     np.testing.assert_allclose(after.margin, [0.02, 0.02, 0.02, 0.004, 0.005, 0.02])
@@ -224,7 +224,7 @@ def test_a_neighbour_that_is_moved_comes_to_lean_on_what_moved_it():
     episode = play(rules, [GOOD] * 3)[-1]
     assert np.argwhere(episode.support_graph.leans_on).tolist() == [[1, 2], [2, 0], [2, 1]]
     # 0 did not move and stays, 1 did.
-    assert np.flatnonzero(rules.remove(episode, some(2)).is_placed).tolist() == [0]
+    assert np.flatnonzero(remove(episode, some(2), rules.geometry).is_placed).tolist() == [0]
 
 
 def test_what_nothing_carries_has_the_least_margin():
@@ -243,8 +243,8 @@ def test_what_stood_there_from_the_beginning_stays_with_all_that_leans_on_it():
     start = Start(jnp.tile(EMPTY_POSE, (6, 1)).at[0, 2].set(0.73), some(0))
     episode = play(rules, [GOOD, GOOD], rules.begin(jax.random.key(0), start=start))[-1]
     assert episode.object_index.tolist() == [0, 1, 2, 3, 4]
-    assert same_bits(rules.remove(episode, some(0)).poses, episode.poses)
-    after = rules.remove(episode, some(0, 1))
+    assert same_bits(remove(episode, some(0), rules.geometry).poses, episode.poses)
+    after = remove(episode, some(0, 1), rules.geometry)
     assert after.object_index.tolist() == [0, 3, 1, 2, 4]
     np.testing.assert_array_equal(after.is_placed, some(0))
     assert int(after.slot) == 1 == int(after.first_slot)

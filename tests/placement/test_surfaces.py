@@ -90,7 +90,7 @@ def test_an_object_has_to_end_on_its_own_surface(shelf):
         Verdict.OUTSIDE: above.position[2] + 0.05,
     }
     for verdict, z in ends.items():
-        found = rules._judge_place(episode, jnp.int32(0), settled(rules, (0.1, 0.0, z)))
+        found = rules.acceptance.verdict(episode, jnp.int32(0), settled(rules, (0.1, 0.0, z)))
         assert Verdict(int(found)) == verdict
 
 

@@ -81,15 +81,10 @@ def placer_data(
     """
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax.downstream.bank_scenes import bank_or_made, check_one_level, check_upright, poses_of
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
     from cluttergen_jax.downstream.placer.pairs.store import PAIRS
-    from cluttergen_jax.downstream.samples import (
-        SPLITS,
-        bank_or_made,
-        check_one_level,
-        check_upright,
-        poses_of,
-    )
+    from cluttergen_jax.downstream.samples import SPLITS
     from cluttergen_jax.scene.bank import AGAIN, Bank
 
     check_folder(out)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 
-from cluttergen_jax.downstream.samples import StableScenes
+from cluttergen_jax.downstream.bank_scenes import StableScenes
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key
@@ -197,4 +197,6 @@ def _verdict(rules: Rules, episode: Episode, settling: Any) -> tuple[Array, Arra
     _, transition, _ = rules.judge(episode, jnp.zeros(4), settling)
     asking = replace(rules, config=replace(rules.config, min_margin=MIN_MARGIN))
     is_stable = transition.verdict == int(Verdict.STABLE)
-    return transition.verdict, is_stable & asking.is_supported(episode, rules.focus(episode), settling)
+    return transition.verdict, is_stable & asking.acceptance.is_supported(
+        episode, rules.focus(episode), settling
+    )

@@ -253,9 +253,9 @@ def _own_scenes(
     """What of the setting is the user's own, what a recipe says of that if anything, and the pool."""
     from cluttergen_jax.assets.support import parse_region
     from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax.downstream.bank_scenes import check_one_level
     from cluttergen_jax.downstream.digests import json_digest
     from cluttergen_jax.downstream.rearrange.starts import OwnScenes
-    from cluttergen_jax.downstream.samples import check_one_level
     from cluttergen_jax.scene.bank import read_bank, region_of
 
     found = None if bank is None else read_bank(bank)

@@ -182,6 +182,7 @@ def robot_place(
     from typing import Any, get_args
 
     from cluttergen_jax.api.generate import generate
+    from cluttergen_jax.downstream.bank_scenes import bank_or_made, poses_of
     from cluttergen_jax.downstream.digests import json_digest
     from cluttergen_jax.downstream.parts import part_label, part_name
     from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
@@ -190,7 +191,6 @@ def robot_place(
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
     from cluttergen_jax.downstream.robot.recorder import RecordAsked
     from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
-    from cluttergen_jax.downstream.samples import bank_or_made, poses_of
     from cluttergen_jax.learning.methods import checkpoint_of
     from cluttergen_jax.learning.ppo import checkpoint
     from cluttergen_jax.scene.bank import Bank, read_scenes, region_of

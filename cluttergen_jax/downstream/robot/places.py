@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.downstream.bank_scenes import check_one_level
 from cluttergen_jax.downstream.parts import is_own
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
@@ -25,7 +26,6 @@ from cluttergen_jax.downstream.placer.query import (
 from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.downstream.robot.cameras import above
 from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, OccupancyBoxes, occupancy_boxes
-from cluttergen_jax.downstream.samples import check_one_level
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key

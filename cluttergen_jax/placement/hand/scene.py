@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -16,7 +15,8 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.geometry import rotate_in_plane, yaw_quaternion
-from cluttergen_jax.placement.hand.types import Check, Drop, Held, Lowered
+from cluttergen_jax.placement.hand.clock import ActiveClock
+from cluttergen_jax.placement.hand.types import Before, Check, Drop, Held, Lowered
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import action_of_pose
@@ -25,56 +25,14 @@ from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
 from cluttergen_jax.placement.search.fit import Candidates, lower_onto
 from cluttergen_jax.placement.search.search import CLEARANCE, under_side
-from cluttergen_jax.placement.types import Episode, SupportGraph
+from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array, Settling, Verdict
-
-IDLE = 60.0
-"""Seconds without any input after which nobody is taken to be at work."""
-
-
-class ActiveClock:
-    """Seconds of work: it runs from the first input on, and stands still `idle` seconds after the latest.
-
-    Args:
-      now: seconds, from any beginning.
-    """
-
-    def __init__(self, now: Callable[[], float] = time.monotonic, idle: float = IDLE) -> None:
-        self._now, self._idle = now, idle
-        self._before, self._latest = 0.0, None
-
-    _latest: float | None
-
-    def touch(self) -> None:
-        """There was an input."""
-        self._before, self._latest = self.seconds, self._now()
-
-    def stop(self) -> None:
-        """Nothing more counts until the next input."""
-        self._before, self._latest = self.seconds, None
-
-    @property
-    def seconds(self) -> float:
-        """So far."""
-        since = 0.0 if self._latest is None else self._now() - self._latest
-        return self._before + min(since, self._idle)
-
 
 _CLEAR = 0.03
 
 
 class HandError(ClutterGenError):
     """What a person asked for cannot be done now."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Before:
-    """What `undo` goes back to."""
-
-    poses: Array
-    is_placed: Array
-    support_graph: SupportGraph
-    held: Held
 
 
 class HandScene:
@@ -111,7 +69,7 @@ class HandScene:
             index = np.full(self._rules.num_slots, -1, np.int32)
             index[: len(objects)] = objects
             self._episode = self._episode.replace(object_index=jnp.asarray(index))
-        self._before: list[_Before] = []
+        self._before: list[Before] = []
         self._failure = Verdict.NONE
         self.is_closed = False
         self.hold(0.0, 0.0, 0.0)
@@ -274,7 +232,7 @@ class HandScene:
         # A person may go on for as long as they like.
         self._episode = after.replace(is_over=jnp.bool_(False))
         if verdict == Verdict.STABLE:
-            self._before.append(_Before(before.poses, before.is_placed, before.support_graph, held))
+            self._before.append(Before(before.poses, before.is_placed, before.support_graph, held))
             self.hold(0.0, 0.0, 0.0)
         else:
             self._failure = verdict

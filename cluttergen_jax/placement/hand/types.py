@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cluttergen_jax.placement.rollout.replay import Attempt
-from cluttergen_jax.types import Verdict
+from cluttergen_jax.placement.types import SupportGraph
+from cluttergen_jax.types import Array, Verdict
 
 _ON_TOP = 0.002
 
@@ -75,3 +76,13 @@ class Check:
     verdict: Verdict
     mover: int
     drift: float
+
+
+@dataclass(frozen=True, eq=False)
+class Before:
+    """What `HandScene.undo` goes back to."""
+
+    poses: Array
+    is_placed: Array
+    support_graph: SupportGraph
+    held: Held

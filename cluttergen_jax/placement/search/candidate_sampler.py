@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.related import carriers_of
-from cluttergen_jax.placement.removal import footprint_area
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.entropy_tilt import shortfall, tilt_logits
 from cluttergen_jax.placement.search.features import Placing, remaining_and_added, safe_poses
@@ -206,7 +206,7 @@ def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> 
     With nothing placed they are over the region's centre.
     """
     episode, half = scene.episode, rules.geometry.half_extents
-    chance = jnp.where(episode.is_placed, jnp.log(footprint_area(rules.geometry)), -jnp.inf)
+    chance = jnp.where(episode.is_placed, jnp.log(footprint_area(rules.geometry.half_extents)), -jnp.inf)
     # Boxes are turned about z and sometimes tipped: a square with the box's diagonal is near enough.
     reach = jnp.linalg.norm(half[:, :2], axis=1) / jnp.sqrt(2.0)
     return _over(key, scene, rules, (episode.poses[:, :3], reach, chance), number)
@@ -262,7 +262,7 @@ def natural_logits(geometry: Geometry, focus: Array, supporters: Supporters) -> 
     The weight of what lies on objects is min(1, A / a)^2 s, with a the footprint of the current object's box,
     A that of the largest object that would carry it, and s the share of its base that would touch.
     """
-    area = footprint_area(geometry)
+    area = footprint_area(geometry.half_extents)
     widest = jnp.max(jnp.where(supporters.touched, area, 0.0), axis=1)
     width = jnp.minimum(jnp.log(jnp.maximum(widest, 1e-8) / area[focus]), 0.0)
     base = jnp.log(jnp.clip(supporters.base, _LEAST_BASE, 1.0))

@@ -219,7 +219,7 @@ class Search(struct.PyTreeNode, eq=False):
             pose = to_pose(episode.region.T_world_region @ T_region_object)
             is_kept_in = is_inside(pose, half, episode.region, containment)
             placed = on_map(self.rules.support_map_of(episode), pose)
-            is_kept_in &= self.rules.is_in_polygon(placed, half)
+            is_kept_in &= self.rules.acceptance.is_in_polygon(placed, half)
             return is_kept_in & ~is_kept_out(placed, half, episode.keep_out)
 
         return jax.vmap(is_allowed)(candidates.xy, candidates.yaw)

@@ -194,6 +194,11 @@ def block_numbers(path: Path) -> list[int]:
     return list(StoredBlocks.of(path).places)
 
 
+def is_bank(path: Path) -> bool:
+    """Whether a folder holds a bank, or what is left of one."""
+    return (path / INDEX).exists() or bool(block_numbers(path))
+
+
 def read_bank(path: str | Path) -> Bank:
     """Opens a bank, in a folder or at a URL.
 

@@ -22,7 +22,7 @@ from cluttergen_jax.kept_folder import KeptFolder, check_recipe, check_unlocked
 from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.scene.bank.bank import block_numbers, read_bank, recover_record
+from cluttergen_jax.scene.bank.bank import block_numbers, is_bank, read_bank, recover_record
 from cluttergen_jax.scene.bank.blocks import (
     SHARD_BLOCKS,
     StoredBlocks,
@@ -195,10 +195,10 @@ class BankWriter:
     def _free_folder(self) -> KeptFolder:
         """The bank's folder; where it is not free, nobody has just begun another bank there."""
         remote = remote_of(self.path)
-        if remote is not None and not _is_bank(self.path) and remote.sizes():
+        if remote is not None and not is_bank(self.path) and remote.sizes():
             raise BankError(f"{remote.url} holds something that is no bank", "a new place", "another `out`")
         folder = KeptFolder(
-            self.path, _is_bank, "{path} exists and is not a bank", lambda path: path.name == MARK
+            self.path, is_bank, "{path} exists and is not a bank", lambda path: path.name == MARK
         )
         if not folder.is_free:
             # Between two looks at it another process may have begun one here, or have made it whole.
@@ -353,10 +353,6 @@ class BankWriter:
 
 
 _ELSEWHERE = "another `out`, or `overwrite` to begin anew"
-
-
-def _is_bank(path: Path) -> bool:
-    return (path / INDEX).exists() or bool(block_numbers(path))
 
 
 def _is_json(path: Path) -> bool:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from cluttergen_jax.downstream.bank_scenes import StableScenes
 from cluttergen_jax.downstream.perception.views.stage import Kind, Stage, draw_camera, open_stage
 from cluttergen_jax.downstream.perception.views.store import SCHEMA, VIEWS, StoredView, ViewSet, row_of
 from cluttergen_jax.downstream.robot.cameras import SIZE
-from cluttergen_jax.downstream.samples import StableScenes
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.variation import TEXTURES_OF, draw_light

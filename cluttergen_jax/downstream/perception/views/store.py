@@ -15,18 +15,11 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import MAX_VIEWS
+from cluttergen_jax.downstream.columns import FAR, MOST_PIXELS, faults_of, lengths_of, read_columns
 from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.perception.types import num_classes
 from cluttergen_jax.downstream.perception.views.stage import RgbdImage
-from cluttergen_jax.downstream.samples import (
-    FAR,
-    MOST_PIXELS,
-    SampleFormat,
-    SampleSet,
-    faults_of,
-    lengths_of,
-    read_columns,
-)
+from cluttergen_jax.downstream.samples import SampleFormat, SampleSet
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.schema import Numbers, refuse

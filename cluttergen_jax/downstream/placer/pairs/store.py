@@ -14,20 +14,18 @@ import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.config import MAX_PAIRS, check_workers
-from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker, SceneMaps
-from cluttergen_jax.downstream.placer.query import PlacementQuery
-from cluttergen_jax.downstream.placer.scene_cameras import DepthView, SceneCameras, check_cameras, depth_of
-from cluttergen_jax.downstream.samples import (
+from cluttergen_jax.downstream.columns import (
     FAR,
     MOST_PIXELS,
-    SPLITS,
-    SampleFormat,
-    SampleSet,
     faults_of,
     lengths_of,
     numbers_of,
     read_columns,
 )
+from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker, SceneMaps
+from cluttergen_jax.downstream.placer.query import PlacementQuery
+from cluttergen_jax.downstream.placer.scene_cameras import DepthView, SceneCameras, check_cameras, depth_of
+from cluttergen_jax.downstream.samples import SPLITS, SampleFormat, SampleSet
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix

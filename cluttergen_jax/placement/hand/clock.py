@@ -1,0 +1,37 @@
+"""How long a person was at work."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+IDLE = 60.0
+"""Seconds without any input after which nobody is taken to be at work."""
+
+
+class ActiveClock:
+    """Seconds of work: it runs from the first input on, and stands still `idle` seconds after the latest.
+
+    Args:
+      now: seconds, from any beginning.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic, idle: float = IDLE) -> None:
+        self._now, self._idle = now, idle
+        self._before, self._latest = 0.0, None
+
+    _latest: float | None
+
+    def touch(self) -> None:
+        """There was an input."""
+        self._before, self._latest = self.seconds, self._now()
+
+    def stop(self) -> None:
+        """Nothing more counts until the next input."""
+        self._before, self._latest = self.seconds, None
+
+    @property
+    def seconds(self) -> float:
+        """So far."""
+        since = 0.0 if self._latest is None else self._now() - self._latest
+        return self._before + min(since, self._idle)
