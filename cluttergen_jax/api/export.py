@@ -50,6 +50,7 @@ def export(
     from cluttergen_jax.progress import track
     from cluttergen_jax.scene.bank import read_bank
     from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
+    from cluttergen_jax.scene.bank.remote import check_is_here
     from cluttergen_jax.scene.bank.scene import read_scenes, select_rows
     from cluttergen_jax.scene.export import BANK_FORMATS, export_bank, export_scenes
 
@@ -68,6 +69,7 @@ def export(
         if given := ", ".join(f"`{name}`" for name, value in options.items() if value):
             text = f"{given} with the format {format!r}, which takes the whole bank"
             raise ConfigError(text, "a bank of just these scenes", "`cluttergen generate`")
+        check_is_here(bank.path)
         indices = [row.index for row in select_rows(bank)]
         return export_bank(bank.path, indices, out, format, overwrite)
     total = len(select_rows(bank, numbers))

@@ -42,7 +42,7 @@ def repair(
       scenes: of a bank, numbers such as 0,3,7 or 0-9; all if not given. In Python also a list.
       max_shift: metres by which an object may be moved, 0.5 at most.
       max_turn_deg: degrees by which it may be turned.
-      overwrite: begin anew if the folder holds another bank.
+      overwrite: begin anew if the folder holds another bank; replace a JSON file.
 
     Returns:
       What moved by how much; printed, a summary, and what could not be repaired.

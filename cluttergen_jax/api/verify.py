@@ -45,11 +45,11 @@ def verify(
       MissingExtraError: a cluster without the extra `ray`.
     """
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.scene.bank.remote import fetch_mirror, is_url
+    from cluttergen_jax.scene.bank.remote import bank_folder
     from cluttergen_jax.scene.bank.verify import verify_files
 
     return verify_files(
-        fetch_mirror(str(path)) if is_url(path) else Path(path),
+        bank_folder(path),
         check or VerifyConfig(),
         jobs,
         cluster_of(cluster, workers),

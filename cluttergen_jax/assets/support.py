@@ -351,3 +351,8 @@ def recorded_rectangle(entry: str | Mapping[str, Any]) -> Rectangle:
     if isinstance(entry, str):
         return parse_keep_out(entry)
     return Rectangle(tuple(entry["center"]), tuple(entry["half_extents"]), float(entry["yaw"]))
+
+
+def recorded_ring(entry: Any) -> Ring:
+    """A polygon of a bank's record; none where there is no entry."""
+    return tuple((float(x), float(y)) for x, y in entry)

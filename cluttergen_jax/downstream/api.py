@@ -72,6 +72,7 @@ def evaluate_suite(
     from cluttergen_jax.downstream.suite import NAME, run_downstream
     from cluttergen_jax.evaluation.running import make_suite, suite_folder
     from cluttergen_jax.evaluation.studies.study import Scale
+    from cluttergen_jax.scene.bank.remote import bank_folder
 
     place = cluster_of(cluster, workers)
     check_folder(out)
@@ -103,7 +104,7 @@ def evaluate_suite(
             seed=seed,
             num_pairs=num_pairs,
             heads=tuple(heads),
-            bank=None if bank is None else Path(bank),
+            bank=None if bank is None else bank_folder(bank),
         )
         return run_downstream(folder, only, scale, num_threads, fresh, show)
     return make_suite(

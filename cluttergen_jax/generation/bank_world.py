@@ -170,8 +170,9 @@ class BankWorld:
     def _state(self, scene: BankArrays, key: Array) -> WorldState:
         num_objects = len(self.names)
         poses = self._to_world(scene.qpos.reshape(num_objects, 7))
-        lift = jnp.asarray(self.bank.compiled.lift, jnp.float32)
-        held = jnp.where(scene.is_present[:, None], 0.0, lift)
+        # By this model's gravity: options of what a bank is attached to are its own.
+        lift = -self.own_field("body_mass")[self.bodies, None] * self.model.opt.gravity
+        held = jnp.where(scene.is_present[:, None], 0.0, jnp.asarray(lift, jnp.float32))
         force = jnp.zeros((self.model.nbody, 6))
         return WorldState(
             qpos=jnp.asarray(self.qpos0, jnp.float32).at[self.object_qpos].set(poses),
@@ -192,11 +193,22 @@ class BankWorld:
         moved: jaxlie.SE3 = from_pose(jnp.asarray(frame, jnp.float32)) @ from_pose(poses)
         return jnp.concatenate([moved.translation(), moved.rotation().wxyz], axis=-1)
 
+    @cached_property
+    def _own_fields(self) -> dict[str, np.ndarray]:
+        """Of the fields of the model that episodes have written, what they were before."""
+        return {}
+
+    def own_field(self, name: str) -> np.ndarray:
+        """A field of the model as it is where no episode changes it."""
+        return self._own_fields.get(name, getattr(self.model, name))
+
     def put(self, data: mujoco.MjData, state: WorldState) -> None:
-        """Puts `data` at rest at the beginning of an episode; writes `state.fields` into the model."""
+        """Puts `data` at rest at the beginning of an episode, and `state.fields` into the model."""
         host: Any = jax.device_get(state)
-        for name, value in host.fields.items():
-            getattr(self.model, name)[:] = value
+        for name in host.fields:
+            self._own_fields.setdefault(name, getattr(self.model, name).copy())
+        for name, own in self._own_fields.items():
+            getattr(self.model, name)[:] = host.fields.get(name, own)
         mujoco.mj_resetData(self.model, data)
         for name in ("qpos", "qvel", "ctrl", "xfrc_applied"):
             getattr(data, name)[:] = getattr(host, name)

@@ -175,6 +175,9 @@ def hand_setup(spec: SceneSpec) -> Setup:
     support = setup.problem.world.support
     if support.named and not support.chosen.is_level:
         raise ConfigError(f"placing by hand on {support.name!r}, a slope", "a level surface", "bookcase")
+    if setup.problem.rules.surfaces is not None:
+        given = f"placing by hand on {len(support.asked)} surfaces of {support.name!r}"
+        raise ConfigError(given, "one surface", f"surface={support.asked[0][0].name!r}")
     return setup
 
 

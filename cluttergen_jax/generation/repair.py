@@ -18,7 +18,7 @@ import pyarrow.csv
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support import SupportAsset, recorded_ring
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import REPAIR, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
@@ -136,6 +136,7 @@ def _layouts_of_bank(bank: Bank, numbers: Sequence[int] | None) -> LayoutSet:
         pool=str(recipe.get("pool", "")),
         support=str(recipe.get("support", "")),
         region=region_of(bank),
+        polygon=recorded_ring(recipe.get("polygon", ())),
         stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
         contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
     )
@@ -147,7 +148,8 @@ def _layouts_of_files(files: Sequence[Path], pool: str | None, support: str | No
     pool = _only("pool", {pool or each.pool for each in read.values()})
     named = (each.support if isinstance(each.support, str) else each.support.name for each in read.values())
     support = _only("support", {support or each for each in named})
-    assets, table, layouts = find_pool(pool), find_support(support), []
+    # A layout does not say on which of several surfaces its objects are.
+    assets, table, layouts = find_pool(pool), find_support(support).on_surface("all"), []
     for file, each in read.items():
         if isinstance(each.support, _Support):
             theirs, ours = (np.array(one.region.half_extents) for one in (each.support, table))
@@ -284,6 +286,8 @@ def repair_layouts(given: LayoutSet, out: Path, limits: RepairConfig, overwrite:
     """See `cluttergen_jax.repair`."""
     if out.suffix == ".json" and len(given.layouts) > 1:
         raise ConfigError(f"out = '{out}' for {len(given.layouts)} layouts", "a bank", "out='repaired'")
+    if out.suffix == ".json" and out.exists() and not overwrite:
+        raise ConfigError(f"out = '{out}', which exists", "a new file", "another name, or `overwrite`")
     setup, indices = _setup_of(given)
     world, mend = setup.problem.world, LayoutRepair(setup, limits)
     half_extents = np.asarray(setup.problem.rules.geometry.half_extents)

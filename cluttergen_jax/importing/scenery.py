@@ -18,6 +18,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -98,10 +99,10 @@ def _joints_above(link: str, above: dict[str, tuple[str, int]]) -> int:
 
 def _facts(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> BodyFacts:
     bodies = list(_below(root))
-    geoms = [geom for body in bodies for geom in body.geoms if geom.type != _GEOM.mjGEOM_PLANE]
+    placed = [each for each in _placed(root) if each.geom.type != _GEOM.mjGEOM_PLANE]
     paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)} - {""}
-    hitting = [geom for geom in geoms if geom.contype or geom.conaffinity or geom.name in paired]
-    seen = [geom for geom in geoms if geom.group < _NUM_SEEN_GROUPS and _rgba(spec, geom)[3] > 0]
+    hitting = [each for each in placed if _collides(each.geom) or each.geom.name in paired]
+    seen = [each for each in placed if each.geom.group < _NUM_SEEN_GROUPS and _rgba(spec, each.geom)[3] > 0]
     shown = seen or hitting
     names = {body.name for body in bodies} - {""}
     mocaps = tuple(body.name for body in spec.worldbody.bodies if body.mocap and body.name)
@@ -117,10 +118,10 @@ def _facts(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> BodyFacts:
         is_driven=_has_motor(spec, bodies) or _has_tie(spec, names, mocaps),
         chain=_chain(root, 0 if is_free else min(len(root.joints), 1)),
         has_joints=any(body.joints for body in bodies),
-        shape=_digest(_form(spec, root, geom) for geom in shown),
-        looks=_digest((_form(spec, root, geom), colour(geom)) for geom in shown),
+        shape=_digest(_form(spec, each) for each in shown),
+        looks=_digest((_form(spec, each), colour(each.geom)) for each in shown),
         collides=bool(hitting),
-        is_translucent=bool(seen) and all(_rgba(spec, geom)[3] < 1 for geom in seen),
+        is_translucent=bool(seen) and all(_rgba(spec, each.geom)[3] < 1 for each in seen),
     )
 
 
@@ -128,6 +129,24 @@ def _below(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
     yield body
     for child in body.bodies:
         yield from _below(child)
+
+
+class _Placed(NamedTuple):
+    """A geom, and the places of the bodies that it is in, from its own up to the one below the root."""
+
+    geom: mujoco.MjsGeom
+    bodies: tuple[list[float], ...]
+
+
+def _placed(body: mujoco.MjsBody, above: tuple[list[float], ...] = ()) -> Iterator[_Placed]:
+    # Bodies that are not compiled have no numbers to be known by: places are kept on the way down.
+    yield from (_Placed(geom, above) for geom in body.geoms)
+    for child in body.bodies:
+        yield from _placed(child, (_place(child), *above))
+
+
+def _collides(geom: mujoco.MjsGeom) -> bool:
+    return bool(geom.contype or geom.conaffinity)
 
 
 def _is_free(body: mujoco.MjsBody) -> bool:
@@ -163,13 +182,10 @@ def _rgba(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> np.ndarray:
     return material.rgba if material is not None and np.array_equal(geom.rgba, _UNSAID) else geom.rgba
 
 
-def _form(spec: mujoco.MjSpec, root: mujoco.MjsBody, geom: mujoco.MjsGeom) -> tuple[object, ...]:
-    """What decides the form of a geom, and where it stands in the body `root`."""
-    places = [_place(geom)]
-    body = geom.parent
-    while body.id != root.id:
-        places.append(_place(body))
-        body = body.parent
+def _form(spec: mujoco.MjSpec, placed: _Placed) -> tuple[object, ...]:
+    """What decides the form of a geom, and where it stands in the body that it is of."""
+    geom = placed.geom
+    places = [_place(geom), *placed.bodies]
     mesh = spec.mesh(geom.meshname) if geom.meshname else None
     size = np.round(np.nan_to_num([*geom.size, *geom.fromto]), 6).tolist()
     return int(geom.type), size, places, None if mesh is None else _mesh(spec, mesh)

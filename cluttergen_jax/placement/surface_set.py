@@ -27,6 +27,8 @@ _LEAST_FREE = 0.02
 _TOUCHING, _STANDS = 1e-4, 0.0005
 """Metres: of a base's points, and of a margin that holds."""
 _TURNS = 16
+_FAR = 100.0
+"""Metres, more than any support measures."""
 
 
 class SurfaceSet(struct.PyTreeNode):
@@ -93,6 +95,18 @@ class SurfaceSet(struct.PyTreeNode):
             weight = jnp.where(is_possible, kept, jnp.maximum(left, 0))
         weight = jnp.where(self.fits[focus], weight, 0.0)
         return jax.random.categorical(key, jnp.log(weight)).astype(jnp.int32)
+
+    def below(self, position: Array) -> Array:
+        """i32: the surface next below a world position f32[3], metres; the nearest where it is over none."""
+
+        def height(region: Region) -> tuple[Array, Array]:
+            local = region.T_world_region.inverse().apply(position)
+            beyond = jnp.linalg.norm(jnp.maximum(jnp.abs(local[:2]) - region.half_extents, 0.0))
+            return local[2], beyond
+
+        above, beyond = jax.vmap(height)(self.regions)
+        is_over = (above >= 0) & (beyond <= 0)
+        return jnp.argmin(jnp.where(is_over, above, _FAR + jnp.abs(above) + beyond)).astype(jnp.int32)
 
     def beside_container(
         self, key: Array, episode: Episode, focus: Array, geometry: Geometry, asked: float, drawn: Array

@@ -90,6 +90,20 @@ def test_a_robot_stands_where_it_is_told_to(bank):
     np.testing.assert_allclose([*base.xpos, *base.xquat], pose, atol=1e-9)
 
 
+def test_an_episode_is_randomized_about_the_model_whatever_was_before_it(bank):
+    world = cg.with_robot(bank, physics="learning", randomization=RANDOM)
+    own, data = world.model.body_mass.copy(), mujoco.MjData(world.model)
+    first = world.reset(3)
+    for seed in range(6):
+        world.put(data, world.reset(seed))
+        factor = world.model.body_mass[world.bodies] / own[world.bodies]
+        assert 0.5 - 1e-6 <= factor.min() <= factor.max() <= 2 + 1e-6
+    again = world.reset(3)
+    for name, value in first.fields.items():
+        np.testing.assert_array_equal(again.fields[name], value)
+    np.testing.assert_array_equal(again.xfrc_applied, first.xfrc_applied)
+
+
 @pytest.mark.slow
 def test_what_is_randomized_stays_in_its_range_and_is_drawn_by_the_key(bank):
     world = cg.with_robot(bank, physics="learning", randomization=RANDOM)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from dataclasses import replace
 
 import mujoco
@@ -136,6 +137,26 @@ def test_an_interrupted_recording_goes_on_and_another_is_refused(dataset, tmp_pa
     (tmp_path / "full" / "mine.txt").write_text("mine")
     with pytest.raises(BankError, match=r"holds .*mine\.txt, no recordings"):
         opened(tmp_path / "full")
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_an_episode_of_a_killed_process_is_told_of_or_recorded_again(dataset, tmp_path, is_first):
+    """It was killed between the row of its last episode and the tables of all."""
+    shutil.copytree(dataset, tmp_path / "data")
+    info = tmp_path / "data/meta/info.json"
+    if is_first:
+        (tmp_path / "data/meta/episodes/chunk-000/file-001.parquet").unlink()
+        info.unlink()
+    else:
+        info.write_text(json.dumps(json.loads(info.read_text()) | {"total_episodes": 1}))
+    recorder = opened(tmp_path / "data")
+    for number in () if not is_first else (0, 1, 2):
+        recorder.run(number, episode)
+    recorder.finish()
+    assert info.read_bytes() == (dataset / "meta/info.json").read_bytes()
+    info.write_text("no")
+    with pytest.raises(BankError, match=r"info\.json: damaged"):
+        opened(tmp_path / "data")
 
 
 def test_cameras_are_named_once_and_known():

@@ -82,6 +82,17 @@ def test_what_is_gripped_comes_up_alone_and_what_is_not_stays():
     assert lifts.lift(above(scene, 0, 0.04), 0.04) == held
 
 
+def test_what_is_thinner_than_the_fingers_are_ever_apart_is_lifted():
+    card = box("card", (0.05, 0.0006, 0.03), 0.02)
+    scene = scene_of((0, 0), (0.2, 0))
+    poses = scene.poses.copy()
+    poses[0, 2] = scene.support.top + 0.03
+    thin = replace(scene, names=("card", "low"), objects=(card, LOW), poses=poses)
+    held = LiftScene(thin, PANDA).lift(above(thin, 0, 0.02), 0.0012)
+    assert (held.end, held.raised) == (LiftEnd.LIFTED, 0)
+    assert held.width < 0.002
+
+
 def test_an_object_that_stands_on_the_lifted_one_has_moved():
     scene = scene_of((0, 0), (0.2, 0))
     poses = scene.poses.copy()

@@ -191,3 +191,50 @@ def test_usd_is_judged_as_the_mjcf_of_the_same_scene(tmp_path):
     usd, mjcf = (found[form].starts[0].found.begin for form in ("usd", "mjcf"))
     np.testing.assert_allclose(usd, mjcf, atol=1e-5)
     assert json.loads(json.dumps(found["usd"].shares("native")))["still 1 s"] == 1.0
+
+
+def test_usd_weighs_what_it_states(tmp_path):
+    pxr = pytest.importorskip("pxr", reason="needs the extra usd")
+    from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
+
+    from cluttergen_jax.evaluation.judging.usd_scene import read_usd
+
+    assert pxr
+    stage = Usd.Stage.CreateNew(str(tmp_path / "scene.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 0.001)
+    material = UsdShade.Material.Define(stage, "/wood")
+    UsdPhysics.MaterialAPI.Apply(material.GetPrim()).CreateDensityAttr(0.5)
+
+    def body(name):
+        prim = UsdGeom.Xform.Define(stage, f"/{name}").GetPrim()
+        UsdPhysics.RigidBodyAPI.Apply(prim)
+        for index in range(2):
+            cube = UsdGeom.Cube.Define(stage, f"/{name}/box_{index}")
+            cube.CreateSizeAttr(10.0)
+            UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+        return prim, cube.GetPrim()
+
+    for name in ("plain", "wooden", "dense", "part", "whole", "off"):
+        prim, cube = body(name)
+        if name == "wooden":
+            UsdShade.MaterialBindingAPI.Apply(prim).Bind(
+                material, UsdShade.Tokens.weakerThanDescendants, "physics"
+            )
+        if name == "dense":
+            UsdPhysics.MassAPI.Apply(prim).CreateDensityAttr(2.0)
+            UsdPhysics.MassAPI.Apply(cube).CreateDensityAttr(4.0)
+        if name == "part":
+            UsdPhysics.MassAPI.Apply(cube).CreateMassAttr(250.0)
+        if name in ("whole", "off"):
+            UsdPhysics.MassAPI.Apply(prim).CreateMassAttr(300.0)
+        if name == "off":
+            UsdPhysics.MassAPI(prim).CreateCenterOfMassAttr(Gf.Vec3f(1, 2, 3))
+    stage.Save()
+    model = read_usd(tmp_path / "scene.usda")
+    masses = {model.body(i).name[1:]: model.body_mass[i] for i in range(1, model.nbody)}
+    # A cube of 10 cm is a litre; 0.5 g/cm^3 is half a kilogram of it.
+    expected = {"plain": 2.0, "wooden": 1.0, "dense": 6.0, "part": 1.25, "whole": 0.3, "off": 0.3}
+    assert masses == pytest.approx(expected, rel=1e-6)
+    np.testing.assert_allclose(model.body("/off").ipos, [0.01, 0.02, 0.03], atol=1e-7)

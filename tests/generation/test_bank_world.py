@@ -72,6 +72,27 @@ def test_what_a_scene_lacks_waits_and_the_rest_stays_at_rest(bank, world):
     assert np.abs(data.qpos[world.object_qpos] - start)[:, :3].max() < 1e-3
 
 
+def test_what_waits_is_held_by_the_gravity_of_the_model_that_a_bank_is_attached_to(bank):
+    spec = mujoco.MjSpec.from_string(ROOM)
+    spec.option.gravity = (0.5, 0.0, -3.0)
+    attached = bank.attach_to(spec, "clutter-")
+    world = attached.world(spec.compile())
+    nobody = bank.scene(0).replace(is_present=np.zeros(len(bank.names), bool))
+    held = np.asarray(world._state(nobody, jax.random.key(0)).xfrc_applied)
+    masses = world.model.body_mass[world.bodies, None]
+    np.testing.assert_allclose(held[world.bodies, :3], masses * [-0.5, 0, 3], rtol=1e-5)
+
+
+def test_fields_of_an_episode_are_undone_by_the_next_one(world):
+    own = world.model.geom_friction.copy()
+    state, data = world.reset(0), mujoco.MjData(world.model)
+    world.put(data, state.replace(fields={"geom_friction": 0.5 * own}))
+    np.testing.assert_array_equal(world.model.geom_friction, 0.5 * own)
+    np.testing.assert_array_equal(world.own_field("geom_friction"), own)
+    world.put(data, state)
+    np.testing.assert_array_equal(world.model.geom_friction, own)
+
+
 def test_equal_seeds_and_keys_give_equal_states(world):
     one, again, keyed = world.reset(5), world.reset(5), world.reset(cg.generation.bank_world.new_key(5))
     np.testing.assert_array_equal(one.qpos, again.qpos)

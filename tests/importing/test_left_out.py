@@ -13,7 +13,7 @@ from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import, print_report
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.importing import run
+from cluttergen_jax.importing import job, run
 from cluttergen_jax.importing.job import ObjectConfig, make_job
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
@@ -82,6 +82,17 @@ def test_what_most_files_have_is_scenery_and_what_few_have_is_one_object(tmp_pat
     assert left["pan_again.xml#pan"] == "alike in another file"
 
 
+def test_bodies_of_the_same_parts_elsewhere_are_two_objects(tmp_path):
+    table = body("table", '<geom type="box" size=".3 .3 .02"/>')
+    bar, part = '<geom type="box" size=".09 .02 .02"/>', '<body pos="{} .06 0">{}</body>'
+    foot = '<geom type="box" size=".02 .05 .02"/>'
+    for name, x in (("ell", ".07"), ("tee", "0"), ("tee_again", "0")):
+        write(tmp_path / f"{name}.xml", table, body(name, bar + part.format(x, foot)))
+    names, left = planned(tmp_path)
+    assert names == ["ell", "tee"]
+    assert left["tee_again.xml#tee_again"] == "alike in another file"
+
+
 @pytest.mark.parametrize("free", [True, False])
 @pytest.mark.parametrize("joints", [1, 3, 4])
 def test_chains_of_four_joints_are_robots_and_shorter_ones_are_not(tmp_path, joints, free):
@@ -131,8 +142,8 @@ CONFIG = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)
 
 def at_once(jobs, config, watch=None):
     """The jobs one by one in this process: no test here is about processes."""
-    for index, job in enumerate(jobs):
-        yield index, run.Outcome(make_job(job))
+    for index, each in enumerate(jobs):
+        yield index, run.Outcome(make_job(each))
 
 
 def plain_body(shape, config, trials):
@@ -145,7 +156,7 @@ def plain_body(shape, config, trials):
 def quick_import(tmp_path, monkeypatch):
     monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
     monkeypatch.setattr(run, "_outcomes", at_once)
-    monkeypatch.setattr(run, "measured_object", plain_body)
+    monkeypatch.setattr(job, "measured_object", plain_body)
 
 
 def test_what_is_too_large_is_told_in_one_block(quick_import, capsys):

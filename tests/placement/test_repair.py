@@ -7,6 +7,8 @@ import pytest
 
 import cluttergen_jax as cg
 from benchmarks.repair import rests_on, write_disturbed
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, rotation_matrix, turn_between
@@ -117,6 +119,33 @@ def test_what_is_stable_is_left_to_the_bit(bank, tmp_path):
         assert {name: pose.tobytes() for name, pose in old.items()} == {
             n: p.tobytes() for n, p in new.items()
         }
+
+
+def test_a_file_that_is_there_is_replaced_only_where_that_is_asked(tmp_path):
+    path = layout(tmp_path / "good.json", ("mug", 0, 0, 0.2))
+    before = path.read_bytes()
+    with pytest.raises(ConfigError, match=r"which exists.*`overwrite`"):
+        cg.repair(path, path)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.slow
+def test_objects_on_several_boards_are_repaired_on_their_own(tmp_path):
+    support = find_support("bookcase")
+    boards = [each.position for each in support.surfaces]
+    half = {each.name: each.half_extents[2] for each in find_pool("dining").objects}
+    names = sorted(half, key=half.__getitem__)[: len(boards)]
+    entries = [
+        {"name": name, "position": [*board[:2], board[2] + half[name] + 0.01]}
+        for name, board in zip(names, boards, strict=False)
+    ]
+    path = tmp_path / "shelf.json"
+    path.write_text(json.dumps({"pool": "dining", "support": "bookcase", "objects": entries}))
+    report = cg.repair(path, tmp_path / "fixed.json")
+    assert report.layouts[0].is_stable
+    assert report.layouts[0].shift.max() < 0.02
+    heights = {round(float(pose[2]), 1) for pose in report.layouts[0].poses}
+    assert len(heights) >= len(boards) - 1
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ import cluttergen_jax as cg
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.reference import parse_reference
 from cluttergen_jax.scene.bank.remote import (
     RemoteFolder,
     fetch_mirror,
@@ -75,6 +76,22 @@ def test_a_bank_there_is_the_bank_here(url, tmp_path):
     np.testing.assert_array_equal(one.qpos, two.qpos)
     # Blocks are read where they are.
     assert not list(there.path.glob("*.parquet"))
+
+
+def test_a_reference_may_be_a_url(url):
+    write(url)
+    path = fetch_mirror(url)
+    assert parse_reference(url) == (path, None)
+    assert parse_reference(f"{url}:3") == (path, 3)
+
+
+def test_scenes_of_a_bank_there_are_exported_and_a_whole_bank_is_not(url, tmp_path):
+    write(url)
+    folder = cg.export(f"{url}:0", tmp_path / "one")
+    assert len(list(folder.glob("scenes/*.xml"))) == 1
+    with pytest.raises(BankError, match="is not on this machine"):
+        cg.export(url, tmp_path / "whole", "playground")
+    assert not (tmp_path / "whole").exists()
 
 
 def test_a_bank_goes_on_where_it_stopped_even_without_its_mirror(url, home, tmp_path):

@@ -97,7 +97,8 @@ def grasps(scene, tmp_path_factory):
     kinds = (pa.string(), pa.string(), pa.list_(pa.float64(), 7))
     arrays = [pa.array(each, kind) for each, kind in zip((names, hashes, poses), kinds, strict=True)]
     path = tmp_path_factory.mktemp("grasps") / "grasps.parquet"
-    pq.write_table(pa.table(arrays, names=["object", "hash", "pose"]), path)
+    table = pa.table(arrays, names=["object", "hash", "pose"])
+    pq.write_table(table.replace_schema_metadata({"hand": "panda"}), path)
     return path
 
 
@@ -123,6 +124,9 @@ def test_grasps_that_cannot_be_written_are_refused(scene, grasps, tmp_path):
     refused("of none of the objects", other)
     pq.write_table(table.drop_columns("pose"), bad)
     refused("cluttergen robot grasps", bad)
+    for hand, told in ({"hand": "another"}, "tested with another hand"), ({}, "that it does not name"):
+        pq.write_table(table.replace_schema_metadata(hand), bad)
+        refused(told, bad)
     turns = pa.array([[0.0] * 7] * len(table), pa.list_(pa.float64(), 7))
     pq.write_table(table.set_column(2, "pose", turns), bad)
     refused("a quaternion is not of unit length", bad)

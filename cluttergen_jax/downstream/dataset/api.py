@@ -76,6 +76,7 @@ def make_dataset(
     from cluttergen_jax.downstream.dataset.views import ViewConfig
     from cluttergen_jax.rendering.gl import find_backend
     from cluttergen_jax.rendering.renderer import check_size
+    from cluttergen_jax.scene.bank.remote import bank_folder
     from cluttergen_jax.sensing import parse_cameras
 
     cameras = (cameras,) if isinstance(cameras, str | Path) else cameras
@@ -103,12 +104,12 @@ def make_dataset(
     chosen = [banks] if isinstance(banks, str | Path) else list(banks)
     if not chosen:
         raise ConfigError("no bank", "one or more")
-    if len({Path(each).resolve().name for each in chosen}) < len(chosen):
+    folders = [bank_folder(each) for each in chosen]
+    if len({each.resolve().name for each in folders}) < len(chosen):
         told = f"banks = {[str(each) for each in chosen]}"
         raise ConfigError(told, "each bank once, and no two folders of one name", "another name of a folder")
     place = cluster_of(cluster, workers)
     config = ViewConfig(seen_by, seed, tuple(vary), quality, colour)
-    folders = [Path(each) for each in chosen]
     return make(folders, parse_splits(splits), num_scenes, config, Path(out), form, place)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation.bank_world import BankWorld
 from cluttergen_jax.rendering.variation import NUM_TEXTURES, add_table_materials, table_material
 from cluttergen_jax.types import Array
 
@@ -77,34 +78,33 @@ def prepare(spec: mujoco.MjSpec, config: RandomizationConfig) -> None:
         add_table_materials(spec)
 
 
-def draw_fields(
-    key: Array, config: RandomizationConfig, model: mujoco.MjModel, bodies: np.ndarray, dofs: np.ndarray
-) -> tuple[dict[str, Array], Array]:
-    """Fields of the model for one episode.
+def draw_fields(key: Array, config: RandomizationConfig, world: BankWorld) -> tuple[dict[str, Array], Array]:
+    """Fields of a world's model for one episode, drawn about its own, whatever episodes before have written.
 
     Args:
-      key: consumed. bodies, dofs: i[K] and i[K, 6], of the objects.
+      key: consumed.
 
     Returns:
       The fields, and f32[K], the factor of each object's mass.
     """
+    model, own, bodies, dofs = world.model, world.own_field, world.bodies, world.object_dofs
     keys = dict(zip((each.name for each in fields(config)), jax.random.split(key, 7), strict=True))
     found: dict[str, Array] = {}
     mass = jax.random.uniform(keys["mass"], (len(bodies),), minval=config.mass[0], maxval=config.mass[1])
     if config.mass != (1, 1):
         # A free body's inverse weight is exactly proportional; MuJoCo's own way would need a whole model.
         factor, inverse = mass[:, None], 1 / mass[:, None]
-        found["body_mass"] = _times(model.body_mass, bodies, mass)
-        found["body_inertia"] = _times(model.body_inertia, bodies, factor)
-        found["body_subtreemass"] = _times(model.body_subtreemass, bodies, mass)
-        found["body_invweight0"] = _times(model.body_invweight0, bodies, inverse)
-        found["dof_invweight0"] = _times(model.dof_invweight0, dofs, inverse)
-        found["dof_M0"] = _times(model.dof_M0, dofs, factor)
+        found["body_mass"] = _times(own("body_mass"), bodies, mass)
+        found["body_inertia"] = _times(own("body_inertia"), bodies, factor)
+        found["body_subtreemass"] = _times(own("body_subtreemass"), bodies, mass)
+        found["body_invweight0"] = _times(own("body_invweight0"), bodies, inverse)
+        found["dof_invweight0"] = _times(own("dof_invweight0"), dofs, inverse)
+        found["dof_M0"] = _times(own("dof_M0"), dofs, factor)
     if config.friction != (1, 1):
         factor = jax.random.uniform(
             keys["friction"], (), minval=config.friction[0], maxval=config.friction[1]
         )
-        found["geom_friction"] = factor * jnp.asarray(model.geom_friction, jnp.float32)
+        found["geom_friction"] = factor * jnp.asarray(own("geom_friction"), jnp.float32)
     is_support = (model.geom_bodyid == model.body("support").id) & (model.geom_group == VISUAL_GROUP)
     if config.colour:
         seen = np.flatnonzero(
@@ -112,23 +112,23 @@ def draw_fields(
         )
         most = math.log1p(config.colour)
         gain = jnp.exp(jax.random.uniform(keys["colour"], (len(seen), 3), minval=-most, maxval=most))
-        rgb = jnp.clip(model.geom_rgba[seen, :3] * gain, 0, 1)
-        found["geom_rgba"] = jnp.asarray(model.geom_rgba).at[seen, :3].set(rgb)
+        rgb = jnp.clip(own("geom_rgba")[seen, :3] * gain, 0, 1)
+        found["geom_rgba"] = jnp.asarray(own("geom_rgba")).at[seen, :3].set(rgb)
     if config.texture:
         materials = jnp.array([model.material(table_material(k)).id for k in range(NUM_TEXTURES)])
         drawn = jax.random.choice(keys["texture"], materials)
-        found["geom_matid"] = jnp.where(is_support, drawn, jnp.asarray(model.geom_matid))
+        found["geom_matid"] = jnp.where(is_support, drawn, jnp.asarray(own("geom_matid")))
     if config.light != (1, 1) and model.nlight:
         factor = jax.random.uniform(keys["light"], (), minval=config.light[0], maxval=config.light[1])
-        found["light_diffuse"] = factor * jnp.asarray(model.light_diffuse, jnp.float32)
+        found["light_diffuse"] = factor * jnp.asarray(own("light_diffuse"), jnp.float32)
     if model.ncam:
         shift_key, turn_key = jax.random.split(keys["camera_shift"])
         shift = config.camera_shift * jax.random.uniform(shift_key, (model.ncam, 3), minval=-1, maxval=1)
         turn = config.camera_turn * jax.random.uniform(turn_key, (model.ncam, 3), minval=-1, maxval=1)
         if config.camera_shift:
-            found["cam_pos"] = jnp.asarray(model.cam_pos, jnp.float32) + shift
+            found["cam_pos"] = jnp.asarray(own("cam_pos"), jnp.float32) + shift
         if config.camera_turn:
-            found["cam_quat"] = _rotate(jnp.asarray(model.cam_quat, jnp.float32), turn)
+            found["cam_quat"] = _rotate(jnp.asarray(own("cam_quat"), jnp.float32), turn)
     return found, mass
 
 

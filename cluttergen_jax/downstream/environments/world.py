@@ -108,7 +108,7 @@ class RobotWorld(BankWorld):
         state = super()._state(scene, key)
         if self.randomization is None:
             return state
-        drawn, mass = draw_fields(key, self.randomization, self.model, self.bodies, self.object_dofs)
+        drawn, mass = draw_fields(key, self.randomization, self)
         factor = jnp.ones(self.model.nbody).at[self.bodies].set(mass)
         return state.replace(fields=drawn, xfrc_applied=state.xfrc_applied * factor[:, None])
 

@@ -346,6 +346,7 @@ def grasp_dataset(
 
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspPlan, make
+    from cluttergen_jax.scene.bank.remote import bank_folder
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -360,4 +361,4 @@ def grasp_dataset(
         check_range("num_scenes", num_scenes, 1, _MOST_EPISODES, 100)
     lifts = num_grasps if num_lifts is None else num_lifts
     plan = GraspPlan(find_robot(robot), num_grasps, lifts, views, float(noise), seed)
-    return make(Path(bank), num_scenes, plan, Path(out), num_threads or os.cpu_count() or 1)
+    return make(bank_folder(bank), num_scenes, plan, Path(out), num_threads or os.cpu_count() or 1)

@@ -52,6 +52,22 @@ class LeRobotFolder:
                 self._episodes += pq.read_table(place).to_pylist()
             except (pa.ArrowException, OSError) as error:
                 raise BankError(f"{place}: damaged ({error})", "an episode", "another `record`") from error
+        self._take_up()
+
+    def _take_up(self) -> None:
+        """Tells of an episode that was written by a process which was killed before it told."""
+        place = self._path / "meta/info.json"
+        if not place.is_file():
+            # It was the first one, and is recorded again.
+            self._episodes.clear()
+            return
+        try:
+            info = json.loads(place.read_bytes())
+            told, self._features, self._robot = info["total_episodes"], info["features"], info["robot_type"]
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            raise BankError(f"{place}: damaged ({error})", "a dataset", "another `record`") from error
+        if told < len(self._episodes):
+            self._tell()
 
     def numbers(self) -> list[int]:
         return [each["number"] for each in self._episodes]

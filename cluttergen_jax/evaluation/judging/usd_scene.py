@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -26,7 +26,8 @@ _FILLED = 0.99
 def read_usd(path: Path) -> mujoco.MjModel:
     """The bodies and colliders of a stage, in metres, z up, with MuJoCo's default time step and contacts.
 
-    Meshes collide as their convex hulls, where that is what the stage asks for or what they are.
+    Meshes collide as their convex hulls, where that is what the stage asks for or what they are. What states
+    neither mass nor density has 1,000 kg/m^3, which is UsdPhysics' own default.
 
     Raises:
       AssetError: it cannot be opened, has joints, or a collider that is not convex or of another kind.
@@ -39,12 +40,13 @@ def read_usd(path: Path) -> mujoco.MjModel:
         stage = Usd.Stage.Open(str(path))
     except Exception as error:  # pxr's own kind has no public name.
         raise AssetError("it cannot be opened as USD", "a stage") from error
-    spec, cache, unit = mujoco.MjSpec(), UsdGeom.XformCache(), UsdGeom.GetStageMetersPerUnit(stage)
-    to_world = Gf.Matrix4d(1.0).SetScale(unit)
+    spec, cache = mujoco.MjSpec(), UsdGeom.XformCache()
+    units = _Units(UsdGeom.GetStageMetersPerUnit(stage), UsdPhysics.GetStageKilogramsPerUnit(stage))
+    to_world = Gf.Matrix4d(1.0).SetScale(units.metre)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
         to_world *= Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(1, 0, 0), 90))
     bodies: dict[Any, tuple[mujoco.MjsBody, Any]] = {}
-    masses: dict[str, float] = {}
+    weights: dict[str, tuple[float, np.ndarray | None]] = {}
     for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
         if prim.IsA(UsdPhysics.Joint):
             raise AssetError(f"{prim.GetPath()} is a joint", "scenes of bodies without joints")
@@ -54,22 +56,27 @@ def read_usd(path: Path) -> mujoco.MjModel:
             body.add_freejoint()
             _put(body, place)
             bodies[prim.GetPath()] = body, place.RemoveScaleShear()
-            mass = _weigh(body, UsdPhysics.MassAPI(prim), unit)
-            masses |= {body.name: mass} if mass else {}
+            weights[body.name] = _weigh(body, UsdPhysics.MassAPI(prim), units)
         if (
             prim.HasAPI(UsdPhysics.CollisionAPI)
             and UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get()
         ):
             above = [each for each in prim.GetPath().GetAncestorsRange() if each in bodies]
             body, frame = bodies[above[-1]] if above else (spec.worldbody, Gf.Matrix4d(1.0))
-            _add_collider(spec, body, prim, place * frame.GetInverse())
+            geom = _add_collider(spec, body, prim, place * frame.GetInverse())
+            _fill(geom, prim, stage.GetPrimAtPath(above[-1]) if above else None, units)
     model = spec.compile()
-    for name, mass in masses.items():
-        index = model.body(name).id
-        model.body_inertia[index] *= mass / model.body_mass[index]
-        model.body_mass[index] = mass
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model
+    for name, (mass, center) in weights.items():
+        if mass or center is not None:
+            body, made = spec.body(name), model.body(name)
+            factor = mass / made.mass[0] if mass else 1.0
+            body.mass, body.inertia, body.explicitinertial = (
+                factor * made.mass[0],
+                factor * made.inertia,
+                True,
+            )
+            body.ipos, body.iquat = made.ipos if center is None else center, made.iquat
+    return spec.compile()
 
 
 def _is_moved(body: Any) -> bool:
@@ -82,19 +89,50 @@ def _put(thing: Any, matrix: Any) -> None:
     thing.pos, thing.quat = matrix.ExtractTranslation(), (turn.GetReal(), *turn.GetImaginary())
 
 
-def _weigh(body: mujoco.MjsBody, api: Any, unit: float) -> float:
-    """Gives a body its inertia where that is stated; else the mass that its colliders' is to be scaled to."""
-    mass, moments = api.GetMassAttr().Get() or 0.0, api.GetDiagonalInertiaAttr().Get()
+class _Units(NamedTuple):
+    """Of a stage, in metres and kilograms."""
+
+    metre: float
+    kilogram: float
+
+
+def _weigh(body: mujoco.MjsBody, api: Any, units: _Units) -> tuple[float, np.ndarray | None]:
+    """Gives a body its inertia where that is stated.
+
+    Returns:
+      Else the mass to which its colliders' is to be scaled, 0 where none is stated, and the centre of mass,
+      metres, None likewise.
+    """
+    mass = (api.GetMassAttr().Get() or 0.0) * units.kilogram
+    moments, stated = api.GetDiagonalInertiaAttr().Get(), api.GetCenterOfMassAttr().Get()
+    is_centred = stated is not None and bool(np.isfinite(stated).all())
+    center = np.array(stated) * units.metre if is_centred else None
     if not (mass and moments and min(moments) > 0):
-        return float(mass)
-    center, axes = api.GetCenterOfMassAttr().Get(), api.GetPrincipalAxesAttr().Get()
-    body.mass, body.inertia, body.explicitinertial = mass, np.array(moments) * unit**2, True
-    body.ipos = np.array(center) * unit if np.isfinite(center).all() else np.zeros(3)
+        return mass, center
+    axes = api.GetPrincipalAxesAttr().Get()
+    body.mass, body.explicitinertial = mass, True
+    body.inertia = np.array(moments) * units.kilogram * units.metre**2
+    body.ipos = np.zeros(3) if center is None else center
     body.iquat = (axes.GetReal(), *axes.GetImaginary()) if axes.GetLength() else (1, 0, 0, 0)
-    return 0.0
+    return 0.0, None
 
 
-def _add_collider(spec: mujoco.MjSpec, body: mujoco.MjsBody, prim: Any, place: Any) -> None:
+def _fill(geom: mujoco.MjsGeom, prim: Any, body: Any, units: _Units) -> None:
+    """Gives a collider the mass or the density that it states, its body, or its material, in this order."""
+    own = UsdPhysics.MassAPI(prim)
+    if prim != body and prim.HasAPI(UsdPhysics.MassAPI) and (mass := own.GetMassAttr().Get()):
+        geom.mass = mass * units.kilogram
+        return
+    material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+    stated = [own.GetDensityAttr().Get()]
+    stated += [UsdPhysics.MassAPI(body).GetDensityAttr().Get()] if body else []
+    stated += [UsdPhysics.MaterialAPI(material).GetDensityAttr().Get()] if material else []
+    density = next((each for each in stated if each), None)
+    if density is not None:
+        geom.density = density * units.kilogram / units.metre**3
+
+
+def _add_collider(spec: mujoco.MjSpec, body: mujoco.MjsBody, prim: Any, place: Any) -> mujoco.MjsGeom:
     """A collider as a geom of a body, at `place` in its frame."""
     geom, kind = body.add_geom(name=str(prim.GetPath())), str(prim.GetTypeName())
     rigid = place.RemoveScaleShear()
@@ -124,6 +162,7 @@ def _add_collider(spec: mujoco.MjSpec, body: mujoco.MjsBody, prim: Any, place: A
     material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
     if material and (friction := UsdPhysics.MaterialAPI(material).GetDynamicFrictionAttr().Get()) is not None:
         geom.friction = (friction, *geom.friction[1:])
+    return geom
 
 
 def _hull_points(prim: Any) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.pool import StoredObjects, find_pool
-from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
+from cluttergen_jax.assets.support import Rectangle, recorded_rectangle, recorded_ring
 from cluttergen_jax.config import PILE, UNPROPOSED, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
@@ -185,6 +185,7 @@ def _problem_config(bank: Bank, recipe: Recipe) -> ProblemConfig:
         weights=tuple((str(name), float(weight)) for name, weight in recipe.get("weights", ())),
         balance=recipe.get("balance", ""),
         region=recorded_rectangle(recipe["region"]),
+        polygon=recorded_ring(recipe.get("polygon", ())),
         is_piled=recipe.get("method") == PILE,
         engine=recipe.get("engine", "auto"),
         placement=config_of(PlacementConfig, recipe["placement"], bank.path),

@@ -217,7 +217,8 @@ class HandScene:
         """Lets go of the current object where it is held: one attempt; HandError where no object is left.
 
         Args:
-          pose: f[7], world frame, in whatever orientation, in place of where it is held; it has no action.
+          pose: f[7], world frame, in whatever orientation, in place of where it is held: above the surface
+            that it is for. It has no action.
         """
         self._check_current()
         held, before = self.held, self._episode
@@ -225,7 +226,8 @@ class HandScene:
             position = jnp.array([held.x, held.y, held.z])
             action, asked = _release(self._rules, before, position, jnp.float32(held.yaw))
         else:
-            action, asked = jnp.zeros(4), _release_at(self._rules, before, jnp.asarray(pose, jnp.float32))
+            action = jnp.zeros(4)
+            before, asked = _release_at(self._rules, before, jnp.asarray(pose, jnp.float32))
         settling = self._rules.simulator.settle(*asked)
         after, transition, _ = _judge(self._rules, before, action, settling)
         verdict = Verdict(int(transition.verdict))
@@ -380,7 +382,12 @@ def _release(rules: Rules, episode: Episode, position: Array, yaw: Array) -> Any
 @jax.jit
 def _release_at(rules: Rules, episode: Episode, pose: Array) -> Any:
     focus = rules.focus(episode)
-    return episode.poses.at[focus].set(pose), episode.is_placed.at[focus].set(True), focus, jnp.bool_(True)
+    if rules.surfaces is not None and episode.surface is not None:
+        number = rules.surfaces.below(pose[:3])
+        surface = episode.surface.at[focus].set(number)
+        episode = episode.replace(surface=surface, region=rules.surfaces.region(number))
+    poses, is_placed = episode.poses.at[focus].set(pose), episode.is_placed.at[focus].set(True)
+    return episode, (poses, is_placed, focus, jnp.bool_(True))
 
 
 @jax.jit

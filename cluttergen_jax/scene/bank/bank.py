@@ -43,7 +43,7 @@ from cluttergen_jax.scene.bank.record import (
     fault_of,
     parse_record,
 )
-from cluttergen_jax.scene.bank.remote import fetch_mirror, is_url
+from cluttergen_jax.scene.bank.remote import bank_folder
 from cluttergen_jax.scene.bank.table import BankRow, rows_of, schema_of
 from cluttergen_jax.spec import SceneSpec
 
@@ -207,9 +207,9 @@ def read_bank(path: str | Path) -> Bank:
       BankError: there is none, or `bank.json` is damaged or of another format.
       ConfigError: its path is not UTF-8.
     """
-    path = fetch_mirror(str(path)) if is_url(path) else path
+    path = bank_folder(path)
     check_utf8(path)
-    index = Path(path) / INDEX
+    index = path / INDEX
     try:
         data = index.read_bytes()
     except (FileNotFoundError, NotADirectoryError) as error:
@@ -218,7 +218,7 @@ def read_bank(path: str | Path) -> Bank:
         ) from error
     except OSError as error:
         raise BankError(f"{index} cannot be read ({error})", hint=AGAIN) from error
-    return Bank(Path(path), parse_record(Path(path), data))
+    return Bank(path, parse_record(path, data))
 
 
 def recover_record(path: Path) -> Record | None:

@@ -10,6 +10,7 @@ from cluttergen_jax.placement.problem import Standing
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import read_bank
 from cluttergen_jax.scene.bank.record import INDEX
+from cluttergen_jax.scene.bank.remote import bank_folder, is_url
 
 REFERENCES = "BANK, BANK:INDEX or BANK/scenes/NUMBER.xml"
 _SAID = 8
@@ -18,11 +19,20 @@ _SAID = 8
 def parse_reference(text: str) -> tuple[Path, int | None] | None:
     """The bank's folder and the scene's number in it, None for all of them.
 
-    Whatever is no file is taken for a bank's folder, unread. None for a file that is no scene of a bank.
+    Whatever is no file is taken for a bank's folder, unread; of a URL it is the mirror, which is fetched.
+    None for a file that is no scene of a bank.
 
     Args:
-      text: one of `REFERENCES`.
+      text: one of `REFERENCES`, where BANK may be a URL.
+
+    Raises:
+      BankError: a URL cannot be reached.
     """
+    if is_url(text):
+        head, _, number = text.rpartition(":")
+        # What follows a question mark may end with a port.
+        has_number = number.isdecimal() and "?" not in text
+        return bank_folder(head if has_number else text), int(number) if has_number else None
     path = Path(text)
     if path.is_file():
         bank = path.parent.parent

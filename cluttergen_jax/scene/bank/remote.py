@@ -164,6 +164,11 @@ def fetch_mirror(url: str) -> Path:
     return folder
 
 
+def bank_folder(path: str | Path) -> Path:
+    """A bank's folder on this machine: of one at a URL the mirror, as `fetch_mirror` leaves it."""
+    return fetch_mirror(str(path)) if is_url(path) else Path(path)
+
+
 def fetch_scenes(path: Path) -> None:
     """Fetches the files of single scenes into a mirror."""
     if remote := remote_of(path):

@@ -44,7 +44,7 @@ from cluttergen_jax.scene.bank.record import (
     Record,
     check_bits,
 )
-from cluttergen_jax.scene.bank.remote import MARK, fetch_mirror, is_url, publish_all, remote_of
+from cluttergen_jax.scene.bank.remote import MARK, bank_folder, publish_all, remote_of
 from cluttergen_jax.scene.bank.table import with_columns_of
 
 Objects = Mapping[str, ObjectAsset] | Callable[[str], ObjectAsset]
@@ -86,7 +86,7 @@ class BankWriter:
         bits: Bits | None = None,
         allow_other_bits: bool = False,
     ) -> None:
-        self.path = fetch_mirror(str(path)) if is_url(path) else Path(path)
+        self.path = bank_folder(path)
         check_utf8(self.path)
         self._shard_blocks, self._bits, self._allows_other_bits = shard_blocks, bits, allow_other_bits
         self._find = objects if callable(objects) else None

@@ -23,8 +23,8 @@ from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.meshes import category
 from cluttergen_jax.schema import Numbers, check_numbers, check_seal
 
-ROBOT = "franka"
-"""Whose hand the grasps were tested with: a Panda's."""
+ROBOT, HAND = "franka", "panda"
+"""Whose hand the grasps were tested with: what MolmoSpaces calls it, and what a file of grasps does."""
 _SHORT = ("one_word", "two_words", "three_words", "four_words", "five_words")
 _PREPOSITION = re.compile(" (?:in|of|on|for|with) ")
 _POSES = {"pose": Numbers("f8", ("grasps", 7), -10, 10)}
@@ -64,8 +64,9 @@ def read_grasps(path: str | Path) -> dict[str, np.ndarray]:
     """Grasps in a file of `cluttergen robot grasps --out`: f64[G, 4, 4], T_object_tool, by the object's hash.
 
     Raises:
-      ConfigError: there is no such file, or it is damaged.
+      ConfigError: there is no such file, it is damaged, or its grasps are of another hand than a Panda's.
     """
+    allowed = "a file of `cluttergen robot grasps POOL --out grasps.parquet`, of the Panda's hand"
     try:
         data = Path(path).read_bytes()
         check_seal(data)
@@ -76,8 +77,11 @@ def read_grasps(path: str | Path) -> dict[str, np.ndarray]:
         if (np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) > 1e-3).any():
             raise ValueError("a quaternion is not of unit length")
     except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as error:
-        allowed = "a file of `cluttergen robot grasps POOL --out grasps.parquet`"
         raise ConfigError(f"grasps {str(path)!r}: {error}", allowed) from error
+    hand = (table.schema.metadata or {}).get(b"hand", b"").decode()
+    if hand != HAND:
+        whose = "another hand" if hand else "a hand that it does not name"
+        raise ConfigError(f"grasps {str(path)!r}, tested with {whose}", allowed, "making them again")
     transforms = np.tile(np.eye(4), (len(poses), 1, 1))
     transforms[:, :3, 3] = poses[:, :3]
     transforms[:, :3, :3] = np.array([rotation_matrix(each) for each in poses[:, 3:]]).reshape(-1, 3, 3)

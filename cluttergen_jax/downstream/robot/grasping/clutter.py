@@ -283,6 +283,8 @@ class LiftScene:
         self._hand = self._model.body(_PREFIX + robot.gripper.body).id
         self._bodies = [self._model.body(name).id for name in scene.names]
         self._fingers = _fingers_of(self._model)
+        self._is_hand = bodies_of_tree(self._model, self._carriage)
+        self._is_object = np.isin(np.arange(self._model.nbody), self._bodies)
         # The carriage's motor was added first.
         self._up, self._grip = 0, 1
 
@@ -303,8 +305,8 @@ class LiftScene:
             mujoco.mj_step(model, data, _AT_ONCE)
         if not np.isfinite(data.qpos).all():
             return Lift(LiftEnd.DIVERGED, -1, 0.0, np.inf)
-        if (gap := self._gap()) < _EMPTY:
-            return Lift(LiftEnd.EMPTY, -1, gap, self._largest_shift(start, -1))
+        if self._is_empty():
+            return Lift(LiftEnd.EMPTY, -1, self._gap(), self._largest_shift(start, -1))
         for step in range(0, round((_RISE + _HOLD) / _TIMESTEP), _AT_ONCE):
             share = min(1.0, step * _TIMESTEP / _RISE)
             data.ctrl[self._up] = LIFT * share**2 * (3 - 2 * share)
@@ -313,12 +315,18 @@ class LiftScene:
             return Lift(LiftEnd.DIVERGED, -1, 0.0, np.inf)
         rise = data.xpos[self._bodies, 2] - start[:, 2]
         highest = int(rise.argmax())
-        if rise[highest] < RAISED * LIFT or self._gap() < _EMPTY:
+        if rise[highest] < RAISED * LIFT or self._is_empty():
             return Lift(LiftEnd.LOST, -1, self._gap(), self._largest_shift(start, -1))
         return Lift(LiftEnd.LIFTED, highest, self._gap(), self._largest_shift(start, highest))
 
     def _gap(self) -> float:
         return 2 * self._gripper.measure(self._data.qpos[self._fingers])
+
+    def _is_empty(self) -> bool:
+        """Whether the fingers nearly meet and touch no object: what is thin is held so, too."""
+        bodies = self._model.geom_bodyid[self._data.contact.geom]
+        touches = self._is_hand[bodies].any(1) & self._is_object[bodies].any(1)
+        return self._gap() < _EMPTY and not touches.any()
 
     def _largest_shift(self, start: np.ndarray, held: int) -> float:
         shift = np.linalg.norm(self._data.xpos[self._bodies] - start, axis=1)

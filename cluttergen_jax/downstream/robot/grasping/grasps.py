@@ -196,6 +196,8 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
         metadata={
             "cluttergen_grasps": str(_VERSION),
             "gripper": sets[0].gripper if sets else "",
+            # For those who know hands by name (`scene.export.molmospaces`).
+            "hand": "panda" if sets and sets[0].gripper == find_robot().gripper.hash else "another",
             "frame": "tool: z approach, y closing, between the pads",
             "tested": " ".join(f"{each.name}={each.num_tested}" for each in sets),
         },

@@ -26,11 +26,13 @@ from mujoco_playground._src import mjx_env
 _HOME = (0.0, 0.3, 0.0, -1.57079, 0.0, 2.0, -0.7853, 0.04, 0.04)
 _ROBOT_DISTANCE = 0.525
 """Metres from the region's centre to the arm's base, in -x."""
+_FALL = 0.25
+"""Metres below where an object began: what has fallen as deep, or half of the support's height, is lost."""
 _SCALES = {"reach": 1.0, "lift": 4.0, "others_still": 1.0, "home": 0.1}
 
 
 def default_config():
-    """The configuration; `sim_dt` is that of the bank's files."""
+    """The configuration; `sim_dt` is what files of banks have unless another setting is asked for."""
     return config_dict.create(
         ctrl_dt=10 / 480,
         sim_dt=1 / 480,
@@ -85,6 +87,8 @@ class ClutterPick(mjx_env.MjxEnv):
         self._gripper = model.site("gripper").id
         self._lowers, self._uppers = model.actuator_ctrlrange.T
         self._ctrl = jp.asarray(_HOME[: model.nu])
+        # Where nothing is below the support, there is a floor.
+        self._deepest_fall = min(_FALL, top / 2)
 
     def reset(self, rng):
         rng, scene_key, target_key = jax.random.split(rng, 3)
@@ -130,7 +134,8 @@ class ClutterPick(mjx_env.MjxEnv):
             "home": 1 - jp.tanh(home),
         }
         reward = sum(scale * terms[name] for name, scale in self._config.reward_config.scales.items())
-        is_lost = (jp.where(info["is_there"] > 0, places[:, 2], 1) < 0).any() | jp.isnan(data.qpos).any()
+        fall = (info["start"] - places)[:, 2] * info["is_there"]
+        is_lost = (fall > self._deepest_fall).any() | jp.isnan(data.qpos).any()
         metrics = {"success": (height >= self._config.lift_height).astype(float), **terms}
         obs = self._observation(data, info)
         return state.replace(
