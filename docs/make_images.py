@@ -92,7 +92,7 @@ def main() -> None:
         save_png(object_sheet(find_pool(pool).objects, columns=5), HERE / f"{pool}.png")
     supports = sorted(list_supports())
     drawn = [draw_support(name) for name in supports]
-    save_png(contact_sheet(drawn, supports, columns=4), HERE / "supports.png")
+    save_png(contact_sheet(drawn, supports, columns=7), HERE / "supports.png")
 
 
 if __name__ == "__main__":

@@ -12,10 +12,10 @@ import cluttergen_jax as cg
 num_objects = 8
 
 # %%
-bank = cg.generate("scenes", num_scenes=4, num_objects=num_objects, method="clear", max_files=0)
+bank = cg.generate("bank_06", num_scenes=4, num_objects=num_objects, method="clear", max_files=0)
 
 # %% [markdown]
-# The same from the command line: `cluttergen export scenes --format urdf --out exported/urdf`.
+# The same from the command line: `cluttergen export bank_06 --format urdf --out exported/urdf`.
 
 # %%
 for kind in ("mjcf", "urdf", "sdf", "glb"):

@@ -70,7 +70,7 @@ def overview() -> str:
             "options:",
             "  -h, --help                          this text; after a command, its options",
             "  --version                           the version",
-            "  --tyro-write-completion SHELL FILE  completion for bash, zsh, fish or tcsh (README.md)",
+            "  --tyro-write-completion SHELL FILE  completion for bash, zsh, fish or tcsh (docs/start.md)",
             "",
             "Example: cluttergen generate --pool dining --num-scenes 20 --out bank",
         ]

@@ -5,6 +5,7 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.config import TRUSTED_METHODS, VerifyConfig
+from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.generation.sources.scene_sources import open_source
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.scene.bank import read_bank
@@ -64,3 +65,14 @@ def test_a_bank_with_ruin_is_replayed_and_verified(ruined):
     assert len(recording.attempts) == attempts[row].sum()
     assert any(len(recording.taken_away(number)) for number in range(len(recording.attempts)))
     assert all(found.stands for found in cg.verify(ruined.path, VerifyConfig(seconds=1.0)).scenes)
+
+
+def test_a_bank_in_a_polygon_is_set_up_in_that_polygon(tmp_path, pool):
+    corners = "-0.2,-0.2;0.2,-0.2;0.0,0.2"
+    asked = {"num_objects": 2, "method": "drop", "region": corners}
+    bank = cg.generate(tmp_path / "bank", pool=pool, num_scenes=2, render=False, max_files=0, **asked)
+    source, _ = open_source(str(bank.path))
+    np.testing.assert_allclose(
+        setup_of(source.bank).problem.rules.polygon, [[-0.2, -0.2], [0.2, -0.2], [0, 0.2]], atol=1e-7
+    )
+    assert len(source.replay(0).attempts) >= 2
