@@ -161,7 +161,7 @@ class SceneSpec:
       repeat: allow duplicates: an object may be placed more than once.
       shelf: of a pool with very many objects each block of 256 scenes draws so many for its own, and each
         of its scenes some of those; 1 to 200. If not given: no such drawing from up to 200 objects, 64 of
-        more.
+        more, or twice as many as a scene has where that is more than 64.
       weights: by which a shelf is drawn, "mug*=3; label=*book*=0.5": conditions as those of `objects`, and
         what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping.
       balance: "objects", each is as likely to be on a shelf; or "label", "synset", "licence" or "source": of
@@ -482,15 +482,17 @@ class SceneSpec:
                 names = set(chosen) or {each.name for each in facts}
                 kept = [each for each in facts if each.name in names]
                 available = int((weights_of(kept, weights) > 0).sum())
-            shelf = min(SHELF, available) if self.shelf is None else self.shelf
+            asked = self.num_objects or 0
+            usual = min(SHELF if asked <= SHELF else 2 * asked, available, MOST_ON_SHELF)
+            shelf = usual if self.shelf is None else self.shelf
             if not 1 <= shelf <= min(available, MOST_ON_SHELF):
                 allowed = f"1 to {min(available, MOST_ON_SHELF)} of the {available} objects of pool {pool!r}"
-                raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={min(SHELF, available)}")
+                raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={usual}")
             available = shelf
-            if (self.num_objects or 0) > shelf:
+            if asked > shelf:
                 most = min(len(chosen) or len(find_pool(pool)), MOST_ON_SHELF)
-                given = f"{self.num_objects} objects of a shelf of {shelf}"
-                raise ConfigError(given, f"1 to {shelf}", f"shelf={min(most, 2 * (self.num_objects or 0))}")
+                given = f"{asked} objects of a shelf of {shelf}"
+                raise ConfigError(given, f"1 to {shelf}", f"shelf={min(most, 2 * asked)}")
             if self.relations or self.roles:
                 given = "`relations` with a shelf of objects that each block draws"
                 raise ConfigError(given, "one or the other", "fewer `objects` and no `shelf`")

@@ -175,6 +175,8 @@ def test_of_very_many_objects_there_is_a_shelf_unasked(twelve, monkeypatch):
     monkeypatch.setattr(spec, "MOST_ON_SHELF", 8)
     monkeypatch.setattr(spec, "SHELF", 5)
     assert len(cg.make_sampler(twelve, num_objects=2, method="clear").names) == 5
+    # Of more objects than that twice as many, as far as a shelf goes.
+    assert len(cg.make_sampler(twelve, num_objects=6, method="clear").names) == 8
     with pytest.raises(ConfigError, match="1 to 200 objects here; `generate` and `make_sampler` take any"):
         cg.make_env(twelve, num_objects=2)
     left = cg.make_sampler(twelve, exclude=["mug*", "bowl-0"], num_objects=2, method="clear")
