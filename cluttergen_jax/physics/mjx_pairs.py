@@ -145,18 +145,26 @@ class Pairs:
         if self._num_contacts < len(dist):
             deepest = jax.lax.top_k(-dist, self._num_contacts)[1]
             dist, pos, normal, geom = (each[deepest] for each in (dist, pos, normal, geom))
-        friction = jnp.maximum(model.geom_friction[geom[:, 0]], model.geom_friction[geom[:, 1]])
+        one, two = geom.T
+        priority = jnp.asarray(model.geom_priority)
+        # What has the higher priority decides alone; of equals the rougher.
+        decides = jnp.where(priority[two] > priority[one], two, one)
+        friction = jnp.where(
+            (priority[one] == priority[two])[:, None],
+            jnp.maximum(model.geom_friction[one], model.geom_friction[two]),
+            model.geom_friction[decides],
+        )
         contact = data._impl.contact.replace(
             dist=dist,
             pos=pos,
             frame=jax.vmap(math.make_frame)(normal),
             includemargin=jnp.zeros_like(dist),
             friction=friction[:, [0, 0, 1, 2, 2]],
-            solref=model.geom_solref[geom[:, 0]],
+            solref=model.geom_solref[decides],
             solreffriction=jnp.zeros((len(dist), mujoco.mjNREF)),
-            solimp=model.geom_solimp[geom[:, 0]],
-            geom1=geom[:, 0],
-            geom2=geom[:, 1],
+            solimp=model.geom_solimp[decides],
+            geom1=one,
+            geom2=two,
             geom=geom,
         )
         return data.tree_replace({"_impl.contact": contact})

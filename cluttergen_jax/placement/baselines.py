@@ -82,7 +82,8 @@ class Random(struct.PyTreeNode, eq=False):
             self.rules.height_range(episode),
         )
         if self.rules.config.height == "free":
-            height = jax.random.uniform(jax.random.fold_in(key, 0), maxval=height_range)
+            # `fold_in` of 0 or 1 would be a key of the split again, and the height a copy of x.
+            height = jax.random.uniform(jax.random.fold_in(key, 2), maxval=height_range)
         return action_of_pose(jnp.append(xy, height), yaw, region, height_range)
 
     def _in_polygon(self, key: Array, region: Region) -> Array:

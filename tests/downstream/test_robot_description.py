@@ -178,3 +178,13 @@ def test_a_robot_of_ones_own_grasps_and_places(tmp_path, home):
         tmp_path, robot=robot, pool="household", num_objects=3, num_episodes=2, placer="none"
     )
     assert trials.success_rate >= 0.5
+
+
+@pytest.mark.parametrize("name", WITHOUT_PACKAGES)
+def test_controls_say_how_far_fingers_are_asked_to_be_apart(name):
+    robot = find_robot(name)
+    gripper = gripper_of(robot)
+    widths = np.linspace(0.0, gripper.max_opening, 9)
+    np.testing.assert_allclose(gripper.opening_at(gripper.control_of(widths)), widths, atol=1e-9)
+    assert gripper.opening_at(robot.gripper.open) == pytest.approx(gripper.max_opening, abs=1e-9)
+    assert gripper.opening_at(robot.gripper.closed) < 0

@@ -27,6 +27,9 @@ def model():
         body = spec.worldbody.add_body(name=name)
         body.add_freejoint()
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, condim=4, friction=(0.5, 0.005, 1e-4))
+    # As an object with a friction of its own, less than that of what it touches.
+    slippery = spec.body("ball").first_geom()
+    slippery.priority, slippery.friction = 9, (0.1, 0.001, 1e-5)
     return spec.compile()
 
 
@@ -57,6 +60,16 @@ def depths(data):
     return found
 
 
+def frictions(data):
+    """f64[scenes, 4, 4]: the sliding friction of each pair of geoms that touch, 0 of others."""
+    contact = jax.device_get(data._impl.contact)
+    found = np.zeros((len(contact.dist), 4, 4))
+    rows, place = np.nonzero(contact.dist < 0)
+    pair = np.sort(contact.geom[rows, place], axis=-1)
+    found[rows, pair[:, 0], pair[:, 1]] = contact.friction[rows, place, 0]
+    return found
+
+
 @pytest.mark.slow
 def test_the_contacts_are_those_of_mjx(model, on_device):
     pairs = Pairs(model, on_device, 3)
@@ -67,6 +80,9 @@ def test_the_contacts_are_those_of_mjx(model, on_device):
         theirs = jax.vmap(lambda each: mjx.collision(on_device, mjx.kinematics(on_device, each)))(own)
     assert (depths(theirs) > 0).sum() > 40
     np.testing.assert_allclose(depths(ours), depths(theirs), atol=2e-6)
+    touch = (depths(theirs) > 1e-5) & (depths(ours) > 1e-5)
+    np.testing.assert_allclose(frictions(ours)[touch], frictions(theirs)[touch], rtol=1e-6)
+    assert {round(float(each), 2) for each in frictions(ours)[touch]} == {0.1, 0.5, 1.0}
     assert not jax.vmap(lambda each: pairs.has_overflowed(on_device, each))(ours).any()
 
 

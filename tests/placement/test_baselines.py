@@ -20,6 +20,7 @@ from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, make_problem
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.placement.rollout import BlockSampler
+from tests.helpers.problems import made_up_rules
 
 TOP = 0.7
 CLEARANCE = 0.001
@@ -197,3 +198,12 @@ def touches(problem: Problem, proposal: Proposal, fall: float) -> bool:
         proposal.focus in owner[contact.geom] and contact.dist < 0
         for contact in (data.contact[i] for i in range(data.ncon))
     )
+
+
+def test_a_free_height_has_nothing_to_do_with_the_place():
+    rules = made_up_rules(height="free")
+    episode, propose = rules.begin(jax.random.key(0)), make_proposer("random", rules)
+    keys = jax.random.split(jax.random.key(1), 2000)
+    actions = np.asarray(jax.jit(jax.vmap(lambda key: propose(key, episode)))(keys))
+    assert np.abs(np.corrcoef(actions.T) - np.eye(4)).max() < 0.1
+    np.testing.assert_allclose(actions.mean(0), 0.5, atol=0.03)

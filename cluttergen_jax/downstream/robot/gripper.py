@@ -56,6 +56,13 @@ class Gripper:
         """f64[...]: the actuator's control for metres of each pad from the middle."""
         return np.interp(opening, self.opening, self.control)
 
+    def opening_at(self, control: np.ndarray | float) -> np.ndarray:
+        """f64[...]: metres of each pad from the middle that a control asks for; below 0 where it presses."""
+        order, span = np.argsort(self.control), self.control[-1] - self.control[0]
+        pressed = (np.asarray(control) - self.control[0]) * np.sign(-span)
+        free = np.interp(control, self.control[order], self.opening[order])
+        return np.where(pressed > 0, -pressed * self.max_opening / abs(span), free)
+
     def joints_of(self, opening: np.ndarray | float) -> np.ndarray:
         """f64[..., k]: the joints' positions at metres of each pad from the middle."""
         return np.stack([np.interp(opening, self.opening, each) for each in self.joints.T], axis=-1)

@@ -14,6 +14,7 @@ import numpy as np
 
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, wrist_camera
+from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.errors import BankError, ConfigError
@@ -79,7 +80,8 @@ class Recording:
         """
         arm = self.trace.arm
         told = np.array([*self.trace.controls[1:], self.trace.controls[-1]])
-        return told[:, [*arm.ctrl, arm.grip]].astype(np.float32)
+        asked = gripper_of(self.trace.robot).opening_at(told[:, arm.grip])
+        return np.column_stack([told[:, arm.ctrl], asked]).astype(np.float32)
 
     @cached_property
     def _seen(self) -> tuple[np.ndarray, np.ndarray]:
