@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
@@ -24,7 +25,7 @@ from cluttergen_jax.importing.readers.source import (
     own_up,
     says_something,
 )
-from cluttergen_jax.importing.readers.tree import find_all, find_sources
+from cluttergen_jax.importing.readers.tree import SETTINGS, find_all, find_sources
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
 from cluttergen_jax.importing.scenery import why_no_objects
 from cluttergen_jax.importing.sets import AUTO as ANY_SET
@@ -76,11 +77,14 @@ class Plan:
 
 @dataclass(frozen=True)
 class _Group:
-    """What a folder or file holds, the folder that its settings speak of, these, and the sets it is of."""
+    """What a folder or file holds, settings with the folders that they speak of, and the sets it is of.
+
+    Of several settings those of the innermost folder come last, and go before others.
+    """
 
     root: Path
     found: Found
-    settings: Settings | None
+    settings: tuple[tuple[Path, Settings], ...]
     sets: tuple[KnownSet, ...] = ()
     is_folder: bool = True
 
@@ -158,18 +162,32 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
     path = Path(given)
     if str(given) == YCB and not path.exists():
         found = Found(tuple(ycb_sources()))
-        return _Group(found.sources[0].path.parent, found, settings)
+        root = found.sources[0].path.parent
+        return _Group(root, found, () if settings is None else ((root, settings),))
     found = find_all(path)
     root = path if path.is_dir() else path.parent
     sets = known_sets(root, found.files if path.is_dir() else root.iterdir(), layout)
-    if settings is None and (settings := settings_for(root)) is not None and path.is_dir():
-        settings.check_used([(root, found)])
-    return _Group(root, found, settings, sets, path.is_dir())
+    if settings is not None:
+        return _Group(root, found, ((root, settings),), sets, path.is_dir())
+    folders = {root, *(each.parent for each in found.files if path.is_dir() and each.name == SETTINGS)}
+    lying = tuple(
+        (each, here)
+        for each in sorted(folders, key=lambda each: len(each.parts))
+        if (here := settings_for(each)) is not None
+    )
+    for folder, here in lying:
+        inside = tuple(each for each in found.sources if each.path.is_relative_to(folder))
+        if path.is_dir():
+            here.check_used([(folder, replace(found, sources=inside))])
+    return _Group(root, found, lying, sets, path.is_dir())
 
 
 def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned:
     """A source with the options of the command line, but for what its set and the settings say."""
-    values = {} if group.settings is None else group.settings.of(source, group.root)
+    values: dict[str, Any] = {}
+    for folder, settings in group.settings:
+        if source.path.is_relative_to(folder) or len(group.settings) == 1:
+            values |= settings.of(source, folder)
     take = values.pop(TAKE, None)
     reading = {key: value for key, value in values.items() if key in OF_READING}
     known = next((each for each in group.sets if each.covers(source)), None)
@@ -201,8 +219,8 @@ def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: 
     """The vertical axis of a source, and who says so: the settings of the group, its set, or the user."""
     if own.up not in AXES:
         return own_up(source.path, source.kind)
-    if group is not None and group.settings is not None:
-        return UpAxis(own.up, f"as {group.settings.path.name} says")
+    if group is not None and group.settings:
+        return UpAxis(own.up, f"as {group.settings[-1][1].path.name} says")
     return UpAxis(own.up, "as `up` says" if known is None else f"as in {known.layout.title}")
 
 

@@ -77,6 +77,7 @@ def set_pose(pool: str, name: str, pose: int) -> ObjectAsset:
         return asset
     with silent_log():
         turned = turned_object(asset, upright_turn(np.array(poses[pose].up)))
-    objects = tuple(turned if each is asset else each for each in old.objects)
+    # Of a large pool objects are read anew whenever they are asked for.
+    objects = tuple(turned if each.name == name else each for each in old.objects)
     write_pool(folder, replace(old, objects=objects), overwrite=True)
     return turned

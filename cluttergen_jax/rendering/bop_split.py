@@ -116,9 +116,12 @@ def _read_origin(scene: Path) -> SceneOrigin:
 
 def _check_alike(folder: Path, number: int, there: SceneOrigin, asked: SceneOrigin) -> None:
     """Refuses a scene that is there and was seen otherwise."""
-    differing = [name for name, value in asked.settings.items() if there.settings.get(name) != value]
+    names = dict.fromkeys([*asked.settings, *there.settings])
+    differing = [name for name in names if there.settings.get(name) != asked.settings.get(name)]
+    # Earlier versions did not say it.
+    differing = [name for name in differing if name != "smoothing" or name in there.settings]
     if differing:
-        wanted = ", ".join(f"{name} {asked.settings[name]}" for name in differing)
+        wanted = ", ".join(f"{name} {asked.settings.get(name)}" for name in differing)
         had = ", ".join(f"{name} {there.settings.get(name)}" for name in differing)
         raise ConfigError(
             f"scene {asked.scene} of {asked.source} is in {folder} as {number:06d} with {had}, and is asked "

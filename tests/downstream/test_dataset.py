@@ -195,6 +195,8 @@ def test_splits_that_are_none_are_refused(text):
         ({"vary": ("lights",)}, "texture, light, colour"),
         ({"vary": ("light",)}, "without colours"),
         ({"vary": "light"}, "a sequence of words"),
+        ({"form": "bop", "vary": ("light",), "colour": True}, "with form 'bop'"),
+        ({"form": "bop", "cluster": "local"}, "with form 'bop'"),
         ({"size": "9x9"}, "16 to 8192 pixels"),
         ({"num_scenes": 0}, "num_scenes = 0"),
     ],

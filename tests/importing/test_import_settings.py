@@ -63,6 +63,21 @@ def test_the_axis_and_who_says_so(folder, tmp_path):
     assert size_of(by_flag) == [0.03, 0.05, 0.07]
 
 
+def test_settings_of_a_folder_inside_go_before_those_around_it(folder):
+    (folder / "cups/objects.toml").write_text('[default]\nscale = 2.0\n["small.stl"]\nname = "beaker"\n')
+    plans = planned(folder, '[default]\nscale = 0.5\nfriction = 0.3\n')
+    assert {name: plan.options.scale for name, plan in plans.items()} == {
+        "crate": 0.5,
+        "slab": 0.5,
+        "beaker": 2.0,
+        "large": 2.0,
+    }
+    assert {plan.options.friction for plan in plans.values()} == {0.3}
+    (folder / "cups/objects.toml").write_text('["smal.stl"]\nscale = 2.0\n')
+    with pytest.raises(ConfigError, match=r"cups.objects\.toml.*smal\.stl.*fits no object"):
+        planned(folder)
+
+
 def test_up_becomes_z_and_front_becomes_x():
     axes = {name: np.eye(3)["xyz".index(name[-1])] * (-1 if name[0] == "-" else 1) for name in AXES}
     for up in AXES:

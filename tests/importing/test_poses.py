@@ -14,6 +14,8 @@ from cluttergen_jax.errors import PoolError
 def lying(tmp_path, monkeypatch):
     """A carton that lies on its side in its file."""
     monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
+    # As of an object that is not among the few hundred that are kept.
+    monkeypatch.setattr("cluttergen_jax.assets.pool._KEPT", 0)
     trimesh.creation.box((0.07, 0.2, 0.07)).export(tmp_path / "carton.obj")
     return tmp_path / "carton.obj"
 

@@ -52,13 +52,13 @@ def make_dataset(
       splits: "train", or shares of scenes such as "train=0.8, val=0.1, test=0.1".
       num_scenes: the first so many of each bank; all if not given.
       vary: what is drawn anew for each view: "texture" of the table, from other ones for each split; "light";
-        "colour" of objects and floor.
+        "colour" of objects and floor; nothing with "bop".
       quality: "draft" has sharp shadows; "fine" soft ones, for some five times the time.
       colour: draw colours, which needs OpenGL; all else needs none.
       seed: of cameras, splits and what varies, 0 to 4294967295.
       cluster: where it is made: "local", Ray on this machine; "auto", the Ray cluster that this machine
-        belongs to; or a cluster's address (extra `ray`). All machines have to see banks and `out` under the
-        same path. In this process if not given.
+        belongs to; or a cluster's address (extra `ray`); none with "bop". All machines have to see banks and
+        `out` under the same path. In this process if not given.
       workers: worker processes on the cluster; 0 takes as many as it has room for.
 
     Returns:
@@ -101,6 +101,9 @@ def make_dataset(
         find_backend()
     elif vary:
         raise ConfigError(f"vary = {tuple(vary)} without colours", "colours", "colour=True")
+    if form == "bop" and (vary or cluster is not None):
+        told = f"vary = {tuple(vary)}" if vary else f"cluster = {cluster!r}"
+        raise ConfigError(f"{told} with form 'bop'", "one of the two", "form='parquet' or 'webdataset'")
     chosen = [banks] if isinstance(banks, str | Path) else list(banks)
     if not chosen:
         raise ConfigError("no bank", "one or more")

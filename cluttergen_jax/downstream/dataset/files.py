@@ -18,7 +18,6 @@ from typing import Any, Literal
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.downstream.dataset.views import View
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.kept_folder import KeptFolder, check_recipe
@@ -62,9 +61,8 @@ def shard_name(split: str, bank: int, shard: int, form: ShardForm) -> str:
     return f"{split}-{bank:02d}-{shard:06d}.{ENDINGS[form]}"
 
 
-def encode_views(views: Sequence[View], bank: str, form: ShardForm) -> bytes:
-    """The views of one shard as a file."""
-    rows = [{"bank": bank, **view.row()} for view in views]
+def encode_rows(rows: Sequence[dict[str, Any]], form: ShardForm) -> bytes:
+    """The views of one shard as a file; a row is `View.row` with its bank."""
     if form == "parquet":
         buffer = io.BytesIO()
         table = pa.Table.from_pylist(rows, schema=SCHEMA)

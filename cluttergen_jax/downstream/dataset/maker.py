@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +19,17 @@ from cluttergen_jax.downstream.dataset.files import (
     ShardForm,
     begin_record,
     dataset_folder,
-    encode_views,
+    encode_rows,
     is_whole_shard,
     shard_name,
     write_record,
 )
-from cluttergen_jax.downstream.dataset.views import View, ViewConfig, ViewMaker
+from cluttergen_jax.downstream.dataset.views import ViewConfig, ViewMaker
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import remove_partial, write_atomically, writing
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 from cluttergen_jax.schema import digest_of
 
 _SPLIT_DRAW = 11
@@ -134,7 +134,7 @@ class DatasetPlan:
         """What decides every view but which there are."""
         config = self.config
         return {
-            "banks": [{"name": path.resolve().name, "recipe": read_bank(path).recipe} for path in self.banks],
+            "banks": list(map(_told, self.banks)),
             "cameras": [_plain(asdict(plan)) | {"stored": repr(plan.stored)} for plan in config.cameras],
             "shares": self.shares,
             "seed": config.seed,
@@ -143,6 +143,14 @@ class DatasetPlan:
             "colour": config.colour,
             "scenes_per_shard": SCENES_PER_SHARD,
         }
+
+
+def _told(path: Path) -> dict[str, Any]:
+    """What a record says of a bank."""
+    bank = read_bank(path)
+    told = {"name": path.resolve().name, "recipe": bank.recipe}
+    # Cameras of earlier versions stood about the middle of the support.
+    return told if region_of(bank) == bank.support.region else told | {"cameras_about": "region"}
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
@@ -173,13 +181,16 @@ class ShardMaker:
         """Makes a shard; yields after each view."""
         bank = read_bank(self.banks[shard.bank])
         split_of = {number: split for split, some in shard.scenes.items() for number in some}
-        scenes = list(read_scenes(bank, sorted(split_of)))
-        made: dict[str, list[View]] = {split: [] for split in shard.scenes}
+        # Cameras stand about the region that scenes were made in.
+        support = replace(bank.support, region=region_of(bank))
+        scenes = [replace(each, support=support) for each in read_scenes(bank, sorted(split_of))]
+        made: dict[str, list[dict[str, Any]]] = {split: [] for split in shard.scenes}
         for view in ViewMaker(scenes, self.config, shard.bank, split_of).views():
-            made[split_of[view.scene]].append(view)
+            # Compressed at once: what a camera sees is some megabytes.
+            made[split_of[view.scene]].append({"bank": bank.path.resolve().name, **view.row()})
             yield
-        for split, views in made.items():
-            data = encode_views(views, bank.path.resolve().name, self.form)
+        for split, rows in made.items():
+            data = encode_rows(rows, self.form)
             write_atomically(self.out / shard_name(split, shard.bank, shard.number, self.form), data)
 
 

@@ -144,7 +144,12 @@ class BopScenes:
             "samples": picture.samples,
             "hulls": picture.hulls,
             "pixel_origin": self._config.pixel_origin,
+            "smoothing": picture.smoothing,
         }
+        if self._config.cameras is not None:
+            names = ", ".join(plan.name for plan in self._config.cameras)
+            plans = hashlib.sha256(repr(self._config.cameras).encode()).hexdigest()
+            settings["cameras"] = f"{names} ({plans[:8]})"
         return SceneOrigin(self._source, number, digest, settings, self._is_drawn)
 
     def _check_camera(self) -> None:
