@@ -72,7 +72,7 @@ def certify_bank(
 
 def _certify(bank: Bank, seconds: float, jobs: int, force: bool, cluster: Cluster | None) -> Certification:
     index = BankIndex.of(bank)
-    certifier, blocks = Certifier.of(bank, seconds, jobs), _Blocks(StoredBlocks.of(bank.path), force)
+    certifier, blocks = Certifier.of(bank, seconds, jobs), _Blocks(StoredBlocks.of(bank.path), seconds, force)
     num_new = 0
     with Progress("certifying", bank.num_scenes, "scene", blocks.num_done) as progress:
         if cluster is None:
@@ -93,17 +93,17 @@ def _certify(bank: Bank, seconds: float, jobs: int, force: bool, cluster: Cluste
 
 
 class _Blocks(Sequence[pa.Table]):
-    """The blocks of a bank that are to be measured, each read when it is asked for.
+    """The blocks of a bank that are to be measured over a horizon, each read when it is asked for.
 
     Attributes:
       numbers: which these are; num_done: scenes of the others.
     """
 
-    def __init__(self, stored: StoredBlocks, force: bool) -> None:
+    def __init__(self, stored: StoredBlocks, seconds: float, force: bool) -> None:
         self._stored, self.num_done, self.numbers = stored, 0, list[int]()
         for number in stored.places:
             rows = stored.read(number)
-            if force or not is_fully_certified(rows):
+            if force or not is_fully_certified(rows, seconds):
                 self.numbers.append(number)
             else:
                 self.num_done += rows.num_rows
@@ -170,7 +170,9 @@ class Certifier:
 
     def _models(self, objects: Sequence[ObjectAsset]) -> SceneModels:
         world = make_world(objects, self.support, self.stability, self.contact)
-        return SceneModels(world, self.stability, self.contact)
+        # As in the bank's files.
+        stability = replace(self.stability, timestep=self.stability.file_timestep)
+        return SceneModels(world, stability, self.contact)
 
 
 def add_certificates(

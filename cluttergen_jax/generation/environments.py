@@ -182,6 +182,9 @@ def make_sb3_env(
     """
     if "autoreset" in settings:
         raise ConfigError("autoreset in make_sb3_env", "settings of make_env: Stable-Baselines3 has one way")
+    if settings.get("observation", "flat") != "flat":
+        given = f"observation = {settings['observation']!r} in make_sb3_env"
+        raise ConfigError(given, "'flat': Stable-Baselines3 knows no nested spaces", "observation='flat'")
     try:
         import stable_baselines3  # noqa: F401
     except ImportError as error:

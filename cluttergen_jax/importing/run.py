@@ -23,7 +23,7 @@ from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.job import NUM_TRIES, Job, ObjectConfig, make_job, next_try
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
 from cluttergen_jax.importing.processes import Crew, Outcome, Watch
-from cluttergen_jax.importing.readers import Skipped
+from cluttergen_jax.importing.readers import ObjectFile, Skipped
 from cluttergen_jax.importing.readers.read import public_path
 from cluttergen_jax.importing.readers.source import UpAxis
 from cluttergen_jax.importing.table_top import LeftOut, Limits
@@ -263,8 +263,15 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
 
 
 def _load_cached(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
-    pairs = ((job.source.name, cache.load(job.key, job.source.name)) for job in jobs)
-    return {name: asset for name, asset in pairs if asset is not None}
+    pairs = ((job.source, cache.load(job.key, job.source.name)) for job in jobs)
+    return {source.name: _from(source, asset) for source, asset in pairs if asset is not None}
+
+
+def _from(source: ObjectFile, asset: ObjectAsset) -> ObjectAsset:
+    """A cached body that says where it is from now: the same file may lie in several folders."""
+    if source.provenance is not None:
+        return asset
+    return replace(asset, provenance=replace(asset.provenance, source=public_path(source.path)))
 
 
 def _too_large_bodies(jobs: Sequence[Job], made: dict[str, ObjectAsset]) -> dict[str, LeftOut]:

@@ -45,7 +45,8 @@ from cluttergen_jax.types import Array
 
 _KEPT_WORLDS, _KEPT_COLUMNS = 2, 512
 _SHELF = 3
-"""Folded into the key of a block's first scene, for the block's shelf; 0 to 2 serve the scene itself."""
+"""Folded into the key of a block's first scene, for the block's shelf. `Rules.begin` folds it in for that
+scene's first orientation, too, where these are drawn."""
 
 
 def shelf_key(seed: int, block: int) -> Array:

@@ -20,6 +20,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.shading import shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
@@ -211,8 +212,11 @@ def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
         if (known := infos.get(str(key))) is None:
             new[key] = asset
             source = {"name": asset.name, "label": asset.label, **asdict(asset.provenance)}
-            infos[str(key)] = source | extent | _symmetries(pieces)
-        elif any(abs(known[name] - value) > _SAME for name, value in extent.items()):
+            infos[str(key)] = source | {"hash": object_hash(asset)} | extent | _symmetries(pieces)
+        # Earlier versions kept no digest.
+        elif any(abs(known[name] - value) > _SAME for name, value in extent.items()) or (
+            "hash" in known and known["hash"] != object_hash(asset)
+        ):
             raise ConfigError(
                 f"{folder}: another model of the name {asset.name!r} is there",
                 "objects of one pool in one dataset",

@@ -65,7 +65,7 @@ def test_the_axis_and_who_says_so(folder, tmp_path):
 
 def test_settings_of_a_folder_inside_go_before_those_around_it(folder):
     (folder / "cups/objects.toml").write_text('[default]\nscale = 2.0\n["small.stl"]\nname = "beaker"\n')
-    plans = planned(folder, '[default]\nscale = 0.5\nfriction = 0.3\n')
+    plans = planned(folder, "[default]\nscale = 0.5\nfriction = 0.3\n")
     assert {name: plan.options.scale for name, plan in plans.items()} == {
         "crate": 0.5,
         "slab": 0.5,

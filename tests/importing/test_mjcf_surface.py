@@ -10,6 +10,7 @@ import trimesh
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
+from cluttergen_jax.importing.readers.mjcf import read_mjcf
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 
 CASES = Path(__file__).parents[1] / "cases" / "import"
@@ -124,6 +125,16 @@ def test_what_is_left_out_or_taken_is_said(tmp_path):
     assert shape.notes[-1] == "what is left out weighs 0.3 kg: it counts, as in MuJoCo"
     (shape,) = read_source(CASES / "04_mjcf_region_box" / "region.xml")
     assert shape.notes == ("left out, as they are not seen and do not collide: 'reg_bbox'",)
+
+
+def test_what_lies_in_the_world_is_of_furniture_and_is_said_of_an_object(tmp_path):
+    top = "<geom type='box' size='.4 .3 .02' pos='0 0 .7'/>"
+    drawer = "<body name='drawer' pos='0 0 .6'><joint name='rail' type='slide'/>{}</body>"
+    path = tmp_path / "desk.xml"
+    path.write_text(f"<mujoco><worldbody>{top}{drawer.format(CARTON)}</worldbody></mujoco>")
+    whole, alone = read_mjcf(path, opened={}), read_mjcf(path)
+    assert (len(whole.pieces), len(alone.pieces)) == (2, 1)
+    assert "left out, as they lie in the world beside the body: 1 geoms" in alone.notes
 
 
 def test_the_ground_under_a_grid_of_heights_is_where_mujoco_has_it(tmp_path):

@@ -76,6 +76,22 @@ def test_poses_frames_and_nested_models_put_links_where_they_belong(tmp_path):
     assert shape.notes[0] == "frozen joints: 'j' (revolute) at 0 degrees"
 
 
+def test_a_pose_may_be_that_of_a_frame_inside(tmp_path):
+    """`placement_frame`: the frame, not the model, is where the pose says."""
+    frame = '<frame name="grip"><pose>0 0 0.5 0 0 0</pose></frame>'
+    inner = '<model name="lid" placement_frame="grip"><pose>0 0.2 1 0 0 0</pose>{}{}</model>'
+    inner = inner.format(frame, link(visual(), "c"))
+    outer = '<frame name="f"><pose relative_to="lid">0 0 0.1 0 0 0</pose></frame>'
+    beside = link(visual(), "b", '<pose relative_to="f">1 0 0 0 0 0</pose>')
+    text = model(link(visual(), "a") + inner + outer + beside)
+    text = text.replace('name="cup"', 'name="cup" placement_frame="f"')
+    shape = read(tmp_path, text)
+    at = np.array([piece.mesh.bounds.mean(0) for piece in shape.pieces])
+    # The lid is at (0 0.2 0.5), f at (0 0.2 0.6); the model is put so that f is at the origin.
+    expected = np.array([[0, 0, 0], [1, 0.2, 0.6], [0, 0.2, 0.5]]) - [0, 0.2, 0.6]
+    np.testing.assert_allclose(at[np.lexsort(at.T)], expected[np.lexsort(expected.T)], atol=1e-9)
+
+
 FORMS = {
     "<box><size>0.1 0.06 0.04</size></box>": (0.1, 0.06, 0.04),
     "<cylinder><radius>0.05</radius><length>0.2</length></cylinder>": (0.1, 0.1, 0.2),

@@ -79,6 +79,7 @@ def perception_data(
     from cluttergen_jax.downstream.samples import SPLITS
     from cluttergen_jax.rendering.gl import find_backend
     from cluttergen_jax.scene.bank import Bank
+    from cluttergen_jax.spec import MOST_ON_SHELF
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -90,6 +91,9 @@ def perception_data(
     if arm:
         find_robot()
     most = len(find_pool(pool).objects)
+    if most > MOST_ON_SHELF:
+        given = f"a pool of {most:,} objects"
+        raise ConfigError(given, f"up to {MOST_ON_SHELF}: a segmenter knows each of them", "a smaller pool")
     if num_objects is not None:
         check_range("num_objects", num_objects, 1, most, min(8, most))
     num_scenes = -(-num_views // (VIEWS_A_SCENE * len(_METHODS)))

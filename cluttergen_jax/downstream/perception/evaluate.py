@@ -28,6 +28,7 @@ from cluttergen_jax.downstream.perception.scoring import (
     mask_figures,
 )
 from cluttergen_jax.downstream.perception.segment.network_segmenter import (
+    embedded_segmenters,
     load_segmenter,
     network_hash,
     segmenter_folder,
@@ -192,6 +193,9 @@ def evaluate_perception(
         # Before an hour of work.
         raise ConfigError("calibration with true masks", "a trained segmenter", "segmenter='runs/segmenter'")
     folder = None if true_masks else segmenter_folder(segmenter)
+    if calibrate and folder in {segmenter_folder(path) for path in embedded_segmenters().values()}:
+        given = f"calibration of {segmenter!r}, which comes with the package"
+        raise ConfigError(given, "a segmenter of your own", "a copy of its folder: segmenter='my_segmenter'")
     known: Segmenter = _NoSegmenter(views.names) if folder is None else load_segmenter(folder)
     certainty = Certainty() if folder is None else read_certainty(folder)
     estimator = RegistrationEstimator(views.objects, views.support)

@@ -93,7 +93,8 @@ class ExampleSource:
         source, number, wanted = "train", self.num_pairs, self._filter_of(pairs, split)
         if wanted is None and split == "val":
             source, number = "val", None
-        if wanted is not None and not any(wanted(table).any() for table in pairs.tables(source)):
+        held = pairs.num_samples(source, number)
+        if wanted is not None and not any(wanted(table).any() for table in pairs.tables(source, held)):
             return None
         return examples_of(
             *load_queries(pairs, _NOISES[self.noise], self.seed, source, number, wanted=wanted)

@@ -87,7 +87,12 @@ class Rearrangements(Endings):
 
 
 def _object_row(rows: Sequence[RearrangeResult], name: str) -> tuple[str, str]:
-    right = [row.right[row.objects.index(name)] for row in rows if name in row.objects]
+    right = [
+        is_right
+        for row in rows
+        for each, is_right in zip(row.objects, row.right, strict=True)
+        if each == name
+    ]
     return str(len(right)), str(sum(right))
 
 

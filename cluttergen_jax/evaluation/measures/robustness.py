@@ -135,6 +135,7 @@ def change_physics(models: SceneModels, change: Change) -> SceneModels:
         replace(stability, timestep=change.timestep * stability.timestep),
         replace(contact, friction=(sliding, torsional, rolling)),
         change.mass * alternate * models.mass_scale,
+        models.detector,
     )
 
 

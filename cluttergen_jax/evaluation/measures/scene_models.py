@@ -72,7 +72,7 @@ class SceneModels:
         mass_scale: np.ndarray | float = 1.0,
         detector: Detector = "native",
     ) -> None:
-        self.world, self._detector = world, detector
+        self.world, self.detector = world, detector
         self.stability, self.contact = stability or StabilityConfig(), contact or ContactConfig()
         self.mass_scale = np.broadcast_to(np.asarray(mass_scale, np.float64), (world.num_objects,))
         self._cache: OrderedDict[bytes, SceneModel] = OrderedDict()
@@ -104,7 +104,7 @@ class SceneModels:
         for k in objects:
             add_object(spec, self.world.objects[k], self.world.names[k])
         model = spec.compile()
-        model.opt.disableflags = disabled_flags(model, self._detector)
+        model.opt.disableflags = disabled_flags(model, self.detector)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         scale = self.mass_scale[objects]
         if (scale != 1).any():

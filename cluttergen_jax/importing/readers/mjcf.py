@@ -102,7 +102,8 @@ def read_mjcf(
       path: the MJCF file.
       body: the body's name, or "#N" for the N-th body of the world, or "" for the only one.
       max_side: pixels; larger images are shrunk.
-      opened: where hinges and slides are to be instead, degrees or metres, by name.
+      opened: where hinges and slides are to be instead, degrees or metres, by name; given for furniture,
+        which has what lies in the world itself, too.
 
     Returns:
       The model; its parts are None if there are more than 32 or one is not convex, its mass is what MuJoCo
@@ -118,7 +119,7 @@ def read_mjcf(
     data = mujoco.MjData(model)
     _open_joints(model, data, opened or {}, path)
     mujoco.mj_kinematics(model, data)
-    root = _root(model, path, body)
+    root = _root(model, path, body, opened is not None)
     bodies = [i for i in range(model.nbody) if _hangs_on(model, i, root)]
     geoms = [i for i in range(model.ngeom) if model.geom_bodyid[i] in bodies]
     roles = roles_of(model, data, geoms)
@@ -131,6 +132,8 @@ def read_mjcf(
     of_pictures = (*of_pictures, *picture_notes(model, roles.surface))
     colliding = tuple(geom_mesh(model, data, i, 16) for i in roles.colliding)
     notes = (*frozen_note(_frozen_joints(model, data, bodies)), *roles.notes)
+    if root and not body and (beside := len(_in_world(model))):
+        notes += (f"left out, as they lie in the world beside the body: {beside} geoms",)
     if kilograms := _mass_of(path, roles.unseen):
         notes += (f"what is left out weighs {kilograms:.3g} kg: it counts, as in MuJoCo",)
     is_usable = 0 < len(colliding) <= MAX_PARTS and all(is_convex(model, i) for i in roles.colliding)
@@ -211,7 +214,7 @@ def world_bodies(model: mujoco.MjModel) -> list[int]:
     return [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
 
 
-def _root(model: mujoco.MjModel, path: Path, body: str) -> int:
+def _root(model: mujoco.MjModel, path: Path, body: str, is_furniture: bool) -> int:
     """The body's id; 0, the world body, where the geoms lie in the world itself."""
     children = world_bodies(model)
     if body.startswith("#"):
@@ -221,7 +224,16 @@ def _root(model: mujoco.MjModel, path: Path, body: str) -> int:
     if len(children) > 1:
         names = ", ".join(model.body(i).name for i in children)
         raise AssetError(f"{path} holds {len(children)} bodies and none was chosen", names)
-    return children[0] if children else 0
+    # Of furniture some parts may lie in the world itself; beside what is free there is scenery.
+    kinds = model.jnt_type[np.isin(model.jnt_bodyid, children)]
+    is_whole = is_furniture and _in_world(model) and not (kinds == _JOINT.mjJNT_FREE).any()
+    return 0 if is_whole or not children else children[0]
+
+
+def _in_world(model: mujoco.MjModel) -> list[int]:
+    """The geoms of the world body, planes aside."""
+    is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    return [int(i) for i in np.flatnonzero((model.geom_bodyid == 0) & ~is_plane)]
 
 
 def _hangs_on(model: mujoco.MjModel, body: int, root: int) -> bool:

@@ -38,7 +38,8 @@ def read_shape(
     """Reads one object, scaled to metres, z up, its pieces not yet welded.
 
     Args:
-      joints: where joints of a URDF or MJCF file are to be, metres or degrees.
+      joints: where joints of a URDF or MJCF file are to be, metres or degrees; given for furniture
+        (`read_mjcf`).
       largest: metres that it may measure at most.
 
     Raises:
@@ -46,7 +47,7 @@ def read_shape(
       ConfigError: there is no such joint, or it does not go so far.
     """
     options = options or ReadOptions()
-    model, mass_scale = _model(source, options, joints or {})
+    model, mass_scale = _model(source, options, joints)
     up = options.up if options.up in AXES else own_up(source.path, source.kind).axis
     rotation = turn_of(up, options.front)
     turn = rotation * options.scale
@@ -88,13 +89,15 @@ def _rotate_meshes(meshes: Sequence[Mesh], turn: np.ndarray) -> tuple[Mesh, ...]
     return tuple(mesh.transform(turn, np.zeros(3)) for mesh in meshes)
 
 
-def _model(source: ObjectFile, options: ReadOptions, joints: Mapping[str, float]) -> tuple[Model, float]:
+def _model(
+    source: ObjectFile, options: ReadOptions, joints: Mapping[str, float] | None
+) -> tuple[Model, float]:
     """What the file holds, and the factor on its masses.
 
     In URDF and SDF a mass is written as it is; most of MJCF's are a density times a volume: that keeps it.
     """
     if source.kind == "urdf":
-        return read_urdf(source.path, options.max_texture, joints), 1.0
+        return read_urdf(source.path, options.max_texture, joints or {}), 1.0
     if joints and source.kind != "mjcf":
         raise ConfigError(
             f"joints of {source.path.name} ({source.kind})", "those of a URDF or MJCF file", "no `joint`"

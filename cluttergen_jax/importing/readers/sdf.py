@@ -126,7 +126,7 @@ def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE) -> Model:
         named = f" called {name!r}" if name else ""
         raise AssetError(f"{path} holds no model{named}", "a <model> with links")
     surfaces = Surfaces(path, max_side, "uri", _FORMS)
-    links = list(_links(path, model, _pose(path, model)))
+    links = list(_links(path, model, _pose(path, model) @ _from_placement_frame(path, model)))
     return rigid(links, surfaces, _Looks(surfaces, model).of, list(_notes(model)))
 
 
@@ -160,6 +160,11 @@ def _parse(path: Path) -> Element:
     if root.tag not in ROOTS:
         raise AssetError(f"{path} is no SDF: its root is <{root.tag}>", "a file whose root is <sdf>")
     return root
+
+
+def _from_placement_frame(path: Path, model: Element) -> np.ndarray:
+    """f64[4, 4] from a model to the frame of it that its pose is of: its own, unless it names another."""
+    return np.linalg.inv(_Frames(path, model).pose_of(model.get("placement_frame", "")))
 
 
 def _links(path: Path, model: Element, pose: np.ndarray) -> Iterator[Link]:
@@ -223,6 +228,9 @@ class _Frames:
             fault = "hangs on itself" if name in below else "is named and nowhere defined"
             raise AssetError(f"{self._path}: frame {name!r} {fault}", ", ".join(map(repr, self._named)))
         frame = self._named[name]
+        if frame.tag == "model":
+            outer = self.pose_of_element(frame, "", (*below, name))
+            return outer @ _from_placement_frame(self._path, frame)
         parent = frame.findtext("child", "") if frame.tag == "joint" else frame.get("attached_to", "")
         return self.pose_of_element(frame, parent.strip(), (*below, name))
 

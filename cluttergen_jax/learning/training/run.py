@@ -136,6 +136,7 @@ class Run:
         """Updates to the end, or until an interrupt asks for it; the latest state, which is saved."""
         config, number, total = self.config, int(state.num_updates), self.ppo.config.num_updates
         if number >= total:
+            logger.complete_policy(state)
             return state
         logger.say("compiling")
         updates = interrupt.run_compiling(Updates, self.ppo, state, config.window)
@@ -185,8 +186,11 @@ class Run:
             logger.add_evaluation(state, self._evaluate(jax.device_get(state.params)))
 
     def _finish(self, state: TrainState, logger: Logger) -> None:
-        """The evaluation of a whole run's weights, unless that is there already."""
-        if self._evaluate is None or distributed.agree(logger.is_evaluated)[0, 0]:
+        """The evaluation of a whole run's weights, unless one of as many episodes is there already."""
+        if self._evaluate is None:
+            return
+        asked = getattr(self._evaluate, "num_episodes", 1)
+        if distributed.agree(logger.num_evaluated >= asked)[0, 0]:
             return
         logger.say("evaluating" if self._random is None else "evaluating, beside `random` in the same world")
         evaluation = self._evaluate(jax.device_get(state.params))

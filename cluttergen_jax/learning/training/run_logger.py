@@ -152,10 +152,19 @@ class RunLogger:
         metrics_log.draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
 
     @property
-    def is_evaluated(self) -> bool:
-        """Whether the stored policy has been evaluated."""
+    def num_evaluated(self) -> int:
+        """Episodes of the stored policy's evaluation; 0 without one."""
+        return int(self._policy_record.get("evaluation", {}).get("episodes", 0))
+
+    @property
+    def _policy_record(self) -> dict[str, Any]:
         policy = self._folder / "policy"
-        return (policy / "record.json").exists() and "evaluation" in read_record(policy)
+        return read_record(policy) if (policy / "record.json").exists() else {}
+
+    def complete_policy(self, state: TrainState) -> None:
+        """Stores the weights of a whole run whose process ended before it did."""
+        if self._policy_record.get("num_updates") != int(state.num_updates):
+            self.save_policy(state)
 
     def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None:
         """Both rates side by side: training's own check of late, and the whole last check."""
@@ -196,7 +205,7 @@ class RunLogger:
 class NullLogger:
     """The logger of a process that neither writes nor shows anything."""
 
-    is_evaluated = False
+    num_evaluated = 0
 
     def __getattr__(self, name: str) -> Callable[..., None]:
         return lambda *_, **__: None

@@ -155,7 +155,7 @@ def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
     last, policy = config.folder / "last", config.folder / "policy"
     attempts = int(read_record(last)["num_updates"]) * batch if has_state(last) else 0
     record: Record = read_record(policy) if (policy / "record.json").exists() else {}
-    is_evaluated = "evaluation" in record or not config.eval_episodes
+    is_evaluated = record.get("evaluation", {}).get("episodes", 0) >= config.eval_episodes
     rows = read_rows(config.folder / "progress.csv")
     rate = statistics.median(row["attempts_per_second"] for row in rows[-50:]) if rows else None
     return RunStatus(

@@ -153,6 +153,8 @@ class HuggingFaceHub:
         with self._explain_errors(dataset):
             # None leaves a data set that is there as it is, and a new one as its owner's default says.
             url = self._api.create_repo(dataset, repo_type=_KIND, private=is_private or None, exist_ok=True)
+            if is_private and not self._api.dataset_info(dataset).private:
+                raise BankError(f"{dataset} is there and public", "a private data set", "another name")
             self._api.upload_folder(
                 repo_id=dataset,
                 repo_type=_KIND,

@@ -176,9 +176,15 @@ def schema_of(rows: pa.Table) -> pa.Schema:
     return pa.unify_schemas([SCHEMA, CLUTTER, *by_hand, CERTIFICATE])
 
 
-def is_fully_certified(rows: pa.Table) -> bool:
-    """Whether all scenes that succeeded have their certificate, with all that this version measures."""
-    return is_certified(rows) and _is_known(rows, "robust") and _is_known(rows, "detectors")
+def is_fully_certified(rows: pa.Table, seconds: float) -> bool:
+    """Whether all scenes that succeeded have their certificate, with all that this version measures.
+
+    Args:
+      seconds: the horizon of their drift.
+    """
+    if not (is_certified(rows) and _is_known(rows, "robust") and _is_known(rows, "detectors")):
+        return False
+    return all(each.as_py() in (None, np.float32(seconds), seconds) for each in rows["horizon_seconds"])
 
 
 def is_certified(rows: pa.Table) -> bool:
