@@ -39,3 +39,13 @@ def test_numbers_are_those_of_the_mechanics(bank):
     # Friction holds until 0.5 g; the tall one tips over at 0.1 g. What is let go takes a while for 5 mm.
     assert 0.5 * 9.81 - 0.05 < one["shake"] < 0.5 * 9.81 + 0.6
     assert 0.1 * 9.81 - 0.05 < two["shake"] < 0.1 * 9.81 + 0.6
+
+
+def test_another_horizon_is_measured_anew_and_the_same_one_is_not(tmp_path, capsys):
+    path = tmp_path / "bank"
+    banks.two_scenes(path)
+    for seconds, number in (("0.3", 3), ("0.3", 0), ("0.2", 3)):
+        assert main(["certify", str(path), "--seconds", seconds]) == 0
+        assert f"{number} rows are new" in capsys.readouterr().out
+    horizons = [row["horizon_seconds"] for row in read_bank(path).table.to_pylist()]
+    assert horizons == [pytest.approx(0.2), pytest.approx(0.2), None]

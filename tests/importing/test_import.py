@@ -1,6 +1,7 @@
 """Imports: pools from trees of files, failures named, nothing made twice, nothing half-written."""
 
 import errno
+import shutil
 import time
 
 import pytest
@@ -109,3 +110,14 @@ def test_a_home_that_takes_no_files_is_told_before_any_work(tree, monkeypatch):
     monkeypatch.setattr(run, "_make", lambda *_: pytest.fail("work was done"))
     with pytest.raises(BankError, match=r"cannot be written: Read-only file system"):
         import_sources([str(tree)], "mine", QUICK)
+
+
+def test_a_copy_of_what_was_imported_says_where_it_lies_and_may_come_again(tree, tmp_path, here):
+    import_sources([tree / "crate.obj"], "one", QUICK)
+    copy = tmp_path / "copy"
+    shutil.copytree(tree, copy)
+    for _ in range(2):
+        report = import_sources([copy / "crate.obj"], "two", QUICK)
+        assert report.num_cached == 1
+    assert find_pool("two")["crate"].provenance.source.endswith("copy/crate.obj")
+    assert not find_pool("one")["crate"].provenance.source.endswith("copy/crate.obj")

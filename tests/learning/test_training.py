@@ -1,5 +1,7 @@
 """Training runs: they leave what they promise, are taken up again, and their policies generate scenes."""
 
+import shutil
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,6 +46,14 @@ def test_stopped_run_goes_on_to_the_same_bits(trained, tmp_path):
     np.testing.assert_array_equal(weights(state), weights(trained[1]))
     assert [row["update"] for row in read_rows(folder / "progress.csv")] == [0, 1, 2, 3]
     assert read_record(folder / "best")["success"] == read_record(trained[0] / "best")["success"]
+
+
+def test_a_run_that_was_killed_before_its_policy_was_stored_gets_one(trained, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(trained[0], folder)
+    shutil.rmtree(folder / "policy")
+    make_run(folder).train()
+    assert read_record(folder / "policy") == read_record(trained[0] / "policy")
 
 
 def test_policy_reads_back_and_acts(trained):

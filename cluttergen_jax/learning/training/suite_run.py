@@ -155,7 +155,8 @@ def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
     last, policy = config.folder / "last", config.folder / "policy"
     attempts = int(read_record(last)["num_updates"]) * batch if has_state(last) else 0
     record: Record = read_record(policy) if (policy / "record.json").exists() else {}
-    is_evaluated = record.get("evaluation", {}).get("episodes", 0) >= config.eval_episodes
+    asked, evaluation = config.eval_episodes, record.get("evaluation")
+    is_evaluated = not asked or (evaluation is not None and evaluation.get("episodes", asked) >= asked)
     rows = read_rows(config.folder / "progress.csv")
     rate = statistics.median(row["attempts_per_second"] for row in rows[-50:]) if rows else None
     return RunStatus(
