@@ -52,6 +52,8 @@ if TYPE_CHECKING:
     from cluttergen_jax.placement.problem import ProblemConfig
 
 SHELF, MOST_ON_SHELF = 64, 200
+CROWD = 40
+"""Objects; scenes of more are not over when they fail their last check (`PlacementConfig.retry_last`)."""
 SETTINGS, BALANCES = get_args(Setting), get_args(Balance)
 _FIXED_POSES = {
     PACKED: ", which places all objects upright",
@@ -579,6 +581,8 @@ class SceneSpec:
             relations=tuple(self.relations),
             roles=parse_roles(self.roles),
             clearance=CLEARANCE if self.clearance is None else self.clearance,
+            # With a hundred objects one in three scenes would be lost to a single one that creeps.
+            retry_last=bool(self.ruin_after) and num_objects > CROWD,
         )
 
 

@@ -74,6 +74,8 @@ class PlacementConfig:
         placed first.
       roles: names in these, each with the condition of the objects that it may stand for.
       clearance: metres between the boxes of what `packed` places side by side.
+      retry_last: a scene that moves in its last check is not over while attempts are left: what moved is taken
+        away, with all that leans on it, and comes again.
     """
 
     num_objects: int = 10
@@ -96,6 +98,7 @@ class PlacementConfig:
     relations: tuple[str, ...] = ()
     roles: tuple[tuple[str, str], ...] = ()
     clearance: float = CLEARANCE
+    retry_last: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
@@ -142,7 +145,8 @@ class PlacementConfig:
                     closest(value, allowed),
                 )
 
-        for name, value in (("natural", self.natural), ("tidy", self.tidy)):
+        flags = (("natural", self.natural), ("tidy", self.tidy), ("retry_last", self.retry_last))
+        for name, value in flags:
             if not isinstance(value, bool):
                 raise ConfigError(f"{name} = {value!r}", "True, False", f"{name}=True")
         if self.tidy and (self.natural or self.clutter is not None):

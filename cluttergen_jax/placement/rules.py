@@ -13,20 +13,12 @@ from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.acceptance import Acceptance
 from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.region import (
-    KeepOut,
-    Region,
-    no_keep_out,
-    pose_of_action,
-)
+from cluttergen_jax.placement.region import KeepOut, Region, no_keep_out, pose_of_action
 from cluttergen_jax.placement.related import RelatedObjects
 from cluttergen_jax.placement.removal import choose_removal, remove
 from cluttergen_jax.placement.reward import reward_of
 from cluttergen_jax.placement.slots import SlotDraw
-from cluttergen_jax.placement.support_graph import (
-    empty_graph,
-    graph_after_settling,
-)
+from cluttergen_jax.placement.support_graph import empty_graph, graph_after_settling
 from cluttergen_jax.placement.support_map import map_below
 from cluttergen_jax.placement.surface_set import SurfaceSet
 from cluttergen_jax.placement.types import (
@@ -374,13 +366,25 @@ class Rules(struct.PyTreeNode, eq=False):
     def conclude(self, episode: Episode, standing: Standing, is_filled: Array) -> Episode:
         """The episode after the last check, where it was due (`is_filled`, bool); else as it is."""
         counts = episode.counts
-        return episode.replace(
+        after = episode.replace(
             is_over=episode.is_over | is_filled,
             is_success=jnp.where(is_filled, standing.verdict == Verdict.STABLE, episode.is_success),
             verdict=jnp.where(is_filled, standing.verdict, episode.verdict),
             drift=jnp.where(is_filled, jnp.max(standing.shift), episode.drift),
             counts=counts.replace(simulated_steps=counts.simulated_steps + standing.num_steps),
         )
+        return self._retry(after, standing, is_filled) if self.config.retry_last else after
+
+    def _retry(self, episode: Episode, standing: Standing, is_filled: Array) -> Episode:
+        """After a last check in which objects moved: these are taken away and come again, if they still can."""
+        limits = self.physics.config
+        moved = (standing.shift > limits.stand_full_shift) | (standing.turn > limits.stand_full_turn)
+        moved &= episode.is_placed & ~episode.is_started
+        fewer = remove(episode, moved, self.geometry, self.related).replace(is_over=jnp.bool_(False))
+        key = jax.random.fold_in(jax.random.fold_in(episode.key, 6), episode.counts.attempts.sum())
+        fewer = self._with_surface(self._with_orientation(fewer, key), jax.random.fold_in(key, 5))
+        again = is_filled & (standing.verdict == Verdict.CREPT) & jnp.any(moved) & ~self._is_spent(fewer)
+        return jax.tree.map(lambda new, old: jnp.where(again, new, old), fewer, episode)
 
 
 def empty_history(max_attempts: int, num_rows: int) -> History:
