@@ -74,8 +74,8 @@ class PlacementConfig:
         placed first.
       roles: names in these, each with the condition of the objects that it may stand for.
       clearance: metres between the boxes of what `packed` places side by side.
-      retry_last: a scene that moves in its last check is not over while attempts are left: what moved is taken
-        away, with all that leans on it, and comes again.
+      retry_last: a scene that moves in its last check is not over while attempts are left: what moved is
+        taken away, with all that leans on it, and comes again.
     """
 
     num_objects: int = 10
