@@ -376,7 +376,7 @@ class Rules(struct.PyTreeNode, eq=False):
         return self._retry(after, standing, is_filled) if self.config.retry_last else after
 
     def _retry(self, episode: Episode, standing: Standing, is_filled: Array) -> Episode:
-        """After a last check in which objects moved: they are taken away and come again, if attempts are left."""
+        """What moved in the last check is taken away and comes again, if attempts are left."""
         limits = self.physics.config
         moved = (standing.shift > limits.stand_full_shift) | (standing.turn > limits.stand_full_turn)
         moved &= episode.is_placed & ~episode.is_started

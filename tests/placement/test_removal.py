@@ -180,7 +180,7 @@ def test_what_leans_on_the_removed_goes_too_and_comes_again_after_the_current_ob
     rules = leaning(PILE)
     before = play(rules, [GOOD, BAD, GOOD, GOOD, GOOD, BAD])[-1]
     assert before.object_index.tolist() == [0, 1, 2, 3, 4, 5]
-    after = jax.jit(rules.remove)(before, some(1))
+    after = jax.jit(remove)(before, some(1), rules.geometry)
     # 1 and, as it lies on it, 2; the current object, 4, comes first.
     assert after.object_index.tolist() == [0, 3, 4, 1, 2, 5]
     assert (int(after.slot), int(after.attempt)) == (2, 0)
@@ -463,3 +463,36 @@ def test_a_recording_lets_what_is_taken_away_vanish(ruined):
     for one, two in pairwise(range(len(taken))):
         first, second = recording.attempts[one], recording.attempts[two]
         assert second.ordinal == (1 if first.is_stable or taken[two] else first.ordinal + 1)
+
+
+@dataclass(frozen=True)
+class Creeping(HalfTable):
+    """In the last check whatever stands at x < 0.1 has moved by a centimetre."""
+
+    def stand(self, poses, is_placed, is_active):
+        moves = is_placed & (poses[:, 0] < 0.1)
+        result = super().stand(poses, is_placed, is_active)
+        verdict = jnp.where(moves.any(), int(Verdict.CREPT), int(Verdict.STABLE))
+        return result.replace(verdict=verdict, shift=jnp.where(moves, 0.01, 0.0))
+
+
+NEAR = jnp.array([0.6, 0.5, 0.5, 0.2])
+
+
+def test_what_creeps_in_the_last_check_comes_again_while_attempts_are_left():
+    settings = {"physics": Creeping(), "order": "fixed", "num_objects": 3, "ruin_after": 3}
+    lost = play(made_up_rules(**settings), [GOOD, NEAR, GOOD])[-1]
+    assert (bool(lost.is_over), bool(lost.is_success)) == (True, False)
+    rules = made_up_rules(**settings, retry_last=True, budget=5)
+    again = play(rules, [GOOD, NEAR, GOOD])[-1]
+    assert (bool(again.is_over), int(again.slot), int(again.attempt)) == (False, 2, 0)
+    assert again.object_index[:3].tolist() == [0, 2, 1]
+    np.testing.assert_array_equal(again.is_placed, some(0, 2))
+    # Once more where it creeps, and then the attempts are used up.
+    spent = play(rules, [NEAR, NEAR], again)
+    assert (bool(spent[1].is_over), int(spent[1].slot)) == (False, 2)
+    assert (bool(spent[2].is_over), bool(spent[2].is_success)) == (True, False)
+    assert int(spent[2].verdict) == Verdict.CREPT
+    good = play(rules, [GOOD], again)[-1]
+    assert (bool(good.is_over), bool(good.is_success)) == (True, True)
+    assert good.counts.attempts.sum() == 4
