@@ -471,7 +471,8 @@ class Bank:
         is_there, places = np.array(is_placed, bool), np.array(numbers, np.float32).reshape(-1, 7)
         if (num_slots != num_slots[0]).any() or len(places) != len(is_there):
             raise ValueError("its lists of objects are of different lengths")
-        if not (np.abs(np.linalg.norm(places[is_there, 3:], axis=1) - 1) < 1e-3).all():
+        turns = np.linalg.norm(places[is_there, 3:], axis=1)
+        if not (np.isfinite(places[is_there, :3]).all() and (np.abs(turns - 1) < 1e-3).all()):
             raise ValueError("an object was placed at a pose that is none")
         coded, known = objects.dictionary_encode(), {name: number for number, name in enumerate(self.names)}
         object_index = np.array([known.get(name, -1) for name in coded.dictionary.to_pylist()], np.int32)

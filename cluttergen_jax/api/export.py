@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from cluttergen_jax.config import CameraName, ExportFormat
 from cluttergen_jax.errors import BankError, ConfigError
 
 _MANY = 10
+_WITHOUT_CAMERAS = ("urdf", "maniskill", "robosuite", "libero", "robocasa")
+"""Formats whose programs have cameras of their own."""
 
 
 def export(
@@ -49,9 +52,10 @@ def export(
     """
     from cluttergen_jax.progress import track
     from cluttergen_jax.scene.bank import read_bank
+    from cluttergen_jax.scene.bank.hub import local_paths
     from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
     from cluttergen_jax.scene.bank.remote import check_is_here
-    from cluttergen_jax.scene.bank.scene import read_scenes, select_rows
+    from cluttergen_jax.scene.bank.scene import good_indices, read_scenes, select_rows
     from cluttergen_jax.scene.export import BANK_FORMATS, export_bank, export_scenes
 
     numbers = scene_numbers(scenes)
@@ -70,9 +74,14 @@ def export(
             text = f"{given} with the format {format!r}, which takes the whole bank"
             raise ConfigError(text, "a bank of just these scenes", "`cluttergen generate`")
         check_is_here(bank.path)
-        indices = [row.index for row in select_rows(bank)]
-        return export_bank(bank.path, indices, out, format, overwrite)
-    total = len(select_rows(bank, numbers))
+        indices = good_indices(bank)
+        for text in local_paths(bank):
+            print(f"note: the bank's record names a path of this machine: {text}", file=sys.stderr)
+        return export_bank(bank, indices, out, format, overwrite)
+    if cameras and format in _WITHOUT_CAMERAS:
+        note = f"note: cameras stand in scenes/*.json alone: what {format} reads has none"
+        print(note, file=sys.stderr)
+    total = len(good_indices(bank) if numbers is None else select_rows(bank, numbers))
     read = read_scenes(bank, numbers)
     shown = read if total <= _MANY else track(read, "exporting", total, "scene")
     return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps)

@@ -61,8 +61,13 @@ def density_figure(
       uint8[height, width, 3].
 
     Raises:
-      ConfigError: there are no proposals, or no attempt at that object.
+      ConfigError: there are no proposals, or no attempt at that object; or objects go on a slope, or on
+        several surfaces.
     """
+    asked = [surface for surface, _ in recording.support.asked] if recording.support.named else []
+    if len(asked) > 1 or not all(surface.is_level for surface in asked):
+        what = f"{len(asked)} surfaces" if len(asked) > 1 else "a slope"
+        raise ConfigError(f"a heat map of {recording.title}, on {what}", "scenes on one level surface")
     picture = picture or PictureConfig(width=1200, height=900)
     attempt = _attempt_at(recording, object_index)
     if attempt.proposals is None:

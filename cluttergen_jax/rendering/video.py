@@ -64,8 +64,7 @@ def save_film(frames: Iterable[np.ndarray], path: Path, fps: float) -> Path:
 
 
 def _write_gif(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
-    hundredths = round(100 / fps)
-    if hundredths < 2:
+    if fps > 50:
         raise ConfigError(f"a GIF of {fps:g} frames per second", "50 at most", "fps=20, or film='mp4'")
     images = [Image.fromarray(frame) for frame in frames]
     if not images:
@@ -73,9 +72,10 @@ def _write_gif(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
     palette = _common_palette(images)
     # Without dithering nothing crawls from frame to frame, and what stands still costs no bytes.
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    small[0].save(
-        path, save_all=True, append_images=small[1:], duration=10 * hundredths, loop=0, optimize=False
-    )
+    # A frame lasts whole hundredths of a second: those of the whole film are kept on average.
+    ends = np.round(100 * np.arange(len(small) + 1) / fps).astype(int)
+    lasting = (10 * np.diff(ends)).tolist()
+    small[0].save(path, save_all=True, append_images=small[1:], duration=lasting, loop=0, optimize=False)
 
 
 def _common_palette(images: list[Image.Image]) -> Image.Image:

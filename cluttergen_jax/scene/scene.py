@@ -154,6 +154,7 @@ class Scene:
                 geom.friction = self.contact.friction
             geom.condim = self.contact.condim
             geom.solref, geom.solimp = self.contact.solref, self.contact.solimp
+            geom.margin = self.stability.file_margin
         for each in self.cameras:
             spec.worldbody.add_camera(name=each.name, pos=each.position, quat=each.quaternion, fovy=each.fovy)
         spec.add_key(name=KEYFRAME, qpos=self.poses.ravel())

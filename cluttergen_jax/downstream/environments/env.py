@@ -128,7 +128,8 @@ class RobotEnv(gymnasium.Env):
 
     def _place_of(self, options: Info | None) -> int:
         options = options or {}
-        if unknown := options.keys() - {"scene"}:
+        # LeRobot tells every environment of a new rollout.
+        if unknown := {each for each in options if each != "scene" and not each.startswith("lerobot_")}:
             raise ConfigError(f"options {sorted(unknown)} of reset", "scene", 'reset(options={"scene": 0})')
         if (number := options.get("scene")) is None:
             return int(self.np_random.choice(self._places))
@@ -178,6 +179,9 @@ class RobotEnv(gymnasium.Env):
         else:
             wanted = self._solve(values[:6], now)
         ctrl[arm.ctrl] = np.clip(now + np.clip(wanted - now, -most, most), self._low, self._high)
+        if self._kinematics is not None:
+            # Where speed limits let it come: the next action goes on from there.
+            self._tool = self._kinematics.tool(ctrl[arm.ctrl])
         grip = self._share.control_of(float(values[-1]))
         step = self._share.speed * self._period
         ctrl[arm.grip] += np.clip(grip - ctrl[arm.grip], -step, step)
@@ -189,10 +193,7 @@ class RobotEnv(gymnasium.Env):
         shift, turn = np.split(values * self._period, 2)
         target = move_tool(self._tool, shift * MAX_TOOL_SPEED, turn * MAX_TURN_SPEED)
         joints = self._kinematics.solve(target, now)
-        if joints is None:
-            return now
-        self._tool = target
-        return joints
+        return now if joints is None else joints
 
     def action_of(self, ctrl: np.ndarray) -> np.ndarray:
         """f32[n + 1]: the action that brings the set-points to f64[nu] from where they are now.

@@ -45,8 +45,16 @@ def plan_actions(env: RobotEnv, seed: int) -> Iterator[np.ndarray]:
             _rearrange(env, env.start, copy, seed)
         else:
             _move_target(env, env.start, copy, seed)
-    commands = [*copy.commands, *[copy.data.ctrl.copy()] * _WAIT]
-    return (env.action_of(ctrl) for ctrl in commands)
+    return _played(env, [*copy.commands, *[copy.data.ctrl.copy()] * _WAIT])
+
+
+def _played(env: RobotEnv, commands: list[np.ndarray]) -> Iterator[np.ndarray]:
+    """The actions that bring about these set-points, until the episode that they are of is over."""
+    episode = env.execution
+    for ctrl in commands:
+        if env.execution is not episode:
+            return
+        yield env.action_of(ctrl)
 
 
 def _move_target(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -> None:

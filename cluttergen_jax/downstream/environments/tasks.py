@@ -18,6 +18,7 @@ from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.robot.episode import Referee, set_on_stand, stand_beside
 from cluttergen_jax.downstream.robot.motion.mover import LIFT
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.transforms import inverse, matrix_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays
 from cluttergen_jax.geometry import rotate_in_plane, rotation_matrix
@@ -229,7 +230,7 @@ class _HandWatch:
 
 
 def _check_fallen(execution: WorldExecution, scene: Scene) -> None:
-    low = execution.poses()[:, 2] < scene.support.top - _FALLEN
+    low = execution.poses()[:, 2] < scene.support.lowest - _FALLEN
     if low.any():
         raise Failed(Outcome.OUTSIDE, f"{scene.names[int(low.argmax())]} fell")
 
@@ -281,6 +282,7 @@ class _LayoutJudge:
         symmetry = [turn_symmetry(asset) for asset in start.scene.objects]
         self._judge = RearrangementJudge(execution, start.scene, len(symmetry), symmetry)
         self._hand, self._target = _HandWatch(execution), start.target
+        self._half_extents = [asset.half_extents for asset in start.scene.objects]
 
     def check(self) -> bool:
         run = self._execution
@@ -298,9 +300,13 @@ class _LayoutJudge:
         return True
 
     def _aim(self) -> None:
-        """The hand may touch the object that is nearest to it, none other."""
+        """The hand may touch the object whose box is nearest to it, none other."""
         run = self._execution
-        nearest = int(np.linalg.norm(run.poses()[:, :3] - run.tool[:3, 3], axis=1).argmin())
+        away = [
+            np.linalg.norm(np.maximum(np.abs(inverse(matrix_of(pose)) @ [*run.tool[:3, 3], 1])[:3] - half, 0))
+            for pose, half in zip(run.poses(), self._half_extents, strict=True)
+        ]
+        nearest = int(np.argmin(away))
         if nearest != self._target:
             run.aim_at(nearest)
             self._target = nearest

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -84,10 +85,12 @@ class RobotWorld(BankWorld):
     @cached_property
     def limits(self) -> ContactLimits:
         """Sized from scenes of the bank at rest, with the robot at home: twice as many, and the hand's."""
-        data, most = mujoco.MjData(self.model), np.zeros(2)
+        # An episode that runs keeps its own model.
+        other = replace(self, model=copy.copy(self.model), randomization=None)
+        data, most = mujoco.MjData(other.model), np.zeros(2)
         numbers = np.asarray(self.bank.index)
         for number in numbers[:: -(-len(numbers) // _PROBED)]:
-            self.put(data, replace_fields(self.reset(0, index=int(number))))
+            other.put(data, other.reset(0, index=int(number)))
             most = np.maximum(most, (data.ncon, data.nefc))
         num_contacts, num_rows = (int(each) for each in np.ceil(_HEADROOM * most))
         return ContactLimits(num_contacts + _HAND_CONTACTS, num_rows + 6 * _HAND_CONTACTS)
@@ -116,11 +119,6 @@ class RobotWorld(BankWorld):
 def support_of(bank: BankArrays) -> SupportAsset:
     """The support of a bank, its region the one that scenes were made in."""
     return replace(bank.bank.support, region=region_of(bank.bank))
-
-
-def replace_fields(state: WorldState) -> WorldState:
-    """The state with the model's own fields."""
-    return state.replace(fields={})
 
 
 def with_robot(

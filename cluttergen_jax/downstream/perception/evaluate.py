@@ -45,7 +45,7 @@ TRUE_MASKS = "true"
 """In place of a segmenter: the true labels."""
 WELL_SEEN = 0.3
 """Share of an object's silhouette that is seen, from which on its pose is asked for."""
-_FORMAT = 3
+_FORMAT = 4
 """Of rows on disk: those of another are left alone."""
 _SHARES = ((0.0, 0.1), (0.1, WELL_SEEN), (WELL_SEEN, 0.6), (0.6, 1.01))
 
@@ -101,7 +101,9 @@ class PerceptionRow:
         rows = [
             (chance, features, is_right)
             for each in self.moments
-            for chance, features, is_right in zip(each.certainty, each.features, each.is_right, strict=True)
+            for chance, features, is_right in zip(
+                each.certainty, each.features, each.is_estimate_right, strict=True
+            )
             if any(features)
         ]
         chance, features, right = zip(*rows, strict=True) if rows else ((), (), ())

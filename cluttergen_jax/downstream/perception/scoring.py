@@ -41,6 +41,7 @@ class JudgedMoment:
       objects: names. share: of their silhouettes that is seen, truly.
       adds: metres (ADD-S on surfaces); turn: radians up to symmetry; shift: metres; None where not seen.
       certainty, features: see `finder.FoundScene`.
+      is_estimate_right: of each estimate, whether it is believed or not; False where there is none.
       cpu: seconds of this process.
     """
 
@@ -56,14 +57,15 @@ class JudgedMoment:
     certainty: list[float]
     features: list[list[float]]
     cpu: float
+    is_estimate_right: list[bool]
 
     @property
     def is_right(self) -> list[bool]:
         """Of each object, whether its pose is."""
-        return [
-            adds is not None and turn is not None and adds < GOOD_ADDS and turn < GOOD_TURN
-            for adds, turn in zip(self.adds, self.turn, strict=True)
-        ]
+        return [_is_good(adds, turn) for adds, turn in zip(self.adds, self.turn, strict=True)]
+
+
+_NO_ERRORS: tuple[None, None, None] = (None, None, None)
 
 
 def judge_moment(
@@ -93,10 +95,12 @@ def judge_moment(
     cpu = time.process_time() - begun
     true = dict(zip(views[0].objects.tolist(), matrix_of(views[0].poses), strict=True))
     exact = [Look(view.view.depth, view.view.label, view.view.camera) for view in views]
-    errors = [
-        _errors(models[k], true[k], matrix_of(pose)) if is_seen else (None, None, None)
-        for k, pose, is_seen in zip(asked, scene.pose, scene.seen, strict=True)
+    # An estimate that nobody believes teaches what is to be believed.
+    estimates = [
+        _errors(models[k], true[k], matrix_of(pose)) if any(features) else _NO_ERRORS
+        for k, pose, features in zip(asked, scene.pose, scene.features, strict=True)
     ]
+    errors = [found if is_seen else _NO_ERRORS for found, is_seen in zip(estimates, scene.seen, strict=True)]
     return JudgedMoment(
         moment=views[0].number,
         has_arm=views[0].has_arm,
@@ -110,7 +114,12 @@ def judge_moment(
         certainty=scene.certainty.tolist(),
         features=scene.features.tolist(),
         cpu=cpu,
+        is_estimate_right=[_is_good(adds, turn) for adds, turn, _ in estimates],
     )
+
+
+def _is_good(adds: float | None, turn: float | None) -> bool:
+    return adds is not None and turn is not None and adds < GOOD_ADDS and turn < GOOD_TURN
 
 
 def _errors(model: ObjectModel, true: np.ndarray, found: np.ndarray) -> tuple[float, float, float]:

@@ -67,10 +67,14 @@ class PartialScenes:
         """i64[num_queries, 2]: scene (its row here) and slot of each query, in the order of the bank."""
         return np.argwhere(self.object_index >= 0)
 
-    def episodes(self, places: np.ndarray) -> Episode:
-        """The episodes before the objects at `places`, i64[Q, 2], were placed; leading axis Q."""
-        scene, slot = places[:, 0], places[:, 1].astype(np.int32)
-        return self._episodes(self.rules, self.keep_out, self.object_index[scene], self.poses[scene], slot)
+    def episodes(self, places: np.ndarray, rules: Rules | None = None) -> Episode:
+        """The episodes before the objects at `places`, i64[Q, 2], were placed; leading axis Q.
+
+        Args:
+          rules: of the episodes; those of judging if not given.
+        """
+        scene, slot, rules = places[:, 0], places[:, 1].astype(np.int32), rules or self.rules
+        return self._episodes(rules, self.keep_out, self.object_index[scene], self.poses[scene], slot)
 
 
 def judging_rules(problem: Problem) -> Rules:

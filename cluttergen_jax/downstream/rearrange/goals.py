@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property
@@ -163,8 +164,8 @@ class BankGoals:
 
     def fits(self, objects: Sequence[ObjectAsset]) -> bool:
         """Whether these are all that one of the layouts has."""
-        known = {object_hash(each) for each in objects}
-        return any(known.issuperset(map(object_hash, each.objects)) for each in self._scenes)
+        known = Counter(map(object_hash, objects))
+        return any(Counter(map(object_hash, each.objects)) <= known for each in self._scenes)
 
     def __call__(self, scene: Scene, numbers: Sequence[int], seed: int, region: Rectangle) -> Goal | None:
         """The layouts of the first scene all of whose objects this one has, and of those with the same."""

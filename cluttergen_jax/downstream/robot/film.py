@@ -130,8 +130,7 @@ def _ending(row: EpisodeRow) -> str:
 
 def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.ndarray]:
     """Pictures u8[360, 480, 3] of an episode, with what the hand holds, the time, and at last the outcome."""
-    _add_pedestals(trace)
-    model = add_lighting(trace.spec).compile()
+    model = add_lighting(_with_pedestals(trace)).compile()
     # Each shadow costs more than all else of a picture without a GPU.
     model.light_castshadow[:] = False
     model.light_castshadow[model.light(KEY_LIGHT).id] = True
@@ -168,13 +167,14 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
         yield from [last] * round(_HELD * FPS)
 
 
-def _add_pedestals(trace: Trace) -> None:
-    """Pillars below the arm and the stands, which would float beside the table."""
-    support = trace.scene.support
-    add_pedestal(trace.spec, base_pose(support, trace.robot)[:3], support.region.yaw)
+def _with_pedestals(trace: Trace) -> mujoco.MjSpec:
+    """What was simulated, on pillars below the arm and the stands, which would float beside the table."""
+    support, spec = trace.scene.support, trace.spec.copy()
+    add_pedestal(spec, base_pose(support, trace.robot)[:3], support.region.yaw)
     for box in trace.stands:
         low = np.array([*box.center[:2], box.center[2] - box.half_extents[2]])
-        add_pedestal(trace.spec, low, box.yaw, min(box.half_extents[:2]))
+        add_pedestal(spec, low, box.yaw, min(box.half_extents[:2]))
+    return spec
 
 
 def _content(trace: Trace, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

@@ -29,6 +29,7 @@ from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, Occupan
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search import Candidates, lower_onto
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank import Bank
@@ -57,6 +58,8 @@ class SearchPlaces:
         self._scenes = PartialScenes(bank, num_threads)
         self._judge = ProposalJudge(self._scenes.rules)
         rules, propose = FullState(method).in_world(self._scenes.problem)
+        # A policy reads episodes with the history of attempts that it was trained with.
+        self._rules: Rules = rules
         self._propose: Any = jax.jit(lambda key, episode: proposals_of(propose, key, episode, rules).pose)
         self._key = new_key(seed)
 
@@ -68,7 +71,9 @@ class SearchPlaces:
         if episodes.orientation is not None:
             # Of scenes in which others lie: what the arm holds is upright.
             episodes = episodes.replace(orientation=jax.numpy.zeros_like(episodes.orientation))
-        episode = jax.tree.map(lambda leaf: leaf[0], episodes)
+        own = self._scenes.episodes(np.array([[row, slot]]), self._rules)
+        own = own.replace(orientation=episodes.orientation)
+        episode = jax.tree.map(lambda leaf: leaf[0], own)
         pose = np.asarray(self._propose(jax.random.fold_in(self._key, index), episode))
         judged = self._judge.settle(episodes, np.zeros(len(pose), np.int64), pose)
         focus = int(self._scenes.object_index[row, slot])

@@ -108,7 +108,7 @@ class Recording:
 
     @cached_property
     def _model(self) -> mujoco.MjModel:
-        model = add_lighting(self.trace.spec).compile()
+        model = add_lighting(self.trace.spec.copy()).compile()
         # Shadows take six sevenths of the time of a picture without a GPU.
         model.light_castshadow[:] = False
         return model

@@ -177,12 +177,17 @@ def run_trials(
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
     file.note_grasps({name: each.digest for name, each in grasps.items()})
 
+    by_number = {_number_of(scenes, index): scenes[index] for index in range(len(scenes))}
+
     def run(index: int, trace: Trace | None = None) -> EpisodeResult:
         scene = scenes[index % len(scenes)]
+        if index < len(rows):
+            # Its own, which the bank may have had elsewhere in the row of episodes.
+            scene = by_number.get(rows[index].scene, scene)
         row = _episode(
             scene, task, grasps[scene.objects[-1].name], places, index, seed, trace, planner, robot
         )
-        return replace(row, scene=_number_of(scenes, index))
+        return replace(row, scene=scene.origin.index if scene.origin is not None else -1)
 
     def note(rows: list[EpisodeResult]) -> str:
         good = sum(row.is_success for row in rows)

@@ -268,5 +268,6 @@ def assets_section(assets: Sequence[ObjectAsset], support: SupportAsset) -> str:
         "",
         markdown_table(("asset", "mass", "source", "licence", "notes"), rows),
     ]
-    credits = sorted({asset.provenance.attribution for asset in assets} - {""})
+    credited = {source.attribution, *(asset.provenance.attribution for asset in assets)}
+    credits = sorted(credited - {""})
     return "\n".join([*lines, *(["", *credits] if credits else [])])

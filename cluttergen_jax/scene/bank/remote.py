@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -152,16 +152,29 @@ def fetch_mirror(url: str) -> Path:
     for name in small:
         if name not in assets:
             remote.fetch(name, folder)
-    try:
-        listed = dict(json.loads((folder / INDEX).read_bytes())["files"])
-    except (OSError, ValueError, LookupError, TypeError):
-        # There is no index, or it is damaged.
-        listed = {}
+    listed = _digests(folder)
+    _remove_others(folder, "assets", assets)
     for name in assets:
         file = inside(folder, name)
         if not (file.is_file() and digest_of(file.read_bytes()) == listed.get(name)):
             remote.fetch(name, folder)
     return folder
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """What the index says of files; nothing where there is none, or a damaged one."""
+    try:
+        return dict(json.loads((folder / INDEX).read_bytes())["files"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return {}
+
+
+def _remove_others(folder: Path, part: str, names: Sequence[str]) -> None:
+    """Removes files of a part of a mirror that the bank has no more, as where it was made anew."""
+    kept = set(names)
+    for file in sorted((folder / part).rglob("*")):
+        if file.is_file() and file.relative_to(folder).as_posix() not in kept:
+            file.unlink()
 
 
 def bank_folder(path: str | Path) -> Path:
@@ -171,10 +184,14 @@ def bank_folder(path: str | Path) -> Path:
 
 def fetch_scenes(path: Path) -> None:
     """Fetches the files of single scenes into a mirror."""
-    if remote := remote_of(path):
-        for name in sorted(name for name in remote.sizes() if name.startswith("scenes/")):
-            if not inside(path, name).is_file():
-                remote.fetch(name, path)
+    if not (remote := remote_of(path)):
+        return
+    names, listed = sorted(name for name in remote.sizes() if name.startswith("scenes/")), _digests(path)
+    for name in names:
+        file = inside(path, name)
+        if not (file.is_file() and digest_of(file.read_bytes()) == listed.get(name)):
+            remote.fetch(name, path)
+    _remove_others(path, "scenes", names)
 
 
 def publish(path: Path, name: str) -> None:

@@ -32,6 +32,20 @@ _LISTS = ("is_success", "is_placed", "objects")
 _COLUMNS = ("index", *_LISTS, "poses")
 
 
+def good_indices(bank: Bank) -> list[int]:
+    """The numbers of the scenes that succeeded, without reading more of them.
+
+    Raises:
+      BankError: none did.
+    """
+    found: list[int] = []
+    for rows in bank.tables(["index", "is_success"]):
+        found += rows["index"].to_numpy()[rows["is_success"].to_numpy()].tolist()
+    if not found:
+        raise BankError(f"{bank.path}: none of its {bank.num_scenes} scenes succeeded", hint="more scenes")
+    return found
+
+
 def select_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRow]:
     """The rows of these scenes, or of all that succeeded.
 

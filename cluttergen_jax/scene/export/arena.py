@@ -10,6 +10,7 @@ import hashlib
 import json
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from cluttergen_jax.scene import Scene
@@ -19,6 +20,8 @@ _VARIATION = "scene.relation_placement"
 _SUPPORT = "table"
 _ROBOT_DISTANCE = 0.525
 """Metres from the region's centre to the arm's base, as our own arm stands."""
+_BESIDE = 0.225
+"""Metres from the region's edge to the arm's base, at least."""
 _EPISODE = 10.0
 
 
@@ -37,7 +40,10 @@ def write_layout(folder: Path, scene: Scene) -> None:
 
 def _environment(scene: Scene) -> str:
     region = scene.support.region
-    base = [region.center[0] - _ROBOT_DISTANCE, region.center[1], scene.support.top]
+    # Beyond the region, however large and turned it is.
+    half = np.abs([np.cos(region.yaw), np.sin(region.yaw)]) @ region.half_extents
+    away = max(_ROBOT_DISTANCE, float(half) + _BESIDE)
+    base = [region.center[0] - away, region.center[1], scene.support.top]
     ids = identifiers(scene.names)
     things = sorted(zip(ids, scene.objects, strict=True), key=lambda thing: thing[0])
     record = {
@@ -47,9 +53,7 @@ def _environment(scene: Scene) -> str:
             "params": {"initial_pose": {"position_xyz": [float(x) for x in base]}},
         },
         "background": {"id": _SUPPORT, "registry_name": "cluttergen_support"},
-        "objects": [
-            {"id": own, "registry_name": identifier(f"cluttergen_{asset.name}")} for own, asset in things
-        ],
+        "objects": [{"id": own, "registry_name": registry_name(asset.name)} for own, asset in things],
         "relations": [
             {"kind": "is_anchor", "subject": _SUPPORT},
             *({"kind": "on", "subject": own, "reference": _SUPPORT} for own, _ in things),
@@ -61,6 +65,13 @@ def _environment(scene: Scene) -> str:
         },
     }
     return yaml.safe_dump(record, sort_keys=False)
+
+
+def registry_name(name: str) -> str:
+    """An asset's name in Arena's registry; as `cluttergen_arena.py` makes it, distinct for distinct ones."""
+    plain = identifier(f"cluttergen_{name}")
+    is_same = plain == f"cluttergen_{name}"
+    return plain if is_same else f"{plain}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
 
 
 def _row(scene: Scene) -> dict[str, object]:

@@ -1,6 +1,7 @@
 """A bank with a script for a program that pins another MuJoCo or JAX: it reads the bank by `bank_reader.py`.
 
 README.txt MANIFEST.json    how to use it; which scenes
+LICENSES.txt                the terms of what is in it
 SCRIPT bank_reader.py       to be imported from here; they need nothing of cluttergen_jax
 bank/                       bank.json, scenes-*.parquet, assets, README.md with the terms
 """
@@ -16,7 +17,14 @@ from pathlib import Path
 
 from cluttergen_jax.files import folder_whole
 from cluttergen_jax.kept_folder import lock_beside
-from cluttergen_jax.scene.export.folder import MANIFEST, check_place, generator_version
+from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.scene.export.folder import (
+    LICENCES,
+    MANIFEST,
+    check_place,
+    generator_version,
+    licences_text,
+)
 
 _READER = "bank_reader.py"
 _PARTS = ("bank.json", "README.md", _READER, "scenes-*.parquet", "assets")
@@ -61,7 +69,7 @@ BANK_FORMATS = {each.name: each for each in _ALL}
 """Every such format by name."""
 
 
-def export_bank(bank: Path, indices: Sequence[int], out: str | Path, format: str, overwrite: bool) -> Path:
+def export_bank(bank: Bank, indices: Sequence[int], out: str | Path, format: str, overwrite: bool) -> Path:
     """Writes a bank with the script of a format of `BANK_FORMATS`, whole or not at all.
 
     Args:
@@ -82,7 +90,7 @@ def export_bank(bank: Path, indices: Sequence[int], out: str | Path, format: str
         with folder_whole(out) as fresh:
             (fresh / "bank").mkdir(parents=True)
             for pattern in _PARTS:
-                for path in bank.glob(pattern):
+                for path in bank.path.glob(pattern):
                     copy = shutil.copytree if path.is_dir() else shutil.copy2
                     copy(path, fresh / "bank" / path.name)
             for source in (package / _READER, package / "scene/export/scripts" / kind.script):
@@ -96,6 +104,9 @@ def export_bank(bank: Path, indices: Sequence[int], out: str | Path, format: str
                 "generator": {"cluttergen_jax": generator_version()},
                 "scenes": [int(index) for index in indices],
             }
+            assets = [bank.object(name) for name in sorted(bank.assets["objects"])]
+            terms = licences_text(bank.support, assets, kind.script)
+            (fresh / LICENCES).write_text(terms, encoding="utf-8")
             (fresh / MANIFEST).write_text(json.dumps(record) + "\n", encoding="utf-8")
             about = f"{len(indices)} scenes, exported by cluttergen_jax as {kind.name}."
             about += f"\n\nOpen with {kind.opens_in}\n"

@@ -22,6 +22,7 @@ from cluttergen_jax.downstream.perception.segment.network import (
 )
 from cluttergen_jax.downstream.perception.segment.network_segmenter import KIND, answers_of
 from cluttergen_jax.downstream.perception.types import intersection_over_union
+from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE
 from cluttergen_jax.downstream.perception.views.stage import RgbdImage, expose
 from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet, read_views
 from cluttergen_jax.errors import ConfigError
@@ -74,13 +75,15 @@ class ViewSource:
         found = []
         with Progress(f"reading {split}", total, "view") as progress:
             for stored in views.views(source, number):
-                if has_val or (stored.number % _TENTH == _TENTH - 1) == (split == "val"):
+                # All views of a scene are on one side.
+                scene = stored.number // VIEWS_A_SCENE
+                if has_val or (scene % _TENTH == _TENTH - 1) == (split == "val"):
                     found.append(example_of(stored, views, self.seed))
                 progress.update()
         if not found:
             raise ConfigError(
                 f"no views to {'learn from' if split == 'train' else 'validate with'} in {self.data}",
-                "ten views or more",
+                "views of ten scenes or more",
                 "cluttergen perception data --split train",
             )
         return jax.tree.map(lambda *leaves: np.stack(leaves), *found)

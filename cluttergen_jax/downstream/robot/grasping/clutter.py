@@ -278,6 +278,8 @@ class LiftScene:
         self._gripper = gripper_of(robot)
         spec = _spec_with_hand(scene, robot, visual=False)
         self._model = spec.compile()
+        # What diverges is to be seen, not begun anew.
+        self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._data = mujoco.MjData(self._model)
         self._carriage = self._model.body(_CARRIAGE).id
         self._hand = self._model.body(_PREFIX + robot.gripper.body).id

@@ -7,16 +7,24 @@ Then `environment_runner.py --env_spec layouts/NAME.yaml --placement_layouts lay
 replays the layouts, another one with each reset.
 """
 
+import hashlib
 import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 
 
+def registry_name(name):
+    """An object's name in the registry, as in layouts/*.yaml; distinct for distinct ones."""
+    plain = re.sub("[^A-Za-z0-9_]", "_", name)
+    behind = "" if plain == name else "_" + hashlib.sha256(name.encode()).hexdigest()[:6]
+    return f"cluttergen_{plain}{behind}"
+
+
 def usd_paths():
     """The USD of every object, and of the support, by its name in the registry."""
     found = {path.stem: path for path in sorted(ROOT.glob("assets/objects/*/usd/*.usda"))}
-    paths = {f"cluttergen_{re.sub('[^A-Za-z0-9_]', '_', name)}": str(path) for name, path in found.items()}
+    paths = {registry_name(name): str(path) for name, path in found.items()}
     return {**paths, "cluttergen_support": str(ROOT / "assets/support/support.usda")}
 
 

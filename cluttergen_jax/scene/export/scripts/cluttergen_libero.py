@@ -110,7 +110,7 @@ class ExportedObject(MujocoXMLObject):
         super().__init__(str(ROOT / file), name=name, joints=joints, duplicate_collision_geoms=False)
         if _IS_OLD:
             for mesh in self.asset.iter("mesh"):
-                mesh.attrib.pop("inertia")
+                mesh.attrib.pop("inertia", None)
         self.category_name = category_name
         self.rotation, self.rotation_axis = (0, 0), "z"
         self.object_properties: dict = {"vis_site_names": {}}

@@ -26,6 +26,8 @@ from mujoco_playground._src import mjx_env
 _HOME = (0.0, 0.3, 0.0, -1.57079, 0.0, 2.0, -0.7853, 0.04, 0.04)
 _ROBOT_DISTANCE = 0.525
 """Metres from the region's centre to the arm's base, in -x."""
+_BESIDE = 0.225
+"""Metres from the region's edge to the arm's base, at least."""
 _FALL = 0.25
 """Metres below where an object began: what has fallen as deep, or half of the support's height, is lost."""
 _SCALES = {"reach": 1.0, "lift": 4.0, "others_still": 1.0, "home": 0.1}
@@ -70,7 +72,9 @@ class ClutterPick(mjx_env.MjxEnv):
         self._scenes = jax.tree.map(jp.asarray, self._bank.arrays)
         spec = mujoco.MjSpec.from_string(self._bank.xml())
         region, top = self._bank.region, self._bank.support.record["top"]
-        base = [region["center"][0] - _ROBOT_DISTANCE, region["center"][1], top]
+        # Beyond the region, however large and turned it is.
+        half = np.abs([np.cos(region["yaw"]), np.sin(region["yaw"])]) @ region["half_extents"]
+        base = [region["center"][0] - max(_ROBOT_DISTANCE, half + _BESIDE), region["center"][1], top]
         panda = mujoco.MjSpec.from_file(
             (mjx_env.MENAGERIE_PATH / "franka_emika_panda" / "mjx_panda.xml").as_posix()
         )

@@ -10,7 +10,9 @@ Each object is a category of its own, or of what its synset says, in the registr
 """
 
 import json
+import warnings
 from pathlib import Path
+from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parent
 REGISTRY = "cluttergen"
@@ -20,6 +22,19 @@ def model_paths():
     """The model.xml of every object, by its name."""
     found = sorted((ROOT / "objects" / REGISTRY).glob("*/*/model.xml"))
     return {path.parent.name: str(path) for path in found}
+
+
+def _friction_of(folder, usual):
+    """The friction of a category's models, which RoboCasa writes onto all their geoms."""
+    found = set()
+    for file in folder.glob("*/model.xml"):
+        geoms = [each for each in ElementTree.parse(file).iter("geom") if each.get("priority")]
+        own = {tuple(map(float, each.get("friction").split())) for each in geoms if each.get("friction")}
+        found |= own or {usual}
+    if len(found) > 1:
+        told = f"{folder.name} has models of different friction: RoboCasa gives all of a category one"
+        warnings.warn(told, stacklevel=3)
+    return min(found, default=usual)
 
 
 def register(graspable=True, **properties):
@@ -37,6 +52,7 @@ def register(graspable=True, **properties):
     contact = {name: tuple(physics[name]) for name in ("solref", "solimp", "friction")}
     folders = sorted(path for path in (ROOT / "objects" / REGISTRY).iterdir() if path.name != "textures")
     for folder in folders:
+        contact["friction"] = _friction_of(folder, tuple(physics["friction"]))
         kind = kitchen.ObjCat(
             folder.name,
             types=(REGISTRY,),

@@ -21,6 +21,8 @@ _SPEED = np.array([0.25, 0.25, 0.25, 1.5])
 """Metres and radians per second."""
 _OPEN, _START, _LIFT, _PIXELS = 0.05, 0.3, 0.1, (240, 320)
 """Metres from the middle to an open finger, above the top at the start, and to lift; height and width."""
+_CLEAR = 0.03
+"""Metres between the highest object and the fingers at the start."""
 _GRIPPER = """<mujoco><compiler angle="radian"/><worldbody><body name="gripper" gravcomp="1">
 <joint name="x" type="slide" axis="1 0 0" armature="1"/>
 <joint name="y" type="slide" axis="0 1 0" armature="1"/>
@@ -102,21 +104,34 @@ class ClutterLift(gym.Env):
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._joints = [self.model.joint(f"gripper-{name}").qposadr[0] for name in _NAMES]
-        self._aim = np.array([0, 0, _START, 0, _OPEN, _OPEN])
+        mujoco.mj_forward(self.model, self.data)
+        self._start = max(_START, self._highest(scene.names) - self._top + _CLEAR)
+        self._aim = np.array([0, 0, self._start, 0, _OPEN, _OPEN])
         self.data.qpos[self._joints] = self.data.ctrl[:] = self._aim
         if self._renderer is not None:
             self._renderer.close()
         self._renderer, self._num_steps = None, 0
         mujoco.mj_forward(self.model, self.data)
+        bodies = self.model.geom_bodyid[self.data.contact.geom[self.data.contact.dist < 0]]
+        if (self.model.body_rootid[bodies] == self.model.body("gripper-gripper").id).any():
+            raise ValueError("no room for the gripper above the region: a bank on an open top is needed")
         self._height = self.data.body(self.target).xpos[2]
         return self._observe(), {"scene": scene.index, "target": self.target, "is_success": False}
+
+    def _highest(self, names):
+        """Metres: the top of the highest of these objects, by the boxes of their geoms."""
+        bodies = [self.model.body(name).id for name in names]
+        geoms = [geom for geom in range(self.model.ngeom) if self.model.geom_bodyid[geom] in bodies]
+        center, half = self.model.geom_aabb[geoms, :3], self.model.geom_aabb[geoms, 3:]
+        up = self.data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 2]
+        return (self.data.geom_xpos[geoms, 2] + (up * center).sum(1) + (np.abs(up) * half).sum(1)).max()
 
     def step(self, action):
         import mujoco
 
         action = np.clip(np.asarray(action, np.float64), -1, 1)
         self._aim[:4] += action[:4] * _SPEED / _CONTROL
-        self._aim[2] = np.clip(self._aim[2], 0.005, 0.6)
+        self._aim[2] = np.clip(self._aim[2], 0.005, max(0.6, self._start))
         self._aim[4:] = _OPEN * (action[4] > 0)
         self.data.ctrl[:] = self._aim
         mujoco.mj_step(self.model, self.data, round(1 / _CONTROL / self.model.opt.timestep))
