@@ -77,7 +77,8 @@ def export(
         indices = good_indices(bank)
         for text in local_paths(bank):
             print(f"note: the bank's record names a path of this machine: {text}", file=sys.stderr)
-        return export_bank(bank, indices, out, format, overwrite)
+        objects = [bank.object(name) for name in sorted(bank.assets["objects"])]
+        return export_bank(bank.path, bank.support, objects, indices, out, format, overwrite)
     if cameras and format in _WITHOUT_CAMERAS:
         note = f"note: cameras stand in scenes/*.json alone: what {format} reads has none"
         print(note, file=sys.stderr)

@@ -18,6 +18,7 @@ from cluttergen_jax.scene.bank.reference import parse_reference
 from cluttergen_jax.scene.bank.remote import (
     RemoteFolder,
     fetch_mirror,
+    fetch_scenes,
     publish_all,
 )
 from tests.helpers import banks
@@ -92,6 +93,22 @@ def test_scenes_of_a_bank_there_are_exported_and_a_whole_bank_is_not(url, tmp_pa
     with pytest.raises(BankError, match="is not on this machine"):
         cg.export(url, tmp_path / "whole", "playground")
     assert not (tmp_path / "whole").exists()
+
+
+def test_a_mirror_has_no_files_of_a_bank_that_was_made_anew(url):
+    write(url)
+    remote, mirror = RemoteFolder.of(url), fetch_mirror(url)
+    for name, text in (("scenes/000000.xml", "old"), ("assets/objects/gone/object.xml", "old")):
+        (mirror / name).parent.mkdir(parents=True, exist_ok=True)
+        (mirror / name).write_text(text)
+    remote.put("scenes/000000.xml", mirror)
+    fetch_scenes(mirror)
+    (mirror / "scenes/000001.xml").write_text("left over")
+    (mirror / "scenes/000000.xml").write_text("changed here")
+    fetch_scenes(fetch_mirror(url))
+    assert (mirror / "scenes/000000.xml").read_text() == "old"
+    assert not (mirror / "scenes/000001.xml").exists()
+    assert not (mirror / "assets/objects/gone/object.xml").exists()
 
 
 def test_a_bank_goes_on_where_it_stopped_even_without_its_mirror(url, home, tmp_path):

@@ -23,7 +23,7 @@ from PIL import Image
 import cluttergen_jax as cg
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import EMBEDDED, find_pool
-from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.bank_reader import Bank
 from cluttergen_jax.errors import ConfigError
@@ -211,6 +211,23 @@ def test_embedded_objects_are_simready_props(tmp_path):
         assert all(told["features"][each] for each in required + physics), (name, told["features"])
 
 
+def test_arena_names_differ_where_objects_do_and_the_arm_stands_beside_the_region(scene, tmp_path):
+    pytest.importorskip("pxr", reason="needs the extra usd")
+    one, two = (replace(scene.objects[0], name=name) for name in ("coffee-mug", "coffee_mug"))
+    wide = replace(scene.support, region=Rectangle((0.1, 0.0), (0.8, 0.3), np.pi / 6))
+    names = ("coffee-mug", "coffee_mug")
+    both = replace(scene, names=names, objects=(one, two), poses=scene.poses[:2], support=wide)
+    folder = export_scenes([both], tmp_path / "out", "arena")
+    (spec,) = (yaml.safe_load(path.read_text()) for path in (folder / "layouts").glob("*.yaml"))
+    asked = {each["registry_name"] for each in spec["objects"]}
+    known = runpy.run_path(str(folder / "cluttergen_arena.py"))["usd_paths"]()
+    assert len(asked) == 2
+    assert asked <= known.keys()
+    x, y, _ = spec["embodiment"]["params"]["initial_pose"]["position_xyz"]
+    reach = 0.8 * np.cos(np.pi / 6) + 0.3 * np.sin(np.pi / 6)
+    assert (x, y) == (pytest.approx(0.1 - reach - 0.225), 0.0)
+
+
 def test_arena_rows_have_the_same_objects_in_one_file(scene, tmp_path):
     """The checks that its own reader makes, which needs Isaac Sim."""
     pytest.importorskip("pxr", reason="needs the extra usd")
@@ -259,7 +276,7 @@ def test_a_bank_goes_with_its_script(bank, tmp_path):
     ):
         folder = cg.export(bank, tmp_path / format, format)
         assert {path.name for path in folder.iterdir()} == {
-            *("MANIFEST.json", "README.txt", "bank", "bank_reader.py", f"{script}.py")
+            *("LICENSES.txt", "MANIFEST.json", "README.txt", "bank", "bank_reader.py", f"{script}.py")
         }
         record = json.loads((folder / "MANIFEST.json").read_text())
         assert record["scenes"] == [scene.index for scene in Bank(folder / "bank").successes()]

@@ -15,9 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.files import folder_whole
 from cluttergen_jax.kept_folder import lock_beside
-from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.scene.export.folder import (
     LICENCES,
     MANIFEST,
@@ -69,11 +70,19 @@ BANK_FORMATS = {each.name: each for each in _ALL}
 """Every such format by name."""
 
 
-def export_bank(bank: Bank, indices: Sequence[int], out: str | Path, format: str, overwrite: bool) -> Path:
+def export_bank(
+    bank: Path,
+    support: SupportAsset,
+    objects: Sequence[ObjectAsset],
+    indices: Sequence[int],
+    out: str | Path,
+    format: str,
+    overwrite: bool,
+) -> Path:
     """Writes a bank with the script of a format of `BANK_FORMATS`, whole or not at all.
 
     Args:
-      indices: of its scenes that succeeded.
+      support, objects: that are in it. indices: of its scenes that succeeded.
       overwrite: replace an earlier export.
 
     Returns:
@@ -90,7 +99,7 @@ def export_bank(bank: Bank, indices: Sequence[int], out: str | Path, format: str
         with folder_whole(out) as fresh:
             (fresh / "bank").mkdir(parents=True)
             for pattern in _PARTS:
-                for path in bank.path.glob(pattern):
+                for path in bank.glob(pattern):
                     copy = shutil.copytree if path.is_dir() else shutil.copy2
                     copy(path, fresh / "bank" / path.name)
             for source in (package / _READER, package / "scene/export/scripts" / kind.script):
@@ -104,8 +113,7 @@ def export_bank(bank: Bank, indices: Sequence[int], out: str | Path, format: str
                 "generator": {"cluttergen_jax": generator_version()},
                 "scenes": [int(index) for index in indices],
             }
-            assets = [bank.object(name) for name in sorted(bank.assets["objects"])]
-            terms = licences_text(bank.support, assets, kind.script)
+            terms = licences_text(support, objects, kind.script)
             (fresh / LICENCES).write_text(terms, encoding="utf-8")
             (fresh / MANIFEST).write_text(json.dumps(record) + "\n", encoding="utf-8")
             about = f"{len(indices)} scenes, exported by cluttergen_jax as {kind.name}."
