@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import ClassVar
 
 from tyro.conf import Positional
 
@@ -16,6 +17,8 @@ class Export(Options):
 
     Example: `cluttergen export out --format urdf --scenes 0-9 --out elsewhere`
     """
+
+    resumes: ClassVar[bool] = False
 
     def run(self) -> int:
         from cluttergen_jax.scene.export import BANK_FORMATS, FORMATS

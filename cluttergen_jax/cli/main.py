@@ -137,7 +137,9 @@ def run(command: Any) -> int:
         print(f"error: {_os_error_text(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\nstopped; rerun the command to resume", file=sys.stderr)
+        resumes = getattr(command, "resumes", True)
+        told = "rerun the command to resume" if resumes else "nothing was written"
+        print(f"\nstopped; {told}", file=sys.stderr)
         return INTERRUPTED
 
 

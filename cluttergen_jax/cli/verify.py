@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import ClassVar
 
 from tyro.conf import Positional
 
@@ -19,6 +20,8 @@ class Verify(Options):
 
     Example: `cluttergen verify out`
     """
+
+    resumes: ClassVar[bool] = False
 
     def run(self) -> int:
         report = self.call(verify)
