@@ -19,11 +19,13 @@ from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.grasping import own_grasps
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.motion import plan
-from cluttergen_jax.downstream.robot.outcome import Outcome
+from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES, planner_hash, run_trials
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes
+from tests.helpers.arm import SCENE
 from tests.helpers.placing import write_bank
 
 GOOD = EpisodeResult("success", "", "mug", 7, 0.001, 0.01, 0.0, 1e-4, 0, 12.0, 1.0)
@@ -102,6 +104,13 @@ def test_rows_are_not_continued_with_other_grasps_or_another_planner(bank, made,
             run_trials(scenes, "lift", 3, 0, tmp_path, {})
     planner_hash.cache_clear()
     assert len(run_trials(scenes, "lift", 3, 0, tmp_path, {}).rows) == 3
+
+
+def test_a_simulation_that_diverges_is_a_failure_by_that_name():
+    execution = Execution(SCENE, 1)
+    execution.data.qvel[-1] = 1e12
+    with pytest.raises(Failed, match="unstable: the simulation diverged"):
+        execution.wait(0.5, Phase.FREE)
 
 
 def test_films_are_drawn_of_what_was_kept_and_of_earlier_processes_run_again(bank, tmp_path, monkeypatch):

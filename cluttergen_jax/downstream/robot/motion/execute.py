@@ -33,6 +33,8 @@ _DRAWN = np.isin(np.arange(mujoco.mjNGROUP), (0, VISUAL_GROUP)).astype(np.uint8)
 """Groups of geoms that a camera sees: surfaces, and boxes such as stands."""
 _REST = 0.15
 _MEASURED = 16
+_WARNING = mujoco.mjtWarning
+_DIVERGED = (_WARNING.mjWARN_BADQPOS, _WARNING.mjWARN_BADQVEL, _WARNING.mjWARN_BADQACC)
 
 
 class Phase(IntEnum):
@@ -266,6 +268,9 @@ class Execution:
             now = self.data.site_xpos[self.arm.site].copy()
             self.travel += float(np.linalg.norm(now - self._last_tool))
             self._last_tool = now
+            if any(self.data.warning[kind].number for kind in _DIVERGED):
+                # MuJoCo has begun anew by then.
+                raise Failed(Outcome.UNSTABLE, "the simulation diverged")
         self._watch(phase)
 
     def _watch(self, phase: Phase) -> None:
