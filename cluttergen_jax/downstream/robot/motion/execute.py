@@ -268,14 +268,18 @@ class Execution:
             now = self.data.site_xpos[self.arm.site].copy()
             self.travel += float(np.linalg.norm(now - self._last_tool))
             self._last_tool = now
-            if any(self.data.warning[kind].number for kind in _DIVERGED):
-                # MuJoCo has begun anew by then.
-                raise Failed(Outcome.UNSTABLE, "the simulation diverged")
+            self._check_diverged()
         self._watch(phase)
+
+    def _check_diverged(self) -> None:
+        # MuJoCo has begun anew by then, with the arm somewhere.
+        if any(self.data.warning[kind].number for kind in _DIVERGED):
+            raise Failed(Outcome.UNSTABLE, "the simulation diverged")
 
     def _watch(self, phase: Phase) -> None:
         contact = self._pressing(_UNPLANNED[phase])
         if contact is not None:
+            self._check_diverged()
             bodies = self.model.geom_bodyid[self.data.contact.geom[contact]]
             a, b = (self.model.body(body).name or "ground" for body in bodies)
             raise Failed(Outcome.CONTACT, f"{a} and {b}, {phase.name.lower()}")
