@@ -217,8 +217,7 @@ class HandScene:
         """Lets go of the current object where it is held: one attempt; HandError where no object is left.
 
         Args:
-          pose: f[7], world frame, in whatever orientation, in place of where it is held: above the surface
-            that it is for. It has no action.
+          pose: f[7], world frame, however turned, in place of where it is held, above the surface it is for.
         """
         self._check_current()
         held, before = self.held, self._episode
