@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.downstream.fitting import FitConfig
+from cluttergen_jax.downstream.perception.scoring import is_good
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
     NO_DEPTH,
@@ -120,6 +121,24 @@ def test_scores_are_those_of_hand_arithmetic():
 def refused(rgb, depth, told):
     with pytest.raises(ConfigError, match=told):
         check_images(rgb, depth, overhead())
+
+
+def test_images_that_are_none_are_refused():
+    camera = overhead()
+    rgb = np.zeros((camera.height, camera.width, 3), np.uint8)
+    depth = np.full(rgb.shape[:2], 0.7)
+    check_images(rgb, depth, camera)
+    refused(rgb.astype(float), depth, "picture")
+    refused(rgb, depth[1:], "depth image")
+    refused(rgb, (1000 * depth).astype(int), "millimetres")
+    refused(rgb, depth * np.nan, "nothing was measured")
+
+
+def test_a_pose_is_right_within_five_millimetres_and_five_degrees():
+    assert is_good(0.0049, np.radians(4.9))
+    assert not is_good(0.0051, 0.0)
+    assert not is_good(0.0, np.radians(5.1))
+    assert not is_good(None, None)
 
 
 # Runs

@@ -1,6 +1,7 @@
 """What is known of where objects are: seen, carried or remembered, and how sure an estimate must be."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, TrueObserver
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.transforms import inverse, matrix_of
+from cluttergen_jax.geometry import yaw_quaternion
 from tests.helpers.arm import SCENE
 
 
@@ -34,6 +36,24 @@ def test_an_estimate_of_something_round_agrees_whatever_its_turn():
         execution.wait(0.1, Phase.FREE)
         told |= {"certainty": 0.6, "turn": np.pi / 2}
         assert np.allclose(sight(0)[0], first[0], atol=1e-3) != believed
+
+
+def test_how_certain_an_estimate_has_to_be_to_be_believed():
+    here = np.array([0, 0, 0.7, 1, 0, 0, 0.0])
+
+    def tracker(agreed=0):
+        return SimpleNamespace(_poses=np.array([here]), _agreed=[agreed], _turned=[0], _symmetry=[1])
+
+    def believes(known, pose, certainty):
+        return bool(ObjectTracker._is_believed(known, 0, np.asarray(pose, float), certainty))
+
+    for shift, least in ((0.039, 0.5), (0.041, 0.7)):
+        moved = here + np.eye(7)[0] * shift
+        assert believes(tracker(), moved, least)
+        assert not believes(tracker(), moved, least - 0.01)
+    # Where two moments agreed, two in a row have to tell another turn.
+    known, turned = tracker(2), [0, 0, 0.7, *yaw_quaternion(np.radians(50))]
+    assert [believes(known, turned, 0.9) for _ in range(2)] == [False, True]
 
 
 def test_what_is_not_seen_stays_where_it_was_or_moves_with_the_hand():

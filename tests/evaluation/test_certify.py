@@ -24,6 +24,7 @@ def test_numbers_are_those_of_the_mechanics(bank):
     assert one["rests_on"] == [[0, -1], [1, -1]]
     assert two["rests_on"] == [[0, -1], [2, -1]]
     for scene in (one, two):
+        assert scene["detectors"] == ["native", "libccd"]
         assert scene["horizon_seconds"] == 0.5
         assert scene["num_contacts"] > 0
         assert 0 <= scene["residual_speed"] < 0.005

@@ -7,9 +7,11 @@ import types
 
 import pytest
 
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.metrics_log import MetricsLog, WandbLog, read_rows
-from tests.helpers.runs import compiled_once
+from tests.helpers.runs import compiled_once, make_run
 
 __all__ = ["compiled_once"]
 
@@ -77,3 +79,13 @@ def evaluations():
         return {"success": success, **interval, "episodes": 256, "action": "sampled"}
 
     return evaluate, given
+
+
+def test_a_run_is_evaluated_once_and_stored_with_what_was_found(tmp_path):
+    evaluate, given = evaluations()
+    for _ in range(2):
+        make_run(tmp_path / "run", evaluate=evaluate).train()
+    assert len(given) == 1
+    assert read_record(tmp_path / "run" / "policy")["evaluation"]["success"] == pytest.approx(0.1)
+    with pytest.raises(ConfigError, match="needs"):
+        make_run(tmp_path / "small", memory_limit=1000).train()

@@ -80,10 +80,9 @@ def attempt(margin, **placement):
     """The episode after one good attempt at the first object of six; margins that are not given are 2 cm."""
     physics = Margins(margin=tuple(margin.get(k, 0.02) for k in range(6)))
     rules = made_up_rules(physics=physics, order="fixed", **placement)
-    return rules.attempt(rules.begin(jax.random.key(0)), GOOD)[0]
+    return jax.jit(rules.attempt)(rules.begin(jax.random.key(0)), GOOD)[0]
 
 
-@pytest.mark.slow
 def test_too_small_a_margin_is_a_verdict_of_its_own():
     after = attempt({0: 0.0029}, min_margin=0.003)
     assert int(after.verdict) == Verdict.UNSUPPORTED
@@ -94,7 +93,6 @@ def test_too_small_a_margin_is_a_verdict_of_its_own():
     assert int(attempt({3: -0.1}, min_margin=0.003).slot) == 1
 
 
-@pytest.mark.slow
 def test_a_neighbour_that_lost_its_support_counts_unless_it_stood_there_before():
     rules = made_up_rules(physics=Margins(margin=(0.02, 0.001, 0.02, 0.02, 0.02, 0.02)), order="fixed")
     rules = dataclasses.replace(
@@ -102,18 +100,19 @@ def test_a_neighbour_that_lost_its_support_counts_unless_it_stood_there_before()
     )
     poses = jnp.zeros((6, 7)).at[:, 3].set(1.0)
     around = rules.begin(jax.random.key(0), start=Start(poses, jnp.arange(6) == 1))
-    assert int(rules.attempt(around, GOOD)[0].verdict) == Verdict.STABLE
+    attempt_in = jax.jit(rules.attempt)
+    assert int(attempt_in(around, GOOD)[0].verdict) == Verdict.STABLE
     own = dataclasses.replace(around, first_slot=jnp.int32(0))
-    assert int(rules.attempt(own, GOOD)[0].verdict) == Verdict.UNSUPPORTED
+    assert int(attempt_in(own, GOOD)[0].verdict) == Verdict.UNSUPPORTED
 
 
-@pytest.mark.slow
 def test_a_narrow_object_is_asked_for_a_third_of_its_own():
     rules = made_up_rules(physics=Margins(margin=(0.0006,) * 6), min_margin=0.003)
     for own, verdict in ((0.001, Verdict.STABLE), (0.002, Verdict.UNSUPPORTED)):
         geometry = rules.geometry.replace(own_margin=jnp.full(6, own))
         narrow = dataclasses.replace(rules, geometry=geometry)
-        assert int(narrow.attempt(narrow.begin(jax.random.key(0)), GOOD)[0].verdict) == verdict
+        episode = narrow.begin(jax.random.key(0))
+        assert int(jax.jit(narrow.attempt)(episode, GOOD)[0].verdict) == verdict
 
 
 @pytest.fixture(scope="module")

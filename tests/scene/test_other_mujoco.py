@@ -5,19 +5,20 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.config import DETECTORS, StabilityConfig
 from cluttergen_jax.physics.native import NativePhysics
-from cluttergen_jax.physics.simulations import Simulations
+from cluttergen_jax.physics.simulations import Simulations, disabled_flags
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.export import export_scenes
 from cluttergen_jax.types import Verdict
 from tests.helpers.environments import python_with
 from tests.helpers.exports import dining_scene
-from tests.helpers.worlds import TOP, layout_of, scene, trio
+from tests.helpers.worlds import TOP, layout_of, prism, scene, tilted, trio
 
 VERSIONS, OLDER = ("3.3.7", "3.5.0", "3.10.0"), ("3.0.1", "3.2.0")
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "other_mujoco.py"
@@ -41,6 +42,21 @@ def test_files_name_the_detector_they_were_checked_with(tmp_path):
     assert exported(tmp_path / "paper", "mjcf", StabilityConfig()) == unsaid.replace(
         repr(1 / 480), repr(1 / 240)
     )
+
+
+def test_the_detectors_are_two():
+    """A prism that falls on another one ends elsewhere by each of them."""
+    layout = layout_of([prism("a", 0.04, 0.03), prism("b", 0.03, 0.02, sides=7)])
+    sims, ends = NativePhysics(layout, StabilityConfig(), 1).simulations(1), {}
+    where = {0: (0, 0, TOP + 0.03), 1: (0.01, 0.005, TOP + 0.0801)}
+    poses, placed = scene(layout, where, {1: tilted((0.6, 0.8, 0), 7)})
+    for name in DETECTORS:
+        sims.release(poses[None], placed[None], placed[None])
+        with sims.detected_by(name, 0.0):
+            ends[name] = sims.run(np.array([0]), 40).poses[0, -1]
+    assert np.abs(ends["native"] - ends["libccd"]).max() > 1e-3
+    off = int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
+    assert [bool(disabled_flags(layout.model, name) & off) for name in DETECTORS] == [False, True]
 
 
 def test_contacts_of_robust_scenes_begin_at_a_distance(tmp_path):

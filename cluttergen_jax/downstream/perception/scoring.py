@@ -62,7 +62,7 @@ class JudgedMoment:
     @property
     def is_right(self) -> list[bool]:
         """Of each object, whether its pose is."""
-        return [_is_good(adds, turn) for adds, turn in zip(self.adds, self.turn, strict=True)]
+        return [is_good(adds, turn) for adds, turn in zip(self.adds, self.turn, strict=True)]
 
 
 _NO_ERRORS: tuple[None, None, None] = (None, None, None)
@@ -114,11 +114,12 @@ def judge_moment(
         certainty=scene.certainty.tolist(),
         features=scene.features.tolist(),
         cpu=cpu,
-        is_estimate_right=[_is_good(adds, turn) for adds, turn, _ in estimates],
+        is_estimate_right=[is_good(adds, turn) for adds, turn, _ in estimates],
     )
 
 
-def _is_good(adds: float | None, turn: float | None) -> bool:
+def is_good(adds: float | None, turn: float | None) -> bool:
+    """Whether a pose with these errors, metres and radians, is right; one that was not told is not."""
     return adds is not None and turn is not None and adds < GOOD_ADDS and turn < GOOD_TURN
 
 

@@ -163,7 +163,7 @@ class RunLogger:
 
     def complete_policy(self, state: TrainState) -> None:
         """Stores the weights of a whole run whose process ended before it did."""
-        if self._policy_record.get("num_updates") != int(state.num_updates):
+        if self._policy_record.get("attempts") != int(state.num_updates) * self._batch:
             self.save_policy(state)
 
     def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None:
