@@ -70,6 +70,7 @@ def test_the_papers_way_takes_an_encoder_of_its_preset(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_a_run_of_the_papers_way(tmp_path):
     said = []
     asked = {"num_objects": 2, "num_attempts": 20_000, "eval_episodes": 64}
