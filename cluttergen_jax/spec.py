@@ -581,7 +581,7 @@ class SceneSpec:
             relations=tuple(self.relations),
             roles=parse_roles(self.roles),
             clearance=CLEARANCE if self.clearance is None else self.clearance,
-            # With a hundred objects one in three scenes would be lost to a single one that creeps.
+            # With a hundred objects one in four scenes would be lost to a single one that creeps.
             retry_last=bool(self.ruin_after) and num_objects > CROWD,
         )
 

@@ -11,8 +11,6 @@ from cluttergen_jax.config import CameraName, ExportFormat
 from cluttergen_jax.errors import BankError, ConfigError
 
 _MANY = 10
-_WITHOUT_CAMERAS = ("urdf", "maniskill", "robosuite", "libero", "robocasa")
-"""Formats whose programs have cameras of their own."""
 
 
 def export(
@@ -57,6 +55,7 @@ def export(
     from cluttergen_jax.scene.bank.remote import check_is_here
     from cluttergen_jax.scene.bank.scene import good_indices, read_scenes, select_rows
     from cluttergen_jax.scene.export import BANK_FORMATS, export_bank, export_scenes
+    from cluttergen_jax.scene.export.formats import find_format
 
     numbers = scene_numbers(scenes)
     named = parse_reference(str(source))
@@ -79,7 +78,7 @@ def export(
             print(f"note: the bank's record names a path of this machine: {text}", file=sys.stderr)
         objects = [bank.object(name) for name in sorted(bank.assets["objects"])]
         return export_bank(bank.path, bank.support, objects, indices, out, format, overwrite)
-    if cameras and format in _WITHOUT_CAMERAS:
+    if cameras and not find_format(format).takes_cameras:
         note = f"note: cameras stand in scenes/*.json alone: what {format} reads has none"
         print(note, file=sys.stderr)
     total = len(good_indices(bank) if numbers is None else select_rows(bank, numbers))

@@ -344,14 +344,11 @@ def make_sampler(
     )
 
 
-def set_up(spec: SceneSpec) -> tuple[Method, Setup]:
-    """A method, and the problem compiled for it, with its rules and history; errors: `make_sampler`."""
-    method, config = _decide(spec)
-    return method, make_setup(config, spec.boxes(), _standing(spec))
-
-
 def set_up_bank(spec: SceneSpec, seed: int) -> tuple[Method, Setup, Shelves | None]:
-    """Likewise; and what blocks draw their objects from, if they do: then the setup is that of block 0."""
+    """A method, and the problem compiled for it, with its rules and history; errors: `make_sampler`.
+
+    Last, what blocks draw their objects from, if they do: then the setup is that of block 0.
+    """
     method, config = _decide(spec)
     if not config.shelf:
         return method, make_setup(config, spec.boxes(), _standing(spec)), None

@@ -264,10 +264,10 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
 
 def _load_cached(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
     pairs = ((job.source, cache.load(job.key, job.source.name)) for job in jobs)
-    return {source.name: _from(source, asset) for source, asset in pairs if asset is not None}
+    return {source.name: _with_source(source, asset) for source, asset in pairs if asset is not None}
 
 
-def _from(source: ObjectFile, asset: ObjectAsset) -> ObjectAsset:
+def _with_source(source: ObjectFile, asset: ObjectAsset) -> ObjectAsset:
     """A cached body that says where it is from now: the same file may lie in several folders."""
     if source.provenance is not None:
         return asset

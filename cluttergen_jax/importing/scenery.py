@@ -99,7 +99,7 @@ def _joints_above(link: str, above: dict[str, tuple[str, int]]) -> int:
 
 def _facts(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> BodyFacts:
     bodies = list(_below(root))
-    placed = [each for each in _placed(root) if each.geom.type != _GEOM.mjGEOM_PLANE]
+    placed = [each for each in _geoms_below(root) if each.geom.type != _GEOM.mjGEOM_PLANE]
     paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)} - {""}
     hitting = [each for each in placed if _collides(each.geom) or each.geom.name in paired]
     seen = [each for each in placed if each.geom.group < _NUM_SEEN_GROUPS and _rgba(spec, each.geom)[3] > 0]
@@ -138,11 +138,11 @@ class _Placed(NamedTuple):
     bodies: tuple[list[float], ...]
 
 
-def _placed(body: mujoco.MjsBody, above: tuple[list[float], ...] = ()) -> Iterator[_Placed]:
+def _geoms_below(body: mujoco.MjsBody, above: tuple[list[float], ...] = ()) -> Iterator[_Placed]:
     # Bodies that are not compiled have no numbers to be known by: places are kept on the way down.
     yield from (_Placed(geom, above) for geom in body.geoms)
     for child in body.bodies:
-        yield from _placed(child, (_place(child), *above))
+        yield from _geoms_below(child, (_place(child), *above))
 
 
 def _collides(geom: mujoco.MjsGeom) -> bool:

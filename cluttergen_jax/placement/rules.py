@@ -189,6 +189,10 @@ class Rules(struct.PyTreeNode, eq=False):
         """The current object as it is released next (of a finished episode: some object)."""
         return Body.of(self.geometry, self.focus(episode), episode.orientation)
 
+    def _with_draws(self, episode: Episode, key: Array) -> Episode:
+        """The episode with all that is drawn for its current object before each attempt."""
+        return self._with_surface(self._with_orientation(episode, key), jax.random.fold_in(key, 5))
+
     def _with_orientation(self, episode: Episode, key: Array) -> Episode:
         """The episode with an orientation drawn for its current object, where not all are upright."""
         if self.geometry.orientations is None:
@@ -269,8 +273,7 @@ class Rules(struct.PyTreeNode, eq=False):
         after = self._take_apart(after)
         # Those who step an episode by themselves need not change its key.
         key = jax.random.fold_in(jax.random.fold_in(episode.key, 3), after.counts.attempts.sum())
-        after = self._with_orientation(after, key)
-        after = self._with_surface(after, jax.random.fold_in(key, 5))
+        after = self._with_draws(after, key)
         after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, episode)
         transition = Transition(
             slot=self._slot(episode),
@@ -382,7 +385,7 @@ class Rules(struct.PyTreeNode, eq=False):
         moved &= episode.is_placed & ~episode.is_started
         fewer = remove(episode, moved, self.geometry, self.related).replace(is_over=jnp.bool_(False))
         key = jax.random.fold_in(jax.random.fold_in(episode.key, 6), episode.counts.attempts.sum())
-        fewer = self._with_surface(self._with_orientation(fewer, key), jax.random.fold_in(key, 5))
+        fewer = self._with_draws(fewer, key)
         again = is_filled & (standing.verdict == Verdict.CREPT) & jnp.any(moved) & ~self._is_spent(fewer)
         return jax.tree.map(lambda new, old: jnp.where(again, new, old), fewer, episode)
 

@@ -134,7 +134,7 @@ class DatasetPlan:
         """What decides every view but which there are."""
         config = self.config
         return {
-            "banks": list(map(_told, self.banks)),
+            "banks": list(map(_bank_record, self.banks)),
             "cameras": [_plain(asdict(plan)) | {"stored": repr(plan.stored)} for plan in config.cameras],
             "shares": self.shares,
             "seed": config.seed,
@@ -145,7 +145,7 @@ class DatasetPlan:
         }
 
 
-def _told(path: Path) -> dict[str, Any]:
+def _bank_record(path: Path) -> dict[str, Any]:
     """What a record says of a bank."""
     bank = read_bank(path)
     told = {"name": path.resolve().name, "recipe": bank.recipe}

@@ -45,10 +45,10 @@ def plan_actions(env: RobotEnv, seed: int) -> Iterator[np.ndarray]:
             _rearrange(env, env.start, copy, seed)
         else:
             _move_target(env, env.start, copy, seed)
-    return _played(env, [*copy.commands, *[copy.data.ctrl.copy()] * _WAIT])
+    return _actions_of_episode(env, [*copy.commands, *[copy.data.ctrl.copy()] * _WAIT])
 
 
-def _played(env: RobotEnv, commands: list[np.ndarray]) -> Iterator[np.ndarray]:
+def _actions_of_episode(env: RobotEnv, commands: list[np.ndarray]) -> Iterator[np.ndarray]:
     """The actions that bring about these set-points, until the episode that they are of is over."""
     episode = env.execution
     for ctrl in commands:

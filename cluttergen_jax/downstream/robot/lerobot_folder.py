@@ -52,9 +52,9 @@ class LeRobotFolder:
                 self._episodes += pq.read_table(place).to_pylist()
             except (pa.ArrowException, OSError) as error:
                 raise BankError(f"{place}: damaged ({error})", "an episode", "another `record`") from error
-        self._take_up()
+        self._resume()
 
-    def _take_up(self) -> None:
+    def _resume(self) -> None:
         """Tells of an episode that was written by a process which was killed before it told."""
         place = self._path / "meta/info.json"
         if not place.is_file():

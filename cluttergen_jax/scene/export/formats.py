@@ -48,6 +48,7 @@ class Format:
       write_scene: writes a scene's file.
       script: a stand-alone loader that travels along, in `export/scripts`; "" for none.
       object_folder: where an object's files lie, relative to the export's folder.
+      takes_cameras: cameras are written into what the program reads; else into `scenes/*.json` alone.
       takes_grasps: grasps are written into objects' folders.
       notes: more for the README: the settings that the program needs, and what it takes from the files.
       require: raises MissingExtraError if a package that the format needs is not installed.
@@ -61,6 +62,7 @@ class Format:
     write_scene: WriteScene
     script: str = ""
     object_folder: Callable[[ObjectAsset], str] = lambda asset: object_folder(asset.name)
+    takes_cameras: bool = True
     takes_grasps: bool = False
     notes: str = ""
     require: Callable[[], None] = lambda: None
@@ -191,6 +193,7 @@ _ALL = (
         _files(write_support_meshes, support_urdf, "urdf"),
         _scene_writer(partial(scene_json, ending="urdf")),
         script="load_pybullet.py",
+        takes_cameras=False,
     ),
     Format(
         "sdf",
@@ -220,6 +223,7 @@ _ALL = (
         _files(write_support_meshes),
         _scene_writer(maniskill_json),
         script="cluttergen_maniskill.py",
+        takes_cameras=False,
     ),
     Format(
         "robosuite",
@@ -228,6 +232,7 @@ _ALL = (
         "json",
         *_ROBOSUITE,
         script="cluttergen_robosuite.py",
+        takes_cameras=False,
     ),
     Format(
         "libero",
@@ -236,6 +241,7 @@ _ALL = (
         "json",
         *_ROBOSUITE,
         script="cluttergen_libero.py",
+        takes_cameras=False,
     ),
     Format(
         "robocasa",
@@ -246,6 +252,7 @@ _ALL = (
         _ROBOSUITE[1],
         _scene_writer(partial(scene_json, ending="xml", file_of=_robocasa_file)),
         script="cluttergen_robocasa.py",
+        takes_cameras=False,
         object_folder=registry_folder,
     ),
     Format(

@@ -175,11 +175,11 @@ class ClutterGenManipulation(TASK_MAPPING["libero_tabletop_manipulation"]):  # t
         self.sim.model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, "mjDSBL_NATIVECCD", 0))
         if self.deterministic_reset:
             return
-        for entry in read_scene(self._drawn())["objects"]:
+        for entry in read_scene(self._draw_number())["objects"]:
             pose = np.concatenate([entry["position"], entry["quaternion_wxyz"]])
             self.sim.data.set_joint_qpos(self.objects_dict[libero_name(entry)].joints[0], pose)
 
-    def _drawn(self):
+    def _draw_number(self):
         if self.scene is not None:
             return self.scene
         here = tuple(sorted(self.objects_dict))
