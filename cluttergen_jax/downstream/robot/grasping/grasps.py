@@ -175,6 +175,9 @@ def grasps_of(
 
 def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
     """Writes a Parquet file of one gripper's grasps, a row each; its metadata name objects without any."""
+    gripper = sets[0].gripper if sets else ""
+    # The models that tell whose hand it is are there where a gripper was tested, and only there.
+    is_panda = bool(gripper) and gripper == find_robot().gripper.hash
     rows = {
         "object": [each.name for each in sets for _ in each.width],
         "hash": [each.hash for each in sets for _ in each.width],
@@ -195,9 +198,9 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
         ],
         metadata={
             "cluttergen_grasps": str(_VERSION),
-            "gripper": sets[0].gripper if sets else "",
+            "gripper": gripper,
             # For those who know hands by name (`scene.export.molmospaces`).
-            "hand": "panda" if sets and sets[0].gripper == find_robot().gripper.hash else "another",
+            "hand": "panda" if is_panda else "another",
             "frame": "tool: z approach, y closing, between the pads",
             "tested": " ".join(f"{each.name}={each.num_tested}" for each in sets),
         },
