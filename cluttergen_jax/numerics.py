@@ -31,6 +31,8 @@ OF_THIS_PACKAGE = {"JAX_ENABLE_X64": "0", "JAX_THREEFRY_PARTITIONABLE": "1"}
 _IMPLEMENTATION = "threefry2x32"
 _LOW = 0xFFFFFFFF
 _UNOPTIMIZED = "jax_disable_most_optimizations"
+_LEVEL = "xla_backend_optimization_level"
+"""Of LLVM, 3 by default."""
 _OF_VECTORS = ("sse", "ssse", "avx", "fma", "f16c", "amx", "asimd", "sve", "vsx", "vx")
 """How features of a processor begin that decide in which order and how exactly numbers are added."""
 _NO_MATTER = ("xla_dump", "xla_force_host_platform_device_count", "xla_gpu_cuda_data_dir", "xla_hlo_")
@@ -123,6 +125,20 @@ def kept_programs() -> Iterator[None]:
         for name, value in theirs.items():
             config.update(name, value)
         compilation_cache.reset_cache()
+
+
+def quick_to_compile() -> dict[str, Any] | None:
+    """`compiler_options` of `jax.jit` for large programs with little to optimize: the same bits on a CPU.
+
+    Nothing where there is an accelerator, or where a level is chosen: by XLA_FLAGS or `fast_compilation`.
+    """
+    import jax
+
+    config: Any = jax.config
+    is_chosen = _LEVEL in os.environ.get("XLA_FLAGS", "") or config.read(_UNOPTIMIZED)
+    if is_chosen or jax.default_backend() != "cpu":
+        return None
+    return {_LEVEL: 2}
 
 
 def with_kept_programs(function: Callable[P, T]) -> Callable[P, T]:

@@ -21,6 +21,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
+from weakref import WeakKeyDictionary
 
 import msgspec
 import numpy as np
@@ -44,6 +45,8 @@ SHARED_IMAGES = "../../textures/"
 """Where the images of an object lie in a bank or an export, relative to the object's folder."""
 _CLOUD = "cloud.npy"
 _RECORD = "object.json"
+_HASHES: WeakKeyDictionary[ObjectAsset, str] = WeakKeyDictionary()
+"""Of objects whose hash was asked for."""
 
 
 def object_files(asset: ObjectAsset, images: str = "") -> dict[str, bytes]:
@@ -71,8 +74,11 @@ def object_files(asset: ObjectAsset, images: str = "") -> dict[str, bytes]:
 
 def object_hash(asset: ObjectAsset) -> str:
     """Hex digest of everything that `write_object` would store."""
-    files = _surfaces(asset)
-    return _digest(_canonical(_record(asset, {name: _digest(data) for name, data in files.items()})))
+    if asset not in _HASHES:
+        files = _surfaces(asset)
+        record = _record(asset, {name: _digest(data) for name, data in files.items()})
+        _HASHES[asset] = _digest(_canonical(record))
+    return _HASHES[asset]
 
 
 def _surfaces(asset: ObjectAsset) -> dict[str, bytes]:

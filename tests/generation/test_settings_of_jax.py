@@ -12,7 +12,14 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.numerics import bits_of_here, fast_compilation, kept_programs, new_key, program_folder
+from cluttergen_jax.numerics import (
+    bits_of_here,
+    fast_compilation,
+    kept_programs,
+    new_key,
+    program_folder,
+    quick_to_compile,
+)
 from cluttergen_jax.scene.bank import read_bank
 
 BASELINES = ("random", "clear", "drop", "spread", "guided")
@@ -105,3 +112,14 @@ def test_programs_of_functions_are_kept_and_those_of_users_are_not(tmp_path, mon
         assert (num_kept(), jax.config.jax_compilation_cache_dir) == (before, None)
     finally:
         jax.config.update(folder, chosen)
+
+
+def test_programs_compile_quickly_unless_a_level_is_asked_for(monkeypatch):
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    options = quick_to_compile()
+    assert jax.jit(lambda x: x + 1, compiler_options=options)(1) == 2
+    assert options == (None if jax.default_backend() != "cpu" else {"xla_backend_optimization_level": 2})
+    with fast_compilation():
+        assert quick_to_compile() is None
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")
+    assert quick_to_compile() is None

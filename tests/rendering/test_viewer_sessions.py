@@ -4,9 +4,14 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
 
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.rendering.viewer.scene_nodes import SceneNodes
 from cluttergen_jax.rendering.viewer.viewer import Viewer, open_server
 from tests.helpers.recordings import cubes
 
@@ -106,3 +111,15 @@ def test_two_browsers_look_at_different_scenes_and_leave_alone(viewer):
         with pytest.raises(KeyError):
             viewer.sessions[other.client.client_id]
     until(lambda: not viewer.sessions)
+
+
+@pytest.mark.parametrize(("support", "surface"), [("bookcase", "all"), ("tilted_board_10", "")])
+def test_regions_are_outlined_on_the_surfaces_that_objects_are_asked_for_on(support, surface):
+    asked, server = find_support(support).on_surface(surface), MagicMock()
+    SceneNodes(server)._add_region(SimpleNamespace(support=asked, region=asked.region, keep_out=()))
+    drawn = [call.args[1] for call in server.scene.add_line_segments.call_args_list]
+    assert len(drawn) == len(asked.asked)
+    for (each, _), sides in zip(asked.asked, drawn, strict=True):
+        heights = (sides.reshape(-1, 3) - each.position) @ each.T_world_surface[:3, 2]
+        np.testing.assert_allclose(heights, heights[0], atol=1e-6)
+        assert 0 < heights[0] < 0.005

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.numerics import new_key
+from cluttergen_jax.numerics import new_key, quick_to_compile
 from cluttergen_jax.physics.host import HostPhysics
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Proposer, Rules
@@ -172,16 +172,21 @@ class Rollout:
             after, transition = jax.vmap(sampler.finish_pile)(before, asking, piling)
             return after, after.is_over, look(before, after, transition)
 
-        static = (0,) if is_constant else ()
-        self._ask: Any = jax.jit(ask, static_argnums=static)
-        self._finish_piles: Any = jax.jit(finish_piles, static_argnums=static)
-        self._begin: Any = jax.jit(lambda sampler, *args: sampler.begin(*args), static_argnums=static)
-        self._step: Any = jax.jit(step, static_argnums=static, donate_argnums=1)
-        self._refill: Any = jax.jit(refill, static_argnums=static, donate_argnums=2)
-        self._propose: Any = jax.jit(propose, static_argnums=static)
-        self._judge: Any = jax.jit(judge, static_argnums=static)
-        self._conclude: Any = jax.jit(conclude, static_argnums=static)
-        self._finish: Any = jax.jit(lambda sampler, *args: sampler.finish(*args), static_argnums=static)
+        def program(function: Callable[..., Any], donated: tuple[int, ...] = ()) -> Any:
+            static = (0,) if is_constant else ()
+            return jax.jit(
+                function, static_argnums=static, donate_argnums=donated, compiler_options=quick_to_compile()
+            )
+
+        self._ask = program(ask)
+        self._finish_piles = program(finish_piles)
+        self._begin = program(lambda sampler, *args: sampler.begin(*args))
+        self._step = program(step, (1,))
+        self._refill = program(refill, (2,))
+        self._propose = program(propose)
+        self._judge = program(judge)
+        self._conclude = program(conclude)
+        self._finish = program(lambda sampler, *args: sampler.finish(*args))
 
     @property
     def num_programs(self) -> int:

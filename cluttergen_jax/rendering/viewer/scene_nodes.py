@@ -14,7 +14,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import linear, shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import PART_RGBA, Rectangle, SupportAsset
-from cluttergen_jax.geometry import yaw_quaternion
+from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.density import heat_points
 
@@ -197,13 +197,20 @@ class SceneNodes:
         )
 
     def _add_region(self, recording: Replay) -> None:
-        height = recording.support.top + _LIFT
-        named = [("region", recording.region, _BLUE)]
-        named += [(f"keep-out-{k}", box, RED) for k, box in enumerate(recording.keep_out)]
-        for name, rectangle, colour in named:
+        support = recording.support
+        pose = np.array([0.0, 0.0, support.top, 1.0, 0.0, 0.0, 0.0])
+        if support.named and not support.chosen.is_level:
+            pose = support.chosen.pose
+        named = [("region", recording.region, pose, _BLUE)]
+        if support.named and len(support.asked) > 1:
+            regions = enumerate(surface for surface, _ in support.asked)
+            named = [(f"region-{k}", each.region, each.pose, _BLUE) for k, each in regions]
+        named += [(f"keep-out-{k}", box, pose, RED) for k, box in enumerate(recording.keep_out)]
+        for name, rectangle, T_world_rectangle, colour in named:
+            sides = transform_points(T_world_rectangle, outline(rectangle, _LIFT).reshape(-1, 3))
             self._region.append(
                 self.server.scene.add_line_segments(
-                    f"/{name}", outline(rectangle, height), colour, thickness=0.004
+                    f"/{name}", sides.reshape(-1, 2, 3).astype(np.float32), colour, thickness=0.004
                 )
             )
 
@@ -319,7 +326,7 @@ def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, i
 
 
 def outline(rectangle: Rectangle, height: float) -> np.ndarray:
-    """f32[4, 2, 3]: the sides of a rectangle at a height, world frame."""
+    """f32[4, 2, 3]: the sides of a rectangle at a height, in the frame that it is in."""
     ring = np.column_stack([rectangle.corners, np.full(4, height)])
     return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1).astype(np.float32)
 
