@@ -36,7 +36,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "heat map": ("render", "BANK", "--density", "--no-picture", "--out", "OUT"),
     "paper suite": ("evaluate", "--suite", "paper", "--quick", "--out", "OUT"),
     "downstream suite": ("evaluate", "--suite", "downstream", "--quick", "--out", "OUT"),
-    "grasps of dining": ("robot", "grasps", "--pool", "dining"),
+    "grasps of dining": ("robot", "grasps", "dining"),
 }
 """By row; OUT is a new folder, and BANK one of twenty scenes."""
 AGAIN = {"first scene", "20 scenes"}

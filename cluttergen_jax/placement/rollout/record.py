@@ -17,6 +17,7 @@ from cluttergen_jax.placement.rollout.run import BlockSampler, Look, Rollout
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.placement.world import World
+from cluttergen_jax.progress import track
 from cluttergen_jax.types import Verdict
 
 _AT_ONCE = 32
@@ -61,6 +62,8 @@ class Recorder:
             lambda _, seen: steps.append(jax.tree.map(lambda leaf: leaf[row], seen)),
         )
         after = steps[-1][1]
+        # Hundreds of proposals for each attempt take seconds.
+        shown = track(steps, "proposals", len(steps), "attempt") if num_proposals else steps
         return Replay(
             title=title or f"seed {seed}, scene {index}",
             objects=self.world.objects,
@@ -72,7 +75,7 @@ class Recorder:
             if self.sampler.is_whole
             else tuple(
                 _attempt(before, transition, self._proposals(before, seed, num_proposals))
-                for before, _, transition in steps
+                for before, _, transition in shown
             ),
             poses=after.poses,
             is_placed=after.is_placed,
