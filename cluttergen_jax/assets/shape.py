@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,7 +50,7 @@ class Piece:
         """The piece with its mesh transformed: see `Mesh.transform`."""
         return replace(self, mesh=self.mesh.transform(rotation, translation))
 
-    @property
+    @cached_property
     def is_flat(self) -> bool:
         """Whether it lies in a plane, so that it has no volume about its own middle: such as a sticker."""
         normals = self.mesh.normals
