@@ -90,7 +90,7 @@ def object_xml(asset: ObjectAsset, contact: ContactConfig, images: str) -> bytes
 
 
 def _text(values: Sequence[float] | np.ndarray) -> str:
-    return " ".join(f"{value:.9g}" for value in np.asarray(values, np.float64).ravel())
+    return " ".join([f"{value:.9g}" for value in np.asarray(values, np.float64).ravel().tolist()])
 
 
 def _add_options(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from flax import struct
 
@@ -12,6 +13,8 @@ from cluttergen_jax.placement.types import Geometry
 from cluttergen_jax.types import Array
 
 _SAFE = 0.1
+_WORD = 32
+"""Bits of a whole number."""
 
 
 class Supporters(struct.PyTreeNode):
@@ -49,32 +52,42 @@ def find_supporters(
     owner = heights.owner_at(cells_under(under, heights, candidates))
     is_by_object = touches & (owner < geometry.num_objects)
     place = jnp.where(is_by_object, owner, geometry.num_objects)
+    # By object from here on: there are far more columns.
+    touched = _found_among(place, geometry.num_objects + 1)
 
     def most(of_objects: Array, of_support: float) -> Array:
         """f32[N]: the largest value among those that carry it."""
-        values = jnp.append(of_objects, of_support)
-        return jnp.max(values.at[place].get(mode="clip"), axis=1)
+        return jnp.max(jnp.where(touched, jnp.append(of_objects, of_support), -jnp.inf), axis=1)
 
     # The lowest margin decides, so their negatives are compared.
     margin = -most(-jnp.minimum(support_graph.margin, _SAFE), -_SAFE)
     center = from_pose(scene.episode.poses).apply(geometry.center_of_mass)[:, :2]
     distance = jnp.linalg.norm(_in_world(scene, candidates)[:, None] - center, axis=-1)
     beyond = jnp.append(distance - support_graph.margin, jnp.full((len(rest), 1), -_SAFE), axis=1)
-    offset = jnp.max(jnp.take_along_axis(beyond, place, axis=1), axis=1)
+    offset = jnp.max(jnp.where(touched, beyond, -jnp.inf), axis=1)
     return Supporters(
-        is_on=jnp.any(is_by_object, axis=1),
+        is_on=jnp.any(touched[:, :-1], axis=1),
         level=most(support_graph.level + 1.0, 0.0),
         margin=margin,
         offset=jnp.clip(offset, -_SAFE, _SAFE),
-        touched=_touch_mask(place, geometry.num_objects),
+        touched=touched[:, :-1],
         base=base_share(under, touches),
     )
 
 
-def _touch_mask(place: Array, number: int) -> Array:
-    """bool[N, K]: which objects are among i32[N, C], where K stands for none."""
-    rows = jnp.arange(len(place))[:, None]
-    return jnp.zeros((len(place), number), bool).at[rows, place].set(True, mode="drop")
+def _found_among(place: Array, number: int) -> Array:
+    """bool[N, number]: which of the whole numbers from 0 on are among i32[N, C]."""
+    words = [
+        jax.lax.reduce(
+            jnp.where(place // _WORD == word, jnp.uint32(1) << (place % _WORD).astype(jnp.uint32), 0),
+            jnp.uint32(0),
+            jax.lax.bitwise_or,
+            (1,),
+        )
+        for word in range(-(-number // _WORD))
+    ]
+    bits = jnp.stack(words, axis=1)[:, :, None] >> jnp.arange(_WORD, dtype=jnp.uint32) & 1
+    return bits.reshape(len(place), -1)[:, :number].astype(bool)
 
 
 def _in_world(scene: SearchScene, candidates: Candidates) -> Array:
