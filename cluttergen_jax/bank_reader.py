@@ -41,7 +41,7 @@ if int(pa.__version__.partition(".")[0]) < 15:
     raise ImportError(f"bank_reader needs pyarrow 15 or newer, and this is {pa.__version__}")
 FORMAT = 1
 """Of banks; newer ones are refused."""
-_FORMATS = (1, 2)
+_FORMATS = (1, 2, 3)
 """Of their assets."""
 _BLOCK_SIZE, _AT_ONCE = 256, 32
 """Scenes of a row group; row groups that are read together."""

@@ -98,6 +98,7 @@ RecordFormat = Literal["lerobot", "robomimic"]
 ExportFormat = Literal[
     "mjcf",
     "mjcf-old",
+    "mjcf-joints",
     "urdf",
     "sdf",
     "usd",

@@ -30,7 +30,8 @@ def export(
     Args:
       source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml.
       out: the folder to make.
-      format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
+      format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "mjcf-joints" (drawers and
+        doors of the support can move), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
         "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite", "libero", "robocasa",
         "molmospaces" or "arena" (Isaac Lab-Arena). "mjlab", "playground" (MuJoCo Playground) and "lerobot"
         (EnvHub) are the whole bank with a script that uses it there.

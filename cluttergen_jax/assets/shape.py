@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -84,6 +84,40 @@ class Cavity:
 
 
 @dataclass(frozen=True)
+class Joint:
+    """A joint of furniture, where it stands.
+
+    Attributes:
+      name: as in its file. kind: what it does.
+      anchor, axis: a point on its axis, metres, and the axis' direction, of length 1; in the frame of what it
+        belongs to, and as it stands.
+      value: where it stands, metres or radians, as its file counts. range: its limits, None without any.
+      parent: the joint by which it is moved itself, by number; -1 for none.
+      pieces: the numbers of the surfaces that it moves, those of joints that hang on it not included.
+      boxes, parts: likewise of a support's collision.
+    """
+
+    name: str
+    kind: Literal["hinge", "slide"]
+    anchor: tuple[float, float, float]
+    axis: tuple[float, float, float]
+    value: float
+    range: tuple[float, float] | None = None
+    parent: int = -1
+    pieces: tuple[int, ...] = ()
+    boxes: tuple[int, ...] = ()
+    parts: tuple[int, ...] = ()
+
+    def transform(self, rotation: np.ndarray, scale: float, translation: np.ndarray) -> Joint:
+        """The joint of a shape whose points p are at scale * rotation @ p + translation."""
+        factor = scale if self.kind == "slide" else 1.0
+        x, y, z = (scale * rotation @ self.anchor + translation).tolist()
+        u, v, w = (rotation @ self.axis).tolist()
+        limits = None if self.range is None else (factor * self.range[0], factor * self.range[1])
+        return replace(self, anchor=(x, y, z), axis=(u, v, w), value=factor * self.value, range=limits)
+
+
+@dataclass(frozen=True)
 class Provenance:
     """Where a shape comes from and on which terms it may be passed on."""
 
@@ -113,6 +147,7 @@ class Shape:
       is_from_file: whether a file is all that is known of it: whether it is hollow is looked for.
       synset: what kind of thing it is: a WordNet synset such as mug.n.04, or another word; empty if unknown.
       keeps_parts: whether `parts` are asked for, sound or not.
+      joints: of furniture that was read with its joints.
     """
 
     name: str
@@ -132,6 +167,7 @@ class Shape:
     is_from_file: bool = False
     keeps_parts: bool = False
     synset: str = ""
+    joints: tuple[Joint, ...] = ()
 
     def rotate(self, rotation: np.ndarray) -> Shape:
         """The shape with every point p at rotation @ p."""

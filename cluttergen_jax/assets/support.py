@@ -12,7 +12,7 @@ import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.outline import Ring, outline_of_rectangles, ring_area
-from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets.shape import Joint, Piece, Provenance
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.geometry import rectangle_corners, rotate_in_plane, rotation_matrix, transform_points
 
@@ -147,6 +147,7 @@ class SupportAsset:
       pieces: what is drawn instead of the collision; empty means that the collision itself is drawn.
       parts: convex collision parts, world frame, beside the boxes.
       named: its surfaces, where it has other than a flat top alone.
+      joints: its hinges and slides, which stand still wherever scenes are made.
       surface: those that objects are asked for on, as `on_surface` takes them: `top` and `region` tell of the
         first.
     """
@@ -161,6 +162,7 @@ class SupportAsset:
     parts: tuple[Mesh, ...] = ()
     named: tuple[Surface, ...] = ()
     surface: str = ""
+    joints: tuple[Joint, ...] = ()
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:

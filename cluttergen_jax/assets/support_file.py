@@ -22,7 +22,7 @@ from cluttergen_jax.assets.obj import mesh_text, parse_surface, part_name, surfa
 from cluttergen_jax.assets.object_files import NAME_PATTERN, read_bytes
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.pool import embedded_root, folders_with, user_root
-from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets.shape import Joint, Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface, cuboid_table, parse_surfaces
 from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import ConfigError, PoolError, closest
@@ -40,6 +40,7 @@ from cluttergen_jax.schema import (
 FORMAT = 1
 WITH_SURFACES = 2
 """Of supports that have convex parts or several surfaces, which readers of format 1 would lose."""
+WITH_JOINTS = 3
 _RECORD = "support.json"
 _DIGITS = 7
 _SIZED = re.compile(r"(table|bin|tote|tray)-(\d*\.?\d+(?:x\d*\.?\d+){1,2})")
@@ -87,8 +88,8 @@ def read_support(folder: str | Path) -> SupportAsset:
         record = parse_json(data)
     except SchemaError as error:
         raise PoolError(f"{path} is {error}", hint=_REWRITE) from error
-    if not isinstance(record, dict) or record.get("format") not in (FORMAT, WITH_SURFACES):
-        raise PoolError(f"{path} is not a support of format {FORMAT} or {WITH_SURFACES}", hint=_REWRITE)
+    if not isinstance(record, dict) or record.get("format") not in (FORMAT, WITH_SURFACES, WITH_JOINTS):
+        raise PoolError(f"{path} is not a support of format {FORMAT} to {WITH_JOINTS}", hint=_REWRITE)
     if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
     try:
@@ -191,8 +192,10 @@ def _record(support: SupportAsset) -> dict[str, Any]:
             "surfaces": [_surface_record(surface) for surface in support.named],
             "surface": support.surface,
         }
+    if support.joints:
+        more["joints"] = [_round(asdict(joint)) for joint in support.joints]
     return {
-        "format": WITH_SURFACES if more else FORMAT,
+        "format": WITH_JOINTS if support.joints else WITH_SURFACES if more else FORMAT,
         "name": support.name,
         "label": support.label,
         "top": _round(support.top),
@@ -222,6 +225,7 @@ _Rgba = tuple[float, float, float, float]
 _Point = tuple[float, float, float]
 _STEEPEST = math.radians(11)
 """Of surfaces; they are found up to 10 degrees."""
+_HAIR = 1e-5
 _FAR = 1000.0
 """Metres beyond which nothing of a support is."""
 
@@ -247,6 +251,7 @@ class _Stored(msgspec.Struct):
     parts: list[list[_Point]] = []
     surfaces: list[Surface] = []
     surface: str = ""
+    joints: list[Joint] = []
 
 
 def _support(record: _Stored, folder: Path) -> SupportAsset:
@@ -264,6 +269,7 @@ def _support(record: _Stored, folder: Path) -> SupportAsset:
     if not record.boxes and not parts:
         faults.append("it has neither boxes nor parts")
     faults += _faults_of_surfaces(record.surfaces, record.surface)
+    faults += _faults_of_joints(record)
     refuse(faults)
     return SupportAsset(
         name=record.name,
@@ -276,7 +282,26 @@ def _support(record: _Stored, folder: Path) -> SupportAsset:
         parts=tuple(parts),
         named=tuple(record.surfaces),
         surface=record.surface,
+        joints=tuple(record.joints),
     )
+
+
+def _faults_of_joints(record: _Stored) -> list[str]:
+    faults = []
+    for joint in record.joints:
+        numbers = (*joint.anchor, joint.value, *(joint.range or ()))
+        is_sound = max(map(abs, numbers)) <= _FAR and abs(math.hypot(*joint.axis) - 1) < 1e-5
+        groups = ((joint.pieces, record.pieces), (joint.boxes, record.boxes), (joint.parts, record.parts))
+        is_sound &= all(0 <= each < len(known) for own, known in groups for each in own)
+        is_sound &= -1 <= joint.parent < len(record.joints)
+        above, steps = joint.parent, 0
+        while is_sound and 0 <= above < len(record.joints) and steps <= len(record.joints):
+            above, steps = record.joints[above].parent, steps + 1
+        is_sound &= steps <= len(record.joints)
+        low, high = joint.range or (-math.inf, math.inf)
+        if not (is_sound and low - _HAIR <= joint.value <= high + _HAIR):
+            faults.append(f"joint {joint.name!r} is not sound")
+    return faults
 
 
 def _is_flat(part: Mesh) -> bool:

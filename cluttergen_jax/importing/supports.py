@@ -46,6 +46,7 @@ from cluttergen_jax.assets.support_map import (
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
+from cluttergen_jax.importing.support_joints import moved_together, with_joints
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
 
@@ -132,6 +133,18 @@ def support_with_notes(shape: Shape) -> tuple[SupportAsset, list[str]]:
     """
     whole = join_meshes([piece.mesh for piece in shape.pieces])
     shift = -np.append(whole.bounds.mean(0)[:2], whole.bounds[0, 2])
+    support, notes = _without_joints(shape, whole, shift)
+    if not shape.joints:
+        return support, notes
+    return with_joints(support, [each.transform(np.eye(3), 1.0, shift) for each in shape.joints]), notes
+
+
+def _without_joints(shape: Shape, whole: Mesh, shift: np.ndarray) -> tuple[SupportAsset, list[str]]:
+    """`support_with_notes`, all as it stands.
+
+    Args:
+      whole: all surfaces; shift: from the shape's frame to the world.
+    """
     mesh = whole.transform(np.eye(3), shift)
     try:
         height = _top_height(shape.name, mesh)
@@ -210,8 +223,11 @@ def _several(
     names = ["top", *(f"shelf_{number}" for number in range(1, len(surfaces)))]
     surfaces = [replace(surface, name=name) for surface, name in zip(surfaces, names, strict=True)]
     covers = [(surfaces[0], [box_mesh(box).vertices for box in level])] if level else []
-    boxes, parts, lost = collision_of([piece.mesh for piece in pieces], yaw, surfaces)
-    solids = [box_mesh(box).vertices for box in boxes] + parts
+    solids, lost = [], []
+    for group in moved_together(shape.joints, [piece.mesh for piece in pieces]):
+        boxes, parts, notes_of_group = collision_of(group, yaw, surfaces)
+        solids += [box_mesh(box).vertices for box in boxes] + parts
+        lost += notes_of_group
     bare = _support_of(shape, pieces, surfaces, solids, yaw)
     for each, surface in zip(found, surfaces[-len(found) :], strict=True):
         if each.thickness < _SHEET or not _is_flat(bare, surface, each):

@@ -11,8 +11,11 @@ element by element. `scene.export.robosuite` is a dialect: groups, sites and mis
 
 from __future__ import annotations
 
+import itertools
 import os
+import re
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from lxml import etree as ET
@@ -29,6 +32,11 @@ from cluttergen_jax.scene.cameras import Camera
 
 _UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
 
+_STRANGE = re.compile(r"[^A-Za-z0-9_-]")
+_BOARDS, _LIGHTEST, _THIN, _GRAVITY = 150.0, 0.1, 0.005, 9.81
+"""What moves on a support's joint weighs so much for its box, kg/m^3, and at least 0.1 kg: files of furniture
+state no masses, or wrong ones. Friction in the joint is enough for its weight."""
+
 
 def scene_xml(
     objects: Sequence[ObjectAsset],
@@ -40,6 +48,7 @@ def scene_xml(
     names: Sequence[str] | None = None,
     cameras: Sequence[Camera] = (),
     names_detector: bool = True,
+    has_joints: bool = False,
 ) -> bytes:
     """MJCF text of a scene.
 
@@ -51,6 +60,8 @@ def scene_xml(
       cameras: around the support.
       names_detector: where the scene was checked with both of MuJoCo's detectors, the file chooses libccd by
         a flag that MuJoCo before 3.2.3 does not open; False leaves it out: libccd was the default there.
+      has_joints: the support's joints can move; friction holds them where they stand. Their positions are
+        before those of the objects in the keyframe.
     """
     root = ET.Element("mujoco", model="cluttergen scene")
     compiler = ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
@@ -60,7 +71,8 @@ def scene_xml(
     _add_visual(root)
     assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
     _add_surroundings(assets, world)
-    _add_support(assets, world, support)
+    holders = _Holders(root, world, support, has_joints)
+    _add_support(assets, holders, support)
     stored: set[str] = set()
     names = names or unique_names([asset.name for asset in objects])
     for name, asset, pose in zip(names, objects, poses, strict=True):
@@ -72,7 +84,8 @@ def scene_xml(
         pose = {"pos": _text(each.position), "quat": _text(each.quaternion)}
         ET.SubElement(world, "camera", pose, name=each.name, fovy=_text([each.fovy]))
     keyframe = ET.SubElement(root, "keyframe")
-    ET.SubElement(keyframe, "key", name="scene", qpos=_text(np.asarray(poses).ravel()))
+    qpos = np.concatenate([holders.qpos, np.asarray(poses).ravel()])
+    ET.SubElement(keyframe, "key", name="scene", qpos=_text(qpos))
     ET.indent(root)
     return ET.tostring(root, encoding="utf-8") + os.linesep.encode()
 
@@ -169,11 +182,71 @@ def _add_surroundings(assets: ET._Element, world: ET._Element) -> None:
     ET.SubElement(world, "geom", name="floor", type="plane", size="0 0 0.1", rgba="0.82 0.82 0.83 1")
 
 
-def _add_support(assets: ET._Element, world: ET._Element, support: SupportAsset) -> None:
-    body = ET.SubElement(world, "body", name="support")
+class _Holders:
+    """The bodies of a support: one that stands still, and one for each joint where joints can move."""
+
+    def __init__(
+        self, root: ET._Element, world: ET._Element, support: SupportAsset, has_joints: bool
+    ) -> None:
+        self._support, self._joints = support, support.joints if has_joints else ()
+        self._still = ET.SubElement(world, "body", name="support")
+        self._moving: dict[int, ET._Element] = {}
+        for number in range(len(self._joints)):
+            self._body(number)
+        # A drawer and what it runs in touch everywhere.
+        bodies = [each.get("name", "") for each in (self._still, *self._moving.values())]
+        if self._moving:
+            contact = ET.SubElement(root, "contact")
+            for one, other in itertools.combinations(bodies, 2):
+                ET.SubElement(contact, "exclude", body1=one, body2=other)
+
+    def of(self, kind: Literal["boxes", "parts", "pieces"], index: int) -> ET._Element:
+        """The body of one of the support's boxes, parts or surfaces."""
+        for number, joint in enumerate(self._joints):
+            if index in getattr(joint, kind):
+                return self._moving[number]
+        return self._still
+
+    @property
+    def qpos(self) -> list[float]:
+        """Where the joints stand, in the order in which MuJoCo has them."""
+        return [float(joint.get("ref", "0")) for joint in self._still.iter("joint")]
+
+    def _body(self, number: int) -> ET._Element:
+        if number in self._moving:
+            return self._moving[number]
+        joint = self._joints[number]
+        above = self._still if joint.parent < 0 else self._body(joint.parent)
+        name = f"support.{number}.{_STRANGE.sub('_', joint.name)}"
+        body = ET.SubElement(above, "body", name=name)
+        points = [self._support.pieces[piece].mesh.vertices for piece in joint.pieces]
+        low, high = np.zeros(3), np.zeros(3)
+        if points:
+            low, high = np.concatenate(points).min(0), np.concatenate(points).max(0)
+        size = np.maximum(high - low, _THIN)
+        mass = max(_BOARDS * size.prod(), _LIGHTEST)
+        inertia = mass / 12 * (np.square(size).sum() - np.square(size))
+        center, weight = (low + high) / 2, mass * _GRAVITY
+        holds = weight * float(np.linalg.norm(center - joint.anchor)) if joint.kind == "hinge" else weight
+        own = {"type": joint.kind, "pos": _text(joint.anchor), "axis": _text(joint.axis)}
+        own |= {
+            "ref": f"{joint.value:.9g}",
+            "frictionloss": f"{holds:.4g}",
+            "armature": "0.01",
+            "damping": "1",
+        }
+        if joint.range is not None:
+            own |= {"limited": "true", "range": _text(joint.range)}
+        ET.SubElement(body, "inertial", pos=_text(center), mass=_text([mass]), diaginertia=_text(inertia))
+        ET.SubElement(body, "joint", own, name=name)
+        self._moving[number] = body
+        return body
+
+
+def _add_support(assets: ET._Element, holders: _Holders, support: SupportAsset) -> None:
     for index, box in enumerate(support.boxes):
         ET.SubElement(
-            body,
+            holders.of("boxes", index),
             "geom",
             name=f"support.box-{index}",
             type="box",
@@ -186,13 +259,14 @@ def _add_support(assets: ET._Element, world: ET._Element, support: SupportAsset)
     for index in range(len(support.parts)):
         name, group = f"support.part-{index}", COLLISION_GROUP if support.pieces else VISUAL_GROUP
         ET.SubElement(assets, "mesh", name=name, file=f"support/{part_name(index)}")
+        body = holders.of("parts", index)
         ET.SubElement(
             body, "geom", name=name, type="mesh", mesh=name, rgba=_text(PART_RGBA), group=str(group)
         )
     for index, piece in enumerate(support.pieces):
         mesh, file = f"support.visual-{index}", f"support/visual-{index}.obj"
         ET.SubElement(assets, "mesh", weightless(piece), name=mesh, file=file)
-        _add_visual_geom(assets, body, mesh, piece, "support/")
+        _add_visual_geom(assets, holders.of("pieces", index), mesh, piece, "support/")
 
 
 def _add_meshes(assets: ET._Element, asset: ObjectAsset, folder: str) -> None:

@@ -37,7 +37,7 @@ COMMANDS = {
     "verify": ["--seconds", "0.1"],
     "certify": ["--seconds", "0.1"],
     "render": ["--out", "OUT", "--samples", "1"],
-    **{f"export --format {name}": ["--out", "OUT"] for name in FORMATS},
+    **{f"export --format {name}": ["--out", "OUT"] for name in FORMATS if name != "mjcf-joints"},
 }
 
 
@@ -177,7 +177,7 @@ def test_a_pool_names_its_objects_plainly(tmp_path):
         read_object(path / "box")
 
 
-@pytest.mark.parametrize("name", [name for name in FORMATS if name not in ("usd", "arena")])
+@pytest.mark.parametrize("name", [name for name in FORMATS if name not in ("usd", "arena", "mjcf-joints")])
 def test_an_export_of_objects_made_in_memory_stays_in_its_folder(whole, tmp_path, name):
     scene = next(read_scenes(read_bank(whole)))
     scene = replace(scene, objects=tuple(replace(each, name="../../../x") for each in scene.objects[:1] * 2))

@@ -221,22 +221,27 @@ def rigid(
     Raises:
       AssetError: there is no geometry, or something cannot be read; the message names it.
     """
-    visuals, collisions = (
+    seen, solid = (
         [
-            piece
-            for link in links
+            (piece, number)
+            for number, link in enumerate(links)
             for element in link.element.findall(tag)
             for piece in surfaces.pieces(element, link.place(element), scale, look(element))
         ]
         for tag in ("visual", "collision")
     )
+    visuals, collisions = ([piece for piece, _ in each] for each in (seen, solid))
     if not visuals and not collisions:
         raise AssetError(f"{surfaces.path} has neither visual nor collision geometry")
     masses = [_link_mass(surfaces.path, link) for link in links]
     stated = combine_masses([mass for mass in masses if mass is not None])
     own_notes = [*notes, *_weightless(links, masses)]
+    is_any_clear = 0 < len([piece for piece in visuals if piece.rgba[3] > 0]) < len(visuals)
     return Model(
         pieces=_visible(visuals, surfaces.notes) or collisions,
+        link_of=tuple(
+            number for piece, number in seen or solid if piece.rgba[3] > 0 or not (seen and is_any_clear)
+        ),
         parts=convex_parts([piece.mesh for piece in collisions]),
         stated=None if stated is None else stated.convert(np.eye(3), scale),
         notes=tuple(dict.fromkeys([*own_notes, *surfaces.notes])),

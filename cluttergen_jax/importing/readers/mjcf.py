@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
@@ -11,6 +11,7 @@ import numpy as np
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mass import MassProperties, combine_masses
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.shape import Joint
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece, is_convex, roles_of
 from cluttergen_jax.importing.readers.mjcf_pictures import picture_notes
@@ -143,15 +144,12 @@ def read_mjcf(
         stated=combine_masses([_body_mass(model, data, i) for i in bodies]),
         notes=(*notes, *dict.fromkeys(of_pictures)),
         colliding=colliding,
+        joints=_joints(model, data, roles.surface),
     )
 
 
 def _open_joints(model: mujoco.MjModel, data: mujoco.MjData, opened: Mapping[str, float], path: Path) -> None:
-    movable = {
-        model.joint(index).name: index
-        for index in range(model.njnt)
-        if model.jnt_type[index] in (_JOINT.mjJNT_HINGE, _JOINT.mjJNT_SLIDE)
-    }
+    movable = {model.joint(index).name: index for index in _hinges_and_slides(model)}
     check_joints(opened, movable, path)
     for name, value in opened.items():
         index = movable[name]
@@ -169,6 +167,39 @@ def _frozen_joints(
             is_ball = kind == _JOINT.mjJNT_BALL
             value = 0.0 if is_ball else float(data.qpos[model.jnt_qposadr[joint]])
             yield (model.joint(joint).name, _MOVABLE[kind], value, kind != _JOINT.mjJNT_SLIDE)
+
+
+def _hinges_and_slides(model: mujoco.MjModel) -> list[int]:
+    """Their numbers. A whole number of NumPy is never found `in` a tuple of MuJoCo's enums."""
+    kinds = [int(_JOINT.mjJNT_HINGE), int(_JOINT.mjJNT_SLIDE)]
+    return [int(index) for index in np.flatnonzero(np.isin(model.jnt_type, kinds))]
+
+
+def _joints(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> tuple[Joint, ...]:
+    """Hinges and slides with what each moves, by number of these geoms."""
+    numbers = {index: number for number, index in enumerate(_hinges_and_slides(model))}
+    last: dict[int, int] = {0: -1}
+    parent: dict[int, int] = {}
+    for body in range(1, model.nbody):
+        last[body] = last[int(model.body_parentid[body])]
+        first = int(model.body_jntadr[body])
+        for index in range(first, first + int(model.body_jntnum[body])):
+            if index in numbers:
+                parent[index], last[body] = last[body], numbers[index]
+    moved = [last[int(model.geom_bodyid[geom])] for geom in geoms]
+    return tuple(
+        Joint(
+            name=model.joint(index).name or f"joint_{number}",
+            kind="slide" if model.jnt_type[index] == _JOINT.mjJNT_SLIDE else "hinge",
+            anchor=tuple(data.xanchor[index].tolist()),
+            axis=tuple(data.xaxis[index].tolist()),
+            value=float(data.qpos[model.jnt_qposadr[index]]),
+            range=tuple(model.jnt_range[index].tolist()) if model.jnt_limited[index] else None,
+            parent=parent[index],
+            pieces=tuple(place for place, by in enumerate(moved) if by == number),
+        )
+        for index, number in numbers.items()
+    )
 
 
 def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassProperties:

@@ -12,7 +12,7 @@ import numpy as np
 from cluttergen_jax.assets.mass import StatedMass
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.shape import Joint, Piece
 from cluttergen_jax.errors import ConfigError, closest
 
 MAX_PARTS = 32
@@ -29,6 +29,8 @@ class Model:
     notes: tuple[str, ...] = ()  # What was decided about the model, in words.
     density: float | None = None  # kg/m^3 as the file has it, for where it has no mass.
     colliding: tuple[Mesh, ...] = ()  # All that collides as the file has it, convex or not.
+    link_of: tuple[int, ...] = ()  # For each piece, the number of its link; where links are read.
+    joints: tuple[Joint, ...] = ()  # Hinges and slides, which whoever keeps them need not freeze.
 
 
 def frozen_note(joints: Iterable[tuple[str, str, float, bool]]) -> tuple[str, ...]:

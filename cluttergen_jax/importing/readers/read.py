@@ -80,6 +80,9 @@ def read_shape(
         is_pose_free=options.up == options.front == AUTO,
         is_from_file=True,
         keeps_parts=bool(source.parts),
+        joints=()
+        if joints is None
+        else tuple(each.transform(rotation, options.scale, np.zeros(3)) for each in model.joints),
     )
     _check_size(shape, source.path, largest)
     return shape

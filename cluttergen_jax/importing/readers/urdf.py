@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
@@ -15,6 +15,7 @@ import numpy as np
 import trimesh
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
+from cluttergen_jax.assets.shape import Joint
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import refuse_stand_in
 from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, rigid
@@ -124,15 +125,17 @@ class Joints:
         return factor * self._lower_limit(joint) + offset
 
     def _lower_limit(self, joint: Element) -> float:
-        limit, name, kind = joint.find("limit"), joint.get("name", ""), joint.get("type", "")
-        lower, upper = -math.inf, math.inf
-        if limit is not None and kind in _LIMITED:
-            lower, upper = (
-                number(self._path, limit, end, "0", is_finite=False) for end in ("lower", "upper")
-            )
+        name, (lower, upper) = joint.get("name", ""), self._limits(joint)
         if name in self._opened:
-            return opened_joint(name, self._opened[name], lower, upper, kind in _TURNS)
+            return opened_joint(name, self._opened[name], lower, upper, joint.get("type") in _TURNS)
         return lower if math.isfinite(lower) else 0.0
+
+    def _limits(self, joint: Element) -> tuple[float, float]:
+        limit = joint.find("limit")
+        if limit is None or joint.get("type") not in _LIMITED:
+            return -math.inf, math.inf
+        lower, upper = (number(self._path, limit, end, "0", is_finite=False) for end in ("lower", "upper"))
+        return lower, upper
 
     def link_poses(self) -> dict[str, np.ndarray]:
         """f64[4, 4] from each link to the root link.
@@ -166,6 +169,47 @@ class Joints:
         if lost := [name for name in self._links if name not in poses]:
             raise AssetError(f"{self._path}: link {lost[0]!r} hangs in a loop of joints", "a tree of links")
         return poses
+
+    def movable(
+        self, poses: Mapping[str, np.ndarray], links: Sequence[str], scale: float
+    ) -> tuple[Joint, ...]:
+        """The hinges and slides that mimic no other.
+
+        Args:
+          poses: of `link_poses`; links: by piece, the name of its link; scale: factor on all lengths.
+        """
+        above = {self._link_of(joint, "child"): joint for joint in self._joints}
+        kinds = (*_LIMITED, *_TURNS)
+        own = [each for each in self._joints if each.get("type") in kinds and each.find("mimic") is None]
+        own = [each for each in own if self._axis(each).any()]
+
+        def mover(link: str) -> int:
+            """The joint that moves a link, by number; -1 for none."""
+            while link in above:
+                if above[link] in own:
+                    return own.index(above[link])
+                link = self._link_of(above[link], "parent")
+            return -1
+
+        movers, found = [mover(link) for link in links], []
+        for place, joint in enumerate(own):
+            T_model_joint = poses[self._link_of(joint, "child")]
+            axis = self._axis(joint)
+            is_turn = joint.get("type") in _TURNS
+            limits = self._limits(joint)
+            made = Joint(
+                name=joint.get("name", ""),
+                kind="hinge" if is_turn else "slide",
+                anchor=tuple(T_model_joint[:3, 3].tolist()),
+                axis=tuple((axis / np.linalg.norm(axis)).tolist()),
+                value=self.value(joint),
+                range=limits if np.isfinite(limits).all() else None,
+                parent=mover(self._link_of(joint, "parent")),
+                pieces=tuple(piece for piece, by in enumerate(movers) if by == place),
+            )
+            made = replace(made, axis=tuple((T_model_joint[:3, :3] @ made.axis).tolist()))
+            found.append(made.transform(np.eye(3), scale, np.zeros(3)))
+        return tuple(found)
 
     def _link_of(self, joint: Element, tag: str) -> str:
         link = joint.find(tag)
@@ -252,7 +296,9 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE, opened: Mapping[str, floa
     scale = _global_scaling(path)
     surfaces = Surfaces(path, max_side, notes=joints.notes)
     links = [Link(link, poses[link.get("name", "")], partial(origin, path)) for link in robot.findall("link")]
-    return rigid(links, surfaces, _Looks(_materials(robot), surfaces).of, _notes(robot, joints), scale)
+    model = rigid(links, surfaces, _Looks(_materials(robot), surfaces).of, _notes(robot, joints), scale)
+    names = [link.name for link in links]
+    return replace(model, joints=joints.movable(poses, [names[number] for number in model.link_of], scale))
 
 
 def _parse(path: Path) -> Element:

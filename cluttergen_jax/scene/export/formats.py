@@ -91,7 +91,13 @@ def _scene_writer(make: Callable[[Scene], bytes]) -> WriteScene:
     return write
 
 
-def _mjcf_text(scene: Scene, names_detector: bool = True) -> bytes:
+def _mjcf_text(scene: Scene, names_detector: bool = True, has_joints: bool = False) -> bytes:
+    if has_joints and not scene.support.joints:
+        raise ConfigError(
+            f"support {scene.support.name!r}, which has no joints, in the format 'mjcf-joints'",
+            "furniture of a URDF or MJCF file with joints, as `cluttergen import --support` reads it",
+            "format='mjcf'",
+        )
     return scene_xml(
         scene.objects,
         scene.poses,
@@ -101,6 +107,7 @@ def _mjcf_text(scene: Scene, names_detector: bool = True) -> bytes:
         names=scene.names,
         cameras=scene.cameras,
         names_detector=names_detector,
+        has_joints=has_joints,
     )
 
 
@@ -183,6 +190,16 @@ _ALL = (
         _files(write_object_meshes),
         _files(write_support_meshes),
         _scene_writer(partial(_mjcf_text, names_detector=False)),
+    ),
+    Format(
+        "mjcf-joints",
+        "MuJoCo, as `mjcf`, but drawers and doors of the support can move: they come first in qpos.",
+        "xml",
+        _files(write_object_meshes),
+        _files(write_support_meshes),
+        _scene_writer(partial(_mjcf_text, has_joints=True)),
+        notes="Friction holds the support's joints (`frictionloss`, as much as what hangs on them weighs); "
+        "limits are those of its file, masses are estimates.",
     ),
     Format(
         "urdf",
