@@ -127,7 +127,7 @@ def kept_programs() -> Iterator[None]:
         compilation_cache.reset_cache()
 
 
-def quick_to_compile() -> dict[str, Any] | None:
+def compiler_options() -> dict[str, Any] | None:
     """`compiler_options` of `jax.jit` for large programs with little to optimize: the same bits on a CPU.
 
     Nothing where there is an accelerator, or where a level is chosen: by XLA_FLAGS or `fast_compilation`.

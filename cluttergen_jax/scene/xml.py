@@ -71,8 +71,8 @@ def scene_xml(
     _add_visual(root)
     assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
     _add_surroundings(assets, world)
-    holders = _Holders(root, world, support, has_joints)
-    _add_support(assets, holders, support)
+    bodies = _SupportBodies(root, world, support, has_joints)
+    _add_support(assets, bodies, support)
     stored: set[str] = set()
     names = names or unique_names([asset.name for asset in objects])
     for name, asset, pose in zip(names, objects, poses, strict=True):
@@ -84,7 +84,7 @@ def scene_xml(
         pose = {"pos": _text(each.position), "quat": _text(each.quaternion)}
         ET.SubElement(world, "camera", pose, name=each.name, fovy=_text([each.fovy]))
     keyframe = ET.SubElement(root, "keyframe")
-    qpos = np.concatenate([holders.qpos, np.asarray(poses).ravel()])
+    qpos = np.concatenate([bodies.qpos, np.asarray(poses).ravel()])
     ET.SubElement(keyframe, "key", name="scene", qpos=_text(qpos))
     ET.indent(root)
     return ET.tostring(root, encoding="utf-8") + os.linesep.encode()
@@ -182,7 +182,7 @@ def _add_surroundings(assets: ET._Element, world: ET._Element) -> None:
     ET.SubElement(world, "geom", name="floor", type="plane", size="0 0 0.1", rgba="0.82 0.82 0.83 1")
 
 
-class _Holders:
+class _SupportBodies:
     """The bodies of a support: one that stands still, and one for each joint where joints can move."""
 
     def __init__(
@@ -194,10 +194,10 @@ class _Holders:
         for number in range(len(self._joints)):
             self._body(number)
         # A drawer and what it runs in touch everywhere.
-        bodies = [each.get("name", "") for each in (self._still, *self._moving.values())]
+        names = [each.get("name", "") for each in (self._still, *self._moving.values())]
         if self._moving:
             contact = ET.SubElement(root, "contact")
-            for one, other in itertools.combinations(bodies, 2):
+            for one, other in itertools.combinations(names, 2):
                 ET.SubElement(contact, "exclude", body1=one, body2=other)
 
     def of(self, kind: Literal["boxes", "parts", "pieces"], index: int) -> ET._Element:
@@ -243,10 +243,10 @@ class _Holders:
         return body
 
 
-def _add_support(assets: ET._Element, holders: _Holders, support: SupportAsset) -> None:
+def _add_support(assets: ET._Element, bodies: _SupportBodies, support: SupportAsset) -> None:
     for index, box in enumerate(support.boxes):
         ET.SubElement(
-            holders.of("boxes", index),
+            bodies.of("boxes", index),
             "geom",
             name=f"support.box-{index}",
             type="box",
@@ -259,14 +259,14 @@ def _add_support(assets: ET._Element, holders: _Holders, support: SupportAsset) 
     for index in range(len(support.parts)):
         name, group = f"support.part-{index}", COLLISION_GROUP if support.pieces else VISUAL_GROUP
         ET.SubElement(assets, "mesh", name=name, file=f"support/{part_name(index)}")
-        body = holders.of("parts", index)
+        body = bodies.of("parts", index)
         ET.SubElement(
             body, "geom", name=name, type="mesh", mesh=name, rgba=_text(PART_RGBA), group=str(group)
         )
     for index, piece in enumerate(support.pieces):
         mesh, file = f"support.visual-{index}", f"support/visual-{index}.obj"
         ET.SubElement(assets, "mesh", weightless(piece), name=mesh, file=file)
-        _add_visual_geom(assets, holders.of("pieces", index), mesh, piece, "support/")
+        _add_visual_geom(assets, bodies.of("pieces", index), mesh, piece, "support/")
 
 
 def _add_meshes(assets: ET._Element, asset: ObjectAsset, folder: str) -> None:

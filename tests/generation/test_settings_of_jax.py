@@ -14,11 +14,11 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.numerics import (
     bits_of_here,
+    compiler_options,
     fast_compilation,
     kept_programs,
     new_key,
     program_folder,
-    quick_to_compile,
 )
 from cluttergen_jax.scene.bank import read_bank
 
@@ -116,10 +116,10 @@ def test_programs_of_functions_are_kept_and_those_of_users_are_not(tmp_path, mon
 
 def test_programs_compile_quickly_unless_a_level_is_asked_for(monkeypatch):
     monkeypatch.delenv("XLA_FLAGS", raising=False)
-    options = quick_to_compile()
+    options = compiler_options()
     assert jax.jit(lambda x: x + 1, compiler_options=options)(1) == 2
     assert options == (None if jax.default_backend() != "cpu" else {"xla_backend_optimization_level": 2})
     with fast_compilation():
-        assert quick_to_compile() is None
+        assert compiler_options() is None
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")
-    assert quick_to_compile() is None
+    assert compiler_options() is None

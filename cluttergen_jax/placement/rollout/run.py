@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.numerics import new_key, quick_to_compile
+from cluttergen_jax.numerics import compiler_options, new_key
 from cluttergen_jax.physics.host import HostPhysics
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Proposer, Rules
@@ -175,7 +175,7 @@ class Rollout:
         def program(function: Callable[..., Any], donated: tuple[int, ...] = ()) -> Any:
             static = (0,) if is_constant else ()
             return jax.jit(
-                function, static_argnums=static, donate_argnums=donated, compiler_options=quick_to_compile()
+                function, static_argnums=static, donate_argnums=donated, compiler_options=compiler_options()
             )
 
         self._ask = program(ask)
