@@ -1,0 +1,245 @@
+"""Grasps found in a volume by its geometry alone, without learning: what a network has to be better than.
+
+Of a truncated signed distance (`vgn.tsdf_grid`) surface points and normals are taken, then pairs of points
+that two fingers can press towards each other, hands about them that come from above, and of these the ones
+whose open hand is clear on its whole way. A voxel that was not measured is solid if something solid lies
+above it in its column, else free: cameras look from above. Beside the cube the outermost voxels go on.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial import ConvexHull
+
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.downstream.robot.description import RobotDescription
+from cluttergen_jax.downstream.robot.grasping.clutter import StillScene
+from cluttergen_jax.downstream.robot.grasping.vgn import DEPTH, RESOLUTION, SIZE, task_frame
+from cluttergen_jax.downstream.robot.gripper import Gripper, gripper_of
+from cluttergen_jax.downstream.robot.model import hand_spec
+from cluttergen_jax.downstream.transforms import inverse, rigid
+from cluttergen_jax.scene import Scene
+
+VOXEL = SIZE / RESOLUTION
+BAND = 4 * VOXEL
+"""Metres from a surface within which a volume knows the distance."""
+CONE = np.arctan(0.5)
+"""Radians that a normal may be off the line between two points: most objects have this friction."""
+_MARGIN, _THINNEST = 0.004, 0.004
+"""Metres that what is held is narrower than the hand opens, and wide at least."""
+_TURNS = np.radians([0, 25, -25, 50, -50])
+"""Of approaches about the closing axis, from the one that points down the most."""
+_FLATTEST = 0.5
+"""Cosine between an approach and straight down, at least."""
+_SHALLOW = (0.0, 0.006)
+"""Metres by which a pair's points lie nearer to the tips than the middles of the pads."""
+_BACK = (0.0, 0.03, 0.06, 0.1)
+"""Metres before the grasp at which the open hand is looked at, as where grasps are labelled."""
+_CLEARANCE = 0.003
+_NUM_HANDS = 4000
+_HEIGHT, _LEVEL = 0.1, 0.3
+"""Metres above the table that are worth a whole cone of alignment, and what coming straight down is worth."""
+_FINGER_SPACING, _PALM_SPACING, _LARGE = 0.005, 0.01, 0.06
+
+
+class VolumeGrasps(NamedTuple):
+    """C grasps in a volume, the best first.
+
+    Attributes:
+      pose: f64[C, 4, 4], T_task_tool: z is the approach, y the direction in which the fingers close.
+      width: f64[C], metres between the points that the fingers press on. score: f64[C].
+    """
+
+    pose: np.ndarray
+    width: np.ndarray
+    score: np.ndarray
+
+    def take(self, index: np.ndarray | slice) -> VolumeGrasps:
+        """Those at `index`."""
+        return VolumeGrasps(*(each[index] for each in self))
+
+
+class SurfacePairs(NamedTuple):
+    """P pairs of surface points, task frame, metres.
+
+    Attributes:
+      middle: f64[P, 3], between them; axis: f64[P, 3], unit, from one to the other; width: f64[P].
+      alignment: f64[P], the lesser of the cosines between the axis and the two normals.
+    """
+
+    middle: np.ndarray
+    axis: np.ndarray
+    width: np.ndarray
+    alignment: np.ndarray
+
+
+def distance_field(grid: np.ndarray) -> np.ndarray:
+    """f64[N, N, N]: metres to the nearest surface, below 0 inside, of a volume f[N, N, N]; at most `BAND`."""
+    is_inside = (grid > 0) & (grid < 0.5)
+    is_below = np.flip(np.maximum.accumulate(np.flip(is_inside, 2), axis=2), 2)
+    unknown = np.where(is_below, -BAND, BAND)
+    return np.where(grid > 0, (2 * grid.astype(np.float64) - 1) * BAND, unknown)
+
+
+def sample_field(field: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """f64[...]: a field f[N, N, N] at points f[..., 3] in the task frame, metres, between its voxels."""
+    at = np.moveaxis(points / VOXEL - 0.5, -1, 0)
+    values: np.ndarray = map_coordinates(field, at, order=1, mode="nearest")
+    return values
+
+
+def surface_of(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f64[P, 3] each: points at which two measured voxels have unequal signs, and outward normals."""
+    field, is_known, points = distance_field(grid), grid > 0, []
+    for axis in range(3):
+        first = np.moveaxis(field, axis, 0)[:-1], np.moveaxis(is_known, axis, 0)[:-1]
+        after = np.moveaxis(field, axis, 0)[1:], np.moveaxis(is_known, axis, 0)[1:]
+        cells = np.argwhere(first[1] & after[1] & (first[0] * after[0] < 0))
+        a, b = (each[0][tuple(cells.T)] for each in (first, after))
+        middle = cells + 0.5
+        middle[:, 0] += a / (a - b)
+        # `moveaxis` has this axis first and the others in their order.
+        order = np.argsort([axis, *(each for each in range(3) if each != axis)])
+        points.append(middle[:, order] * VOXEL)
+    found = np.concatenate(points)
+    slope = np.gradient(gaussian_filter(field, 0.7))
+    normal = np.stack([sample_field(each, found) for each in slope], axis=-1)
+    length = np.linalg.norm(normal, axis=1)
+    is_sound = length > 1e-9
+    return found[is_sound], normal[is_sound] / length[is_sound, None]
+
+
+def find_pairs(points: np.ndarray, normals: np.ndarray, widest: float) -> SurfacePairs:
+    """Pairs of surface points f64[P, 3] whose normals oppose within `CONE`, the best aligned first.
+
+    Of pairs that are nearly the same (voxel of the middle, direction) the best alone is kept.
+    """
+    is_table = (np.abs(points[:, 2] - DEPTH) < VOXEL) & (normals[:, 2] > 0.9)
+    points, normals = points[~is_table].astype(np.float32), normals[~is_table].astype(np.float32)
+    least, parts = np.cos(CONE), []
+    for start in range(0, len(points), 256):
+        rows = slice(start, start + 256)
+        away = points[None] - points[rows, None]
+        length = np.linalg.norm(away, axis=-1)
+        axis = away / np.maximum(length, 1e-9)[..., None]
+        near = -np.einsum("ijk,ik->ij", axis, normals[rows])
+        far = np.einsum("ijk,jk->ij", axis, normals)
+        alignment = np.minimum(near, far)
+        is_good = (alignment >= least) & (length >= _THINNEST) & (length <= widest)
+        i, j = np.nonzero(is_good)
+        keep = i + start < j
+        i, j = i[keep], j[keep]
+        middle = (points[i + start] + points[j]) / 2
+        parts.append((middle, axis[i, j], length[i, j], alignment[i, j]))
+    if not parts:
+        return SurfacePairs(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+    whole = [np.concatenate(each).astype(np.float64) for each in zip(*parts, strict=True)]
+    middle, axis, _, alignment = whole
+    order = np.argsort(-alignment, kind="stable")
+    cell = np.concatenate([np.floor(middle / VOXEL), np.round(2.5 * axis * _side(axis))], axis=1)[order]
+    _, first = np.unique(cell, axis=0, return_index=True)
+    return SurfacePairs(*(each[order[np.sort(first)]] for each in whole))
+
+
+def _side(axis: np.ndarray) -> np.ndarray:
+    """f64[P, 1]: 1 or -1, so that an axis and its opposite become the same."""
+    largest = np.take_along_axis(axis, np.abs(axis).argmax(1)[:, None], axis=1)
+    return np.sign(largest)
+
+
+def draw_hands(pairs: SurfacePairs, gripper: Gripper) -> VolumeGrasps:
+    """Ways for the hand to get about the pairs from above, the best first; none was looked at."""
+    down = np.array([0.0, 0.0, -1.0])
+    below = down - pairs.axis * (pairs.axis @ down)[:, None]
+    length = np.linalg.norm(below, axis=1)
+    below, rows = below / np.maximum(length, 1e-9)[:, None], np.flatnonzero(length > 0.3)
+    parts = []
+    for turn in _TURNS:
+        for shallow in _SHALLOW:
+            axis, width = pairs.axis[rows], pairs.width[rows]
+            approach = np.cos(turn) * below[rows] + np.sin(turn) * np.cross(axis, below[rows])
+            back = shallow + gripper.depth_of(width)
+            frame = np.stack([np.cross(axis, approach), axis, approach], axis=-1)
+            pose = rigid(frame, pairs.middle[rows] - back[:, None] * approach)
+            aligned = (pairs.alignment[rows] - np.cos(CONE)) / (1 - np.cos(CONE))
+            score = aligned + (pairs.middle[rows, 2] - DEPTH) / _HEIGHT - _LEVEL * approach[:, 2]
+            keep = -approach[:, 2] >= _FLATTEST
+            parts.append((pose[keep], width[keep], score[keep]))
+    whole = VolumeGrasps(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    return whole.take(np.argsort(-whole.score, kind="stable"))
+
+
+class OpenHand:
+    """The open hand of a robot over a support whose shape is known, as it is without objects.
+
+    Args:
+      robot: whose hand it is. support: what the objects stand on: a bin's walls may lie beside the cube.
+    """
+
+    def __init__(self, robot: RobotDescription, support: SupportAsset) -> None:
+        self.gripper = gripper_of(robot)
+        self._empty = StillScene(Scene((), (), np.zeros((0, 7)), support), robot)
+        self._T_world_task = task_frame(support)
+        self._model = hand_spec(ContactConfig(), robot).compile()
+        self._data = mujoco.MjData(self._model)
+        is_solid = (self._model.geom_contype != 0) | (self._model.geom_conaffinity != 0)
+        self._lattices = {int(index): _lattice(self._model, int(index)) for index in np.flatnonzero(is_solid)}
+
+    @property
+    def widest(self) -> float:
+        """Metres of what fits between the fingers."""
+        return 2 * self.gripper.max_opening - _MARGIN
+
+    def points(self, width: float) -> np.ndarray:
+        """f64[K, 3]: of the hand's solids, tool frame, opened for something of this width."""
+        self._data.qpos[:] = self.gripper.joints_of(self.gripper.opening_of(width))
+        mujoco.mj_kinematics(self._model, self._data)
+        turned = [
+            lattice @ self._data.geom_xmat[index].reshape(3, 3).T + self._data.geom_xpos[index]
+            for index, lattice in self._lattices.items()
+        ]
+        T_tool_hand = inverse(self.gripper.T_hand_tool)
+        return np.concatenate(turned) @ T_tool_hand[:3, :3].T + T_tool_hand[:3, 3]
+
+    def is_clear(self, field: np.ndarray, pose: np.ndarray, width: float) -> bool:
+        """Whether it is in free space at T_task_tool f64[4, 4] and on its way there, in a field f[N, N, N]."""
+        points = self.points(width) @ pose[:3, :3].T + pose[:3, 3]
+        ways = (points - back * pose[:3, 2] for back in _BACK)
+        if not all((sample_field(field, each) > _CLEARANCE).all() for each in ways):
+            return False
+        return not self._empty.blocker(self._T_world_task @ pose, width)
+
+    def first_clear(self, grid: np.ndarray, grasps: VolumeGrasps) -> int | None:
+        """The number of the first of the grasps in a volume f[N, N, N] at which it is clear."""
+        field = distance_field(grid)
+        for row, (pose, width) in enumerate(zip(grasps.pose, grasps.width, strict=True)):
+            if self.is_clear(field, pose, float(width)):
+                return row
+        return None
+
+
+def _lattice(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """f64[K, 3]: points of a solid, its frame; of what is no mesh, those of the box about it."""
+    centre, half = model.geom_aabb[geom][:3], model.geom_aabb[geom][3:]
+    spacing = _PALM_SPACING if half.max() > _LARGE else _FINGER_SPACING
+    steps = [np.linspace(-each, each, max(2, int(np.ceil(2 * each / spacing)) + 1)) for each in half]
+    points = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3) + centre
+    if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
+        return points
+    mesh = int(model.geom_dataid[geom])
+    start, number = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    vertices = model.mesh_vert[start : start + number].astype(np.float64)
+    hull = ConvexHull(vertices)
+    is_in = (points @ hull.equations[:, :3].T + hull.equations[:, 3] < 1e-3).all(1)
+    return np.concatenate([points[is_in], hull.points[hull.vertices]])
+
+
+def draw_grasps(grid: np.ndarray, hand: OpenHand) -> VolumeGrasps:
+    """Antipodal grasps in a volume f[N, N, N], the best first; the hand need not be clear at them."""
+    pairs = find_pairs(*surface_of(grid), hand.widest)
+    return draw_hands(pairs, hand.gripper).take(slice(_NUM_HANDS))
