@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.support import SupportAsset
@@ -40,11 +40,13 @@ _SHALLOW = (0.0, 0.006)
 """Metres by which a pair's points lie nearer to the tips than the middles of the pads."""
 _BACK = (0.0, 0.03, 0.06, 0.1)
 """Metres before the grasp at which the open hand is looked at, as where grasps are labelled."""
-_CLEARANCE = 0.003
-_NUM_HANDS = 4000
+_CLEARANCES = (0.006, 0.003)
+"""Metres between the open hand and what is solid: looked for in this order."""
+_NUM_HANDS = 8000
 _HEIGHT, _LEVEL = 0.1, 0.3
 """Metres above the table that are worth a whole cone of alignment, and what coming straight down is worth."""
-_FINGER_SPACING, _PALM_SPACING, _LARGE = 0.005, 0.01, 0.06
+_SPACING = 0.007
+"""Metres between points of the hand, at most."""
 
 
 class VolumeGrasps(NamedTuple):
@@ -88,9 +90,22 @@ def distance_field(grid: np.ndarray) -> np.ndarray:
 
 def sample_field(field: np.ndarray, points: np.ndarray) -> np.ndarray:
     """f64[...]: a field f[N, N, N] at points f[..., 3] in the task frame, metres, between its voxels."""
-    at = np.moveaxis(points / VOXEL - 0.5, -1, 0)
+    at = np.moveaxis(points * (len(field) / SIZE) - 0.5, -1, 0)
     values: np.ndarray = map_coordinates(field, at, order=1, mode="nearest")
     return values
+
+
+def free_room(grid: np.ndarray) -> np.ndarray:
+    """f64[2 N, 2 N, 2 N]: metres to the nearest solid, 0 inside, at half the spacing of a volume f[N, N, N].
+
+    Measured in all directions: along rays that graze it, as a volume has it, a wall is farther away.
+    """
+    steps = (np.arange(2 * RESOLUTION) + 0.5) * VOXEL / 2
+    points = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1)
+    is_free = sample_field(distance_field(grid), points) > 0
+    half = VOXEL / 4
+    room: np.ndarray = np.maximum(distance_transform_edt(is_free) * VOXEL / 2 - half, 0.0)
+    return room
 
 
 def surface_of(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -188,7 +203,9 @@ class OpenHand:
         self._model = hand_spec(ContactConfig(), robot).compile()
         self._data = mujoco.MjData(self._model)
         is_solid = (self._model.geom_contype != 0) | (self._model.geom_conaffinity != 0)
-        self._lattices = {int(index): _lattice(self._model, int(index)) for index in np.flatnonzero(is_solid)}
+        self._solids = {
+            int(index): _solid_points(self._model, int(index)) for index in np.flatnonzero(is_solid)
+        }
 
     @property
     def widest(self) -> float:
@@ -200,43 +217,59 @@ class OpenHand:
         self._data.qpos[:] = self.gripper.joints_of(self.gripper.opening_of(width))
         mujoco.mj_kinematics(self._model, self._data)
         turned = [
-            lattice @ self._data.geom_xmat[index].reshape(3, 3).T + self._data.geom_xpos[index]
-            for index, lattice in self._lattices.items()
+            points @ self._data.geom_xmat[index].reshape(3, 3).T + self._data.geom_xpos[index]
+            for index, points in self._solids.items()
         ]
         T_tool_hand = inverse(self.gripper.T_hand_tool)
         return np.concatenate(turned) @ T_tool_hand[:3, :3].T + T_tool_hand[:3, 3]
 
-    def is_clear(self, field: np.ndarray, pose: np.ndarray, width: float) -> bool:
-        """Whether it is in free space at T_task_tool f64[4, 4] and on its way there, in a field f[N, N, N]."""
+    def is_clear(self, room: np.ndarray, pose: np.ndarray, width: float, clearance: float) -> bool:
+        """Whether it has room at T_task_tool f64[4, 4] and on its way there, by `free_room`; metres."""
         points = self.points(width) @ pose[:3, :3].T + pose[:3, 3]
         ways = (points - back * pose[:3, 2] for back in _BACK)
-        if not all((sample_field(field, each) > _CLEARANCE).all() for each in ways):
+        if not all((sample_field(room, each) > clearance).all() for each in ways):
             return False
         return not self._empty.blocker(self._T_world_task @ pose, width)
 
     def first_clear(self, grid: np.ndarray, grasps: VolumeGrasps) -> int | None:
-        """The number of the first of the grasps in a volume f[N, N, N] at which it is clear."""
-        field = distance_field(grid)
-        for row, (pose, width) in enumerate(zip(grasps.pose, grasps.width, strict=True)):
-            if self.is_clear(field, pose, float(width)):
-                return row
+        """The number of the first of the grasps in a volume f[N, N, N] at which it is clear.
+
+        Those that have plenty of room come before those that have a little.
+        """
+        room = free_room(grid)
+        for clearance in _CLEARANCES:
+            for row, (pose, width) in enumerate(zip(grasps.pose, grasps.width, strict=True)):
+                if self.is_clear(room, pose, float(width), clearance):
+                    return row
         return None
 
 
-def _lattice(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """f64[K, 3]: points of a solid, its frame; of what is no mesh, those of the box about it."""
+def _solid_points(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """f64[K, 3]: points in and on a solid, its frame; of what is no mesh, those of the box about it."""
     centre, half = model.geom_aabb[geom][:3], model.geom_aabb[geom][3:]
-    spacing = _PALM_SPACING if half.max() > _LARGE else _FINGER_SPACING
-    steps = [np.linspace(-each, each, max(2, int(np.ceil(2 * each / spacing)) + 1)) for each in half]
-    points = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3) + centre
-    if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
-        return points
-    mesh = int(model.geom_dataid[geom])
-    start, number = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    vertices = model.mesh_vert[start : start + number].astype(np.float64)
-    hull = ConvexHull(vertices)
-    is_in = (points @ hull.equations[:, :3].T + hull.equations[:, 3] < 1e-3).all(1)
-    return np.concatenate([points[is_in], hull.points[hull.vertices]])
+    corners = centre + half * np.stack(np.meshgrid(*[(-1, 1)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[geom])
+        start, number = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        corners = model.mesh_vert[start : start + number].astype(np.float64)
+    hull = ConvexHull(corners)
+    steps = [np.arange(-each, each, _SPACING) for each in half]
+    inner = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3) + centre
+    is_in = (inner @ hull.equations[:, :3].T + hull.equations[:, 3] < 0).all(1)
+    sides = [_triangle_points(hull.points[each]) for each in hull.simplices]
+    # Triangles of a fine mesh have many points in common.
+    cell = np.round(np.concatenate([inner[is_in], *sides]) / (_SPACING / 2))
+    return np.unique(cell, axis=0) * (_SPACING / 2)
+
+
+def _triangle_points(corners: np.ndarray) -> np.ndarray:
+    """f64[K, 3]: on a triangle f64[3, 3], no farther apart than `_SPACING`."""
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max()
+    number = int(np.ceil(longest / _SPACING)) + 1
+    a, b = np.meshgrid(np.linspace(0, 1, number), np.linspace(0, 1, number), indexing="ij")
+    keep = a + b <= 1 + 1e-9
+    weights = np.stack([a[keep], b[keep], 1 - a[keep] - b[keep]], axis=-1)
+    return weights @ corners
 
 
 def draw_grasps(grid: np.ndarray, hand: OpenHand) -> VolumeGrasps:
