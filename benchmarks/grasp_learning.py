@@ -24,10 +24,9 @@ import numpy as np
 import optax
 from scipy.stats import rankdata
 
-from cluttergen_jax.downstream.fitting import FitRun, FitState, in_parts
+from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, in_parts
 from cluttergen_jax.downstream.robot.grasping.vgn import RESOLUTION
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.schema import digest_of
 from cluttergen_jax.types import Array
 
 _WIDTH_WEIGHT = 0.01
@@ -284,6 +283,12 @@ def _scenes_of(folder: Path) -> list[tuple[Path, np.ndarray]]:
     return [(place / f"scenes/{each:06d}.npz", rows[numbers == each]) for each in np.unique(numbers)]
 
 
+def split_of(scenes: Mapping[str, np.ndarray], split: str) -> dict[str, np.ndarray]:
+    """The scenes of `train` or `val`."""
+    is_held_out = np.arange(len(scenes["label"])) % _HELD_OUT == _HELD_OUT - 1
+    return {name: each[is_held_out == (split == "val")] for name, each in scenes.items()}
+
+
 def area_under_curve(score: np.ndarray, is_good: np.ndarray) -> float:
     """How often a good one of scores f[N] is above a bad one; NaN where there are none of either."""
     good, bad = int(is_good.sum()), int((~is_good).sum())
@@ -293,27 +298,30 @@ def area_under_curve(score: np.ndarray, is_good: np.ndarray) -> float:
 
 
 class GraspTraining(FitRun):
-    """A run that fits the network; see `FitRun`. One scene in ten is held out.
+    """A run that fits the network; see `FitRun`.
 
     Args:
-      folders: of datasets. others: see `FitRun`.
+      scenes: of `read_examples`; one in ten is held out. data: what tells them from others.
+      learner, config, folder: see `FitRun`.
     """
 
     kind: ClassVar[str] = "grasps"
     unit: ClassVar[str] = "scene"
 
-    def __init__(self, learner: GraspLearner, config: Any, folders: Sequence[Path], folder: Path) -> None:
-        self._folders, self._all = folders, dict[str, np.ndarray]()
-        data = [digest_of((each / "voxels/grasps.csv").read_bytes()) for each in folders]
-        super().__init__(learner, config, {"data": data}, folder)
+    def __init__(
+        self,
+        learner: GraspLearner,
+        config: FitConfig,
+        scenes: Mapping[str, np.ndarray],
+        data: Sequence[str],
+        folder: Path,
+    ) -> None:
+        self._scenes = scenes
+        super().__init__(learner, config, {"data": list(data)}, folder)
 
     def examples(self, split: str) -> Any:
         """Of `train` or `val`."""
-        self._all = self._all or read_examples(self._folders)
-        number = np.arange(len(self._all["label"]))
-        is_held_out = number % _HELD_OUT == _HELD_OUT - 1
-        chosen = is_held_out if split == "val" else ~is_held_out
-        return {name: each[chosen] for name, each in self._all.items()}
+        return split_of(self._scenes, split)
 
     def save(self, state: FitState, held_out: Any) -> Path:
         """With how well grasps of the scenes held out are told apart."""

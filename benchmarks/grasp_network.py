@@ -1,0 +1,257 @@
+"""Grasps in clutter: a network of VGN's size against geometry, in rounds of clearing piles.
+
+    cluttergen generate --pool all --objects "width<0.2 and height<0.2" --num-objects 5 --support bin \\
+        --method pile -n 2000 --no-render --out out/grasps/piles
+    cluttergen robot dataset out/grasps/piles --out out/grasps/data
+    cluttergen generate --pool all --objects "width<0.2 and height<0.2" --num-objects 5 --support bin \\
+        --method pile -n 200 --seed 1 --no-render --out out/grasps/five
+    python -m benchmarks.grasp_network --datasets out/grasps/data --banks out/grasps/five [--write]
+
+The network learns from the labelled grasps of `robot dataset` (`grasp_learning`). Beside it stand antipodal
+grasps found in the same volume without learning (`grasp_geometry`), the best one and, as the floor, any of
+those whose open hand is clear. All clear the same piles, which nobody learnt from (`grasp_rounds`).
+Everything is kept in `out`, so that the same command goes on after Ctrl-C; processes with other `contenders`
+may run beside each other once the network is there. On one core 2,000 piles of five take about CPU_DATA to label, and
+CPU_STEPS to learn from; a round takes CPU_ROUND s a contender.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+
+from benchmarks.grasp_geometry import OpenHand
+from benchmarks.grasp_learning import GraspLearner, GraspTraining, read_examples, split_of
+from benchmarks.grasp_rounds import ByGeometry, ByNetwork, Proposer, Sight, run_round
+from benchmarks.rows import Row, Rows
+from benchmarks.section import prose, report, table
+from cluttergen_jax.downstream.fitting import FitConfig, blank_params
+from cluttergen_jax.downstream.robot.description import find_robot
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.ppo.checkpoint import folder_hash, read_policy, read_record
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.scene import Scene
+from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.schema import digest_of
+from cluttergen_jax.statistics import wilson
+
+CONTENDERS = {
+    "network": "the network, as VGN chooses among its grasps",
+    "network, clear": "the same, where the open hand is clear by the rule of `geometry`",
+    "geometry": "the best antipodal grasp of the volume",
+    "random": "any antipodal grasp whose open hand is clear",
+}
+_HEAD = ("proposed by", "lifted, of attempts", "cleared, of objects", "failures", "gave up", "CPU-s a round")
+
+
+@dataclass(frozen=True)
+class GraspNetworkBench:
+    """What is learnt and judged.
+
+    Attributes:
+      datasets: folders of `cluttergen robot dataset` that are learnt from.
+      banks: folders of piles that are cleared; none of them learnt from.
+      out: the folder of the network and of the rounds.
+      contenders: who clears the piles.
+      num_rounds: piles of each bank that each clears.
+      num_steps: gradient steps of learning, about.
+      batch_size: scenes a step, all of whose labelled grasps count; learning_rate: of Adam.
+      threshold: smoothed quality from which on the network proposes a grasp.
+      num_views, noise: how piles are seen, as `robot dataset` has it.
+      robot: whose hand it is.
+      seed: of weights, views and choices.
+      write: put the section into reports/benchmarks.md.
+    """
+
+    datasets: tuple[Path, ...] = (Path("out/grasps/data"),)
+    banks: tuple[Path, ...] = (Path("out/grasps/five"),)
+    out: Path = Path("out/grasps/network")
+    contenders: tuple[str, ...] = tuple(CONTENDERS)
+    num_rounds: int = 100
+    num_steps: int = 9000
+    batch_size: int = 8
+    learning_rate: float = 3e-4
+    threshold: float = 0.9
+    num_views: int = 6
+    noise: float = 1.0
+    robot: str = "panda"
+    seed: int = 0
+    write: bool = False
+
+    def __post_init__(self) -> None:
+        if unknown := set(self.contenders) - set(CONTENDERS):
+            raise ConfigError(f"contenders {sorted(unknown)}", ", ".join(CONTENDERS))
+
+
+def learn(args: GraspNetworkBench) -> Path:
+    """The checkpoint's folder, once the network is fitted; at once if it is."""
+    data = [digest_of((each / "voxels/grasps.csv").read_bytes()) for each in args.datasets]
+    scenes = read_examples(args.datasets)
+    batches = max(len(split_of(scenes, "train")["label"]) // args.batch_size, 1)
+    config = FitConfig(
+        num_epochs=max(round(args.num_steps / batches), 1),
+        batch_size=args.batch_size,
+        learning_rate=args.learning_rate,
+        weight_decay=0.0,
+        seed=args.seed,
+    )
+    return GraspTraining(GraspLearner(), config, scenes, data, args.out / "learning").run()
+
+
+def proposer_of(args: GraspNetworkBench, contender: str, hand: OpenHand, weights: Path) -> Proposer:
+    """Who is called so.
+
+    Args:
+      hand: that has to be clear. weights: the network's folder.
+    """
+    if contender in ("geometry", "random"):
+        return ByGeometry(hand, contender == "random")
+    learner = GraspLearner()
+    params = read_policy(weights, blank_params(learner))
+    call = jax.jit(learner.predict)
+
+    def predict(grid: np.ndarray) -> dict[str, np.ndarray]:
+        found: dict[str, np.ndarray] = jax.device_get(call(params, grid))
+        return found
+
+    checked = hand if contender == "network, clear" else None
+    return ByNetwork(predict, args.threshold, hand.widest, checked)
+
+
+def clear_piles(args: GraspNetworkBench, weights: Path, path: Path) -> dict[str, list[Row]]:
+    """The rounds of each contender on the first piles of a bank."""
+    bank = read_bank(path)
+    scenes = list(read_scenes(bank))[: args.num_rounds]
+    hand = OpenHand(find_robot(args.robot), bank.support)
+    made = {}
+    for contender in args.contenders:
+        name = f"{path.resolve().name}-{contender.replace(', ', '-')}"
+        file = args.out / f"rounds/{name}-{_settings_key(args, contender, bank.recipe, weights)}.json"
+        propose = proposer_of(args, contender, hand, weights)
+        made[contender] = _clear(args, name, Rows(file, float("inf"), say=lambda text: None), propose, scenes)
+    return made
+
+
+def _settings_key(args: GraspNetworkBench, contender: str, recipe: Mapping[str, Any], weights: Path) -> str:
+    """What tells rounds from those of other settings."""
+    settings = {"bank": recipe, "robot": find_robot(args.robot).hash, "seed": args.seed}
+    settings |= {"num_views": args.num_views, "noise": args.noise}
+    if contender.startswith("network"):
+        settings |= {"threshold": args.threshold, "weights": folder_hash(weights, ["weights.npz"])}
+    return digest_of(json.dumps(settings, sort_keys=True, default=str).encode())[:8]
+
+
+def _clear(
+    args: GraspNetworkBench, name: str, rows: Rows, propose: Proposer, scenes: Sequence[Scene]
+) -> list[Row]:
+    """The rounds of one contender, each kept when it is over."""
+    with Progress(name, len(scenes), "round") as progress:
+        for scene in scenes:
+            rows.make("rounds", iter([(str(scene.origin.index), partial(_row, args, scene, propose))]))
+            progress.update(1, _told(rows.of("rounds")))
+    of = rows.of("rounds")
+    return [of[str(each.origin.index)] for each in scenes if str(each.origin.index) in of]
+
+
+def _row(args: GraspNetworkBench, scene: Scene, propose: Proposer) -> Row:
+    began, sight = time.process_time(), Sight(args.num_views, args.noise)
+    found = run_round(scene, find_robot(args.robot), propose, sight, (args.seed, scene.origin.index))
+    return {
+        "num_objects": found.num_objects,
+        "ends": list(found.ends),
+        "seconds": time.process_time() - began,
+    }
+
+
+def _told(rows: Mapping[str, Row]) -> str:
+    cleared = sum(row["ends"].count("lifted") for row in rows.values())
+    return f"{cleared} of {sum(row['num_objects'] for row in rows.values())} cleared"
+
+
+def share_text(good: int, number: int) -> str:
+    """A share in per cent with its 95 % interval, and of how many."""
+    low, high = wilson(good, number)
+    return f"{100 * good / max(number, 1):.1f} % ({100 * low:.0f} to {100 * high:.0f}) of {number}"
+
+
+def round_cells(name: str, rows: Sequence[Row]) -> list[str]:
+    """A contender's line in the table."""
+    ends = Counter(end for row in rows for end in row["ends"])
+    num_objects = sum(row["num_objects"] for row in rows)
+    causes = ", ".join(f"{cause} {number}" for cause, number in ends.most_common() if cause != "lifted")
+    num_given_up = sum(_is_given_up(row) for row in rows)
+    return [
+        name,
+        share_text(ends["lifted"], ends.total()),
+        share_text(ends["lifted"], num_objects),
+        causes or "-",
+        str(num_given_up),
+        f"{sum(row['seconds'] for row in rows) / max(len(rows), 1):.1f}",
+    ]
+
+
+def _is_given_up(row: Row) -> bool:
+    """Whether a round ended because nothing was proposed."""
+    ends, left = row["ends"], row["num_objects"] - row["ends"].count("lifted")
+    has_failed_twice = len(ends) > 1 and all(each != "lifted" for each in ends[-2:])
+    return left > 0 and not has_failed_twice
+
+
+def body_of(args: GraspNetworkBench) -> str:
+    """The section."""
+    weights = learn(args)
+    record = read_record(weights)
+    told, fit = record["validation"], record["fit"]
+    parts = []
+    for path in args.banks:
+        made = clear_piles(args, weights, path)
+        num_objects = Counter(row["num_objects"] for rows in made.values() for row in rows)
+        mean = sum(number * count for number, count in num_objects.items()) / max(num_objects.total(), 1)
+        text = prose(
+            f"""`{path.resolve().name}`: {len(next(iter(made.values())))} piles, of {mean:.1f} objects in the
+            cube in the mean."""
+        )
+        head = (
+            "proposed by",
+            "lifted, of attempts",
+            "cleared, of objects",
+            "failures",
+            "gave up",
+            "CPU-s a round",
+        )
+        rows = [round_cells(name, each) for name, each in made.items()]
+        parts.append(f"{text}\n\n{table(_HEAD, rows)}")
+    meaning = "; ".join(f"`{name}`: {CONTENDERS[name]}" for name in args.contenders)
+    text = prose(
+        f"""Rounds as in VGN (Breyer et al., 2020): until no object is left, nothing is proposed or two
+        attempts in a row fail; {args.num_views} views with noise {args.noise:g} before each. A grasp whose open hand
+        touches something there or on its last 10 cm is `blocked`; the others are executed by the lift of
+        `robot dataset`. {meaning}. In brackets 95 % intervals (Wilson), as if objects were independent."""
+    )
+    learnt = prose(
+        f"""The network: a batch of {fit["batch_size"]} scenes with all their grasps a step,
+        {fit["num_epochs"]} epochs. Of the {told["grasps"]:.0f} labelled grasps of scenes held out
+        ({100 * told["good"]:.0f} % lift something) it tells {100 * told["accuracy"]:.1f} % rightly, with both
+        labels alike {100 * told["balanced_accuracy"]:.1f} %; area under the curve {told["area"]:.3f}."""
+    )
+    return "\n\n".join(["## Grasps in clutter: a network and geometry", text, learnt, *parts])
+
+
+def main(args: GraspNetworkBench) -> None:
+    """Measures and reports."""
+    report("grasp_network", body_of(args), write=args.write, packages=("mujoco", "jax", "flax"))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(GraspNetworkBench))
