@@ -285,7 +285,9 @@ def _scenes_of(folder: Path) -> list[tuple[Path, np.ndarray]]:
 
 def split_of(scenes: Mapping[str, np.ndarray], split: str) -> dict[str, np.ndarray]:
     """The scenes of `train` or `val`."""
-    is_held_out = np.arange(len(scenes["label"])) % _HELD_OUT == _HELD_OUT - 1
+    number = len(scenes["label"])
+    every = min(_HELD_OUT, number)
+    is_held_out = np.arange(number) % every == every - 1
     return {name: each[is_held_out == (split == "val")] for name, each in scenes.items()}
 
 

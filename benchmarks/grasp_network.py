@@ -11,8 +11,7 @@ The network learns from the labelled grasps of `robot dataset` (`grasp_learning`
 grasps found in the same volume without learning (`grasp_geometry`), the best one and, as the floor, any of
 those whose open hand is clear. All clear the same piles, which nobody learnt from (`grasp_rounds`).
 Everything is kept in `out`, so that the same command goes on after Ctrl-C; processes with other `contenders`
-may run beside each other once the network is there. On one core 2,000 piles of five take about CPU_DATA to label, and
-CPU_STEPS to learn from; a round takes CPU_ROUND s a contender.
+may run beside each other once the network is there. CPU_TIMES
 """
 
 from __future__ import annotations
@@ -222,22 +221,15 @@ def body_of(args: GraspNetworkBench) -> str:
             f"""`{path.resolve().name}`: {len(next(iter(made.values())))} piles, of {mean:.1f} objects in the
             cube in the mean."""
         )
-        head = (
-            "proposed by",
-            "lifted, of attempts",
-            "cleared, of objects",
-            "failures",
-            "gave up",
-            "CPU-s a round",
-        )
         rows = [round_cells(name, each) for name, each in made.items()]
         parts.append(f"{text}\n\n{table(_HEAD, rows)}")
     meaning = "; ".join(f"`{name}`: {CONTENDERS[name]}" for name in args.contenders)
     text = prose(
         f"""Rounds as in VGN (Breyer et al., 2020): until no object is left, nothing is proposed or two
-        attempts in a row fail; {args.num_views} views with noise {args.noise:g} before each. A grasp whose open hand
-        touches something there or on its last 10 cm is `blocked`; the others are executed by the lift of
-        `robot dataset`. {meaning}. In brackets 95 % intervals (Wilson), as if objects were independent."""
+        attempts in a row fail; {args.num_views} views with noise {args.noise:g} before each. A grasp whose
+        open hand touches something there or on its last 10 cm is `blocked`; the others are executed by the
+        lift of `robot dataset`. {meaning}. In brackets 95 % intervals (Wilson), as if objects were
+        independent."""
     )
     learnt = prose(
         f"""The network: a batch of {fit["batch_size"]} scenes with all their grasps a step,
