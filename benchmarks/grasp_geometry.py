@@ -228,8 +228,11 @@ class OpenHand:
         """Whether it has room at T_task_tool f64[4, 4] and on its way there, by `free_room`; metres."""
         points = self.points(width) @ pose[:3, :3].T + pose[:3, 3]
         ways = (points - back * pose[:3, 2] for back in _BACK)
-        if not all((sample_field(room, each) > clearance).all() for each in ways):
-            return False
+        has_room = all((sample_field(room, each) > clearance).all() for each in ways)
+        return has_room and self.misses_support(pose, width)
+
+    def misses_support(self, pose: np.ndarray, width: float) -> bool:
+        """Whether it touches nothing of the empty support at T_task_tool f64[4, 4] and on its way there."""
         return not self._empty.blocker(self._T_world_task @ pose, width)
 
     def first_clear(self, grid: np.ndarray, grasps: VolumeGrasps) -> int | None:

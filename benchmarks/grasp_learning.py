@@ -206,7 +206,7 @@ class GraspLearner:
 
     def predict(self, params: Any, grid: Array) -> dict[str, Array]:
         """Grasps at all voxels of one volume f[40, 40, 40]: `quality` from 0 to 1, `turn` and `width`."""
-        found = GraspNetwork(self.config).apply(params, grid[None])
+        found: Any = GraspNetwork(self.config).apply(params, grid[None])
         return {
             **{name: value[0] for name, value in found.items()},
             "quality": jax.nn.sigmoid(found["quality"][0]),
@@ -214,14 +214,14 @@ class GraspLearner:
 
     def logits(self, params: Any, examples: Mapping[str, Array]) -> Array:
         """f[B, L]: of the quality of the labelled grasps, as they lie."""
-        found = GraspNetwork(self.config).apply(params, examples["grid"], examples["voxel"])
+        found: Any = GraspNetwork(self.config).apply(params, examples["grid"], examples["voxel"])
         return found["quality"]
 
     def loss(self, params: Any, examples: Mapping[str, Array], key: Array) -> tuple[Array, dict[str, Array]]:
         """Over the labelled grasps of scenes that are turned by chance; its parts by name."""
         quarters = jax.random.randint(key, examples["label"].shape[:1], 0, 4)
         scenes = jax.vmap(turn_scene)(dict(examples), quarters)
-        found = GraspNetwork(self.config).apply(params, scenes["grid"], scenes["voxel"])
+        found: Any = GraspNetwork(self.config).apply(params, scenes["grid"], scenes["voxel"])
         label, weight = scenes["label"], scenes["weight"]
         number = jnp.maximum((weight > 0).sum(), 1)
         other = multiply(scenes["turn"], jnp.asarray(_HALF_TURN, jnp.float32))
@@ -254,7 +254,7 @@ def read_examples(folders: Sequence[Path]) -> dict[str, np.ndarray]:
             f"{num} labelled grasps, {good} of which lift something", "some that do and some that do not"
         )
     most = max(len(rows) for _, rows in scenes)
-    made = {
+    made: dict[str, np.ndarray] = {
         "grid": np.zeros((len(scenes), *[RESOLUTION] * 3), np.float16),
         "voxel": np.zeros((len(scenes), most, 3), np.int16),
         "turn": np.tile(np.array([1, 0, 0, 0], np.float32), (len(scenes), most, 1)),

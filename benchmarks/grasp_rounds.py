@@ -89,8 +89,8 @@ def run_round(
       propose: who chooses. seed: of views, noise and choices; equal ones see the first volume alike.
       show: is told how each attempt ended.
     """
-    scene, ends, failures = settle(keep_inside(scene)), [], 0
-    num_objects = len(scene.names)
+    scene, failures = settle(keep_inside(scene)), 0
+    num_objects, ends = len(scene.names), list[str]()
     while scene.names and failures < MOST_FAILURES:
         streams = np.random.default_rng([*seed, len(ends)]).spawn(2)
         still = StillScene(scene, robot)
@@ -140,7 +140,7 @@ def attempt(
 
 
 def _some_of(scene: Scene, index: Sequence[int]) -> Scene:
-    names, objects = (tuple(each[i] for i in index) for each in (scene.names, scene.objects))
+    names, objects = tuple(scene.names[i] for i in index), tuple(scene.objects[i] for i in index)
     return replace(scene, names=names, objects=objects, poses=scene.poses[list(index)])
 
 
@@ -171,27 +171,29 @@ def settle(scene: Scene) -> Scene:
 
 @dataclass(frozen=True)
 class ByNetwork:
-    """The best grasp that a network predicts, as VGN chooses it.
+    """The best grasp that a network predicts, as VGN chooses it, of those that miss the empty support.
 
     Attributes:
       predict: a volume f32[N, N, N] to `quality` f[N, N, N], 0 to 1, `turn` f[N, N, N, 4] and `width`.
+      hand: that grasps, and knows the empty support.
       threshold: quality from which on a grasp is proposed.
-      widest: metres that the hand takes.
-      hand: if given, only grasps whose open hand is clear in the volume are proposed.
+      needs_room: the open hand must be clear in the volume, too, by the rule of `ByGeometry`.
     """
 
     predict: Callable[[np.ndarray], dict[str, np.ndarray]]
+    hand: OpenHand
     threshold: float
-    widest: float
-    hand: OpenHand | None = None
+    needs_room: bool = False
 
     def __call__(self, grid: np.ndarray, rng: np.random.Generator) -> Proposal | None:
         """See `Proposer`."""
-        found = chosen_voxels(self.predict(grid), grid, self.threshold, self.widest)
-        row = 0 if self.hand is None else self.hand.first_clear(grid, found)
-        if row is None or not len(found.width):
-            return None
-        return found.pose[row], float(found.width[row])
+        found = chosen_voxels(self.predict(grid), grid, self.threshold, self.hand.widest)
+        row = self.hand.first_clear(grid, found) if self.needs_room else self._first_beside_support(found)
+        return None if row is None else (found.pose[row], float(found.width[row]))
+
+    def _first_beside_support(self, found: VolumeGrasps) -> int | None:
+        each = zip(found.pose, found.width, strict=True)
+        return next((row for row, grasp in enumerate(each) if self.hand.misses_support(*grasp)), None)
 
 
 def chosen_voxels(
