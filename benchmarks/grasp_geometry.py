@@ -42,6 +42,8 @@ _BACK = (0.0, 0.03, 0.06, 0.1)
 """Metres before the grasp at which the open hand is looked at, as where grasps are labelled."""
 _CLEARANCES = (0.006, 0.003, 0.001)
 """Metres between the open hand and what is solid: looked for in this order."""
+_LEAST_LEVEL = 0.3
+"""Level part of a unit normal from which on a surface may be a low side."""
 _FEW = 20
 """One of so many points of the hand is looked at first."""
 _HEIGHT, _LEVEL = 0.1, 0.3
@@ -130,14 +132,18 @@ def surface_of(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return found[is_sound], normal[is_sound] / length[is_sound, None]
 
 
-def find_pairs(points: np.ndarray, normals: np.ndarray, widest: float) -> SurfacePairs:
+def find_pairs(points: np.ndarray, normals: np.ndarray, trust: np.ndarray, widest: float) -> SurfacePairs:
     """Pairs of surface points f64[P, 3] whose normals oppose within `CONE`, the best aligned first.
 
     Of pairs that are nearly the same (voxel of the middle, direction) the best alone is kept.
+
+    Args:
+      trust: f64[P], 0 to 1, how much of an alignment better than the cone's counts.
     """
     is_table = (np.abs(points[:, 2] - DEPTH) < VOXEL) & (normals[:, 2] > 0.9)
     points, normals = points[~is_table].astype(np.float32), normals[~is_table].astype(np.float32)
-    least, parts = np.cos(CONE), []
+    trust = trust[~is_table].astype(np.float32)
+    least, parts = np.float32(np.cos(CONE)), []
     for start in range(0, len(points), 256):
         rows = slice(start, start + 256)
         away = points[None] - points[rows, None]
@@ -151,7 +157,8 @@ def find_pairs(points: np.ndarray, normals: np.ndarray, widest: float) -> Surfac
         keep = i + start < j
         i, j = i[keep], j[keep]
         middle = (points[i + start] + points[j]) / 2
-        parts.append((middle, axis[i, j], length[i, j], alignment[i, j]))
+        worth = least + np.minimum(trust[i + start], trust[j]) * (alignment[i, j] - least)
+        parts.append((middle, axis[i, j], length[i, j], worth))
     if not parts:
         return SurfacePairs(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
     whole = [np.concatenate(each).astype(np.float64) for each in zip(*parts, strict=True)]
@@ -289,7 +296,17 @@ def _triangle_points(corners: np.ndarray) -> np.ndarray:
     return weights @ corners
 
 
-def draw_grasps(grid: np.ndarray, hand: OpenHand) -> VolumeGrasps:
-    """Antipodal grasps in a volume f[N, N, N], the best first; the hand need not be clear at them."""
-    pairs = find_pairs(*surface_of(grid), hand.widest)
-    return draw_hands(pairs, hand.gripper)
+def draw_grasps(grid: np.ndarray, hand: OpenHand, is_level: bool = False) -> VolumeGrasps:
+    """Antipodal grasps in a volume f[N, N, N], the best first; the hand need not be clear at them.
+
+    Args:
+      is_level: take normals level. Seen from above, those of a low side lean upwards: voxels are too coarse
+        for its edges. The more they lean the less such a grasp is worth.
+    """
+    points, normals = surface_of(grid)
+    if not is_level:
+        return draw_hands(find_pairs(points, normals, np.ones(len(points)), hand.widest), hand.gripper)
+    level = np.linalg.norm(normals[:, :2], axis=1)
+    is_side = level > _LEAST_LEVEL
+    normals = normals[is_side] * np.array([1.0, 1.0, 0.0]) / level[is_side, None]
+    return draw_hands(find_pairs(points[is_side], normals, level[is_side], hand.widest), hand.gripper)

@@ -221,10 +221,10 @@ def chosen_voxels(
 
 @dataclass(frozen=True)
 class ByGeometry:
-    """The best antipodal grasp of a volume, or any of them.
+    """The best antipodal grasp of a volume, or any of them; with level normals where there is no other.
 
     Attributes:
-      hand: that has to be clear. is_random: any of them, all with equal chances.
+      hand: that has to be clear. is_random: any of those with as much room, all with equal chances.
     """
 
     hand: OpenHand
@@ -232,9 +232,11 @@ class ByGeometry:
 
     def __call__(self, grid: np.ndarray, rng: np.random.Generator) -> Proposal | None:
         """See `Proposer`."""
-        found = draw_grasps(grid, self.hand)
-        if self.is_random:
-            # The first that is clear in any order is any of those that are.
-            found = found.take(rng.permutation(len(found.width)))
-        row = self.hand.first_clear(grid, found)
-        return None if row is None else (found.pose[row], float(found.width[row]))
+        for is_level in (False, True):
+            found = draw_grasps(grid, self.hand, is_level)
+            if self.is_random:
+                found = found.take(rng.permutation(len(found.width)))
+            row = self.hand.first_clear(grid, found)
+            if row is not None:
+                return found.pose[row], float(found.width[row])
+        return None
