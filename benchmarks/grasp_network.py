@@ -2,14 +2,15 @@
 
     PILES='--pool all --objects "width<0.2 and height<0.2" --support table --region 0.28x0.28 --method pile'
     eval cluttergen generate $PILES --num-objects 5 -n 2000 --no-render --out out/grasps/piles
-    cluttergen robot dataset out/grasps/piles --out out/grasps/data
+    cluttergen robot dataset out/grasps/piles --num-grasps 240 --num-lifts 60 --out out/grasps/data
     eval cluttergen generate $PILES --num-objects 5 -n 100 --seed 1 --no-render --out out/grasps/five
     eval cluttergen generate $PILES --num-objects 10 -n 100 --seed 2 --no-render --out out/grasps/ten
     python -m benchmarks.grasp_network --banks out/grasps/five out/grasps/ten [--write]
 
-So piles are as VGN has them: let fall between walls that are then taken away, all in its cube. `--support
-bin` instead of table and region makes them harder: the cube does not hold all of the bin, and the hand seldom
-comes past its walls.
+More of the candidates that are not free are labelled so than by default, and no more lifts are made, which
+take the time. Piles are as VGN has them: let fall between walls that are then taken away, all in its cube.
+`--support bin` instead of table and region makes them harder: the cube does not hold all of the bin, and the
+hand seldom comes past its walls.
 
 The network learns from the labelled grasps of `robot dataset` (`grasp_learning`). Beside it stand antipodal
 grasps found in the same volume without learning (`grasp_geometry`), the best one and, as the floor, any of
