@@ -16,6 +16,8 @@ from cluttergen_jax.assets.support import SupportAsset
 
 _SAMPLES = 4096
 """Points on all surfaces of a link."""
+_NO_LIMIT = 100.0
+"""Radians or metres: files state such limits where they mean none."""
 
 
 def moved_together(joints: Sequence[Joint], meshes: Sequence[Mesh]) -> list[list[Mesh]]:
@@ -49,9 +51,17 @@ def with_joints(support: SupportAsset, joints: Sequence[Joint]) -> SupportAsset:
     made = [
         replace(
             joint,
+            range=_limits_of(joint),
             boxes=tuple(place for place, by in enumerate(boxes) if by == number),
             parts=tuple(place for place, by in enumerate(parts) if by == number),
         )
         for number, joint in enumerate(joints)
     ]
     return replace(support, joints=tuple(made))
+
+
+def _limits_of(joint: Joint) -> tuple[float, float] | None:
+    """Its limits with where it stands, which files may put beyond them; None where they limit nothing."""
+    if joint.range is None or max(map(abs, joint.range)) > _NO_LIMIT:
+        return None
+    return min(joint.range[0], joint.value), max(joint.range[1], joint.value)

@@ -140,7 +140,7 @@ def support_with_notes(shape: Shape) -> tuple[SupportAsset, list[str]]:
 
 
 def _without_joints(shape: Shape, whole: Mesh, shift: np.ndarray) -> tuple[SupportAsset, list[str]]:
-    """`support_with_notes`, all as it stands.
+    """`support_with_notes` without its joints.
 
     Args:
       whole: all surfaces; shift: from the shape's frame to the world.

@@ -10,6 +10,7 @@ from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
+from cluttergen_jax.importing.support_joints import with_joints
 from cluttergen_jax.importing.supports import support_with_notes
 from cluttergen_jax.scene.export import export_scenes
 
@@ -100,6 +101,14 @@ def test_joints_stand_where_they_were_opened_and_move_what_is_theirs(tmp_path, k
     np.testing.assert_allclose(points.max(0), surface.max(0), atol=0.003)
     owned = [number for joint in support.joints for number in joint.boxes]
     assert len(owned) == len(set(owned)) < len(support.boxes)
+
+
+def test_limits_that_a_file_does_not_keep_to_are_widened_and_huge_ones_are_none(tmp_path):
+    support = cabinet(tmp_path)
+    rail, hinge, lock = support.joints
+    odd = (replace(rail, range=(0.3, 0.4)), replace(hinge, range=(-1e5, 1e5)), lock)
+    again = read_support(write_support(tmp_path / "odd", with_joints(support, odd)))
+    assert [each.range for each in again.joints] == [pytest.approx((OPEN, 0.4)), None, lock.range]
 
 
 def test_joints_are_kept_with_the_support(tmp_path):

@@ -236,12 +236,12 @@ def rigid(
     masses = [_link_mass(surfaces.path, link) for link in links]
     stated = combine_masses([mass for mass in masses if mass is not None])
     own_notes = [*notes, *_weightless(links, masses)]
-    is_any_clear = 0 < len([piece for piece in visuals if piece.rgba[3] > 0]) < len(visuals)
+    link_of = [number for piece, number in seen if piece.rgba[3] > 0] or [
+        number for _, number in seen or solid
+    ]
     return Model(
         pieces=_visible(visuals, surfaces.notes) or collisions,
-        link_of=tuple(
-            number for piece, number in seen or solid if piece.rgba[3] > 0 or not (seen and is_any_clear)
-        ),
+        link_of=tuple(link_of),
         parts=convex_parts([piece.mesh for piece in collisions]),
         stated=None if stated is None else stated.convert(np.eye(3), scale),
         notes=tuple(dict.fromkeys([*own_notes, *surfaces.notes])),
