@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
+from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter, map_coordinates
 from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.support import SupportAsset
@@ -44,6 +44,8 @@ _CLEARANCES = (0.006, 0.003, 0.001)
 """Metres between the open hand and what is solid: looked for in this order."""
 _LEAST_LEVEL = 0.3
 """Level part of a unit normal from which on a surface may be a low side."""
+_NEAR = 2
+"""Voxels from known free space to the root of the fingers, at most."""
 _FEW = 20
 """One of so many points of the hand is looked at first."""
 _HEIGHT, _LEVEL = 0.1, 0.3
@@ -109,6 +111,13 @@ def free_room(grid: np.ndarray) -> np.ndarray:
     half = VOXEL / 4
     room: np.ndarray = np.maximum(distance_transform_edt(is_free) * VOXEL / 2 - half, 0.0)
     return room
+
+
+def is_before_surface(grid: np.ndarray) -> np.ndarray:
+    """bool[N, N, N]: whether the root of the fingers may be in a voxel: near known free space, not inside."""
+    is_inside = (grid > 1e-3) & (grid < 0.5)
+    found: np.ndarray = binary_dilation(grid > 0.5, iterations=_NEAR, mask=~is_inside)
+    return found
 
 
 def surface_of(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,8 +22,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from scipy.ndimage import distance_transform_edt
 from scipy.stats import rankdata
 
+from benchmarks.grasp_geometry import is_before_surface
 from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, in_parts
 from cluttergen_jax.downstream.robot.grasping.vgn import RESOLUTION
 from cluttergen_jax.errors import ConfigError
@@ -34,6 +36,8 @@ _WIDTH_WEIGHT = 0.01
 _HALF_TURN = np.array([0.0, 0.0, 0.0, 1.0])
 """About the approach, which is the tool's z: parallel jaws are the same afterwards."""
 _HEADS = {"quality": 1, "turn": 4, "width": 1}
+_IDLE, _IDLE_APART = 64, 2
+"""Voxels of a scene in which nothing can be grasped, and how far they are from all labelled grasps."""
 _HELD_OUT = 10
 """One scene in so many is not learnt from."""
 
@@ -238,10 +242,15 @@ class GraspLearner:
 def read_examples(folders: Sequence[Path]) -> dict[str, np.ndarray]:
     """The scenes of datasets of `cluttergen robot dataset`, S of them, with L labelled grasps at most.
 
+    Candidates of a dataset are antipodal, so that a network that learnt from them alone would find good
+    grasps where there is nothing to grasp. Behind them come voxels before a surface, drawn by chance, that
+    are more than two voxels from every candidate: bad grasps, `_IDLE` of a scene.
+
     Returns:
       grid: f16[S, 40, 40, 40]. voxel: i16[S, L, 3], in which the fingers' root is. turn: f32[S, L, 4],
       T_task_tool's quaternion, wxyz. width: f32[S, L], voxels. label: f32[S, L], 1 where something was
       lifted. weight: f32[S, L], with which good and bad grasps count the same in all; 0 behind the last one.
+      is_idle: bool[S, L], of a voxel without a candidate.
 
     Raises:
       ConfigError: a folder holds no such dataset, or none of its grasps lifts something, or all do.
@@ -253,7 +262,8 @@ def read_examples(folders: Sequence[Path]) -> dict[str, np.ndarray]:
         raise ConfigError(
             f"{num} labelled grasps, {good} of which lift something", "some that do and some that do not"
         )
-    most = max(len(rows) for _, rows in scenes)
+    most = max(len(rows) for _, rows in scenes) + _IDLE
+    bad = num - good + _IDLE * len(scenes)
     made: dict[str, np.ndarray] = {
         "grid": np.zeros((len(scenes), *[RESOLUTION] * 3), np.float16),
         "voxel": np.zeros((len(scenes), most, 3), np.int16),
@@ -261,6 +271,7 @@ def read_examples(folders: Sequence[Path]) -> dict[str, np.ndarray]:
         "width": np.zeros((len(scenes), most), np.float32),
         "label": np.zeros((len(scenes), most), np.float32),
         "weight": np.zeros((len(scenes), most), np.float32),
+        "is_idle": np.zeros((len(scenes), most), bool),
     }
     for index, (path, rows) in enumerate(scenes):
         with np.load(path, allow_pickle=False) as file:
@@ -269,8 +280,20 @@ def read_examples(folders: Sequence[Path]) -> dict[str, np.ndarray]:
         made["voxel"][here] = np.clip(np.floor(rows[:, 5:8]), 0, RESOLUTION - 1)
         made["turn"][here] = rows[:, [4, 1, 2, 3]]
         made["width"][here], made["label"][here] = rows[:, 8], rows[:, 9]
-        made["weight"][here] = np.where(rows[:, 9] > 0, num / (2 * good), num / (2 * (num - good)))
+        made["weight"][here] = np.where(rows[:, 9] > 0, (good + bad) / (2 * good), (good + bad) / (2 * bad))
+        idle = _idle_voxels(made["grid"][index], made["voxel"][here], np.random.default_rng(index))
+        behind = (index, slice(len(rows), len(rows) + len(idle)))
+        made["voxel"][behind], made["is_idle"][behind] = idle, True
+        made["weight"][behind] = (good + bad) / (2 * bad)
     return made
+
+
+def _idle_voxels(grid: np.ndarray, taken: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """i[E, 3], `_IDLE` at most: voxels of a volume before a surface and away from those i[L, 3] of grasps."""
+    is_far = np.ones(grid.shape, bool)
+    is_far[tuple(taken.astype(int).T)] = False
+    found = np.argwhere(is_before_surface(grid) & (distance_transform_edt(is_far) > _IDLE_APART))
+    return rng.permutation(found)[:_IDLE]
 
 
 def _scenes_of(folder: Path) -> list[tuple[Path, np.ndarray]]:
@@ -334,7 +357,7 @@ def judge_labels(learner: Any, params: Any, examples: Any, batch_size: int) -> d
     """Of labelled grasps `accuracy` (at one half), that of both labels alike, and `area` under the curve."""
     call = jax.jit(lambda part: learner.logits(params, part))
     logits = np.concatenate(list(in_parts(call, examples, batch_size)))
-    is_known = examples["weight"] > 0
+    is_known = (examples["weight"] > 0) & ~examples["is_idle"]
     told, is_good = logits[is_known], examples["label"][is_known] > 0
     is_right = (told > 0) == is_good
     shares = [float(is_right[which].mean()) for which in (is_good, ~is_good) if which.any()]

@@ -15,10 +15,10 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
-from scipy.ndimage import binary_dilation, gaussian_filter, maximum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter
 from scipy.spatial.transform import Rotation
 
-from benchmarks.grasp_geometry import VOXEL, OpenHand, VolumeGrasps, draw_grasps
+from benchmarks.grasp_geometry import VOXEL, OpenHand, VolumeGrasps, draw_grasps, is_before_surface
 from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import vgn
@@ -35,9 +35,10 @@ _SLOW, _SLOW_TURN = 0.01, 0.1
 """m/s and rad/s of what rests."""
 _BELOW = 0.05
 """Metres below the region's middle at which an object has fallen."""
-_SMOOTHING, _NEAR, _APART = 1.0, 2, 4
-"""Voxels: deviation of what smooths the quality, how far from known free space a grasp may be, and how far
-from a better one."""
+_SMOOTHING, _APART = 1.0, 4
+"""Voxels: deviation of what smooths the quality, and how far a grasp is from a better one."""
+_TEMPERATURE = 0.2
+"""By how much scores of antipodal grasps are shaken, so that one that failed is not proposed again."""
 
 Proposal = tuple[np.ndarray, float]
 """T_task_tool f64[4, 4], and metres between the points that the fingers press on."""
@@ -206,9 +207,7 @@ def chosen_voxels(
     """
     quality = gaussian_filter(predicted["quality"], _SMOOTHING, mode="nearest")
     width = predicted["width"] * VOXEL
-    is_before, is_inside = grid > 0.5, (grid > 1e-3) & (grid < 0.5)
-    is_near = binary_dilation(is_before, iterations=_NEAR, mask=~is_inside)
-    quality = np.where(is_near & (width > 0) & (width <= widest), quality, 0.0)
+    quality = np.where(is_before_surface(grid) & (width > 0) & (width <= widest), quality, 0.0)
     is_best = (quality >= threshold) & (quality == maximum_filter(quality, _APART))
     voxel = np.argwhere(is_best)
     score = quality[is_best]
@@ -221,7 +220,10 @@ def chosen_voxels(
 
 @dataclass(frozen=True)
 class ByGeometry:
-    """The best antipodal grasp of a volume, or any of them; with level normals where there is no other.
+    """One of the best antipodal grasps of a volume, or any; with level normals where there is no other.
+
+    Scores are shaken by noise of Gumbel's distribution: what looks clear may touch something unseen, and
+    the best grasp would be proposed again as long as nothing moves.
 
     Attributes:
       hand: that has to be clear. is_random: any of those with as much room, all with equal chances.
@@ -234,8 +236,8 @@ class ByGeometry:
         """See `Proposer`."""
         for is_level in (False, True):
             found = draw_grasps(grid, self.hand, is_level)
-            if self.is_random:
-                found = found.take(rng.permutation(len(found.width)))
+            shaken = (0 if self.is_random else found.score) + _TEMPERATURE * rng.gumbel(size=len(found.score))
+            found = found.take(np.argsort(-shaken, kind="stable"))
             row = self.hand.first_clear(grid, found)
             if row is not None:
                 return found.pose[row], float(found.width[row])

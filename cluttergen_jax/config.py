@@ -64,6 +64,7 @@ Containment = Literal["center", "footprint"]
 Overhang = Literal["any", "half", "none"]
 Height = Literal["rest", "free"]
 Poses = Literal["upright", "resting", "any"]
+OtherEngine = Literal["drake", "pybullet", "isaac"]
 RelationKind = Literal[
     "on", "in", "next_to", "far_from", "left_of", "right_of", "in_front_of", "behind", "aligned"
 ]

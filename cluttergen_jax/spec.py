@@ -23,6 +23,7 @@ from cluttergen_jax.config import (
     Height,
     Method,
     Order,
+    OtherEngine,
     Overhang,
     Poses,
     Setting,
@@ -54,6 +55,8 @@ if TYPE_CHECKING:
 SHELF, MOST_ON_SHELF = 64, 200
 CROWD = 40
 """Objects; scenes of more are not over when they fail their last check (`PlacementConfig.retry_last`)."""
+MARGIN_FOR: dict[OtherEngine, float] = {"drake": 0.01, "pybullet": 0.01, "isaac": 0.01}
+"""Metres of `min_margin` that another engine asks for (`reports/measured.md`)."""
 SETTINGS, BALANCES = get_args(Setting), get_args(Balance)
 _FIXED_POSES = {
     PACKED: ", which places all objects upright",
@@ -89,6 +92,7 @@ class EnvOptions(TrainOptions, total=False):
     budget: int | None
     min_margin: float | None
     robust: bool
+    for_engine: OtherEngine | None
     setting: Setting
     overhang: Overhang
     num_threads: int
@@ -189,6 +193,8 @@ class SceneSpec:
         0 asks for nothing. If not given: 0.003.
       robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5
         degrees, friction is 0.7 times as much and contacts are softer; native engine only.
+      for_engine: an engine other than MuJoCo in which scenes shall stand, too: "drake", "pybullet" or "isaac". A
+        larger `min_margin` is asked for, unless one is given.
       setting: default preset of the rules that are not given: "default", or "paper": a random order, nothing
         removed, no margin.
       overhang: how much of an object's footprint may reach beyond the edge of the support once it rests:
@@ -245,6 +251,7 @@ class SceneSpec:
     budget: int | None = None
     min_margin: float | None = None
     robust: bool = False
+    for_engine: OtherEngine | None = None
     setting: Setting = "default"
     overhang: Overhang = "any"
     clutter: str | Mapping[str, float] | Clutter | None = None
@@ -278,6 +285,8 @@ class SceneSpec:
         if self.setting not in SETTINGS:
             meant = closest(self.setting, SETTINGS)
             raise ConfigError(f"setting = {self.setting!r}", ", ".join(SETTINGS), "setting='paper'", meant)
+        if self.for_engine is not None and self.for_engine not in MARGIN_FOR:
+            raise no_such("for_engine", self.for_engine, tuple(MARGIN_FOR))
         if self.balance not in BALANCES:
             meant = closest(self.balance, BALANCES)
             raise ConfigError(f"balance = {self.balance!r}", ", ".join(BALANCES), "balance='label'", meant)
@@ -396,7 +405,8 @@ class SceneSpec:
         order: Order = "weighted" if is_trusted else "random"
         ruin_after = min(RUIN_AFTER, self.max_attempts) if is_trusted else 0
         # In a heap things lean on walls and on each other.
-        min_margin = MIN_MARGIN if is_default and method != PILE else 0.0
+        usual = MIN_MARGIN if is_default and method != PILE else 0.0
+        min_margin = usual if self.for_engine is None else MARGIN_FOR[self.for_engine]
         return replace(
             self,
             order=order if self.order is None else self.order,
@@ -428,7 +438,7 @@ class SceneSpec:
             raise ConfigError(given, f"with {PACKED}", f"method={PACKED!r}")
         if method != PILE:
             return
-        refused = ("keep_out", "start", "ruin_after", "min_margin", "robust")
+        refused = ("keep_out", "start", "ruin_after", "min_margin", "robust", "for_engine")
         wanted = [name for name in refused if getattr(self, name)]
         is_polygon = isinstance(self.region, str) and (";" in self.region or self.region == "outline")
         wanted += ["region"] * is_polygon

@@ -7,7 +7,13 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-FLAGS = {"max_attempts": "attempts", "num_threads": "threads", "is_private": "private", "take_all": "all"}
+FLAGS = {
+    "max_attempts": "attempts",
+    "num_threads": "threads",
+    "is_private": "private",
+    "take_all": "all",
+    "for_engine": "for",
+}
 """Arguments whose option is called otherwise."""
 _VALUE = r"""'[^']*'|"[^"]*"|\([^()]*\)|\[[^][]*\]|[\w.+-]*[\w+-]"""
 

@@ -29,6 +29,7 @@ from benchmarks.grasp_learning import (
     NetworkSizes,
     area_under_curve,
     multiply,
+    read_examples,
     turn_scene,
 )
 from cluttergen_jax.assets.support_file import find_support
@@ -264,6 +265,15 @@ def test_what_is_left_is_at_rest_and_what_leaves_the_cube_is_gone():
 def test_the_benchmark_runs_and_goes_on(tmp_path, monkeypatch, capsys):
     bank = write_bank(tmp_path / "bank", 4)
     cg.grasp_dataset(bank.path, tmp_path / "data", num_grasps=12, views=2, num_threads=1)
+    examples = read_examples([tmp_path / "data"])
+    for voxel, weight, is_idle in zip(*(examples[name] for name in ("voxel", "weight", "is_idle")), strict=True):
+        grasps = voxel[(weight > 0) & ~is_idle].astype(int)
+        apart = np.linalg.norm(voxel[is_idle].astype(int)[:, None] - grasps, axis=-1)
+        assert is_idle.sum() == 64
+        assert apart.min() > 2
+    assert not examples["label"][examples["is_idle"]].any()
+    total = [examples["weight"][examples["label"] == label].sum() for label in (0, 1)]
+    assert total[0] == pytest.approx(total[1], rel=1e-5)
     args = grasp_network.GraspNetworkBench(
         datasets=(tmp_path / "data",),
         banks=(bank.path,),
