@@ -266,7 +266,9 @@ def test_the_benchmark_runs_and_goes_on(tmp_path, monkeypatch, capsys):
     bank = write_bank(tmp_path / "bank", 4)
     cg.grasp_dataset(bank.path, tmp_path / "data", num_grasps=12, views=2, num_threads=1)
     examples = read_examples([tmp_path / "data"])
-    for voxel, weight, is_idle in zip(*(examples[name] for name in ("voxel", "weight", "is_idle")), strict=True):
+    for voxel, weight, is_idle in zip(
+        *(examples[name] for name in ("voxel", "weight", "is_idle")), strict=True
+    ):
         grasps = voxel[(weight > 0) & ~is_idle].astype(int)
         apart = np.linalg.norm(voxel[is_idle].astype(int)[:, None] - grasps, axis=-1)
         assert is_idle.sum() == 64
