@@ -11,7 +11,7 @@ from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.card import card_text
 from cluttergen_jax.scene.bank.stats import stats_of
-from cluttergen_jax.spec import SceneSpec
+from cluttergen_jax.spec import MARGIN_FOR, SceneSpec
 
 RULES = ("order", "ruin_after", "budget", "min_margin")
 PAPER = {"order": "random", "ruin_after": 0, "budget": None, "min_margin": 0.0}
@@ -32,6 +32,15 @@ def test_the_papers_rules_hold_whatever_the_method(method):
 def test_what_is_given_wins(setting, method):
     given = {"order": "fixed", "ruin_after": 0, "budget": 70, "min_margin": 0.0}
     assert rules(method, setting=setting, **given) == given
+
+
+@pytest.mark.parametrize("setting", ["default", "paper"])
+@pytest.mark.parametrize("engine", MARGIN_FOR)
+def test_another_engine_asks_for_a_margin_unless_one_is_given(engine, setting):
+    asked = {"setting": setting, "for_engine": engine}
+    assert rules("guided", **asked)["min_margin"] == MARGIN_FOR[engine] > MIN_MARGIN
+    assert rules(None, **asked)["min_margin"] == MARGIN_FOR[engine]
+    assert rules("guided", **asked, min_margin=0.001)["min_margin"] == 0.001
 
 
 @pytest.fixture(scope="module")

@@ -85,6 +85,7 @@ def test_equal_requests_are_equal():
         ({"ruin_after": 6}, "0 to 5"),
         ({"engine": "fast"}, "auto, native, warp, jax"),
         ({"method": "guide"}, "Did you mean 'guided'"),
+        ({"for_engine": "pybulet"}, "Did you mean 'pybullet'.*drake, pybullet, isaac"),
         ({"containment": "all"}, "center, footprint"),
         ({"tidy": True, "natural": True}, "one or the other"),
         ({"region": 3}, "a Rectangle"),

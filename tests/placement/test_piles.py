@@ -44,6 +44,7 @@ def test_a_container_has_the_size_of_its_name():
         {"start": "bank:0"},
         {"ruin_after": 3},
         {"min_margin": 0.003},
+        {"for_engine": "drake"},
         {"robust": True},
         {"overhang": "half"},
         {"engine": "warp"},
