@@ -193,7 +193,7 @@ class SceneSpec:
         0 asks for nothing. If not given: 0.003.
       robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5
         degrees, friction is 0.7 times as much and contacts are softer; native engine only.
-      for_engine: an engine other than MuJoCo in which scenes shall stand, too: "drake", "pybullet" or "isaac". A
+      for_engine: an engine other than MuJoCo in which scenes shall stand too: "drake", "pybullet", "isaac". A
         larger `min_margin` is asked for, unless one is given.
       setting: default preset of the rules that are not given: "default", or "paper": a random order, nothing
         removed, no margin.
