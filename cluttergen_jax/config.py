@@ -37,6 +37,8 @@ GEOMETRIC_METHODS = ("random", "clear", "drop", *TRUSTED_METHODS)
 PACKED, PILE = "packed", "pile"
 """Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
 all objects of a scene let fall into a heap, which the native engine makes whole."""
+PILE_NOSLIP = 4
+"""No-slip iterations of piles. Without them friction yields a little, and some heaps slide after seconds."""
 AIR_WALLS = ("air-x", "air+x", "air-y", "air+y")
 """Planes by the side of a region on which they stand."""
 HAND = "hand"

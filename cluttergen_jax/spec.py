@@ -14,10 +14,12 @@ from cluttergen_jax.config import (
     METHODS,
     PACKED,
     PILE,
+    PILE_NOSLIP,
     ROBUST_TILT,
     TRUSTED_METHODS,
     UNPROPOSED,
     Balance,
+    ContactConfig,
     Containment,
     Engine,
     Height,
@@ -554,6 +556,7 @@ class SceneSpec:
             num_threads=self.num_threads,
             placement=self.with_rules(method)._placement(num_objects),
             stability=replace(stability, both_detectors=has_two_detectors and self.setting != "paper"),
+            contact=ContactConfig(noslip_iterations=PILE_NOSLIP if is_piled else 0),
         )
 
     def _weights(self) -> tuple[tuple[str, float], ...]:

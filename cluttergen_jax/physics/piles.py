@@ -82,6 +82,7 @@ def walled_simulations(layout: Layout, size: int, num_threads: int) -> Simulatio
     """Simulations of a world between walls of air, with little friction and some drag."""
     assert layout.compile_walled is not None
     model = sleeping_model(layout.compile_walled())
+    model.opt.noslip_iterations = 0
     model.geom_friction[:] *= FRICTION
     model.dof_damping[:] = damping_of(model, DRAG, TURNING_DRAG)
     return Simulations(model, layout, size, num_threads)

@@ -135,7 +135,7 @@ class Simulations:
 
     @contextmanager
     def eased(self, friction: float, drag: float, turning_drag: float) -> Iterator[None]:
-        """Inside, friction is `friction` times as much, and motion decays; after it all is as it was.
+        """Inside, friction is `friction` times as much and yields, and motion decays; then all is as it was.
 
         Args:
           drag, turning_drag: 1/s, by which speeds and angular speeds decay.
@@ -143,9 +143,11 @@ class Simulations:
         model = self._batch.model
         self._batch.expand("geom_friction")[:] = friction * model.geom_friction
         self._batch.expand("dof_damping")[:] = damping_of(model, drag, turning_drag)
+        self._batch.expand("opt.noslip_iterations")[:] = 0
         try:
             yield
         finally:
+            self._batch.expand("opt.noslip_iterations")[:] = model.opt.noslip_iterations
             for name in ("geom_friction", "dof_damping"):
                 self._batch.expand(name)[:] = getattr(model, name)
 
