@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import rim_height
+from cluttergen_jax.config import PILE_NOSLIP
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.sampler import set_up_bank
 from cluttergen_jax.generation.sources.replay import replay, replay_context_of
@@ -109,6 +111,8 @@ def test_sampler_rollout_and_bank_give_the_same_piles(pool, tmp_path):
     stored = next(iter(bank.tables(["poses", "is_success"])))
     np.testing.assert_array_equal(np.stack(stored["poses"].to_pylist()), scenes.poses)
     assert bank.spec.method == "pile"
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "bank/scenes/000000.xml"))
+    assert model.opt.noslip_iterations == PILE_NOSLIP > 0
     with pytest.raises(BankError, match="pile"):
         replay(bank, replay_context_of(bank), 0, SimpleNamespace(title="scene 0"))
     with pytest.raises(ConfigError, match="generate"):
