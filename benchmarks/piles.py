@@ -24,7 +24,7 @@ from benchmarks.bullet import BulletPhysics, pybullet
 from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import PILE_NOSLIP, ContactConfig, StabilityConfig
 from cluttergen_jax.evaluation.measures.bullet_world import object_friction, support_friction
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics.native import NativePhysics
@@ -87,7 +87,7 @@ class Turn:
 def compete(args: Piles) -> dict[str, Turn]:
     """Both contenders, block by block in turn, so that what else the machine does troubles both alike."""
     objects = [each for each in find_pool(args.pool).objects if each.radius <= args.max_radius]
-    support, contact = find_support(args.support), ContactConfig()
+    support, contact = find_support(args.support), ContactConfig(noslip_iterations=PILE_NOSLIP)
     both = StabilityConfig(both_detectors=True)
     world = make_world(objects, support, both, contact)
     ours = NativePhysics(world.layout, both, num_threads=1)

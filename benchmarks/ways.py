@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 import tyro
+from PIL import Image
 
 import cluttergen_jax as cg
 from benchmarks.section import IMAGES, prose, report, table
@@ -22,7 +23,7 @@ from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.evaluation.measures.arrangement import by_object
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_kernel, vendi_score
 from cluttergen_jax.rendering.assets import render_scene
-from cluttergen_jax.rendering.sheet import contact_sheet, save_png
+from cluttergen_jax.rendering.sheet import contact_sheet
 
 SUPPORTS: dict[str, int] = {
     "table": 10,
@@ -170,7 +171,8 @@ def main(args: Ways) -> None:
     picture = "\n\n![A scene of each](images/ways.png)" if args.write else ""
     if args.write and images:
         sheet = contact_sheet(list(images.values()), list(images), columns=min(8, len(images)))
-        save_png(sheet, IMAGES / "ways.png")
+        small = Image.fromarray(sheet).reduce(2)
+        small.quantize(256, dither=Image.Dither.NONE).save(IMAGES / "ways.png", optimize=True)
     report(
         "ways", f"## Every support, every way\n\n{text}\n\n{table(header, rows)}{picture}", write=args.write
     )
