@@ -221,7 +221,7 @@ class Piler:
 
     def _shake_once(self, rows: np.ndarray, following: _Stage) -> None:
         """A round with less friction and some drag. Where it fails it is left out: another may help."""
-        with self.plain.eased(SHAKE_FRICTION, 0.0, SHAKE_TURNING_DRAG):
+        with self.plain.lower_friction(SHAKE_FRICTION, 0.0, SHAKE_TURNING_DRAG):
             self._round(rows, SHAKE)
         self._go_on(rows, following)
 

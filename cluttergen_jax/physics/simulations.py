@@ -134,7 +134,7 @@ class Simulations:
         return tuple(self._batch.expand(f)[:, first : first + len(names)] for f in ("geom_pos", "geom_quat"))
 
     @contextmanager
-    def eased(self, friction: float, drag: float, turning_drag: float) -> Iterator[None]:
+    def lower_friction(self, friction: float, drag: float, turning_drag: float) -> Iterator[None]:
         """Inside, friction is `friction` times as much and yields, and motion decays; then all is as it was.
 
         Args:

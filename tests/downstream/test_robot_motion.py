@@ -21,7 +21,7 @@ from cluttergen_jax.downstream.robot.episode import (
     place_episode,
 )
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.model import base_pose
+from cluttergen_jax.downstream.robot.model import base_pose, hand_spec, with_robot
 from cluttergen_jax.downstream.robot.motion import execute as robot_execute
 from cluttergen_jax.downstream.robot.motion.collision import (
     CLEARANCE,
@@ -308,6 +308,13 @@ def test_causes_of_failure_are_told_apart(grasps):
     ice = replace(CUBE, friction=0.01)
     slippery = replace(SCENE, objects=(LOW, WALL, ice))
     assert lift_episode(slippery, TARGET, grasps, 0).outcome == Outcome.SLIP
+
+
+def test_the_arm_holds_things_by_the_detector_with_which_grasps_are_tested():
+    scene = replace(SCENE, stability=replace(SCENE.stability, both_detectors=True))
+    tested = hand_spec(scene.contact).compile()
+    assert scene.to_mjspec().compile().opt.disableflags != tested.opt.disableflags
+    assert with_robot(scene).compile().opt.disableflags == tested.opt.disableflags
 
 
 def test_an_unplanned_contact_stops_the_arm(kinematics):

@@ -174,6 +174,7 @@ def with_robot(
     spec.option.timestep = child.option.timestep
     spec.option.integrator = child.option.integrator
     spec.option.impratio = child.option.impratio
+    spec.option.disableflags = child.option.disableflags
     if physics == "learning":
         _make_fast(spec)
     for option in _OPTIONS:
