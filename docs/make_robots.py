@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import datetime
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageSequence
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
@@ -39,17 +38,12 @@ SIZE, COLOURS, LONGEST = (320, 240), 48, 60
 def save_small(film: Path, path: Path) -> None:
     """A film in fewer frames, smaller and in few colours, as long as before."""
     with Image.open(film) as image:
-        shown = [(image.info.get("duration", 100), image.convert("RGB").resize(SIZE)) for _ in _frames(image)]
+        frames = ImageSequence.Iterator(image)
+        shown = [(each.info.get("duration", 100), each.convert("RGB").resize(SIZE)) for each in frames]
     kept = np.linspace(0, len(shown) - 1, min(LONGEST, len(shown))).round().astype(int)
     duration = sum(lasts for lasts, _ in shown) / len(kept)
     first, *others = [shown[each][1].quantize(COLOURS, dither=Image.Dither.NONE) for each in kept]
     first.save(path, save_all=True, append_images=others, duration=round(duration), loop=0, optimize=True)
-
-
-def _frames(image: Image.Image) -> Iterator[int]:
-    for number in range(image.n_frames):  # type: ignore[attr-defined]
-        image.seek(number)
-        yield number
 
 
 def facts_of(robot: RobotDescription) -> list[tuple[str, str]]:
