@@ -13,26 +13,33 @@ import io
 import multiprocessing
 import os
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import flax.linen as nn
 import jax
-import jax.numpy as jnp
 import numpy as np
-import optax
 import tyro
+from scipy.spatial.transform import Rotation
 
 import cluttergen_jax as cg
+from benchmarks.imitation import Policy, examples_of, fit, state_of
 from benchmarks.section import prose, report, table
 from cluttergen_jax.downstream.environments.env import RobotEnv
+from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
+from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.progress import Progress
 
-CHUNK, EXECUTED = 10, 5
-"""Steps of control that are predicted at once, and how many of them are made before the next look."""
+_SPEED, _TURN_SPEED = 0.25, 1.0
+"""m/s and rad/s of the tool on its way to a key pose, on average."""
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""About the approach."""
+_NUM_SOLUTIONS, _NEAR = 6, 0.5
+"""Of inverse kinematics; radians between a way of joints and a straight one."""
+_GRIP_STEP, _WAIT = 0.12, 4
+"""Share of the gripper that changes in a step; steps of rest before the next look."""
 _FRESH = 1_000_000
 """Seeds of trials begin here."""
 
@@ -64,38 +71,6 @@ class BehaviourCloning:
     write: bool = False
 
 
-class Imitator(nn.Module):
-    """Observation f[D] to the changes of the set-points in the next `CHUNK` steps, f[CHUNK, A], -1 to 1."""
-
-    width: int
-    num_actions: int
-
-    @nn.compact
-    def __call__(self, seen: jax.Array) -> jax.Array:
-        """See class."""
-        x = seen
-        for _ in range(4):
-            x = nn.gelu(nn.LayerNorm()(nn.Dense(self.width)(x)))
-        out = nn.Dense(CHUNK * self.num_actions)(x)
-        return jnp.tanh(out).reshape(*seen.shape[:-1], CHUNK, self.num_actions)
-
-
-def features(seen: dict[str, np.ndarray], num_joints: int) -> np.ndarray:
-    """f32[D]: the arm, the tool as its matrix, objects about the target, and the target about the tool."""
-    arm, objects = seen["agent_pos"], seen["environment_state"].reshape(-1, 11)
-    tool, target = arm[-7:], objects[0]
-    turn = rotation_matrix(tool[3:].astype(np.float64))
-    away = turn.T @ (target[:3] - tool[:3])
-    rows = [
-        np.concatenate([(row[:3] - target[:3]) * row[10], rotation_matrix(row[3:7])[:, :2].ravel(), row[7:]])
-        if row[10]
-        else np.zeros(13)
-        for row in objects.astype(np.float64)
-    ]
-    held = np.concatenate([arm[: num_joints * 2 + 1], tool[:3], turn.ravel(), away, target[:3]])
-    return np.concatenate([held, *rows]).astype(np.float32)
-
-
 def make_env(args: BehaviourCloning, task: str, bank: Path) -> RobotEnv:
     """The environment in which episodes are made and trials are judged."""
     found: Any = task
@@ -110,23 +85,23 @@ def _bank(args: BehaviourCloning, name: str, seed: int, num_scenes: int) -> Path
 
 
 def _make_episode(env: RobotEnv, seed: int, path: Path) -> None:
-    """One scripted episode: f32[T, D], f32[T, A] and whether it succeeded."""
+    """One scripted episode: what was seen, done and asked of the arm in each of T steps, and its end."""
     seen, _ = env.reset(seed=seed)
-    number, rows, actions, is_success = len(env.world.robot.qpos), [], [], False
+    assert env.start is not None
+    kept: dict[str, list[np.ndarray]] = {"agent_pos": [], "objects": [], "action": [], "set_point": []}
+    is_success, goal = False, env.start.goals[env.start.target]
     for action in cg.scripted_actions(env):
-        rows.append(features(seen, number))
-        actions.append(action)
+        assert env.execution is not None
+        now = (seen["agent_pos"], seen["environment_state"].reshape(-1, 11), action, env.execution.set_point)
+        for name, value in zip(kept, now, strict=True):
+            kept[name].append(np.array(value))
         seen, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             is_success = bool(info["is_success"])
             break
-    write_atomically(path, _packed(np.array(rows), np.array(actions), is_success))
-
-
-def _packed(rows: np.ndarray, actions: np.ndarray, is_success: bool) -> bytes:
     buffer = io.BytesIO()
-    np.savez(buffer, rows=rows, actions=actions, is_success=is_success)
-    return buffer.getvalue()
+    np.savez_compressed(buffer, goal=goal, is_success=is_success, **{k: np.array(v) for k, v in kept.items()})
+    write_atomically(path, buffer.getvalue())
 
 
 def _work(args: BehaviourCloning, task: str, bank: Path, left: list[tuple[int, Path]]) -> None:
@@ -135,8 +110,8 @@ def _work(args: BehaviourCloning, task: str, bank: Path, left: list[tuple[int, P
         _make_episode(env, seed, path)
 
 
-def collect(args: BehaviourCloning, task: str, bank: Path) -> tuple[list[np.ndarray], list[np.ndarray], int]:
-    """Rows and actions of each successful episode, and how many were made."""
+def collect(args: BehaviourCloning, task: str, bank: Path) -> tuple[list[dict[str, np.ndarray]], int]:
+    """The successful episodes, and how many were made."""
     folder = args.out / f"{args.robot}-{task}"
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{seed:06d}.npz" for seed in range(args.num_episodes)]
@@ -160,57 +135,79 @@ def collect(args: BehaviourCloning, task: str, bank: Path) -> tuple[list[np.ndar
         each.join()
         if each.exitcode:
             raise SystemExit(f"a worker ended with status {each.exitcode}")
-    files = [np.load(path, allow_pickle=False) for path in paths]
-    good = [each for each in files if each["is_success"]]
-    return [each["rows"] for each in good], [each["actions"] for each in good], len(files)
+    episodes = [dict(np.load(path, allow_pickle=False)) for path in paths]
+    return [each for each in episodes if each["is_success"]], len(episodes)
 
 
-def fit(args: BehaviourCloning, rows: list[np.ndarray], actions: list[np.ndarray]) -> Any:
-    """A function of features f[D] to actions f[CHUNK, A]."""
-    inputs = np.concatenate(rows)
-    mean, spread = inputs.mean(0), inputs.std(0) + 1e-4
-    # After the end of an episode the last action holds on.
-    padded = [np.concatenate([each, np.repeat(each[-1:], CHUNK, 0)]) for each in actions]
-    targets = np.concatenate(
-        [
-            np.stack([whole[k : k + len(each)] for k in range(CHUNK)], axis=1)
-            for whole, each in zip(padded, actions, strict=True)
-        ]
-    )
-    model = Imitator(args.width, targets.shape[-1])
-    params = model.init(jax.random.key(0), inputs[:1])
-    schedule = optax.cosine_decay_schedule(1e-3, args.num_updates)
-    optimizer = optax.adamw(schedule, weight_decay=1e-4)
-    state, rng = optimizer.init(params), np.random.default_rng(0)
-
-    @jax.jit
-    def update(params: Any, state: Any, seen: jax.Array, wanted: jax.Array) -> tuple[Any, Any, jax.Array]:
-        def loss(params: Any) -> jax.Array:
-            return jnp.abs(model.apply(params, seen) - wanted).mean()
-
-        value, slope = jax.value_and_grad(loss)(params)
-        change, state = optimizer.update(slope, state, params)
-        return optax.apply_updates(params, change), state, value
-
-    with Progress("training", args.num_updates, "update") as progress:
-        for _ in range(args.num_updates):
-            chosen = rng.integers(len(inputs), size=512)
-            params, state, _ = update(params, state, (inputs[chosen] - mean) / spread, targets[chosen])
-            progress.update(1)
-    act = jax.jit(lambda seen: model.apply(params, (seen - mean) / spread))
-    return lambda seen: np.asarray(act(seen))
+def learn(args: BehaviourCloning, env: RobotEnv, episodes: list[dict[str, np.ndarray]]) -> Policy:
+    """The policy that imitates them."""
+    arm = ArmKinematics(env.world.base, env.world.description)
+    tools = [np.array([arm.tool(joints) for joints in each["set_point"]]) for each in episodes]
+    examples = [examples_of(*each) for each in zip(episodes, tools, strict=True)]
+    return fit(examples, args.num_updates, args.width)
 
 
-def judge(args: BehaviourCloning, env: RobotEnv, act: Any) -> tuple[Counter[str], Counter[str], int]:
+def cloned_actions(env: RobotEnv, policy: Policy, seen: dict[str, Any], key: Any) -> Iterator[np.ndarray]:
+    """The actions that bring the tool straight to the next key pose, and then the gripper to its share."""
+    start, run = env.start, env.execution
+    assert start is not None
+    assert run is not None
+    arm, grip = ArmKinematics(env.world.base, env.world.description), float(env.action_of(run.data.ctrl)[-1])
+    objects, goal = seen["environment_state"].reshape(1, -1, 11), start.goals[start.target]
+    state = state_of(seen["agent_pos"][None], objects, goal[None], np.array([grip]))
+    wanted, wanted_grip = jax.device_get(policy.next_key(state, key))
+    for joints in _straight_path(arm, env, run.set_point.copy(), wanted.astype(np.float64), grip < 0):
+        ctrl = run.data.ctrl.copy()
+        ctrl[env.world.robot.ctrl] = joints
+        yield np.append(env.action_of(ctrl)[:-1], grip).astype(np.float32)
+    still = np.zeros(env.action_space.shape[0] - 1, np.float32)
+    steps = int(np.ceil(abs(float(wanted_grip) - grip) / _GRIP_STEP))
+    shares = np.linspace(grip, float(np.clip(wanted_grip, -1, 1)), steps + 1)
+    for share in [*shares[1:], *[shares[-1]] * _WAIT]:
+        yield np.append(still, share).astype(np.float32)
+
+
+def _straight_path(
+    arm: ArmKinematics, env: RobotEnv, start: np.ndarray, wanted: np.ndarray, is_holding: bool
+) -> Iterator[np.ndarray]:
+    """Joints f64[n] of each step of a straight way; an empty hand may come turned by half: it is the same.
+
+    Where the straight way cannot be reached joints change evenly; where its end cannot, nothing happens.
+    """
+    ends = [wanted] if is_holding else [wanted, wanted @ _HALF_TURN]
+    found = [(end, joints) for end in ends for joints in _solutions(arm, end, start)]
+    if not found:
+        return
+    end, joints = min(found, key=lambda each: float(np.abs(each[1] - start).max()))
+    now = arm.tool(start)
+    turn, away = Rotation.from_matrix(now[:3, :3].T @ end[:3, :3]).as_rotvec(), end[:3, 3] - now[:3, 3]
+    shares = np.abs(joints - start) / np.array(env.world.description.arm.speed)
+    seconds = max(np.linalg.norm(away) / _SPEED, np.linalg.norm(turn) / _TURN_SPEED, 2 * float(shares.max()))
+    number = int(np.ceil(seconds * env.metadata["render_fps"])) + 1
+    for step in range(1, number + 1):
+        share = (step / number) ** 2 * (3 - 2 * step / number)
+        between = start + share * (joints - start)
+        matrix = now[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
+        solved = arm.solve(rigid(matrix, now[:3, 3] + share * away), between)
+        is_near = solved is not None and np.abs(solved - between).max() < _NEAR
+        yield solved if solved is not None and is_near else between
+
+
+def _solutions(arm: ArmKinematics, end: np.ndarray, start: np.ndarray) -> list[np.ndarray]:
+    near = arm.solve(end, start)
+    return [*([] if near is None else [near]), *arm.solutions(end, _NUM_SOLUTIONS)]
+
+
+def judge(args: BehaviourCloning, env: RobotEnv, policy: Policy) -> tuple[Counter[str], Counter[str], int]:
     """How trials end by the network and by the scripted policy, and in how many the network lifted."""
     cloned, scripted, lifted = Counter[str](), Counter[str](), 0
-    number = len(env.world.robot.qpos)
     with Progress("trials", args.num_trials, "trial") as progress:
         for trial in range(args.num_trials):
             seen, _ = env.reset(seed=_FRESH + trial)
             start, gained, outcome = float(seen["environment_state"][2]), 0.0, ""
             while not outcome:
-                for action in act(features(seen, number))[:EXECUTED]:
+                # The same noise at each look: it goes on as it began.
+                for action in cloned_actions(env, policy, seen, jax.random.key(trial)):
                     seen, *_, info = env.step(action)
                     gained = max(gained, float(seen["environment_state"][2]) - start)
                     if outcome := info["outcome"]:
@@ -224,32 +221,31 @@ def judge(args: BehaviourCloning, env: RobotEnv, act: Any) -> tuple[Counter[str]
                 if outcome := info["outcome"]:
                     break
             scripted[outcome or "given up"] += 1
-            progress.update(1)
+            progress.update(1, f"{cloned['success']} cloned, {scripted['success']} scripted")
     return cloned, scripted, lifted
 
 
 def body_of(args: BehaviourCloning) -> str:
     """The section."""
-    learn = _bank(args, "bank", 0, min(256, args.num_episodes))
+    bank = _bank(args, "bank", 0, min(256, args.num_episodes))
     fresh = _bank(args, "fresh", 1, args.num_trials)
     rows = []
     for task in args.tasks:
-        seen, actions, made = collect(args, task, learn)
-        act = fit(args, seen, actions)
-        cloned, scripted, lifted = judge(args, make_env(args, task, fresh), act)
+        episodes, made = collect(args, task, bank)
+        policy = learn(args, make_env(args, task, bank), episodes)
+        cloned, scripted, lifted = judge(args, make_env(args, task, fresh), policy)
         causes = ", ".join(f"{name} {n}" for name, n in cloned.most_common() if name != "success")
         share = [f"{each['success']} of {args.num_trials}" for each in (cloned, scripted)]
-        steps = sum(map(len, actions))
+        steps = sum(len(each["action"]) for each in episodes)
         rows.append(
-            (task, f"{len(seen)} of {made}", f"{steps:,}", share[0], str(lifted), causes or "-", share[1])
+            (task, f"{len(episodes)} of {made}", f"{steps:,}", share[0], str(lifted), causes or "-", share[1])
         )
         print(*rows[-1], flush=True)
     head = ("task", "imitated", "steps", "cloned", "lifted", "its failures", "scripted")
     text = prose(
         f"""`{args.robot}`, {args.pool}, {args.num_objects} objects, physics `learning`; {args.num_updates:,}
-        updates of a network of four layers, {args.width} wide, that sees joints and true poses and predicts
-        the next {CHUNK} changes of set-points. Trials are of a bank of other scenes; `scripted` in the same
-        trials. In `place` nobody tells the network where to put the object."""
+        updates of a network that sees joints and true poses and draws the next key pose (flow matching).
+        Trials are of a bank of other scenes; `scripted` in the same trials."""
     )
     return f"## Behaviour cloning\n\n{text}\n\n{table(head, rows)}"
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter, map_coordinates
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.support import SupportAsset
@@ -44,8 +44,6 @@ _CLEARANCES = (0.006, 0.003, 0.001)
 """Metres between the open hand and what is solid: looked for in this order."""
 _LEAST_LEVEL = 0.3
 """Level part of a unit normal from which on a surface may be a low side."""
-_NEAR = 2
-"""Voxels from known free space to the root of the fingers, at most."""
 _FEW = 20
 """One of so many points of the hand is looked at first."""
 _HEIGHT, _LEVEL = 0.1, 0.3
@@ -111,13 +109,6 @@ def free_room(grid: np.ndarray) -> np.ndarray:
     half = VOXEL / 4
     room: np.ndarray = np.maximum(distance_transform_edt(is_free) * VOXEL / 2 - half, 0.0)
     return room
-
-
-def is_before_surface(grid: np.ndarray) -> np.ndarray:
-    """bool[N, N, N]: whether the root of the fingers may be in a voxel: near known free space, not inside."""
-    is_inside = (grid > 1e-3) & (grid < 0.5)
-    found: np.ndarray = binary_dilation(grid > 0.5, iterations=_NEAR, mask=~is_inside)
-    return found
 
 
 def surface_of(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -257,14 +248,14 @@ class OpenHand:
         Those that have plenty of room come before those that have a little.
         """
         room = free_room(grid)
-        least = self._least_room(room, grasps)
+        least = self.least_room(room, grasps)
         for clearance in _CLEARANCES:
             for row in np.flatnonzero(least > clearance).tolist():
                 if self.is_clear(room, grasps.pose[row], float(grasps.width[row]), clearance):
                     return row
         return None
 
-    def _least_room(self, room: np.ndarray, grasps: VolumeGrasps) -> np.ndarray:
+    def least_room(self, room: np.ndarray, grasps: VolumeGrasps) -> np.ndarray:
         """f64[C]: metres that some of the hand's points have at grasps, which rules out most at once."""
         least = np.zeros(len(grasps.width))
         millimetres = np.ceil(1e3 * grasps.width).astype(int)
@@ -319,3 +310,9 @@ def draw_grasps(grid: np.ndarray, hand: OpenHand, is_level: bool = False) -> Vol
     is_side = level > _LEAST_LEVEL
     normals = normals[is_side] * np.array([1.0, 1.0, 0.0]) / level[is_side, None]
     return draw_hands(find_pairs(points[is_side], normals, level[is_side], hand.widest), hand.gripper)
+
+
+def draw_all(grid: np.ndarray, hand: OpenHand) -> VolumeGrasps:
+    """Antipodal grasps in a volume f[N, N, N] with normals as they are and level, in no order."""
+    parts = [draw_grasps(grid, hand, is_level) for is_level in (False, True)]
+    return VolumeGrasps(*(np.concatenate(each) for each in zip(*parts, strict=True)))

@@ -1,4 +1,4 @@
-"""Grasps in clutter: a network of VGN's size against geometry, in rounds of clearing piles.
+"""Grasps in clutter: a network against geometry, in VGN's rounds of clearing piles.
 
     PILES='--pool all --objects "width<0.2 and height<0.2" --support table --region 0.28x0.28 --method pile'
     eval cluttergen generate $PILES --num-objects 5 -n 2000 --no-render --out out/grasps/piles
@@ -12,9 +12,10 @@ take the time. Piles are as VGN has them: let fall between walls that are then t
 `--support bin` instead of table and region makes them harder: the cube does not hold all of the bin, and the
 hand seldom comes past its walls.
 
-The network learns from the labelled grasps of `robot dataset` (`grasp_learning`). Beside it stand antipodal
-grasps found in the same volume without learning (`grasp_geometry`), the best one and, as the floor, any of
-those whose open hand is clear. All clear the same piles, which nobody learnt from (`grasp_rounds`).
+The network learns from the labelled grasps of `robot dataset` (`grasp_learning`), and says which of the
+antipodal grasps of a volume it is surest of. Beside it stand those grasps without learning
+(`grasp_geometry`), the best one and, as the floor, any of those whose open hand is clear. All clear the same
+piles, which nobody learnt from (`grasp_rounds`).
 Everything is kept in `out`, so that the same command goes on after Ctrl-C; processes with other `contenders`
 may run beside each other once the network is there. On one busy core labels take 3 s a pile, a step of
 learning 0.35 s, and a round of a contender 5 to 10 s.
@@ -36,11 +37,12 @@ import numpy as np
 import tyro
 
 from benchmarks.grasp_geometry import OpenHand
-from benchmarks.grasp_learning import GraspLearner, GraspTraining, read_examples, split_of
+from benchmarks.grasp_labels import label_volumes
+from benchmarks.grasp_learning import GraspLearner, GraspTraining, read_examples
 from benchmarks.grasp_rounds import ByGeometry, ByNetwork, Proposer, Sight, run_round
 from benchmarks.rows import Row, Rows
 from benchmarks.section import prose, report, table
-from cluttergen_jax.downstream.fitting import FitConfig, blank_params
+from cluttergen_jax.downstream.fitting import FitConfig, blank_params, in_parts
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import folder_hash, read_policy, read_record
@@ -52,11 +54,12 @@ from cluttergen_jax.schema import digest_of
 from cluttergen_jax.statistics import wilson
 
 CONTENDERS = {
-    "network": "the network, as VGN chooses among its grasps, of those that miss the empty support",
+    "network": "the antipodal grasp of the volume of which the network is surest, clear or not",
     "network, clear": "the same, where the open hand is clear by the rule of `geometry`",
     "geometry": "the best antipodal grasp of the volume, of those whose open hand is clear",
     "random": "any antipodal grasp whose open hand is clear",
 }
+_AT_ONCE = 512
 _HEAD = ("proposed by", "lifted, of attempts", "cleared, of objects", "failures", "gave up", "CPU-s a round")
 
 
@@ -66,32 +69,35 @@ class GraspNetworkBench:
 
     Attributes:
       datasets: folders of `cluttergen robot dataset` that are learnt from.
+      piles: the banks that they are of; num_practised: scenes of each in which grasps that geometry finds are
+        tried, too.
       banks: folders of piles that are cleared; none of them learnt from.
       out: the folder of the network and of the rounds.
       contenders: who clears the piles.
       num_rounds: piles of each bank that each clears.
-      num_steps: gradient steps of learning, about.
-      batch_size: scenes a step, all of whose labelled grasps count; learning_rate: of Adam.
-      threshold: smoothed quality from which on the network proposes a grasp.
+      num_epochs: times that all labelled grasps are learnt from.
+      batch_size: labelled grasps a step; learning_rate: of AdamW.
       num_views, noise: how piles are seen, as `robot dataset` has it.
       robot: whose hand it is.
-      seed: of weights, views and choices.
+      seed: of weights, views and choices. workers: processes that try grasps.
       write: put the section into reports/benchmarks.md.
     """
 
     datasets: tuple[Path, ...] = (Path("out/grasps/data"),)
+    piles: tuple[Path, ...] = (Path("out/grasps/piles"),)
+    num_practised: int = 700
     banks: tuple[Path, ...] = (Path("out/grasps/five"),)
     out: Path = Path("out/grasps/network")
     contenders: tuple[str, ...] = tuple(CONTENDERS)
     num_rounds: int = 100
-    num_steps: int = 9000
-    batch_size: int = 8
-    learning_rate: float = 3e-4
-    threshold: float = 0.9
+    num_epochs: int = 8
+    batch_size: int = 256
+    learning_rate: float = 2e-3
     num_views: int = 6
     noise: float = 1.0
     robot: str = "panda"
     seed: int = 0
+    workers: int = 2
     write: bool = False
 
     def __post_init__(self) -> None:
@@ -102,16 +108,18 @@ class GraspNetworkBench:
 def learn(args: GraspNetworkBench) -> Path:
     """The checkpoint's folder, once the network is fitted; at once if it is."""
     data = [digest_of((each / "voxels/grasps.csv").read_bytes()) for each in args.datasets]
-    scenes = read_examples(args.datasets)
-    batches = max(len(split_of(scenes, "train")["label"]) // args.batch_size, 1)
+    tried = [args.out / f"tried-{each.resolve().name}" for each in args.piles]
+    for bank, dataset, folder in zip(args.piles, args.datasets, tried, strict=True):
+        label_volumes(bank, dataset, folder, args.robot, args.num_practised, args.workers)
     config = FitConfig(
-        num_epochs=max(round(args.num_steps / batches), 1),
+        num_epochs=args.num_epochs,
         batch_size=args.batch_size,
         learning_rate=args.learning_rate,
-        weight_decay=0.0,
         seed=args.seed,
     )
-    return GraspTraining(GraspLearner(), config, scenes, data, args.out / "learning").run()
+    read = partial(read_examples, args.datasets, tried)
+    data.append(f"{args.num_practised} scenes tried")
+    return GraspTraining(GraspLearner(), config, read, data, args.out / "learning").run()
 
 
 def proposer_of(args: GraspNetworkBench, contender: str, hand: OpenHand, weights: Path) -> Proposer:
@@ -124,13 +132,12 @@ def proposer_of(args: GraspNetworkBench, contender: str, hand: OpenHand, weights
         return ByGeometry(hand, contender == "random")
     learner = GraspLearner()
     params = read_policy(weights, blank_params(learner))
-    call = jax.jit(learner.predict)
+    call = jax.jit(partial(learner.logits, params))
 
-    def predict(grid: np.ndarray) -> dict[str, np.ndarray]:
-        found: dict[str, np.ndarray] = jax.device_get(call(params, grid))
-        return found
+    def score(seen: dict[str, np.ndarray]) -> np.ndarray:
+        return np.concatenate(list(in_parts(call, seen, _AT_ONCE)))
 
-    return ByNetwork(predict, hand, args.threshold, needs_room=contender == "network, clear")
+    return ByNetwork(score, hand, needs_room=contender == "network, clear")
 
 
 def clear_piles(args: GraspNetworkBench, weights: Path, path: Path) -> dict[str, list[Row]]:
@@ -152,7 +159,7 @@ def _settings_key(args: GraspNetworkBench, contender: str, recipe: Mapping[str, 
     settings = {"bank": recipe, "robot": find_robot(args.robot).hash, "seed": args.seed}
     settings |= {"num_views": args.num_views, "noise": args.noise}
     if contender.startswith("network"):
-        settings |= {"threshold": args.threshold, "weights": folder_hash(weights, ["weights.npz"])}
+        settings |= {"weights": folder_hash(weights, ["weights.npz"])}
     return digest_of(json.dumps(settings, sort_keys=True, default=str).encode())[:8]
 
 
@@ -237,10 +244,10 @@ def body_of(args: GraspNetworkBench) -> str:
         independent."""
     )
     learnt = prose(
-        f"""The network: a batch of {fit["batch_size"]} scenes with all their grasps a step,
-        {fit["num_epochs"]} epochs. Of the {told["grasps"]:.0f} labelled grasps of scenes held out
-        ({100 * told["good"]:.0f} % lift something) it tells {100 * told["accuracy"]:.1f} % rightly, with both
-        labels alike {100 * told["balanced_accuracy"]:.1f} %; area under the curve {told["area"]:.3f}."""
+        f"""The network: batches of {fit["batch_size"]} labelled grasps, {fit["num_epochs"]} epochs. Of the
+        {told["grasps"]:.0f} grasps of scenes held out ({100 * told["good"]:.0f} % lift something) it tells
+        {100 * told["accuracy"]:.1f} % rightly, with both labels alike
+        {100 * told["balanced_accuracy"]:.1f} %; area under the curve {told["area"]:.3f}."""
     )
     return "\n\n".join(["## Grasps in clutter: a network and geometry", text, learnt, *parts])
 

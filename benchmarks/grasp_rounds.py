@@ -15,15 +15,14 @@ from typing import Protocol
 
 import mujoco
 import numpy as np
-from scipy.ndimage import gaussian_filter, maximum_filter
-from scipy.spatial.transform import Rotation
 
-from benchmarks.grasp_geometry import VOXEL, OpenHand, VolumeGrasps, draw_grasps, is_before_surface
+from benchmarks.grasp_geometry import OpenHand, VolumeGrasps, draw_all, draw_grasps, free_room
+from benchmarks.grasp_learning import see_grasps
 from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import vgn
-from cluttergen_jax.downstream.robot.grasping.clutter import FINGER_DEPTH, LiftEnd, LiftScene, StillScene
-from cluttergen_jax.downstream.transforms import inverse, rigid, shift_along
+from cluttergen_jax.downstream.robot.grasping.clutter import LiftEnd, LiftScene, StillScene
+from cluttergen_jax.downstream.transforms import inverse
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.sensing import REALSENSE, noisy
 
@@ -35,10 +34,10 @@ _SLOW, _SLOW_TURN = 0.01, 0.1
 """m/s and rad/s of what rests."""
 _BELOW = 0.05
 """Metres below the region's middle at which an object has fallen."""
-_SMOOTHING, _APART = 1.0, 4
-"""Voxels: deviation of what smooths the quality, and how far a grasp is from a better one."""
+_MOST_SEEN = 1500
+"""Grasps of a volume that the network looks at."""
 _TEMPERATURE = 0.2
-"""By how much scores of antipodal grasps are shaken, so that one that failed is not proposed again."""
+"""By how much scores of grasps are shaken, so that one that failed is not proposed again."""
 
 Proposal = tuple[np.ndarray, float]
 """T_task_tool f64[4, 4], and metres between the points that the fingers press on."""
@@ -172,50 +171,35 @@ def settle(scene: Scene) -> Scene:
 
 @dataclass(frozen=True)
 class ByNetwork:
-    """The best grasp that a network predicts, as VGN chooses it, of those that miss the empty support.
+    """The antipodal grasp of a volume of which a network is surest, of those that miss the empty support.
+
+    It looks at some of those for which a few points of the open hand have room.
 
     Attributes:
-      predict: a volume f32[N, N, N] to `quality` f[N, N, N], 0 to 1, `turn` f[N, N, N, 4] and `width`.
+      score: what `see_grasps` makes of C grasps to f[C], logits.
       hand: that grasps, and knows the empty support.
-      threshold: quality from which on a grasp is proposed.
       needs_room: the open hand must be clear in the volume, too, by the rule of `ByGeometry`.
     """
 
-    predict: Callable[[np.ndarray], dict[str, np.ndarray]]
+    score: Callable[[dict[str, np.ndarray]], np.ndarray]
     hand: OpenHand
-    threshold: float
     needs_room: bool = False
 
     def __call__(self, grid: np.ndarray, rng: np.random.Generator) -> Proposal | None:
         """See `Proposer`."""
-        found = chosen_voxels(self.predict(grid), grid, self.threshold, self.hand.widest)
+        found = draw_all(grid, self.hand)
+        has_room = np.flatnonzero(self.hand.least_room(free_room(grid), found) > 0)
+        found = found.take(rng.permutation(has_room)[:_MOST_SEEN])
+        if not len(found.width):
+            return None
+        shaken = self.score(see_grasps(grid, found)) + _TEMPERATURE * rng.gumbel(size=len(found.width))
+        found = found.take(np.argsort(-shaken, kind="stable"))
         row = self.hand.first_clear(grid, found) if self.needs_room else self._first_beside_support(found)
         return None if row is None else (found.pose[row], float(found.width[row]))
 
     def _first_beside_support(self, found: VolumeGrasps) -> int | None:
         each = zip(found.pose, found.width, strict=True)
         return next((row for row, grasp in enumerate(each) if self.hand.misses_support(*grasp)), None)
-
-
-def chosen_voxels(
-    predicted: dict[str, np.ndarray], grid: np.ndarray, threshold: float, widest: float
-) -> VolumeGrasps:
-    """The grasps of the voxels in which the smoothed quality is highest around, the best first.
-
-    Voxels have to be near known free space before a surface, not inside one, and their width one that the
-    hand takes.
-    """
-    quality = gaussian_filter(predicted["quality"], _SMOOTHING, mode="nearest")
-    width = predicted["width"] * VOXEL
-    quality = np.where(is_before_surface(grid) & (width > 0) & (width <= widest), quality, 0.0)
-    is_best = (quality >= threshold) & (quality == maximum_filter(quality, _APART))
-    voxel = np.argwhere(is_best)
-    score = quality[is_best]
-    order = np.argsort(-score, kind="stable")
-    turn = predicted["turn"][is_best][:, [1, 2, 3, 0]]
-    frame = Rotation.from_quat(turn).as_matrix() if len(turn) else np.zeros((0, 3, 3))
-    pose = [shift_along(each, (0.0, 0.0, FINGER_DEPTH)) for each in rigid(frame, (voxel + 0.5) * VOXEL)]
-    return VolumeGrasps(np.array(pose).reshape(-1, 4, 4), width[is_best], score).take(order)
 
 
 @dataclass(frozen=True)

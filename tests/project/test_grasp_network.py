@@ -1,4 +1,4 @@
-"""Grasps in clutter, a network against geometry: turns, convolutions, losses, known boxes, a small run."""
+"""Grasps in clutter, a network against geometry: crops, losses, known boxes, a small run."""
 
 from dataclasses import replace
 
@@ -18,6 +18,7 @@ from benchmarks.grasp_geometry import (
     BAND,
     VOXEL,
     OpenHand,
+    VolumeGrasps,
     distance_field,
     draw_grasps,
     free_room,
@@ -25,12 +26,12 @@ from benchmarks.grasp_geometry import (
 )
 from benchmarks.grasp_learning import (
     GraspLearner,
-    GraspNetwork,
-    NetworkSizes,
+    ScorerSizes,
     area_under_curve,
-    multiply,
+    convolve_by_two,
     read_examples,
-    turn_scene,
+    see_grasps,
+    split_of,
 )
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.downstream.robot.description import find_robot
@@ -44,7 +45,7 @@ from tests.helpers.worlds import box
 PANDA = find_robot()
 DOWN, STRAIGHT = np.diag([1.0, -1.0, -1.0]), np.eye(3)
 MIDDLE, HALF = np.array([0.12, 0.17, vgn.DEPTH + 0.03]), np.array([0.02, 0.045, 0.03])
-SMALL = NetworkSizes((4, 6, 8), (5, 3, 3), (8, 6, 4), (3, 3, 5), 5)
+SIZE = vgn.SIZE
 
 
 def volume(middle=MIDDLE, half=HALF, turn=STRAIGHT):
@@ -57,112 +58,63 @@ def volume(middle=MIDDLE, half=HALF, turn=STRAIGHT):
     return np.where(np.abs(distance) < 0.98, (distance + 1) / 2, 0).astype(np.float32)
 
 
-def around(grid, voxel, turn):
-    """The volume at points that are fixed in the frame of a grasp."""
-    offsets = np.random.default_rng(1).uniform(-0.04, 0.04, (50, 3))
-    w, *xyz = np.asarray(turn, np.float64)
-    points = (np.asarray(voxel) + 0.5) * VOXEL + offsets @ Rotation.from_quat([*xyz, w]).as_matrix().T
-    return sample_field(distance_field(np.asarray(grid)), points)
+def grasps_at(*places, turn=STRAIGHT, width=0.045):
+    """From above, closing along the world's x as it is turned."""
+    across = turn @ Rotation.from_euler("z", np.pi / 2).as_matrix() @ DOWN
+    pose = rigid(np.tile(across, (len(places), 1, 1)), np.array(places))
+    return VolumeGrasps(pose, np.full(len(places), width), np.zeros(len(places)))
 
 
-def test_a_turned_scene_has_its_grasps_on_the_same_geometry():
-    rng = np.random.default_rng(0)
-    quaternion = rng.normal(size=(5, 4))
-    scene = {
-        "grid": volume(),
-        "voxel": rng.integers([12, 18, 6], [21, 27, 16], (5, 3)),
-        "turn": (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).astype(np.float32),
-        "label": np.ones(5, np.float32),
-    }
+def test_what_the_network_sees_does_not_depend_on_how_scene_and_grasp_are_turned():
+    centre = np.array([SIZE / 2, SIZE / 2, 0.0])
+    top = MIDDLE + np.array([0, 0, 0.015])
+    seen = see_grasps(volume(), grasps_at(top, top + np.array([0, 0.02, 0])))
+    assert np.abs(seen["fine"][0].astype(float) - seen["fine"][1]).max() > 0.2
     for quarters in range(4):
-        turned = turn_scene(scene, quarters)
-        for row in range(5):
-            before = around(scene["grid"], scene["voxel"][row], scene["turn"][row])
-            after = around(turned["grid"], turned["voxel"][row], turned["turn"][row])
-            np.testing.assert_allclose(after, before, atol=1e-5)
-            if quarters:
-                # The box is not the same turned: a grasp that stays where it was is elsewhere on it.
-                stays = around(turned["grid"], scene["voxel"][row], scene["turn"][row])
-                assert np.abs(stays - before).max() > 0.005
+        turn = np.round(Rotation.from_euler("z", quarters * np.pi / 2).as_matrix())
+        place = turn @ (top - centre) + centre
+        grid = np.rot90(volume(), quarters, axes=(0, 1))
+        turned = see_grasps(grid, grasps_at(place, turn=turn))
+        for name in ("wide", "fine", "numbers"):
+            np.testing.assert_allclose(turned[name][0], seen[name][0], atol=2e-3, err_msg=name)
+    # Between the fingers is the box, beside them is room.
+    middle = seen["fine"][0, 3, :, 4, 0].astype(float)
+    assert middle[8] < 0 < middle[0]
+    assert middle[16] > 0
 
 
-def plain_network(params, grid):
-    """The same network by XLA's convolutions, strides and repeated voxels."""
-    weights, x = params["params"], grid[..., None]
-
-    def convolved(x, name, stride=1):
-        kernel = weights[f"{name}_kernel"]
-        around = [(kernel.shape[0] // 2,) * 2] * 3
-        layout = ("NDHWC", "DHWIO", "NDHWC")
-        out = jax.lax.conv_general_dilated(x, kernel, (stride,) * 3, around, dimension_numbers=layout)
-        return out + weights[f"{name}_bias"]
-
-    def enlarged(x):
-        for axis in (1, 2, 3):
-            x = jnp.repeat(x, 2, axis)
-        return x
-
-    for index in range(3):
-        x = jax.nn.relu(convolved(x, f"down{index}", 2))
-    x = jax.nn.relu(convolved(x, "up0"))
-    for index in (1, 2):
-        x = jax.nn.relu(convolved(enlarged(x), f"up{index}"))
-    x = enlarged(x)
-    turn = convolved(x, "turn")
-    turn /= jnp.linalg.norm(turn, axis=-1, keepdims=True)
-    return {"quality": convolved(x, "quality")[..., 0], "turn": turn, "width": convolved(x, "width")[..., 0]}
+def test_a_convolution_by_folding_is_that_of_xla():
+    rng = np.random.default_rng(0)
+    x, kernel = rng.normal(size=(2, 7, 6, 4, 3)), rng.normal(size=(4, 4, 4, 3, 5))
+    folded = kernel.reshape(2, 2, 2, 2, 2, 2, 3, 5).transpose(0, 2, 4, 1, 3, 5, 6, 7).reshape(-1, 5)
+    found = convolve_by_two(jnp.asarray(x), lambda patches: patches @ folded)
+    pads = [(1, 2), (1, 1), (1, 1)]
+    expected = jax.lax.conv_general_dilated(
+        jnp.asarray(x), jnp.asarray(kernel), (2,) * 3, pads, dimension_numbers=("NDHWC", "DHWIO", "NDHWC")
+    )
+    assert found.shape == expected.shape == (2, 4, 3, 2, 5)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-def test_convolutions_by_patches_are_those_of_xla_and_some_voxels_those_of_all():
-    rng, network = np.random.default_rng(0), GraspNetwork(SMALL)
-    grid = rng.uniform(size=(2, 8, 8, 8)).astype(np.float32)
-    params = jax.jit(network.init)(jax.random.key(0), grid)
-    params = jax.tree.map(lambda leaf: leaf + 0.1 * rng.normal(size=leaf.shape).astype(np.float32), params)
-    whole, expected = jax.jit(network.apply)(params, grid), jax.jit(plain_network)(params, grid)
-    voxel = rng.integers(0, 8, (2, 9, 3))
-    voxel[0, 0], voxel[1, 1] = 0, 7
-    some = jax.jit(network.apply)(params, grid, voxel)
-    for name in expected:
-        np.testing.assert_allclose(whole[name], expected[name], atol=2e-4, err_msg=name)
-        chosen = [np.asarray(whole[name])[row][tuple(voxel[row].T)] for row in range(2)]
-        np.testing.assert_allclose(some[name], np.stack(chosen), atol=2e-4, err_msg=name)
-
-
-def synthetic_examples():
-    """Two boxes: grasps above them are good, those beside them bad."""
-    places = np.array([[0.12, 0.17, 0.08], [0.19, 0.1, 0.08]])
-    voxels = np.array([[*np.floor(each[:2] / VOXEL), 16] for each in places]).astype(np.int16)
-    beside = (voxels + np.array([12, 12, 0])) % 38
-    down = np.tile(np.array([0, 1, 0, 0], np.float32), (2, 2, 1))
-    label = np.tile(np.array([1, 0], np.float32), (2, 1))
-    return {
-        "grid": np.stack([volume(each) for each in places]),
-        "voxel": np.stack([voxels, beside], axis=1).astype(np.int16),
-        "turn": down,
-        "width": 5.0 * label,
-        "label": label,
-        "weight": np.ones((2, 2), np.float32),
-    }
-
-
-def test_the_loss_falls_and_half_a_turn_about_the_approach_does_not_matter():
-    learner, examples = GraspLearner(SMALL), synthetic_examples()
-    params, optimizer = jax.jit(learner.init)(jax.random.key(0)), optax.adam(3e-3)
-    other = {**examples, "turn": np.asarray(multiply(examples["turn"], jnp.array([0.0, 0, 0, 1])))}
-    third = np.array([np.cos(np.pi / 6), 0, 0, np.sin(np.pi / 6)])
-    key, value = jax.random.key(1), jax.jit(jax.value_and_grad(learner.loss, has_aux=True))
-    (start, parts), _ = value(params, examples, key)
-    assert value(params, other, key)[0][0] == pytest.approx(float(start), abs=1e-5)
-    turned = {**examples, "turn": np.asarray(multiply(examples["turn"], jnp.asarray(third)))}
-    assert abs(float(value(params, turned, key)[0][1]["turn"]) - float(parts["turn"])) > 1e-3
+def test_the_loss_falls_and_a_mirrored_grasp_is_the_same():
+    learner = GraspLearner(ScorerSizes((4, 6), 8))
+    above = [MIDDLE + np.array([0, y, 0.015]) for y in (-0.03, -0.01, 0.01, 0.03)]
+    beside = [MIDDLE + np.array([x, y, 0.015]) for x in (0.04, -0.06) for y in (-0.02, 0.02)]
+    seen = see_grasps(volume(), grasps_at(*above, *beside))
+    examples = {**seen, "label": np.repeat(np.array([1, 0], np.float32), 4)}
+    params, optimizer = jax.jit(learner.init)(jax.random.key(0)), optax.adam(1e-2)
+    value = jax.jit(jax.value_and_grad(learner.loss, has_aux=True))
+    start = float(value(params, examples, jax.random.key(0))[0][0])
     state, update = optimizer.init(params), jax.jit(optimizer.update)
-    for step in range(60):
+    for step in range(80):
         (loss, _), slope = value(params, examples, jax.random.key(step))
         change, state = update(slope, state)
         params = jax.tree.map(jnp.add, params, change)
-    assert float(loss) < 0.1 * float(start)
-    logits = np.asarray(jax.jit(learner.logits)(params, examples))
-    assert (logits[:, 0] > logits[:, 1]).all()
+    assert float(loss) < 0.1 * start
+    mirrored = {name: np.flip(seen[name], 2) if name != "numbers" else seen[name] for name in seen}
+    for each in (seen, mirrored):
+        logits = np.asarray(jax.jit(learner.logits)(params, each))
+        assert logits[:4].min() > 0 > logits[4:].max()
 
 
 def test_the_area_under_the_curve_is_the_share_of_pairs_in_order():
@@ -204,25 +156,24 @@ def test_what_is_behind_a_surface_is_solid_and_what_is_above_is_free():
     assert sample_field(room, MIDDLE[None])[0] == 0
 
 
-def test_of_predictions_those_before_surfaces_are_chosen_the_best_first():
-    shape = grid = volume()
-    predicted = {
-        "quality": np.zeros(shape.shape),
-        "width": np.full(shape.shape, 5.0),
-        "turn": np.tile([0.0, 1, 0, 0], (*shape.shape, 1)),
-    }
-    # Above the box, above the table, in the box, high in the air.
-    for voxel, quality in (((16, 22, 16), 1.0), ((30, 8, 9), 0.95), ((16, 22, 8), 1.0), ((16, 8, 35), 1.0)):
-        x, y, z = voxel
-        predicted["quality"][x - 3 : x + 4, y - 3 : y + 4, z - 3 : z + 4] = quality
-    found = grasp_rounds.chosen_voxels(predicted, grid, 0.9, 0.08)
-    roots = found.pose[:, :3, 3] + 0.045 * np.array([0, 0, 1])
-    first = np.round(roots[0] / VOXEL - 0.5)
-    assert np.abs(first - [16, 22, 16]).max() <= 3
-    assert found.width[0] == pytest.approx(5 * VOXEL)
-    assert (np.diff(found.score) <= 0).all()
-    assert (roots[:, 2] < 0.22).all()
-    assert not len(grasp_rounds.chosen_voxels(predicted, grid, 0.9, 0.03).width)
+def test_the_grasp_is_proposed_of_which_the_network_is_surest(hand):
+    grid, rng = volume(), np.random.default_rng(0)
+    wanted = MIDDLE + np.array([0, 0.03, 0.01])
+
+    def near(seen):
+        # The wide crop tells nothing of where it is: the grasps do, in the order in which they were drawn.
+        drawn = [draw_grasps(grid, hand, is_level) for is_level in (False, True)]
+        places = np.concatenate([each.pose[:, :3, 3] for each in drawn])
+        assert len(places) == len(seen["numbers"])
+        return -1e3 * np.linalg.norm(places - wanted, axis=1)
+
+    pose, width = grasp_rounds.ByNetwork(near, hand)(grid, rng)
+    assert np.linalg.norm(pose[:3, 3] - wanted) < 0.015
+    assert hand.misses_support(pose, width)
+    clear, width = grasp_rounds.ByNetwork(near, hand, needs_room=True)(grid, rng)
+    assert hand.is_clear(free_room(grid), clear, width, 0.001)
+    empty = np.zeros_like(grid)
+    assert grasp_rounds.ByNetwork(near, hand)(empty, rng) is None
 
 
 def test_a_round_ends_when_all_is_cleared_when_two_fail_and_when_nothing_is_proposed():
@@ -266,24 +217,17 @@ def test_the_benchmark_runs_and_goes_on(tmp_path, monkeypatch, capsys):
     bank = write_bank(tmp_path / "bank", 4)
     cg.grasp_dataset(bank.path, tmp_path / "data", num_grasps=12, views=2, num_threads=1)
     examples = read_examples([tmp_path / "data"])
-    for voxel, weight, is_idle in zip(
-        *(examples[name] for name in ("voxel", "weight", "is_idle")), strict=True
-    ):
-        grasps = voxel[(weight > 0) & ~is_idle].astype(int)
-        apart = np.linalg.norm(voxel[is_idle].astype(int)[:, None] - grasps, axis=-1)
-        assert is_idle.sum() == 64
-        assert apart.min() > 2
-    assert not examples["label"][examples["is_idle"]].any()
-    total = [examples["weight"][examples["label"] == label].sum() for label in (0, 1)]
-    assert total[0] == pytest.approx(total[1], rel=1e-5)
+    assert set(examples["scene"]) == set(range(4))
+    assert 0 < examples["label"].sum() < len(examples["label"])
+    held_out = split_of(examples, "val")
+    assert len(held_out["label"]) == (examples["scene"] == 3).sum()
     args = grasp_network.GraspNetworkBench(
         datasets=(tmp_path / "data",),
         banks=(bank.path,),
         out=tmp_path / "out",
         num_rounds=2,
-        num_steps=2,
-        batch_size=2,
-        threshold=0.2,
+        num_epochs=1,
+        batch_size=8,
         num_views=2,
     )
     grasp_network.main(args)
