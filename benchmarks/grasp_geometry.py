@@ -236,9 +236,9 @@ class OpenHand:
         points = self.points(width) @ pose[:3, :3].T + pose[:3, 3]
         ways = (points - back * pose[:3, 2] for back in _BACK)
         has_room = all((sample_field(room, each) > clearance).all() for each in ways)
-        return has_room and self.misses_support(pose, width)
+        return has_room and self._misses_support(pose, width)
 
-    def misses_support(self, pose: np.ndarray, width: float) -> bool:
+    def _misses_support(self, pose: np.ndarray, width: float) -> bool:
         """Whether it touches nothing of the empty support at T_task_tool f64[4, 4] and on its way there."""
         return not self._empty.blocker(self._T_world_task @ pose, width)
 

@@ -16,7 +16,7 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-from benchmarks.grasp_geometry import OpenHand, VolumeGrasps, draw_all, draw_grasps, free_room
+from benchmarks.grasp_geometry import OpenHand, draw_all, draw_grasps, free_room
 from benchmarks.grasp_learning import see_grasps
 from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.downstream.robot.description import RobotDescription
@@ -171,19 +171,17 @@ def settle(scene: Scene) -> Scene:
 
 @dataclass(frozen=True)
 class ByNetwork:
-    """The antipodal grasp of a volume of which a network is surest, of those that miss the empty support.
+    """Of the antipodal grasps of a volume whose open hand is clear the one of which a network is surest.
 
-    It looks at some of those for which a few points of the open hand have room.
+    It looks at some of those for which a few points of the hand have room.
 
     Attributes:
       score: what `see_grasps` makes of C grasps to f[C], logits.
-      hand: that grasps, and knows the empty support.
-      needs_room: the open hand must be clear in the volume, too, by the rule of `ByGeometry`.
+      hand: that has to be clear, by the rule of `ByGeometry`.
     """
 
     score: Callable[[dict[str, np.ndarray]], np.ndarray]
     hand: OpenHand
-    needs_room: bool = False
 
     def __call__(self, grid: np.ndarray, rng: np.random.Generator) -> Proposal | None:
         """See `Proposer`."""
@@ -194,12 +192,8 @@ class ByNetwork:
             return None
         shaken = self.score(see_grasps(grid, found)) + _TEMPERATURE * rng.gumbel(size=len(found.width))
         found = found.take(np.argsort(-shaken, kind="stable"))
-        row = self.hand.first_clear(grid, found) if self.needs_room else self._first_beside_support(found)
+        row = self.hand.first_clear(grid, found)
         return None if row is None else (found.pose[row], float(found.width[row]))
-
-    def _first_beside_support(self, found: VolumeGrasps) -> int | None:
-        each = zip(found.pose, found.width, strict=True)
-        return next((row for row, grasp in enumerate(each) if self.hand.misses_support(*grasp)), None)
 
 
 @dataclass(frozen=True)

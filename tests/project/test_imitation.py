@@ -122,4 +122,4 @@ def test_a_policy_learns_the_key_poses_of_an_episode():
         state = state_of(made["agent_pos"][row], made["objects"][row], GOAL[None], grip)
         pose, grip = policy.next_key(state, jax.random.key(0))
         np.testing.assert_allclose(pose[:3, 3], stop[:3], atol=0.02)
-        assert grip == pytest.approx(stop[3], abs=0.2)
+        assert grip * stop[3] > 0.5
