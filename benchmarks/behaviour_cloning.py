@@ -33,8 +33,10 @@ from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.progress import Progress
 
-_SPEED, _TURN_SPEED = 0.25, 1.0
-"""m/s and rad/s of the tool on its way to a key pose, on average."""
+_SPEED, _TURN_SPEED, _JOINT_SHARE = 0.25, 1.0, 0.5
+"""m/s and rad/s of the tool on its way to a key pose, and share of the joints' speed, on average."""
+_SLOWER = 0.5
+"""By how much with something in the hand."""
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 """About the approach."""
 _NUM_SOLUTIONS, _NEAR = 6, 0.5
@@ -182,8 +184,10 @@ def _straight_path(
     end, joints = min(found, key=lambda each: float(np.abs(each[1] - start).max()))
     now = arm.tool(start)
     turn, away = Rotation.from_matrix(now[:3, :3].T @ end[:3, :3]).as_rotvec(), end[:3, 3] - now[:3, 3]
-    shares = np.abs(joints - start) / np.array(env.world.description.arm.speed)
-    seconds = max(np.linalg.norm(away) / _SPEED, np.linalg.norm(turn) / _TURN_SPEED, 2 * float(shares.max()))
+    longest = float((np.abs(joints - start) / np.array(env.world.description.arm.speed)).max())
+    seconds = max(
+        np.linalg.norm(away) / _SPEED, np.linalg.norm(turn) / _TURN_SPEED, longest / _JOINT_SHARE
+    ) / (_SLOWER if is_holding else 1.0)
     number = int(np.ceil(seconds * env.metadata["render_fps"])) + 1
     for step in range(1, number + 1):
         share = (step / number) ** 2 * (3 - 2 * step / number)
@@ -206,9 +210,10 @@ def judge(args: BehaviourCloning, env: RobotEnv, policy: Policy) -> tuple[Counte
         for trial in range(args.num_trials):
             seen, _ = env.reset(seed=_FRESH + trial)
             start, gained, outcome = float(seen["environment_state"][2]), 0.0, ""
+            key = jax.random.key(trial)
             while not outcome:
-                # The same noise at each look: it goes on as it began.
-                for action in cloned_actions(env, policy, seen, jax.random.key(trial)):
+                key = jax.random.fold_in(key, 0)
+                for action in cloned_actions(env, policy, seen, key):
                     seen, *_, info = env.step(action)
                     gained = max(gained, float(seen["environment_state"][2]) - start)
                     if outcome := info["outcome"]:

@@ -8,6 +8,7 @@ above it in its column, else free: cameras look from above. Beside the cube the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -42,6 +43,7 @@ _BACK = (0.0, 0.03, 0.06, 0.1)
 """Metres before the grasp at which the open hand is looked at, as where grasps are labelled."""
 _CLEARANCES = (0.006, 0.003, 0.001)
 """Metres between the open hand and what is solid: looked for in this order."""
+LEAST_CLEARANCE = _CLEARANCES[-1]
 _LEAST_LEVEL = 0.3
 """Level part of a unit normal from which on a surface may be a low side."""
 _FEW = 20
@@ -242,14 +244,17 @@ class OpenHand:
         """Whether it touches nothing of the empty support at T_task_tool f64[4, 4] and on its way there."""
         return not self._empty.blocker(self._T_world_task @ pose, width)
 
-    def first_clear(self, grid: np.ndarray, grasps: VolumeGrasps) -> int | None:
+    def first_clear(
+        self, grid: np.ndarray, grasps: VolumeGrasps, clearances: Sequence[float] = _CLEARANCES
+    ) -> int | None:
         """The number of the first of the grasps in a volume f[N, N, N] at which it is clear.
 
-        Those that have plenty of room come before those that have a little.
+        Args:
+          clearances: metres; those that have the first of them come before those that have the next.
         """
         room = free_room(grid)
         least = self.least_room(room, grasps)
-        for clearance in _CLEARANCES:
+        for clearance in clearances:
             for row in np.flatnonzero(least > clearance).tolist():
                 if self.is_clear(room, grasps.pose[row], float(grasps.width[row]), clearance):
                     return row

@@ -54,7 +54,7 @@ from cluttergen_jax.schema import digest_of
 from cluttergen_jax.statistics import wilson
 
 CONTENDERS = {
-    "network": "the antipodal grasp of the volume of which it is surest, of those whose open hand is clear",
+    "network": "the antipodal grasp of which it is surest, of those whose open hand is clear",
     "geometry": "the best antipodal grasp of the volume, of those whose open hand is clear",
     "random": "any antipodal grasp whose open hand is clear",
 }

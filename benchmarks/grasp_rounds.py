@@ -16,7 +16,7 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-from benchmarks.grasp_geometry import OpenHand, draw_all, draw_grasps, free_room
+from benchmarks.grasp_geometry import LEAST_CLEARANCE, OpenHand, draw_all, draw_grasps, free_room
 from benchmarks.grasp_learning import see_grasps
 from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.downstream.robot.description import RobotDescription
@@ -173,11 +173,12 @@ def settle(scene: Scene) -> Scene:
 class ByNetwork:
     """Of the antipodal grasps of a volume whose open hand is clear the one of which a network is surest.
 
-    It looks at some of those for which a few points of the hand have room.
+    It looks at some of those for which a few points of the hand have room. How much room there is, it was
+    shown; so any will do. Where no hand is clear it is asked all the same.
 
     Attributes:
       score: what `see_grasps` makes of C grasps to f[C], logits.
-      hand: that has to be clear, by the rule of `ByGeometry`.
+      hand: that has to be clear.
     """
 
     score: Callable[[dict[str, np.ndarray]], np.ndarray]
@@ -192,8 +193,8 @@ class ByNetwork:
             return None
         shaken = self.score(see_grasps(grid, found)) + _TEMPERATURE * rng.gumbel(size=len(found.width))
         found = found.take(np.argsort(-shaken, kind="stable"))
-        row = self.hand.first_clear(grid, found)
-        return None if row is None else (found.pose[row], float(found.width[row]))
+        row = self.hand.first_clear(grid, found, (LEAST_CLEARANCE,)) or 0
+        return found.pose[row], float(found.width[row])
 
 
 @dataclass(frozen=True)

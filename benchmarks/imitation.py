@@ -34,6 +34,8 @@ _STILL, _SAME, _SAME_TURN = 0.0015, 0.012, 0.1
 """Metres that a tool at rest moves in a step at most; metres and radians between key poses that are one."""
 _THERE, _THERE_TURN, _SAME_GRIP = 0.006, 0.05, 0.2
 """Metres, radians and share of the gripper from which on a key pose is reached."""
+_ABOUT = 1
+"""Steps about a key pose that are learnt from as often as all others: a policy is asked there."""
 _SMALL = 0.02
 """Metres and radians beyond which what the network says is squeezed, so that it is precise near by."""
 _FLOW_STEPS = 10
@@ -79,13 +81,16 @@ def examples_of(episode: Mapping[str, np.ndarray], tools: np.ndarray) -> dict[st
     number = len(tools)
     grip = np.concatenate([[1.0], episode["action"][:-1, -1]])
     goal = np.tile(episode["goal"], (number, 1))
-    which = next_keys(tools, grip, key_steps(tools, grip))
+    keys = key_steps(tools, grip)
+    which = next_keys(tools, grip, keys)
     wanted = {
         "place": tools[which, :3, 3].astype(np.float32),
         "turn": tools[which, :3, :3].astype(np.float32),
         "grip": grip[which].astype(np.float32),
     }
-    return {**state_of(episode["agent_pos"], episode["objects"], goal, grip), "wanted": wanted}
+    away = np.abs(np.arange(number)[:, None] - np.array([0, *keys])).min(1)
+    state = state_of(episode["agent_pos"], episode["objects"], goal, grip)
+    return {**state, "wanted": wanted, "is_key": away <= _ABOUT}
 
 
 def key_steps(tools: np.ndarray, grip: np.ndarray) -> list[int]:
@@ -311,11 +316,14 @@ def fit(episodes: Sequence[dict[str, Any]], num_updates: int, width: int) -> Pol
         mean = jax.tree.map(lambda a, b: _AVERAGE * a + (1 - _AVERAGE) * b, mean, params)
         return params, mean, state, value
 
+    is_key = data.pop("is_key")
+    chance = np.where(is_key, 0.5 / is_key.sum(), 0.5 / max((~is_key).sum(), 1))
+    ends = np.cumsum(chance) / chance.sum()
     params = mean = policy.params
     state = optimizer.init(params)
     with Progress("training", num_updates, "update") as progress:
         for step in range(num_updates):
-            batch = take(data, rng.integers(number, size=_BATCH))
+            batch = take(data, np.searchsorted(ends, rng.random(_BATCH)))
             params, mean, state, value = update(params, mean, state, batch, jax.random.key(step))
             progress.update(1, f"loss {float(value):.3f}" if step % 100 == 0 else "")
     return policy.replace(params=mean)
