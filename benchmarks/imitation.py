@@ -38,7 +38,7 @@ _ABOUT = 1
 """Steps about a key pose that are learnt from as often as all others: a policy is asked there."""
 _SMALL = 0.02
 """Metres and radians beyond which what the network says is squeezed, so that it is precise near by."""
-_FLOW_STEPS = 10
+_FLOW_STEPS, _PER_OBJECT, _NUM_BLOCKS = 10, 128, 4
 _BATCH, _RATE, _AVERAGE = 512, 1e-3, 0.999
 
 
@@ -232,20 +232,14 @@ class Imitator(nn.Module):
     @nn.compact
     def __call__(self, own: Array, others: Array, is_there: Array, said: Array, time: Array) -> Array:
         """See class."""
-        rows = nn.gelu(
-            nn.Dense(128)(
-                nn.gelu(
-                    nn.Dense(128)(
-                        jnp.concatenate([others, jnp.broadcast_to(own, (len(others), len(own)))], axis=-1)
-                    )
-                )
-            )
-        )
+        after, before = nn.Dense(_PER_OBJECT), nn.Dense(_PER_OBJECT)
+        rows = jnp.concatenate([others, jnp.broadcast_to(own, (len(others), len(own)))], axis=-1)
+        rows = nn.gelu(after(nn.gelu(before(rows))))
         seen = jnp.max(jnp.where(is_there[:, None] > 0, rows, 0.0), axis=0)
         waves = time * 2.0 ** jnp.arange(6) * jnp.pi / 2
         x = jnp.concatenate([own, seen, said, jnp.sin(waves), jnp.cos(waves)])
         x = nn.Dense(self.width)(x)
-        for _ in range(4):
+        for _ in range(_NUM_BLOCKS):
             x += nn.Dense(self.width)(nn.gelu(nn.Dense(self.width)(nn.LayerNorm()(x))))
         return nn.Dense(len(said))(nn.LayerNorm()(x))
 
