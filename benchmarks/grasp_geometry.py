@@ -195,7 +195,7 @@ def draw_hands(pairs: SurfacePairs, gripper: Gripper) -> VolumeGrasps:
             score = aligned + (pairs.middle[rows, 2] - DEPTH) / _HEIGHT - _LEVEL * approach[:, 2]
             keep = -approach[:, 2] >= _FLATTEST
             parts.append((pose[keep], width[keep], score[keep]))
-    whole = VolumeGrasps(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    whole = join_grasps(parts)
     return whole.take(np.argsort(-whole.score, kind="stable"))
 
 
@@ -317,7 +317,16 @@ def draw_grasps(grid: np.ndarray, hand: OpenHand, is_level: bool = False) -> Vol
     return draw_hands(find_pairs(points[is_side], normals, level[is_side], hand.widest), hand.gripper)
 
 
-def draw_all(grid: np.ndarray, hand: OpenHand) -> VolumeGrasps:
-    """Antipodal grasps in a volume f[N, N, N] with normals as they are and level, in no order."""
-    parts = [draw_grasps(grid, hand, is_level) for is_level in (False, True)]
+def draw_with_room(grid: np.ndarray, hand: OpenHand, number: int, rng: np.random.Generator) -> VolumeGrasps:
+    """So many antipodal grasps in a volume f[N, N, N], at most, where some points of the hand have room.
+
+    With normals as they are and level, in no order.
+    """
+    found = join_grasps([draw_grasps(grid, hand, is_level) for is_level in (False, True)])
+    has_room = np.flatnonzero(hand.least_room(free_room(grid), found) > 0)
+    return found.take(rng.permutation(has_room)[:number])
+
+
+def join_grasps(parts: Sequence[VolumeGrasps]) -> VolumeGrasps:
+    """Those of all parts."""
     return VolumeGrasps(*(np.concatenate(each) for each in zip(*parts, strict=True)))

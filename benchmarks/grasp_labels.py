@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.grasp_geometry import OpenHand, VolumeGrasps, draw_all, free_room
+from benchmarks.grasp_geometry import OpenHand, VolumeGrasps, draw_with_room
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.robot.grasping import vgn
 from cluttergen_jax.downstream.robot.grasping.clutter import LiftEnd, LiftScene, StillScene
@@ -37,14 +37,14 @@ def label_volumes(bank: Path, dataset: Path, out: Path, robot: str, num_scenes: 
     scenes = list(read_scenes(read_bank(bank)))[:num_scenes]
     missing = [each for each in scenes if not (out / f"{each.origin.index:06d}.npz").is_file()]
     out.mkdir(parents=True, exist_ok=True)
-    spawn = multiprocessing.get_context("spawn")
-    with (
-        Progress("labels", len(scenes), "scene", len(scenes) - len(missing)) as progress,
-        ProcessPoolExecutor(workers, mp_context=spawn) as pool,
-    ):
-        waiting = [pool.submit(_label_scene, scene, dataset, out, robot) for scene in missing]
-        for future in as_completed(waiting):
-            progress.update(1, future.result())
+    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        with Progress("labels", len(scenes), "scene", len(scenes) - len(missing)) as progress:
+            waiting = [pool.submit(_label_scene, scene, dataset, out, robot) for scene in missing]
+            for future in as_completed(waiting):
+                progress.update(1, future.result())
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _label_scene(scene: Scene, dataset: Path, out: Path, robot: str) -> str:
@@ -54,9 +54,7 @@ def _label_scene(scene: Scene, dataset: Path, out: Path, robot: str) -> str:
         grid = file["grid"][0]
     rng = np.random.default_rng(scene.origin.index)
     hand = OpenHand(find_robot(robot), scene.support)
-    found = draw_all(grid, hand)
-    has_room = np.flatnonzero(hand.least_room(free_room(grid), found) > 0)
-    found = found.take(rng.permutation(has_room)[:_NUM_LOOKED_AT])
+    found = draw_with_room(grid, hand, _NUM_LOOKED_AT, rng)
     label = _labels_of(scene, robot, found)
     is_known = label >= 0
     kept = found.take(is_known)

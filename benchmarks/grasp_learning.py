@@ -24,7 +24,15 @@ import optax
 from scipy.spatial.transform import Rotation
 from scipy.stats import rankdata
 
-from benchmarks.grasp_geometry import BAND, VOXEL, VolumeGrasps, distance_field, free_room, sample_field
+from benchmarks.grasp_geometry import (
+    BAND,
+    VOXEL,
+    VolumeGrasps,
+    distance_field,
+    free_room,
+    join_grasps,
+    sample_field,
+)
 from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, concatenate, in_parts, take
 from cluttergen_jax.downstream.robot.grasping.clutter import FINGER_DEPTH
 from cluttergen_jax.downstream.robot.grasping.vgn import DEPTH
@@ -46,7 +54,7 @@ _HELD_OUT = 10
 """One scene in so many is not learnt from."""
 
 
-def see_grasps(grid: np.ndarray, grasps: VolumeGrasps) -> dict[str, np.ndarray]:
+def network_inputs(grid: np.ndarray, grasps: VolumeGrasps) -> dict[str, np.ndarray]:
     """What the network sees of C grasps in a volume f[N, N, N].
 
     Returns:
@@ -92,7 +100,7 @@ def convolve_by_two(x: Array, dense: Callable[[Array], Array]) -> Array:
 
 
 class GraspScorer(nn.Module):
-    """What is seen of C grasps (`see_grasps`) to f[C], the logit that each lifts something."""
+    """What is seen of C grasps (`network_inputs`) to f[C], the logit that each lifts something."""
 
     sizes: ScorerSizes
 
@@ -147,7 +155,7 @@ def read_examples(folders: Sequence[Path], labels: Sequence[Path] = ()) -> dict[
       labels: for each of the datasets a folder of `label_volumes`.
 
     Returns:
-      What `see_grasps` makes of each; label: f32[G], 1 where something was lifted; weight: f32[G] in the
+      What `network_inputs` makes of each; label: f32[G], 1 where something was lifted; weight: f32[G] in the
       loss; scene: i32[G].
 
     Raises:
@@ -158,7 +166,7 @@ def read_examples(folders: Sequence[Path], labels: Sequence[Path] = ()) -> dict[
     with Progress("reading", len(scenes), "scene") as progress:
         for index, (path, grasps, num_drawn) in enumerate(scenes):
             with np.load(path, allow_pickle=False) as file:
-                seen = see_grasps(file["grid"][0], grasps)
+                seen = network_inputs(file["grid"][0], grasps)
             label, scene = grasps.score.astype(np.float32), np.full(len(grasps.score), index, np.int32)
             weight = np.where(np.arange(len(label)) < num_drawn, 1, _FOUND).astype(np.float32)
             made.append({**seen, "label": label, "weight": weight, "scene": scene})
@@ -188,7 +196,7 @@ def _scenes_of(folder: Path, labels: Sequence[Path]) -> Iterator[tuple[Path, Vol
             if file.is_file():
                 with np.load(file, allow_pickle=False) as more:
                     parts.append(VolumeGrasps(more["pose"], more["width"], more["label"]))
-        yield path, VolumeGrasps(*(np.concatenate(each) for each in zip(*parts, strict=True))), len(here)
+        yield path, join_grasps(parts), len(here)
 
 
 def split_of(grasps: Mapping[str, np.ndarray], split: str) -> dict[str, np.ndarray]:

@@ -12,12 +12,12 @@ Piles are as VGN has them: let fall between walls that are then taken away, all 
 hand seldom comes past its walls.
 
 The network learns from the labelled grasps of `robot dataset`, and from some that geometry finds in the same
-volumes and that are tried there (`grasp_labels`). Of those in a volume it says of which it is surest
+volumes and that are labelled there (`grasp_labels`). Of those in a volume it says of which it is surest
 (`grasp_learning`). Beside it stand the same grasps without learning (`grasp_geometry`), the best one and, as
 the floor, any of those whose open hand is clear. All clear the same piles, which nobody learnt from
 (`grasp_rounds`). Everything is kept in `out`, so that the same command goes on after Ctrl-C; processes with
 other `contenders` may run beside each other once the network is there. On one busy core a pile's labels of
-`robot dataset` take 2 s, grasps that are tried 3 s, learning half an hour, and a round 16 s with the network
+`robot dataset` take 2 s, those of found grasps 3 s, learning half an hour, and a round 16 s with the network
 and 5 s without it.
 """
 
@@ -68,8 +68,8 @@ class GraspNetworkBench:
 
     Attributes:
       datasets: folders of `cluttergen robot dataset` that are learnt from.
-      piles: the banks that they are of; num_practised: scenes of each in which grasps that geometry finds are
-        tried, too.
+      piles: the banks that they are of; num_labelled: scenes of each in which grasps that geometry finds are
+        labelled, too.
       banks: folders of piles that are cleared; none of them learnt from.
       out: the folder of the network and of the rounds.
       contenders: who clears the piles.
@@ -78,13 +78,13 @@ class GraspNetworkBench:
       batch_size: labelled grasps a step; learning_rate: of AdamW.
       num_views, noise: how piles are seen, as `robot dataset` has it.
       robot: whose hand it is.
-      seed: of weights, views and choices. workers: processes that try grasps.
+      seed: of weights, views and choices. workers: processes that label grasps.
       write: put the section into reports/benchmarks.md.
     """
 
     datasets: tuple[Path, ...] = (Path("out/grasps/data"),)
     piles: tuple[Path, ...] = (Path("out/grasps/piles"),)
-    num_practised: int = 700
+    num_labelled: int = 700
     banks: tuple[Path, ...] = (Path("out/grasps/five"),)
     out: Path = Path("out/grasps/network")
     contenders: tuple[str, ...] = tuple(CONTENDERS)
@@ -102,22 +102,28 @@ class GraspNetworkBench:
     def __post_init__(self) -> None:
         if unknown := set(self.contenders) - set(CONTENDERS):
             raise ConfigError(f"contenders {sorted(unknown)}", ", ".join(CONTENDERS))
+        if len(self.piles) != len(self.datasets):
+            raise ConfigError(
+                f"{len(self.piles)} banks of piles for {len(self.datasets)} datasets", "one for each"
+            )
 
 
 def learn(args: GraspNetworkBench) -> Path:
     """The checkpoint's folder, once the network is fitted; at once if it is."""
     data = [digest_of((each / "voxels/grasps.csv").read_bytes()) for each in args.datasets]
-    tried = [args.out / f"tried-{each.resolve().name}" for each in args.piles]
-    for bank, dataset, folder in zip(args.piles, args.datasets, tried, strict=True):
-        label_volumes(bank, dataset, folder, args.robot, args.num_practised, args.workers)
+    robot = find_robot(args.robot).hash
+    labels = [args.out / f"labels-{digest_of((each + robot).encode())[:8]}" for each in data]
+    for bank, dataset, folder in zip(args.piles, args.datasets, labels, strict=True):
+        label_volumes(bank, dataset, folder, args.robot, args.num_labelled, args.workers)
     config = FitConfig(
         num_epochs=args.num_epochs,
         batch_size=args.batch_size,
         learning_rate=args.learning_rate,
         seed=args.seed,
     )
-    read = partial(read_examples, args.datasets, tried)
-    data.append(f"{args.num_practised} scenes tried")
+    read = partial(read_examples, args.datasets, labels)
+    files = [file for folder in labels for file in sorted(folder.iterdir())]
+    data.append(digest_of(b"".join(file.read_bytes() for file in files)))
     return GraspTraining(GraspLearner(), config, read, data, args.out / "learning").run()
 
 

@@ -16,8 +16,8 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-from benchmarks.grasp_geometry import LEAST_CLEARANCE, OpenHand, draw_all, draw_grasps, free_room
-from benchmarks.grasp_learning import see_grasps
+from benchmarks.grasp_geometry import LEAST_CLEARANCE, OpenHand, draw_grasps, draw_with_room
+from benchmarks.grasp_learning import network_inputs
 from cluttergen_jax.assets.mjcf import populated_spec
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import vgn
@@ -177,7 +177,7 @@ class ByNetwork:
     shown; so any will do. Where no hand is clear it is asked all the same.
 
     Attributes:
-      score: what `see_grasps` makes of C grasps to f[C], logits.
+      score: what `network_inputs` makes of C grasps to f[C], logits.
       hand: that has to be clear.
     """
 
@@ -186,12 +186,10 @@ class ByNetwork:
 
     def __call__(self, grid: np.ndarray, rng: np.random.Generator) -> Proposal | None:
         """See `Proposer`."""
-        found = draw_all(grid, self.hand)
-        has_room = np.flatnonzero(self.hand.least_room(free_room(grid), found) > 0)
-        found = found.take(rng.permutation(has_room)[:_MOST_SEEN])
+        found = draw_with_room(grid, self.hand, _MOST_SEEN, rng)
         if not len(found.width):
             return None
-        shaken = self.score(see_grasps(grid, found)) + _TEMPERATURE * rng.gumbel(size=len(found.width))
+        shaken = self.score(network_inputs(grid, found)) + _TEMPERATURE * rng.gumbel(size=len(found.width))
         found = found.take(np.argsort(-shaken, kind="stable"))
         row = self.hand.first_clear(grid, found, (LEAST_CLEARANCE,)) or 0
         return found.pose[row], float(found.width[row])

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import struct
+from jax.scipy.spatial.transform import Rotation
 
 from cluttergen_jax.downstream.fitting import take
 from cluttergen_jax.geometry import rotation_matrix
@@ -25,7 +26,7 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.types import Array
 
 _METRES = 0.1
-"""What is about 1 in what the network reads."""
+"""Of distances in the input: the unit."""
 _FINE = (0.01, 0.03, 0.1)
 """Metres over which the network sees small distances."""
 _SHIFT, _SHIFT_TURN = 0.005, 0.03
@@ -37,7 +38,7 @@ _THERE, _THERE_TURN, _SAME_GRIP = 0.006, 0.05, 0.2
 _ABOUT = 1
 """Steps about a key pose that are learnt from as often as all others: a policy is asked there."""
 _SMALL = 0.02
-"""Metres and radians beyond which what the network says is squeezed, so that it is precise near by."""
+"""Metres beyond which distances in the output are compressed, so that near ones are precise."""
 _FLOW_STEPS, _PER_OBJECT, _NUM_BLOCKS = 10, 128, 4
 _BATCH, _RATE, _AVERAGE = 512, 1e-3, 0.999
 
@@ -166,7 +167,7 @@ def _read(state: Mapping[str, Any]) -> tuple[Array, Array, Array]:
 
 
 def _references(state: Mapping[str, Any]) -> dict[str, Array]:
-    """`place` f[3, 3] and `turn` f[3, 3, 3] of frames that key poses are said in.
+    """`place` f[3, 3] and `turn` f[3, 3, 3] of frames that key poses are expressed in.
 
     The tool's, the target's, and the tool's as if the target, held as it is now, was at its goal.
     """
@@ -177,7 +178,7 @@ def _references(state: Mapping[str, Any]) -> dict[str, Array]:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), tool, target, placed)
 
 
-def say(state: Mapping[str, Any], wanted: Mapping[str, Array]) -> Array:
+def encode_key(state: Mapping[str, Any], wanted: Mapping[str, Array]) -> Array:
     """f[28]: a key pose in each of the references, and the gripper."""
     frames = _references(state)
     away = jnp.einsum("rji,rj->ri", frames["turn"], wanted["place"] - frames["place"])
@@ -186,9 +187,9 @@ def say(state: Mapping[str, Any], wanted: Mapping[str, Array]) -> Array:
     return jnp.append(rows.ravel(), wanted["grip"])
 
 
-def understand(state: Mapping[str, Any], said: Array) -> tuple[Array, Array]:
-    """f[4, 4], T_world_tool, and f, the gripper: the inverse of `say`, in the nearest reference."""
-    frames, rows = _references(state), said[:-1].reshape(3, 9)
+def decode_key(state: Mapping[str, Any], code: Array) -> tuple[Array, Array]:
+    """f[4, 4], T_world_tool, and f, the gripper: the inverse of `encode_key`, in the nearest reference."""
+    frames, rows = _references(state), code[:-1].reshape(3, 9)
     away = jnp.sinh(rows[:, :3]) * _SMALL
     nearest = jnp.argmin((away**2).sum(-1))
     first, second = jnp.moveaxis(rows[nearest, 3:].reshape(3, 2), -1, 0)
@@ -197,22 +198,14 @@ def understand(state: Mapping[str, Any], said: Array) -> tuple[Array, Array]:
     y /= jnp.linalg.norm(y)
     turn = frames["turn"][nearest] @ jnp.stack([x, y, jnp.cross(x, y)], axis=-1)
     place = frames["place"][nearest] + frames["turn"][nearest] @ away[nearest]
-    return jnp.eye(4).at[:3, :3].set(turn).at[:3, 3].set(place), said[-1]
-
-
-def _turn_by(vector: Array) -> Array:
-    """f[3, 3] of a small rotation vector."""
-    x, y, z = vector
-    cross = jnp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = jnp.sqrt((vector**2).sum() + 1e-12)
-    return jnp.eye(3) + jnp.sin(angle) / angle * cross + (1 - jnp.cos(angle)) / angle**2 * cross @ cross
+    return jnp.eye(4).at[:3, :3].set(turn).at[:3, 3].set(place), code[-1]
 
 
 def shift_tool(state: dict[str, Any], key: Array) -> dict[str, Any]:
     """The same step with the tool, and with what it holds, a little elsewhere."""
     keys = jax.random.split(key, 3)
     share = jax.random.bernoulli(keys[0]).astype(jnp.float32)
-    turn = _turn_by(share * _SHIFT_TURN * jax.random.normal(keys[1], (3,)))
+    turn = Rotation.from_rotvec(share * _SHIFT_TURN * jax.random.normal(keys[1], (3,))).as_matrix()
     shift, tool = share * _SHIFT * jax.random.normal(keys[2], (3,)), state["tool"]
     moved = {"place": tool["place"] + shift, "turn": turn @ tool["turn"]}
     places, turns = state["objects"]["place"], state["objects"]["turn"]
@@ -224,31 +217,32 @@ def shift_tool(state: dict[str, Any], key: Array) -> dict[str, Any]:
     return {**state, "tool": moved, "objects": objects}
 
 
-class Imitator(nn.Module):
+class FlowNetwork(nn.Module):
     """The flow's velocity at f[28] and a time from 0 to 1, in a step."""
 
     width: int
 
     @nn.compact
-    def __call__(self, own: Array, others: Array, is_there: Array, said: Array, time: Array) -> Array:
+    def __call__(self, own: Array, others: Array, is_there: Array, code: Array, time: Array) -> Array:
         """See class."""
         after, before = nn.Dense(_PER_OBJECT), nn.Dense(_PER_OBJECT)
         rows = jnp.concatenate([others, jnp.broadcast_to(own, (len(others), len(own)))], axis=-1)
         rows = nn.gelu(after(nn.gelu(before(rows))))
         seen = jnp.max(jnp.where(is_there[:, None] > 0, rows, 0.0), axis=0)
         waves = time * 2.0 ** jnp.arange(6) * jnp.pi / 2
-        x = jnp.concatenate([own, seen, said, jnp.sin(waves), jnp.cos(waves)])
+        x = jnp.concatenate([own, seen, code, jnp.sin(waves), jnp.cos(waves)])
         x = nn.Dense(self.width)(x)
         for _ in range(_NUM_BLOCKS):
             x += nn.Dense(self.width)(nn.gelu(nn.Dense(self.width)(nn.LayerNorm()(x))))
-        return nn.Dense(len(said))(nn.LayerNorm()(x))
+        return nn.Dense(len(code))(nn.LayerNorm()(x))
 
 
 class Policy(struct.PyTreeNode):
     """What was learnt.
 
     Attributes:
-      params: of the network. scales: mean and deviation of what it reads of itself, of others, and says.
+      params: of the network.
+      scales: mean and deviation of its inputs about itself and about others, and of its output.
       width: of the network.
     """
 
@@ -256,12 +250,12 @@ class Policy(struct.PyTreeNode):
     scales: Any
     width: int = struct.field(pytree_node=False)
 
-    def velocity(self, params: Any, state: Mapping[str, Any], said: Array, time: Array) -> Array:
+    def velocity(self, params: Any, state: Mapping[str, Any], code: Array, time: Array) -> Array:
         """f[28]: of the flow at f[28] and a time, in a step."""
         own, others, is_there = _read(state)
         (m, s), (n, t), _ = self.scales
         seen = ((own - m) / s, (others - n) / t, is_there)
-        found: Array = Imitator(self.width).apply(params, *seen, said, time)
+        found: Array = FlowNetwork(self.width).apply(params, *seen, code, time)
         return found
 
     def loss(self, params: Any, example: dict[str, Any], key: Array) -> Array:
@@ -269,10 +263,10 @@ class Policy(struct.PyTreeNode):
         keys = jax.random.split(key, 3)
         moved = shift_tool(example, keys[0])
         mean, spread = self.scales[2]
-        said = (say(moved, moved["wanted"]) - mean) / spread
-        noise, time = jax.random.normal(keys[1], said.shape), jax.random.uniform(keys[2])
-        made = self.velocity(params, moved, time * said + (1 - time) * noise, time)
-        return ((made - (said - noise)) ** 2).mean()
+        code = (encode_key(moved, moved["wanted"]) - mean) / spread
+        noise, time = jax.random.normal(keys[1], code.shape), jax.random.uniform(keys[2])
+        made = self.velocity(params, moved, time * code + (1 - time) * noise, time)
+        return ((made - (code - noise)) ** 2).mean()
 
     @jax.jit
     def next_key(self, state: Mapping[str, Any], key: Array) -> tuple[Array, Array]:
@@ -283,11 +277,11 @@ class Policy(struct.PyTreeNode):
         """
         now = jax.tree.map(lambda leaf: leaf[0], state)
         mean, spread = self.scales[2]
-        said = jax.random.normal(key, mean.shape)
+        code = jax.random.normal(key, mean.shape)
         for step in range(_FLOW_STEPS):
             time = jnp.float32(step / _FLOW_STEPS)
-            said += self.velocity(self.params, now, said, time) / _FLOW_STEPS
-        return understand(now, said * spread + mean)
+            code += self.velocity(self.params, now, code, time) / _FLOW_STEPS
+        return decode_key(now, code * spread + mean)
 
 
 def fit(episodes: Sequence[dict[str, Any]], num_updates: int, width: int) -> Policy:
@@ -326,8 +320,8 @@ def fit(episodes: Sequence[dict[str, Any]], num_updates: int, width: int) -> Pol
 def _blank_policy(some: dict[str, Any], width: int) -> Policy:
     """With fresh weights, and the scales of some examples."""
     own, others, is_there = jax.jit(jax.vmap(_read))(some)
-    said = jax.jit(jax.vmap(say))(some, some["wanted"])
-    scales = [(each.mean(0), each.std(0) + 1e-2) for each in (own, others[is_there > 0], said)]
+    code = jax.jit(jax.vmap(encode_key))(some, some["wanted"])
+    scales = [(each.mean(0), each.std(0) + 1e-2) for each in (own, others[is_there > 0], code)]
     time = jnp.zeros(())
-    params = Imitator(width).init(jax.random.key(0), own[0], others[0], is_there[0], said[0], time)
+    params = FlowNetwork(width).init(jax.random.key(0), own[0], others[0], is_there[0], code[0], time)
     return Policy(params, scales, width)

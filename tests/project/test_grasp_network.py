@@ -29,8 +29,8 @@ from benchmarks.grasp_learning import (
     ScorerSizes,
     area_under_curve,
     convolve_by_two,
+    network_inputs,
     read_examples,
-    see_grasps,
     split_of,
 )
 from cluttergen_jax.assets.support_file import find_support
@@ -68,13 +68,13 @@ def grasps_at(*places, turn=STRAIGHT, width=0.045):
 def test_what_the_network_sees_does_not_depend_on_how_scene_and_grasp_are_turned():
     centre = np.array([SIZE / 2, SIZE / 2, 0.0])
     top = MIDDLE + np.array([0, 0, 0.015])
-    seen = see_grasps(volume(), grasps_at(top, top + np.array([0, 0.02, 0])))
+    seen = network_inputs(volume(), grasps_at(top, top + np.array([0, 0.02, 0])))
     assert np.abs(seen["fine"][0].astype(float) - seen["fine"][1]).max() > 0.2
     for quarters in range(4):
         turn = np.round(Rotation.from_euler("z", quarters * np.pi / 2).as_matrix())
         place = turn @ (top - centre) + centre
         grid = np.rot90(volume(), quarters, axes=(0, 1))
-        turned = see_grasps(grid, grasps_at(place, turn=turn))
+        turned = network_inputs(grid, grasps_at(place, turn=turn))
         for name in ("wide", "fine", "numbers"):
             np.testing.assert_allclose(turned[name][0], seen[name][0], atol=2e-3, err_msg=name)
     # Between the fingers is the box, beside them is room.
@@ -100,7 +100,7 @@ def test_the_loss_falls_and_a_mirrored_grasp_is_the_same():
     learner = GraspLearner(ScorerSizes((4, 6), 8))
     above = [MIDDLE + np.array([0, y, 0.015]) for y in (-0.03, -0.01, 0.01, 0.03)]
     beside = [MIDDLE + np.array([x, y, 0.015]) for x in (0.04, -0.06) for y in (-0.02, 0.02)]
-    seen = see_grasps(volume(), grasps_at(*above, *beside))
+    seen = network_inputs(volume(), grasps_at(*above, *beside))
     examples = {**seen, "label": np.repeat(np.array([1, 0], np.float32), 4)}
     examples["weight"] = np.ones(8, np.float32)
     params, optimizer = jax.jit(learner.init)(jax.random.key(0)), optax.adam(1e-2)
@@ -221,7 +221,7 @@ def test_the_benchmark_runs_and_goes_on(tmp_path, monkeypatch, capsys):
     args = grasp_network.GraspNetworkBench(
         datasets=(tmp_path / "data",),
         piles=(bank.path,),
-        num_practised=2,
+        num_labelled=2,
         workers=1,
         banks=(bank.path,),
         out=tmp_path / "out",
@@ -231,10 +231,11 @@ def test_the_benchmark_runs_and_goes_on(tmp_path, monkeypatch, capsys):
         num_views=2,
     )
     grasp_network.main(args)
-    tried = sorted((tmp_path / "out/tried-bank").iterdir())
-    assert len(tried) == 2
-    more = read_examples([tmp_path / "data"], [tmp_path / "out/tried-bank"])
-    found = sum(len(np.load(each)["label"]) for each in tried)
+    (folder,) = (tmp_path / "out").glob("labels-*")
+    labels = sorted(folder.iterdir())
+    assert len(labels) == 2
+    more = read_examples([tmp_path / "data"], [folder])
+    found = sum(len(np.load(each)["label"]) for each in labels)
     assert (more["weight"] > 1).sum() == found == len(more["label"]) - len(examples["label"]) > 0
     first = capsys.readouterr().out
     for name in grasp_network.CONTENDERS:
@@ -248,3 +249,5 @@ def test_the_benchmark_runs_and_goes_on(tmp_path, monkeypatch, capsys):
     assert again in first
     with pytest.raises(ConfigError, match="contenders"):
         replace(args, contenders=("nobody",))
+    with pytest.raises(ConfigError, match="2 banks of piles for 1 dataset"):
+        replace(args, piles=(bank.path, bank.path))

@@ -1,4 +1,4 @@
-"""Behaviour cloning: key poses of an episode, how they are said, shifted tools, a small fit."""
+"""Behaviour cloning: key poses of an episode, their code, shifted tools, a small fit."""
 
 from itertools import pairwise
 
@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.imitation import (
     Policy,
+    decode_key,
+    encode_key,
     examples_of,
     fit,
     key_steps,
     next_keys,
-    say,
     shift_tool,
     state_of,
-    understand,
 )
 from cluttergen_jax.downstream.transforms import matrix_of, pose_of
 
@@ -74,20 +74,20 @@ def one(examples, step):
     return jax.tree.map(lambda leaf: jnp.asarray(leaf[step]), examples)
 
 
-def test_what_is_said_of_a_key_pose_is_understood_in_each_reference():
+def test_a_key_pose_is_decoded_as_it_was_encoded_in_each_reference():
     made, tools = episode()
     example = one(examples_of(made, tools), 5)
     turn = Rotation.from_euler("xyz", [3.0, 0.2, 0.7]).as_matrix()
     for place in ([0.1, 0.01, 0.51], [0.0, 0.02, 0.75], [0.3, 0.21, 0.6]):
         wanted = {"place": jnp.array(place), "turn": jnp.asarray(turn, jnp.float32), "grip": jnp.array(-0.5)}
-        pose, grip = understand(example, say(example, wanted))
+        pose, grip = decode_key(example, encode_key(example, wanted))
         np.testing.assert_allclose(pose, np.block([[turn, np.array([place]).T], [np.eye(4)[3:]]]), atol=1e-5)
         assert grip == -0.5
-    # Where the tool is when what it holds is at its goal, is said as nothing in the last reference.
+    # Where the tool is when what it holds is at its goal, is 0 in the last reference.
     held = one(examples_of(made, tools), -1)
     T = matrix_of(GOAL) @ np.linalg.inv(matrix_of(made["objects"][-1, 0, :7])) @ tools[-1]
     at_goal = {"place": jnp.asarray(T[:3, 3]), "turn": jnp.asarray(T[:3, :3]), "grip": jnp.array(1.0)}
-    np.testing.assert_allclose(say(held, at_goal).reshape(-1)[18:21], 0, atol=1e-4)
+    np.testing.assert_allclose(encode_key(held, at_goal).reshape(-1)[18:21], 0, atol=1e-4)
 
 
 def test_a_shifted_tool_takes_with_it_what_it_holds_and_nothing_else():
@@ -121,6 +121,6 @@ def test_a_policy_learns_the_key_poses_of_an_episode():
         grip = np.append(1.0, made["action"][:-1, -1])[row]
         state = state_of(made["agent_pos"][row], made["objects"][row], GOAL[None], grip)
         pose, grip = policy.next_key(state, jax.random.key(0))
-        # The farther it is, the less precisely it is said: the stops are 10 and 20 cm apart.
+        # The farther it is, the less precise is its code: the stops are 10 and 20 cm apart.
         np.testing.assert_allclose(pose[:3, 3], stop[:3], atol=0.045)
         assert grip * stop[3] > 0.5
