@@ -7,6 +7,8 @@ import hashlib
 import inspect
 import io
 import pickle
+from collections.abc import Iterator
+from types import CodeType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -36,8 +38,9 @@ def part_label(part: Any, what: str) -> str:
     """Name and digest of a user's part, as recipes have them; of one of this package its name alone.
 
     The digest is made of the attribute `digest`, a text, if there is one; else of the source code of its
-    function or class and of its attributes, random generators left out; else of the attribute `name`. What
-    the code calls elsewhere is not looked at.
+    function or class, of its attributes and those of its class, and of the variables and functions of its
+    module that the code names, random generators and what cannot be pickled left out; else of the attribute
+    `name`. What the code calls in other modules is not looked at.
 
     Args:
       what: the argument that it was given as.
@@ -55,7 +58,7 @@ def part_label(part: Any, what: str) -> str:
     else:
         try:
             inner = inspect.unwrap(part)
-            content = _code_of(inner) + _bytes_of(_state_of(inner))
+            content = _code_of(inner) + _bytes_of(_state_of(inner)) + b"".join(_named_by(inner))
         except _FAULTS as error:
             name = getattr(part, "name", None)
             if not isinstance(name, str) or not name:
@@ -73,16 +76,69 @@ def _code_of(part: Any) -> bytes:
     if isinstance(part, functools.partial):
         return _code_of(part.func)
     if inspect.isroutine(part) or isinstance(part, type):
-        return inspect.getsource(part).encode()
+        return inspect.getsource(part).encode() + _code_of_lambda(part)
     kinds = [kind for kind in type(part).__mro__[:-1] if kind.__module__ not in ("typing", "abc")]
     return inspect.getsource(kinds[0]).encode() + b"".join(_code_if_any(kind) for kind in kinds[1:])
 
 
-def _code_if_any(kind: type) -> bytes:
+def _code_if_any(part: Any) -> bytes:
     try:
-        return inspect.getsource(kind).encode()
+        return inspect.getsource(part).encode()
     except (OSError, TypeError):
-        return kind.__qualname__.encode()
+        return str(part.__qualname__).encode()
+
+
+def _code_of_lambda(part: Any) -> bytes:
+    """What distinguishes lambdas whose source is one line; nothing for other functions."""
+    if getattr(part, "__name__", "") != "<lambda>":
+        return b""
+    code: CodeType = part.__code__
+    constants = [each for each in code.co_consts if not isinstance(each, CodeType)]
+    return code.co_code + repr((constants, code.co_names, code.co_varnames)).encode()
+
+
+def _named_by(part: Any) -> Iterator[bytes]:
+    """What else of its module a part consists of: attributes of its class, and what its functions name."""
+    while isinstance(part, functools.partial):
+        part = part.func
+    part = part.__self__ if inspect.ismethod(part) else part
+    if inspect.isfunction(part):
+        functions = [part]
+    else:
+        kind = part if isinstance(part, type) else type(part)
+        kinds = [each for each in kind.__mro__ if each.__module__ == kind.__module__]
+        held = [value for each in kinds for _, value in sorted(vars(each).items())]
+        functions = [value for value in held if inspect.isfunction(value)]
+        for each in kinds:
+            for name, value in sorted(vars(each).items()):
+                if not (name.startswith("__") or hasattr(value, "__get__")):
+                    yield from (name.encode(), _bytes_if_any(value))
+    seen: set[Any] = set(functions)
+    while functions:
+        function = functions.pop()
+        for name in sorted(_names_in(function.__code__) & function.__globals__.keys()):
+            value = inspect.unwrap(function.__globals__[name])
+            if isinstance(value, ModuleType) or value is part:
+                continue
+            if not (inspect.isroutine(value) or isinstance(value, type)):
+                yield from (name.encode(), _bytes_if_any(value))
+            elif value.__module__ == function.__module__ and value not in seen:
+                seen.add(value)
+                yield _code_if_any(value)
+                inner = vars(value).values() if isinstance(value, type) else [value]
+                functions += filter(inspect.isfunction, inner)
+
+
+def _names_in(code: CodeType) -> set[str]:
+    inner = [_names_in(each) for each in code.co_consts if isinstance(each, CodeType)]
+    return set(code.co_names).union(*inner)
+
+
+def _bytes_if_any(value: Any) -> bytes:
+    try:
+        return _bytes_of(value)
+    except _FAULTS:
+        return type(value).__qualname__.encode()
 
 
 def _state_of(part: Any) -> Any:
@@ -97,11 +153,13 @@ def _state_of(part: Any) -> Any:
 
 
 class _Pickler(pickle.Pickler):
-    """Equal bytes for equal states: of tensors their numbers, of random generators nothing."""
+    """Equal bytes for equal states: of tensors their numbers, sets in order, of random generators nothing."""
 
     def persistent_id(self, found: Any) -> Any:
         if isinstance(found, np.random.Generator | np.random.RandomState):
             return "random"
+        if isinstance(found, set | frozenset):
+            return "set", sorted(map(_bytes_of, found))
         if hasattr(found, "detach") and hasattr(found, "numpy"):
             array = array_of(found)
             return str(array.dtype), array.shape, hashlib.sha256(array.tobytes()).hexdigest()

@@ -73,6 +73,8 @@ class BankAttachment:
         Raises:
           ConfigError: the model is not of the specification that the bank was attached to.
         """
+        if not isinstance(model, mujoco.MjModel):
+            raise ConfigError(f"world of a {type(model).__name__}", "a mujoco.MjModel", "spec.compile()")
         missing = [name for name in self.bank.names if not _has_joint(model, self.prefix + name)]
         if missing:
             raise ConfigError(
@@ -158,11 +160,12 @@ class BankWorld:
         return jax.device_get(state) if is_whole else state
 
     def _place_of(self, index: int) -> int:
-        found = np.flatnonzero(np.asarray(self.bank.index) == index)
+        known = np.asarray(self.bank.index)
+        is_whole = isinstance(index, Integral) and not isinstance(index, bool)
+        found = np.flatnonzero(is_whole & (known == index))
         if not len(found):
-            known = np.asarray(self.bank.index)
             raise ConfigError(
-                f"scene {index} of {self.bank!r}",
+                f"scene {index!r} of {self.bank!r}",
                 f"stable scenes: {', '.join(map(str, known[:8]))}{' ...' if len(known) > 8 else ''}",
             )
         return int(found[0])
@@ -203,8 +206,21 @@ class BankWorld:
         return self._own_fields.get(name, getattr(self.model, name))
 
     def put(self, data: mujoco.MjData, state: WorldState) -> None:
-        """Puts `data` at rest at the beginning of an episode, and `state.fields` into the model."""
+        """Puts `data` at rest at the beginning of an episode, and `state.fields` into the model.
+
+        Raises:
+          ConfigError: either is of another model, or it is a batch of states.
+        """
+        if not isinstance(data, mujoco.MjData):
+            raise ConfigError(f"put into a {type(data).__name__}", "a mujoco.MjData", "MjData(world.model)")
         host: Any = jax.device_get(state)
+        for what, shape in (("data", data.qpos.shape), ("state", np.shape(host.qpos))):
+            if shape != (self.model.nq,):
+                raise ConfigError(
+                    f"{what} with qpos of shape {shape}",
+                    f"of this model, qpos f[{self.model.nq}]",
+                    "of a batch one state: jax.tree.map(lambda x: x[0], states)",
+                )
         for name in host.fields:
             self._own_fields.setdefault(name, getattr(self.model, name).copy())
         for name, own in self._own_fields.items():

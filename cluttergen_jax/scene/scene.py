@@ -20,7 +20,7 @@ _UNIT = 1e-3
 _NAMED = 10
 """Objects that a scene's text names."""
 KEYFRAME = "scene"
-_OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations")
+_OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations", "disableflags")
 
 
 @dataclass(frozen=True)
@@ -191,11 +191,15 @@ class Scene:
           support: whether the support comes along.
 
         Raises:
-          ConfigError: the scene has no objects, the model has something of that name already, the position
-            is not finite, or the quaternion is not of unit length.
+          ConfigError: the scene has no objects, `spec` is none, the model has something of that name already,
+            the position is not finite, or the quaternion is not of unit length.
         """
         if not self.names:
             raise ConfigError("a scene without objects", "at least one", "a scene that stands")
+        if not isinstance(spec, mujoco.MjSpec):
+            raise ConfigError(
+                f"attach_to a {type(spec).__name__}", "a mujoco.MjSpec", "MjSpec.from_file(file)"
+            )
         turn = np.array(quaternion, np.float64)
         if turn.shape != (4,) or not abs(np.linalg.norm(turn) - 1) <= 1e-6:
             raise ConfigError(f"quaternion {tuple(quaternion)}", "four numbers of unit length, wxyz")

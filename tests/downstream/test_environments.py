@@ -1,6 +1,7 @@
 """A robot and a bank in one model, and its environments: resets, rest, actions, judges."""
 
 import pickle
+import re
 import runpy
 import shutil
 import warnings
@@ -342,14 +343,21 @@ def test_a_robot_wants_a_bank_in_memory_and_a_pose(bank):
 
 def test_actions_and_options_that_are_none_are_refused(bank, place):
     place.reset(seed=0)
-    with pytest.raises(ConfigError, match="NaN"):
+    with pytest.raises(ConfigError, match="nan"):
         place.step(np.full(8, np.nan))
     with pytest.raises(ConfigError, match="8 finite numbers"):
         place.step(np.zeros(7))
     with pytest.raises(ConfigError, match="scene"):
         place.reset(options={"scen": 1})
-    with pytest.raises(ConfigError, match="scene 77"):
-        place.reset(options={"scene": 77})
+    for number in (77, [0, 1], True, "0"):
+        with pytest.raises(ConfigError, match=re.escape(f"scene {number!r} for place")):
+            place.reset(options={"scene": number})
+    with pytest.raises(ConfigError, match="options=\\[1\\]"):
+        place.reset(options=[1])
+    with pytest.raises(ConfigError, match="scripted_actions\\(None\\)"):
+        cg.scripted_actions(None)
+    with pytest.raises(ConfigError, match=r"'plce'.*'place'"):
+        cg.make_robot_env("plce", bank)
 
 
 def grasps_from_above(asset):

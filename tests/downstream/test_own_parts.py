@@ -1,6 +1,7 @@
 """Parts of a user's own: told apart, checked, and used by the arm and by `placer_eval`."""
 
 import functools
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -40,6 +41,24 @@ def plain(x, y=1):
     return x + y
 
 
+HEIGHT, NAMES = 0.1, {"mug", "bowl", "plate"}
+
+
+def raised(x):
+    return HEIGHT * x
+
+
+def named(rng, query):
+    return raised(query) if len(query) in NAMES else query
+
+
+class Spaced:
+    gap = 0.1
+
+    def __call__(self, rng, query):
+        return query + self.gap
+
+
 def label(part):
     return part_label(part, "placer")
 
@@ -63,6 +82,28 @@ def test_parts_are_told_apart_by_their_code_and_what_they_hold():
         label(Opaque())
     with pytest.raises(ConfigError, match="an object that can be called"):
         label(3)
+
+
+def test_what_a_part_names_of_its_module_belongs_to_it(monkeypatch):
+    lines = {"low": lambda rng, query: query[:1], "high": lambda rng, query: query[1:]}
+    assert label(lines["low"]) != label(lines["high"])
+    found = {label(part) for part in (plain, named, raised, Spaced(), Opaque(name="a"))}
+    assert len(found) == 5
+    for where, name, value, part in (
+        (None, "HEIGHT", 0.2, named),
+        (None, "HEIGHT", 0.2, functools.partial(raised, 1)),
+        (None, "NAMES", {"mug"}, named),
+        (None, "raised", plain, named),
+        (Spaced, "gap", 0.2, Spaced()),
+        (Spaced, "gap", 0.2, Spaced().__call__),
+    ):
+        with monkeypatch.context() as changed:
+            before = label(part)
+            changed.setattr(where or sys.modules[__name__], name, value)
+            assert label(part) != before
+    assert label(named) in found
+    monkeypatch.setattr(sys.modules[__name__], "NAMES", set(sorted(NAMES, reverse=True)))
+    assert label(named) in found
 
 
 class Compiled(struct.PyTreeNode):
@@ -95,7 +136,7 @@ def test_a_plain_placer_is_asked_with_numpy_and_its_answer_is_checked():
 @pytest.mark.parametrize(
     ("told", "match"),
     [
-        (None, r"shape \(\)"),
+        (None, "returned None"),
         ("left", "returned 'left'"),
         (QUERY[0], r"shape \(4,\)"),
         (QUERY[:, :3], r"shape \(6, 3\)"),
@@ -219,14 +260,21 @@ def test_the_arm_goes_the_ways_of_an_own_planner_by_own_grasps(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", [lambda path: path[:-1], lambda path: path[:, :6], lambda path: path * np.nan, lambda _: "up"]
+    ("change", "told"),
+    [
+        (lambda path: path[:-1], "a path that ends 0.0204 rad off the goal"),
+        (lambda path: path[3:], "a path that begins 0.0612 rad off the start"),
+        (lambda path: path[:, :6], r"an array of float64, shape \(50, 6\)"),
+        (lambda path: path * np.nan, r"an array of shape \(50, 7\) with numbers that are not finite"),
+        (lambda _: "up", "an array of <U2"),
+    ],
 )
-def test_what_is_no_path_is_refused(change):
+def test_what_is_no_path_is_refused(change, told):
     joints = np.repeat([[0.0], [1.0]], 7, axis=1)
     world = SimpleNamespace(is_free=lambda *asked: True)
     kinematics = SimpleNamespace(low=joints[0], high=joints[1], tool=None)
     assert Planner(world, kinematics, Straight()).connect(*joints, 0.04, 0).shape == (50, 7)
-    with pytest.raises(ConfigError, match="planner 'Straight' returned an array of shape"):
+    with pytest.raises(ConfigError, match=f"planner 'Straight' returned {told}"):
         Planner(world, kinematics, Straight(change)).connect(*joints, 0.04, 0)
 
 

@@ -11,11 +11,39 @@ pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
-from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, TrueObserver
+from cluttergen_jax.downstream.rearrange.observe import (
+    EpisodeView,
+    ObjectTracker,
+    SceneEstimate,
+    TrueObserver,
+)
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.transforms import inverse, matrix_of
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import yaw_quaternion
 from tests.helpers.arm import SCENE
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"pose": np.zeros((1, 7))}, "`pose` of shape \\(1, 7\\)"),
+        ({"pose": [["left"] * 7] * 2}, "`pose` of <U4"),
+        ({"pose": [[0.0] * 7, [0.0]]}, "`pose` of unequal rows"),
+        ({"pose": np.zeros((2, 7))}, "poses "),
+        ({"pose": np.full((2, 7), np.nan)}, "poses .*nan"),
+        ({"seen": np.array([0, 1])}, "`seen` of int64"),
+        ({"certainty": [5.0, 1.0]}, "certainty .*5.0"),
+        ({"certainty": [np.nan, 1.0]}, "certainty .*nan"),
+    ],
+)
+def test_an_estimate_that_is_none_is_refused(changes, told):
+    pose = np.tile([0.1, 0, 0.8, 1, 0, 0, 0], (2, 1))
+    right = {"names": ("a", "b"), "pose": pose, "seen": [True, True], "certainty": [0, 1]}
+    assert SceneEstimate(**right).pose.shape == (2, 7)
+    assert SceneEstimate(**right | {"pose": 0 * pose, "seen": [False, False]}).seen.dtype == bool
+    with pytest.raises(ConfigError, match=f"an estimate of 2 objects with {told}"):
+        SceneEstimate(**right | changes)
 
 
 def test_an_estimate_of_something_round_agrees_whatever_its_turn():

@@ -1,5 +1,6 @@
 """Rearrangements of a user's own: a bank's scenes, goals told by layouts or in words, other supports."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,8 +16,10 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets.support_file import find_support, write_support
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.rearrange import starts as rearrange_starts
+from cluttergen_jax.downstream.rearrange.api import _own_scenes
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.goals import (
     BankGoals,
@@ -152,8 +155,12 @@ def test_a_banks_scenes_are_taken_in_turn_and_its_layouts_are_goals(bank, starts
     assert not len(task.goals(1, np.zeros((0, 7))))
     with pytest.raises(BankError, match="has what the goals are for: green on red"):
         starts(bank=bank, goals="green on red")
-    with pytest.raises(ConfigError, match="where no scene is a success"):
+    known = ", ".join(str(scene.origin.index) for scene in scenes)
+    with pytest.raises(ConfigError, match=f":999'.*Allowed: scenes {known}"):
         BankGoals(f"{bank.path}:999")
+    with pytest.raises(ConfigError, match="FOLDER:INDEX with a whole number"):
+        BankGoals(f"{bank.path}:x")
+    assert is_bank(f"{bank.path}:x")
     assert is_bank(str(bank.path))
     assert is_bank(f"{bank.path}:3")
     assert not is_bank("mug on book:3")
@@ -195,6 +202,24 @@ def test_settings_that_contradict_are_refused(bank, tmp_path, capsys):
         with pytest.raises(ConfigError, match=match):
             cg.rearrange(tmp_path, **more)
     assert not list(Path(tmp_path).iterdir())
+
+
+def test_a_recipe_tells_layouts_and_supports_by_what_they_are(bank, tmp_path):
+    def told(goals="", support=None):
+        return _own_scenes(bank.path if goals else None, None, support, None, goals, "paper")[1]
+
+    shutil.copytree(bank.path, tmp_path / "layouts")
+    before = told(str(tmp_path / "layouts"))
+    shutil.rmtree(tmp_path / "layouts")
+    write_bank(tmp_path / "layouts", seed=1)
+    assert told(str(tmp_path / "layouts")) != before
+    assert told(str(tmp_path / "layouts:0"))["layouts"] != before["layouts"]
+    write_support(tmp_path / "mine", find_support("table-0.70x0.60"))
+    before = told(support=tmp_path / "mine")
+    assert before == told(support=tmp_path / "mine")
+    shutil.rmtree(tmp_path / "mine")
+    write_support(tmp_path / "mine", find_support("table-0.80x0.60"))
+    assert told(support=tmp_path / "mine") != before
 
 
 @pytest.mark.slow

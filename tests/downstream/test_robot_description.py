@@ -51,6 +51,13 @@ def changed(tmp_path):
         ({"arm__joints": ["turn", "lift", "elbo", "roll", "bend", "spin"]}, "'elbo'.*'elbow'"),
         ({"arm__actuators": ["turn"] * 5 + ["spinn"]}, "'spinn'.*'spin'"),
         ({"arm__joints": ["turn"] * 6}, "each once"),
+        (
+            {"arm__actuators": ["turn", "elbow", "lift", "roll", "bend", "spin"]},
+            "elbow moves 'elbow' where.*'lift'",
+        ),
+        ({"arm__limits": [[1.5, 0.5]] * 6}, "arm.limits of turn = .*low, then high"),
+        ({"arm__limits": [[-99.0, 99.0]] * 6}, "arm.limits of turn.*within its model's"),
+        ({"gripper__tool": [0, 0, 5.0, 1, 0, 0, 0]}, "gripper.tool.*up to 1 m"),
         ({"arm__home": [0.0, 0.0]}, "arm.home of 2.*6"),
         ({"arm__home": [0.0, 3.0, 0.5, 0.0, 0.0, 0.0]}, "arm.home has lift at 3.0.*-1.74533 to 1.74533"),
         ({"arm__speed": [1.0, 1.0, 1.0, 1.0, 1.0, 0.0]}, "arm.speed.*above 0"),

@@ -118,3 +118,29 @@ def test_keys_are_mapped_to_scenes(world):
 def test_seeds_that_are_none_are_refused(world, call, told):
     with pytest.raises(ConfigError, match=told):
         call(world)
+
+
+def test_what_belongs_to_another_model_is_refused(bank, world):
+    data, state = mujoco.MjData(world.model), world.reset(0)
+    many = jax.vmap(world.reset)(jax.random.split(jax.random.key(0), 3))
+    with pytest.raises(ConfigError, match=r"state with qpos of shape \(3, .*of a batch one state"):
+        world.put(data, many)
+    with pytest.raises(ConfigError, match="data with qpos of shape"):
+        world.put(mujoco.MjData(bank.model()), state)
+    with pytest.raises(ConfigError, match="put into a NoneType"):
+        world.put(None, state)
+    world.put(data, jax.tree.map(lambda each: each[0], many))
+    with pytest.raises(ConfigError, match=r"spec.compile\(\)"):
+        world.attachment.world(bank.to_mjspec())
+    with pytest.raises(ConfigError, match="attach_to a MjModel"):
+        bank.attach_to(bank.model())
+    for index in ("0", True, 99):
+        with pytest.raises(ConfigError, match=f"scene {index!r} of"):
+            world.reset(0, index=index)
+
+
+def test_a_model_keeps_its_own_detector_without_a_warning(bank, recwarn):
+    spec = mujoco.MjSpec()
+    bank.attach_to(spec)
+    assert not spec.compile().opt.disableflags
+    assert not recwarn.list

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from cluttergen_jax.errors import ConfigError, MissingExtraError
+from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,7 +72,7 @@ def make_robot_env(
             raise
         raise MissingExtraError("gym", "make_robot_env") from error
     if task not in TASKS:
-        raise ConfigError(f"task = {task!r}", ", ".join(TASKS), "task='place'")
+        raise ConfigError(f"task = {task!r}", ", ".join(TASKS), "task='place'", closest(task, TASKS))
     check_settings(action, cameras, image_size, control_hz, max_seconds)
     if not isinstance(bank, (BankArrays, str, Path)):
         raise ConfigError(f"a bank of type {type(bank).__name__}", "a folder, or that of cg.load_bank")

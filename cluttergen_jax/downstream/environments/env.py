@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, Literal, get_args
 
 import gymnasium
@@ -127,15 +127,19 @@ class RobotEnv(gymnasium.Env):
         return self._observe(), self._info_at("", "")
 
     def _place_of(self, options: Info | None) -> int:
-        options = options or {}
+        options = {} if options is None else options
+        if not isinstance(options, Mapping):
+            raise ConfigError(f"reset(options={options!r})", "a dict", 'reset(options={"scene": 0})')
         # LeRobot tells every environment of a new rollout.
-        if unknown := {each for each in options if each != "scene" and not each.startswith("lerobot_")}:
+        if unknown := {each for each in options if each != "scene" and not str(each).startswith("lerobot_")}:
             raise ConfigError(f"options {sorted(unknown)} of reset", "scene", 'reset(options={"scene": 0})')
         if (number := options.get("scene")) is None:
             return int(self.np_random.choice(self._places))
         known = np.asarray(self.world.bank.index)[self._places]
-        if number not in known:
-            raise ConfigError(f"scene {number} for {self.task}", f"one of {', '.join(map(str, known[:20]))}")
+        if isinstance(number, bool) or not isinstance(number, Integral) or number not in known:
+            raise ConfigError(
+                f"scene {number!r} for {self.task}", f"one of {', '.join(map(str, known[:20]))}"
+            )
         return int(self._places[np.flatnonzero(known == number)[0]])
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, Info]:
@@ -167,7 +171,7 @@ class RobotEnv(gymnasium.Env):
         values = numbers_of(action)
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
             raise ConfigError(
-                f"an action of shape {values.shape}{'' if np.isfinite(values).all() else ' with NaN'}",
+                f"an action {action!r}"[:200],
                 f"{self.action_space.shape[0]} finite numbers, -1 to 1",
             )
         values, ctrl = np.clip(values, -1, 1), run.data.ctrl.copy()

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cluttergen_jax.assets.symmetry import turn_symmetry
+from cluttergen_jax.downstream.environments.env import RobotEnv
 from cluttergen_jax.downstream.environments.simulation import WorldExecution
 from cluttergen_jax.downstream.environments.tasks import PlaceTask, Start
 from cluttergen_jax.downstream.rearrange.episode import Rearranger
@@ -26,15 +26,14 @@ from cluttergen_jax.downstream.robot.outcome import Failed
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 
-if TYPE_CHECKING:
-    from cluttergen_jax.downstream.environments.env import RobotEnv
-
 _WAIT = 10
 """Steps of control after the last motion."""
 
 
 def plan_actions(env: RobotEnv, seed: int) -> Iterator[np.ndarray]:
     """See `scripted_actions`."""
+    if not isinstance(env, RobotEnv):
+        raise ConfigError(f"scripted_actions({env!r})", "an environment of make_robot_env, just reset")
     if env.execution is None or env.start is None:
         raise ConfigError("a scripted policy of no episode", "an environment that was just reset")
     copy = env.execution.fork(env.substeps)

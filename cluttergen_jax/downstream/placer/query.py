@@ -103,6 +103,8 @@ def ask_plain(placer: Any, key: Array, query: PlacementQuery) -> Proposals:
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
     told = placer(rng, jax.tree.map(np.asarray, query))
     name = part_name(placer)
+    if told is None:
+        raise ConfigError(f"placer {name!r} returned None", _ALLOWED)
     try:
         if isinstance(told, Proposals):
             found = Proposals(*(array_of(each).astype(np.float32) for each in (told.pose, told.score)))

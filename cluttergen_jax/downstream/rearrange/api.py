@@ -252,9 +252,10 @@ def _own_scenes(
 ) -> tuple[OwnScenes, dict[str, object], str]:
     """What of the setting is the user's own, what a recipe says of that if anything, and the pool."""
     from cluttergen_jax.assets.support import parse_region
-    from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax.assets.support_file import find_support, support_hash
     from cluttergen_jax.downstream.bank_scenes import check_one_level
     from cluttergen_jax.downstream.digests import json_digest
+    from cluttergen_jax.downstream.rearrange.goals import bank_place, is_bank
     from cluttergen_jax.downstream.rearrange.starts import OwnScenes
     from cluttergen_jax.scene.bank import read_bank, region_of
 
@@ -277,11 +278,13 @@ def _own_scenes(
     if found is not None:
         told["bank"] = json_digest(found.record["recipe"])
     if support is not None:
-        told["support"] = str(support)
+        told["support"] = f"{support} {support_hash(find_support(support))[:16]}"
     if target is not None:
         told["target"] = [*target.center, *target.half_extents, target.yaw]
     if goals:
         told["goals"] = goals
+    if goals and is_bank(goals):
+        told["layouts"] = json_digest(read_bank(bank_place(goals)[0]).record["recipe"])
     return own, told and told | {"based_on": setting if found is None else "bank"}, pool
 
 

@@ -146,14 +146,23 @@ class BankGoals:
     """
 
     def __init__(self, place: str) -> None:
-        folder, _, index = place.rpartition(":") if not Path(place).is_dir() else (place, "", "")
+        folder, index = bank_place(place)
+        stored = list(read_scenes(read_bank(folder)))
+        known = [each.origin.index for each in stored if each.origin is not None]
         self._scenes = [
             each
-            for each in read_scenes(read_bank(folder))
-            if not index or (each.origin is not None and each.origin.index == int(index))
+            for each in stored
+            if index is None or (each.origin is not None and each.origin.index == index)
         ]
-        if not self._scenes:
+        if not stored:
             raise ConfigError(f"goals = {place!r}, where no scene is a success", "one or more", _HINT)
+        if not self._scenes:
+            more = " ..." if len(known) > 20 else ""
+            raise ConfigError(
+                f"goals = {place!r}",
+                f"scenes {', '.join(map(str, known[:20]))}{more}",
+                f"{folder}:{known[0]}",
+            )
         self.name = place
 
     def check_support(self, support: SupportAsset) -> None:
@@ -190,8 +199,21 @@ class BankGoals:
 
 def is_bank(text: str) -> bool:
     """Whether goals are told by a folder, or by FOLDER:INDEX."""
-    folder = text.rpartition(":")[0] if re.fullmatch(r".+:\d+", text) else text
-    return Path(text).is_dir() or Path(folder).is_dir()
+    return Path(text).is_dir() or Path(text.rpartition(":")[0] or text).is_dir()
+
+
+def bank_place(text: str) -> tuple[str, int | None]:
+    """The folder, and the index of one of its scenes if there is one.
+
+    Raises:
+      ConfigError: what follows the colon is no whole number.
+    """
+    if Path(text).is_dir():
+        return text, None
+    folder, _, index = text.rpartition(":")
+    if not re.fullmatch(r"[0-9]+", index):
+        raise ConfigError(f"goals = {text!r}", "FOLDER, or FOLDER:INDEX with a whole number", f"{folder}:0")
+    return folder, int(index)
 
 
 def task_words(goals: str) -> Callable[[RearrangeResult], str]:

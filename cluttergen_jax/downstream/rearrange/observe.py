@@ -14,7 +14,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from cluttergen_jax.downstream.parts import part_name
+from cluttergen_jax.downstream.parts import array_of, part_name
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of
 from cluttergen_jax.errors import ConfigError
@@ -59,7 +59,7 @@ class SceneEstimate:
       certainty: f64[N] in [0, 1].
 
     Raises:
-      ConfigError: shapes that differ, or a pose that was seen and is not finite.
+      ConfigError: no arrays of these shapes, numbers out of range, or a pose that was seen and is none.
     """
 
     names: tuple[str, ...]
@@ -68,13 +68,29 @@ class SceneEstimate:
     certainty: np.ndarray
 
     def __post_init__(self) -> None:
-        number = len(self.names)
-        shapes = np.shape(self.pose), np.shape(self.seen), np.shape(self.certainty)
-        if shapes != ((number, 7), (number,), (number,)) or not np.isfinite(self.pose[self.seen]).all():
+        if fault := self._fault():
             raise ConfigError(
-                f"an estimate of {number} objects with shapes {shapes}",
-                "pose f64[N, 7], finite where seen, seen bool[N], certainty f64[N]",
+                f"an estimate of {len(self.names)} objects with {fault}",
+                "pose f64[N, 7], unit quaternions wxyz where seen; seen bool[N]; certainty f64[N], 0 to 1",
             )
+
+    def _fault(self) -> str:
+        for name, kinds in (("pose", "fiu"), ("seen", "b"), ("certainty", "fiu")):
+            try:
+                value = array_of(getattr(self, name))
+            except (TypeError, ValueError):
+                return f"`{name}` of unequal rows"
+            if value.dtype.kind not in kinds:
+                return f"`{name}` of {value.dtype}"
+            if value.shape != (len(self.names), 7)[: 1 + (name == "pose")]:
+                return f"`{name}` of shape {value.shape}"
+            object.__setattr__(self, name, value)
+        poses = self.pose[self.seen]
+        if not np.isfinite(poses).all() or (abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) > 1e-3).any():
+            return f"poses {poses.tolist()}"
+        if not ((self.certainty >= 0) & (self.certainty <= 1)).all():
+            return f"certainty {self.certainty.tolist()}"
+        return ""
 
 
 class EpisodeView:

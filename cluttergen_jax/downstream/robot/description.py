@@ -23,6 +23,11 @@ _IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _TURN = 1e-3
 """By which the length of a quaternion may differ from 1."""
 _MOST_DISTANCE = 2.0
+_MOST_TOOL = 1.0
+"""Metres from the hand's frame to its tool."""
+_SLACK = 1e-6
+"""Radians that limits may exceed those of the model."""
+_OF_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 _OPTIONAL = ("gain", "damping", "torque", "inertia", "limits")
 _POSITIVE = ("distance", "speed", "acceleration", "gain", "torque", "inertia", "pad", "force")
 
@@ -277,6 +282,8 @@ def _wrong_values(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
         value = getattr(gripper, name)
         if len(value) != 7 or abs(np.linalg.norm(value[3:]) - 1) > _TURN:
             yield f"gripper.{name} = {list(value)}", "x y z in metres, and a unit quaternion w x y z"
+        elif np.linalg.norm(value[:3]) > _MOST_TOOL:
+            yield f"gripper.{name} = {list(value)}", f"x y z in metres, up to {_MOST_TOOL:g} m from the hand"
     if not gripper.joints:
         yield "gripper.joints is empty", "the joints that tell how far it is open"
     if gripper.open == gripper.closed:
@@ -314,6 +321,23 @@ def _wrong_names(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
         for name in names:
             if name not in known:
                 yield f"{what} {name!r} in its model", ", ".join(known) or "none", closest(name, known)
+    for name, joint in zip(arm.actuators, arm.joints, strict=True):
+        moved = whole.actuator(name)
+        if moved.trntype in _OF_JOINTS and moved.target != joint:
+            yield (
+                f"arm.actuators: {name} moves {moved.target!r} where arm.joints has {joint!r}",
+                "the same order",
+            )
+    if arm.limits:
+        own = zip(*arm_limits(replace(robot, arm=replace(arm, limits=())), whole), strict=True)
+        for joint, (low, high), (least, most) in zip(arm.joints, arm.limits, own, strict=True):
+            if low >= high:
+                yield f"arm.limits of {joint} = {[low, high]}", "low, then high, radians"
+            if least < most and not least - _SLACK <= low < high <= most + _SLACK:
+                yield (
+                    f"arm.limits of {joint} = {[low, high]}",
+                    f"within its model's {least:g} to {most:g} rad",
+                )
     limits = zip(*arm_limits(robot, whole), strict=True)
     for joint, home, back, (low, high) in zip(arm.joints, arm.home, arm.drawn_back, limits, strict=True):
         if low >= high:

