@@ -131,8 +131,9 @@ class RobotEnv(gymnasium.Env):
         if not isinstance(options, Mapping):
             raise ConfigError(f"reset(options={options!r})", "a dict", 'reset(options={"scene": 0})')
         # LeRobot tells every environment of a new rollout.
-        if unknown := {each for each in options if each != "scene" and not str(each).startswith("lerobot_")}:
-            raise ConfigError(f"options {sorted(unknown)} of reset", "scene", 'reset(options={"scene": 0})')
+        names = sorted(str(each) for each in options)
+        if unknown := [each for each in names if each != "scene" and not each.startswith("lerobot_")]:
+            raise ConfigError(f"options {unknown} of reset", "scene", 'reset(options={"scene": 0})')
         if (number := options.get("scene")) is None:
             return int(self.np_random.choice(self._places))
         known = np.asarray(self.world.bank.index)[self._places]
