@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dis
 import functools
 import hashlib
 import inspect
@@ -89,7 +90,7 @@ def _code_if_any(part: Any) -> bytes:
 
 
 def _code_of_lambda(part: Any) -> bytes:
-    """What distinguishes lambdas whose source is one line; nothing for other functions."""
+    """The compiled code of a lambda, since several may stand on one line of source; nothing for others."""
     if getattr(part, "__name__", "") != "<lambda>":
         return b""
     code: CodeType = part.__code__
@@ -98,7 +99,7 @@ def _code_of_lambda(part: Any) -> bytes:
 
 
 def _named_by(part: Any) -> Iterator[bytes]:
-    """What else of its module a part consists of: attributes of its class, and what its functions name."""
+    """Bytes of its class's attributes, and of the variables and functions of its module that it refers to."""
     while isinstance(part, functools.partial):
         part = part.func
     part = part.__self__ if inspect.ismethod(part) else part
@@ -106,13 +107,12 @@ def _named_by(part: Any) -> Iterator[bytes]:
         functions = [part]
     else:
         kind = part if isinstance(part, type) else type(part)
-        kinds = [each for each in kind.__mro__ if each.__module__ == kind.__module__]
-        held = [value for each in kinds for _, value in sorted(vars(each).items())]
-        functions = [value for value in held if inspect.isfunction(value)]
-        for each in kinds:
-            for name, value in sorted(vars(each).items()):
-                if not (name.startswith("__") or hasattr(value, "__get__")):
-                    yield from (name.encode(), _bytes_if_any(value))
+        own = [each for each in kind.__mro__ if each.__module__ == kind.__module__]
+        held = [pair for each in own for pair in sorted(vars(each).items())]
+        functions = [value for _, value in held if inspect.isfunction(value)]
+        for name, value in held:
+            if not (name.startswith("__") or hasattr(value, "__get__")):
+                yield from (name.encode(), _bytes_if_any(value))
     seen: set[Any] = set(functions)
     while functions:
         function = functions.pop()
@@ -130,8 +130,9 @@ def _named_by(part: Any) -> Iterator[bytes]:
 
 
 def _names_in(code: CodeType) -> set[str]:
-    inner = [_names_in(each) for each in code.co_consts if isinstance(each, CodeType)]
-    return set(code.co_names).union(*inner)
+    """The global variables that code and functions inside of it read; `co_names` has attributes, too."""
+    read = {each.argval for each in dis.get_instructions(code) if each.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    return read.union(*(_names_in(each) for each in code.co_consts if isinstance(each, CodeType)))
 
 
 def _bytes_if_any(value: Any) -> bytes:

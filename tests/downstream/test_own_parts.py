@@ -41,7 +41,7 @@ def plain(x, y=1):
     return x + y
 
 
-HEIGHT, NAMES = 0.1, {"mug", "bowl", "plate"}
+HEIGHT, NAMES, height = 0.1, {"mug", "bowl", "plate"}, 1.0
 
 
 def raised(x):
@@ -49,7 +49,7 @@ def raised(x):
 
 
 def named(rng, query):
-    return raised(query) if len(query) in NAMES else query
+    return [raised(each.height) for each in query if each in NAMES]
 
 
 class Spaced:
@@ -101,6 +101,9 @@ def test_what_a_part_names_of_its_module_belongs_to_it(monkeypatch):
             before = label(part)
             changed.setattr(where or sys.modules[__name__], name, value)
             assert label(part) != before
+    assert label(named) in found
+    # An attribute of the same name is another thing.
+    monkeypatch.setattr(sys.modules[__name__], "height", 2.0)
     assert label(named) in found
     labels = set()
     for names in ({0, 8}, {8, 0}):

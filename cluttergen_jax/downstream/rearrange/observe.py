@@ -75,6 +75,7 @@ class SceneEstimate:
             )
 
     def _fault(self) -> str:
+        """What is wrong with it, empty if nothing is; makes NumPy arrays of its fields."""
         for name, kinds in (("pose", "fiu"), ("seen", "b"), ("certainty", "fiu")):
             try:
                 value = array_of(getattr(self, name))

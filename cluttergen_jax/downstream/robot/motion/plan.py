@@ -271,7 +271,7 @@ def thin_path(path: np.ndarray) -> np.ndarray:
 
 
 def _path_fault(found: np.ndarray, start: np.ndarray, goal: np.ndarray) -> str:
-    """What makes an array no path from start to goal, f[n] each; nothing if it is one."""
+    """What is wrong with a path from start to goal, f[n] each; empty if nothing is."""
     if found.ndim != 2 or found.shape[1] != len(start) or len(found) < 2 or found.dtype.kind not in "fiu":
         return f"an array of {found.dtype}, shape {found.shape}"
     if not np.isfinite(found).all():
