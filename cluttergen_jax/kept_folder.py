@@ -113,11 +113,11 @@ class KeptFolder:
     def _other(self) -> Path | None:
         if not self.path.is_dir():
             return self.path if self.path.exists() else None
-        if self.is_whole(self.path):
-            return None
         # A writer that was killed before anything was finished leaves a lock, and what is half written.
         found = sorted(each for each in self.path.iterdir() if each.name != LOCK)
-        return next((each for each in found if not (is_partial(each.name) or self.is_begun(each))), None)
+        other = next((each for each in found if not (is_partial(each.name) or self.is_begun(each))), None)
+        # Asked last: what another process has finished in the meantime makes the folder whole.
+        return None if self.is_whole(self.path) else other
 
     def lock(self) -> FolderLock:
         """Holds the folder, which is made if need be; `check_place` comes first.
