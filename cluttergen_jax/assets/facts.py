@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import msgspec
 import numpy as np
@@ -17,6 +18,15 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.object import ObjectAsset
 
 
+FACTS_FORMAT = 2
+"""Of the facts that are stored beside objects; those of another format are measured again.
+
+1 was never written down: its volumes were all zero.
+"""
+_VOLUMES: WeakKeyDictionary[ObjectAsset, float] = WeakKeyDictionary()
+"""Of objects whose volume was asked for."""
+
+
 class ObjectFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     """An object of a pool in numbers and words.
 
@@ -24,7 +34,7 @@ class ObjectFacts(msgspec.Struct, frozen=True, omit_defaults=True):
       name: of the object.
       label: what people call it.
       size: metres, the sides of its box, x, y, z.
-      volume: cubic metres, of its convex parts.
+      volume: cubic metres of the object's material (`object_volume`).
       mass: kilograms.
       licence, source: of its file.
       parts: number of convex parts.
@@ -51,7 +61,7 @@ class ObjectFacts(msgspec.Struct, frozen=True, omit_defaults=True):
             name=asset.name,
             label=asset.label,
             size=(x, y, z),
-            volume=float(f"{sum(part.volume for part in asset.parts):.4g}"),
+            volume=object_volume(asset),
             mass=float(asset.mass),
             licence=asset.provenance.licence,
             source=asset.provenance.source,
@@ -59,6 +69,30 @@ class ObjectFacts(msgspec.Struct, frozen=True, omit_defaults=True):
             flagged=bool(asset.flags),
             synset=asset.synset,
         )
+
+
+def object_volume(asset: ObjectAsset) -> float:
+    """Cubic metres of an object's material, to four digits: of a bowl, the volume of its wall.
+
+    Where all its surfaces are closed, flat ones such as stickers aside, it is the space that they enclose;
+    else what its convex parts fill. Either way each place counts once, however many surfaces or parts overlap
+    there, and a void that is closed on all sides counts as filled, as it does for the mass.
+    """
+    if asset not in _VOLUMES:
+        _VOLUMES[asset] = float(f"{_measured_volume(asset):.4g}")
+    return _VOLUMES[asset]
+
+
+def _measured_volume(asset: ObjectAsset) -> float:
+    from cluttergen_jax.assets.object_files import stored_mesh
+    from cluttergen_jax.assets.solid import as_manifold, enclosed_volume, union_volume
+
+    # As they are on disk, so that an object has one volume before it is written and after it was read.
+    surfaces = [stored_mesh(piece) for piece in asset.pieces if not piece.is_flat]
+    volume = enclosed_volume(surfaces)
+    if volume is None:
+        volume = union_volume([as_manifold(part.hull()) for part in asset.parts])
+    return volume
 
 
 _TEXTS: dict[str, Callable[[ObjectFacts], str]] = {

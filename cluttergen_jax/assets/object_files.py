@@ -43,6 +43,8 @@ RESERVED = "support"
 _FILE = re.compile(r"[a-z0-9_-]+\.[a-z]+")
 SHARED_IMAGES = "../../textures/"
 """Where the images of an object lie in a bank or an export, relative to the object's folder."""
+_DIGITS = 5
+"""Significant ones of a surface's coordinates."""
 _CLOUD = "cloud.npy"
 _RECORD = "object.json"
 _HASHES: WeakKeyDictionary[ObjectAsset, str] = WeakKeyDictionary()
@@ -83,9 +85,18 @@ def object_hash(asset: ObjectAsset) -> str:
 
 def _surfaces(asset: ObjectAsset) -> dict[str, bytes]:
     """The files whose digests are in the record."""
-    files = {f"visual-{i}.obj": surface_text(piece, 5).encode() for i, piece in enumerate(asset.pieces)}
+    files = {f"visual-{i}.obj": _surface_text(piece).encode() for i, piece in enumerate(asset.pieces)}
     files[_CLOUD] = _npy_bytes(asset.cloud)
     return files | {each.file_name: each.data for each in asset.textures}
+
+
+def _surface_text(piece: Piece) -> str:
+    return surface_text(piece, _DIGITS)
+
+
+def stored_mesh(piece: Piece) -> Mesh:
+    """A piece's mesh with its vertices rounded as they are on disk."""
+    return parse_surface(_surface_text(piece))[0]
 
 
 def write_object(folder: Path, asset: ObjectAsset, images: Path | None = None) -> None:

@@ -21,7 +21,7 @@ from typing import Annotated, Any, overload
 
 import msgspec
 
-from cluttergen_jax.assets.facts import ObjectFacts, chosen_names, is_plain_name
+from cluttergen_jax.assets.facts import FACTS_FORMAT, ObjectFacts, chosen_names, is_plain_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
@@ -189,6 +189,7 @@ def _index(pool: Pool) -> dict[str, Any]:
         "name": pool.name,
         "tier": pool.tier,
         "objects": list(pool.names),
+        "facts_format": FACTS_FORMAT,
         "facts": [msgspec.to_builtins(each) for each in pool.facts],
         "licence": pool.licence,
         "created_by": "cluttergen_jax",
@@ -219,7 +220,8 @@ def read_pool(path: str | Path, names: Sequence[str] = ()) -> Pool:
     readers = {each: partial(_read_called, inside(path, each), each) for each in wanted}
     if len(readers) < len(wanted):
         raise PoolError(f"{index_path} names an object twice", hint=_AGAIN)
-    objects = StoredObjects(readers, {each.name: each for each in index.facts})
+    facts = index.facts if index.facts_format == FACTS_FORMAT else []
+    objects = StoredObjects(readers, {each.name: each for each in facts})
     kept = objects if len(objects) > MOST_READ else tuple(objects)
     return Pool(index.name, kept, index.tier, index.licence)
 
@@ -235,6 +237,7 @@ class _Index(msgspec.Struct):
     tier: str
     licence: str
     facts: list[ObjectFacts] = []
+    facts_format: int = 1
 
 
 def embedded_root() -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import manifold3d
 import numpy as np
@@ -85,6 +86,22 @@ def solid_of(meshes: Sequence[Mesh]) -> Solid:
     if len(mesh.faces) <= _MAX_FACES:
         return solid
     return replace(solid, mesh=simplify_solid(mesh, _HAIR * solid.diagonal))
+
+
+def enclosed_volume(meshes: Sequence[Mesh]) -> float | None:
+    """Cubic metres that closed surfaces enclose together; None if one is open, or they are more than 64.
+
+    Each place counts once, and a void that is closed on all sides counts as filled, as in `solid_of`.
+    """
+    shells = [_shells(clean_mesh(mesh, is_closed=True)) for mesh in meshes[:_MAX_PIECES]]
+    if not 0 < len(meshes) <= _MAX_PIECES or not all(shells):
+        return None
+    return union_volume(list(chain.from_iterable(shells)))
+
+
+def union_volume(solids: Sequence[manifold3d.Manifold]) -> float:
+    """Cubic metres that solids fill together, each place counted once."""
+    return float(manifold3d.Manifold.batch_boolean(list(solids), manifold3d.OpType.Add).volume())
 
 
 def is_convex(mesh: Mesh) -> bool:
