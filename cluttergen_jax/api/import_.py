@@ -64,7 +64,8 @@ def import_pool(
       tier: "standard" (up to 32 convex parts), or "light" (one hull) for MJX in pure JAX.
       scale: factor from the files' unit to metres.
       up: the files' vertical axis; "file" is y for GLTF, what a DAE file says, and z for all others. "auto"
-        begins with that, and turns an object that people put in another way, such as a can that lies.
+        begins with that, and turns an object as people put it if its file does not say which axis is up (OBJ,
+        STL, PLY), or if it does not stand as the file says.
       front: the files' axis that becomes the objects' +x; "auto" is x, or -y where x is up.
       density: kg/m^3, where the mass is not known.
       mass: kilograms for every object, such as the paper's 0.1; or "volume", to take volume times density

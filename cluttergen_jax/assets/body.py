@@ -21,6 +21,7 @@ from cluttergen_jax.assets.quality.hollow import MAX_FILL, Hollow, find_hollow, 
 from cluttergen_jax.assets.settle import resting_poses, settled_turn, tilt_of, upright_turn
 from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
+from cluttergen_jax.assets.stances import upright_stance
 from cluttergen_jax.assets.upright import usual_poses
 from cluttergen_jax.errors import AssetError, ConfigError
 
@@ -125,10 +126,12 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
     """
     config = config or BodyConfig()
     shape, solid, mass = with_mass(shape)
-    if shape.is_pose_free and (turn := _usual_turn(solid, mass)) is not None:
+    if shape.is_pose_free and (turn := _usual_turn(shape.stated_up, solid, mass)) is not None:
         rotation, note = turn
-        shape = replace(shape.rotate(rotation), notes=(*shape.notes, note))
-        solid, mass = solid.rotate(rotation), mass.transform(rotation, np.zeros(3))
+        shape = replace(shape, notes=(*shape.notes, note))
+        if rotation is not None:
+            shape = shape.rotate(rotation)
+            solid, mass = solid.rotate(rotation), mass.transform(rotation, np.zeros(3))
     best: _Candidate | None = None
     first: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
@@ -176,23 +179,41 @@ def turned_variants(asset: ObjectAsset, rotation: np.ndarray) -> Iterator[Object
         yield _set_down(loose, mass, best, config)
 
 
-def _usual_turn(solid: Solid, mass: MassProperties) -> tuple[np.ndarray, str] | None:
+def _usual_turn(stated: str, solid: Solid, mass: MassProperties) -> tuple[np.ndarray | None, str] | None:
     """The turn into the pose in which people put an object, and a note on it; None to stay as authored.
 
-    A pose is taken if the object's hull stays there in plain MuJoCo.
+    A pose is taken if the object's hull stays there in plain MuJoCo. The authored pose is not left where its
+    file states it, it bears a tilt of 5 degrees and the hull stays in it: then there is a note and no turn.
+
+    Args:
+      stated: see `Shape.stated_up`.
     """
     choice = usual_poses(solid, mass.center)
     for stance, _ in () if choice.is_kept else choice.poses:
         if stance is choice.authored:
             break
         turn = upright_turn(stance.up)
-        hull = finish_parts([solid.mesh.vertices @ turn.T], MAX_BASE_CORNERS)
-        if tilt_of(settled_turn(_draft(hull, mass.transform(turn, np.zeros(3))))) <= MAX_TILT:
-            heights = [f"{1000 * each.height:.0f}" for each, _ in choice.poses if each is not stance]
-            others = f"; it would rest {', '.join(heights[:4])} mm tall as well" if heights else ""
-            text = f"turned by {np.degrees(tilt_of(turn)):.0f} degrees, as people put it"
-            return turn, f"{text}: {1000 * stance.height:.0f} mm tall{others}"
+        if not _stays(solid, mass, turn):
+            continue
+        tilt = f"turned by {np.degrees(tilt_of(turn)):.0f} degrees"
+        reason = "its file does not say which way is up"
+        if stated:
+            own = upright_stance(solid.mesh.vertices, mass.center, MAX_TILT)
+            if own is not None and _stays(solid, mass, np.eye(3)):
+                bears = f"up to a tilt of {np.degrees(own.tip):.0f} degrees"
+                other = f"{tilt} it would be {1000 * stance.height:.0f} mm tall"
+                return None, f"it stands as its file states ({stated}), {bears}; {other}"
+            reason = f"as its file states ({stated}) it does not stand"
+        heights = [f"{1000 * each.height:.0f}" for each, _ in choice.poses if each is not stance]
+        others = f"; it would rest {', '.join(heights[:4])} mm tall as well" if heights else ""
+        return turn, f"{tilt}, as people put it: {1000 * stance.height:.0f} mm tall{others}; {reason}"
     return None
+
+
+def _stays(solid: Solid, mass: MassProperties, turn: np.ndarray) -> bool:
+    """Whether the object's hull stays in plain MuJoCo as it is set down after a turn, to `MAX_TILT`."""
+    hull = finish_parts([solid.mesh.vertices @ turn.T], MAX_BASE_CORNERS)
+    return tilt_of(settled_turn(_draft(hull, mass.transform(turn, np.zeros(3))))) <= MAX_TILT
 
 
 def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[np.ndarray]]:

@@ -144,6 +144,8 @@ class Shape:
       colliding: all that collides according to its file, whether or not it can serve as `parts`.
       scale: the factor on the file's lengths that was asked for.
       is_pose_free: whether its authored pose may give way to the one in which people put it (`upright`).
+      stated_up: what its file states about the vertical axis, in words; such a pose gives way only where the
+        object does not stand so. Empty if the file says nothing.
       is_from_file: whether a file is all that is known of it: whether it is hollow is looked for.
       synset: what kind of thing it is: a WordNet synset such as mug.n.04, or another word; empty if unknown.
       keeps_parts: whether `parts` are asked for, sound or not.
@@ -164,6 +166,7 @@ class Shape:
     colliding: tuple[Mesh, ...] = ()
     scale: float = 1.0
     is_pose_free: bool = False
+    stated_up: str = ""
     is_from_file: bool = False
     keeps_parts: bool = False
     synset: str = ""

@@ -6,7 +6,9 @@ Between two faces the body rolls over their common edge, and is highest when the
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
@@ -38,6 +40,25 @@ def stances(points: np.ndarray, center: np.ndarray) -> list[Stance]:
       points: f64[N, 3], of which the convex hull is taken.
       center: f64[3], the centre of mass.
     """
+    found = list(islice(_rests(points, center), _MOST_TRIED))
+    steady = [stance for stance in found if stance.tip >= _MIN_TIP]
+    return sorted(steady, key=lambda stance: -stance.tip)[:_MOST]
+
+
+def upright_stance(points: np.ndarray, center: np.ndarray, within: float) -> Stance | None:
+    """The steadiest pose in which z points up, to `within` radians; None if none bears a tilt of 5 degrees.
+
+    Args:
+      points: f64[N, 3], of which the convex hull is taken.
+      center: f64[3], the centre of mass.
+    """
+    upright = [each for each in _rests(points, center) if each.up[2] > np.cos(within)]
+    best = max(upright, key=lambda stance: stance.tip, default=None)
+    return None if best is None or best.tip < _MIN_TIP else best
+
+
+def _rests(points: np.ndarray, center: np.ndarray) -> Iterator[Stance]:
+    """The poses at rest, the likeliest first; of poses 12 degrees apart or less, the likeliest alone."""
     points = points[ConvexHull(points).vertices] - center
     faces = _Faces.of(points)
     rest = faces.rests()
@@ -50,13 +71,10 @@ def stances(points: np.ndarray, center: np.ndarray) -> list[Stance]:
         else:
             kept.append(face)
     rolls = faces.rolls()
-    found = []
-    for face in kept[:_MOST_TRIED]:
+    for face in kept:
         up = -faces.normals[face]
         height = float(np.ptp(points @ up))
-        found.append(Stance(up, faces.tip(face, rolls), float(likelihood[face]), height))
-    steady = [stance for stance in found if stance.tip >= _MIN_TIP]
-    return sorted(steady, key=lambda stance: -stance.tip)[:_MOST]
+        yield Stance(up, faces.tip(face, rolls), float(likelihood[face]), height)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.readers.mesh_text import companions
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 
-BODY_VERSION = 8
+BODY_VERSION = 9
 """Raised when the code makes another body of the same files, or of the modeller's same shapes: geometry,
 masses, checks, colours or the files that hold them. Every cached body is then made again.
 `test_bodies_are_those_of_this_version` fails where that was forgotten."""

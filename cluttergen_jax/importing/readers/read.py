@@ -48,8 +48,8 @@ def read_shape(
     """
     options = options or ReadOptions()
     model, mass_scale = _model(source, options, joints)
-    up = options.up if options.up in AXES else own_up(source.path, source.kind).axis
-    rotation = turn_of(up, options.front)
+    own = own_up(source.path, source.kind)
+    rotation = turn_of(options.up if options.up in AXES else own.axis, options.front)
     turn = rotation * options.scale
     notes = model.notes
     density = options.density if model.density is None else model.density
@@ -78,6 +78,7 @@ def read_shape(
         notes=notes,
         colliding=_rotate_meshes(model.colliding, turn),
         is_pose_free=options.up == options.front == AUTO,
+        stated_up=f"{own.axis} up, {own.reason}" if own.is_stated else "",
         is_from_file=True,
         keeps_parts=bool(source.parts),
         joints=()

@@ -35,6 +35,7 @@ class UpAxis:
 
     axis: str
     reason: str
+    is_stated: bool = True  # By the file or by its format's standard; False where neither says anything.
 
 
 def own_up(path: Path, kind: str) -> UpAxis:
@@ -53,7 +54,7 @@ def own_up(path: Path, kind: str) -> UpAxis:
         if declared:
             return UpAxis(declared.group(1).decode().lower(), "the file's declaration")
         return UpAxis("y", "COLLADA's standard")
-    return UpAxis("z", f"by default: {suffix[1:].upper()} does not say")
+    return UpAxis("z", f"by default: {suffix[1:].upper()} does not say", is_stated=False)
 
 
 def check_axes(up: str, front: str) -> None:
@@ -101,8 +102,9 @@ class ReadOptions:
     Attributes:
       scale: factor from the file's unit to metres.
       up: the file's axis that points up: x, y, z, -x, -y or -z; "file" takes what the file or its format says
-        (`axes.own_up`). All of these keep the authored pose; "auto" begins with the file's axis, and turns an
-        object into the pose in which people put it where that is another (`assets.upright`).
+        (`axes.own_up`). All of these keep the authored pose; "auto" begins with the file's axis. Where the
+        file or its format states that axis and the object stands so, it keeps that pose; else it is turned
+        into the pose in which people put it (`assets.upright`).
       front: the file's axis that becomes the object's +x, at a right angle to `up`, and keeps the pose too;
         "auto" takes x, or -y where x is up.
       density: kg/m^3, for objects whose mass is not known.
