@@ -30,14 +30,21 @@ class Piece:
       uv: f32[V, 2], for each vertex its place in the image, (0, 0) being the lower left corner; the image is
         repeated beyond [0, 1]. A vertex on a seam of the image comes once for each side.
       texture: the image. Either both `uv` and `texture` are given, or neither.
+      colours: u8[V, 3], sRGB, a colour for each vertex that `rgba` multiplies, until an image is made of them
+        (`baking.bake_colours`); never beside an image.
+      baked_side: pixels a side that the image may have, where it was made so; 0 for other images.
     """
 
     mesh: Mesh
     rgba: tuple[float, float, float, float] = (0.7, 0.7, 0.7, 1.0)
     uv: np.ndarray | None = None
     texture: Texture | None = None
+    colours: np.ndarray | None = None
+    baked_side: int = 0
 
     def __post_init__(self) -> None:
+        if self.colours is not None and (self.uv is not None or len(self.colours) != len(self.mesh.vertices)):
+            raise ValueError("colours beside an image, or not of every vertex")
         if (self.uv is None) != (self.texture is None):
             raise ValueError("a piece with a texture but no uv, or the other way round")
         if self.uv is not None:
@@ -63,7 +70,10 @@ class Piece:
 
     @property
     def mean_rgba(self) -> tuple[float, float, float, float]:
-        """One colour for the whole: `rgba`, times the mean of the image over the vertices if there is one."""
+        """One colour for the whole: `rgba`, times the mean over the vertices of what it multiplies."""
+        if self.colours is not None:
+            r, g, b = (self.colours.mean(0) / 255 * self.rgba[:3]).tolist()
+            return (r, g, b, self.rgba[3])
         if self.uv is None or self.texture is None:
             return self.rgba
         r, g, b = (self.texture.at(self.uv).mean(0) * self.rgba[:3]).tolist()

@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
+from cluttergen_jax.assets.baking import bake_again
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
 from cluttergen_jax.assets.shape import Piece
 
@@ -123,7 +124,7 @@ def _merge(group: Sequence[Piece]) -> Piece:
     uvs = [each.uv for each in group if each.uv is not None]
     if not uvs:
         return Piece(clean_mesh(mesh), group[0].rgba)
-    return _weld(Piece(mesh, group[0].rgba, np.concatenate(uvs), group[0].texture))
+    return _weld(replace(group[0], mesh=mesh, uv=np.concatenate(uvs)))
 
 
 def _weld(piece: Piece) -> Piece:
@@ -162,4 +163,6 @@ def _simplify_textured(piece: Piece, share: float) -> Piece:
         return piece
     whole = clean_mesh(piece.mesh)
     small = _simplify(whole, share * len(piece.mesh.faces) / len(whole.faces))
-    return piece if small is whole else transfer_texture(piece, small)
+    if small is whole:
+        return piece
+    return bake_again(piece, small) if piece.baked_side else transfer_texture(piece, small)

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.colours import LEFT_OUT, vary
 from cluttergen_jax.importing.readers.polygons import CROSSING, cut_with_holes, cuts
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_numbers, parse_xml, plain_tag
 
@@ -44,11 +45,15 @@ def plain_collada(path: Path) -> bytes | None:
     """The file with a name in place of each image's missing path, and polygons with holes as triangles.
 
     pycollada drops an image without a path, and with it the effect, the material and the surfaces; and it
-    drops polygons with holes (<ph>). None if there are neither.
+    drops polygons with holes (<ph>). Surfaces whose vertices have colours, and on which no image can lie, are
+    without their materials: trimesh takes these, which say less. None if there are none of the three.
     """
     if (tree := parse_xml(path)) is None:
         return None
     is_changed = _name_images(tree)
+    for surface in _coloured_by_vertices(tree):
+        if not _can_have_image(tree, surface):
+            is_changed |= surface.attrib.pop("material", None) is not None
     for polygons in list(_all(tree, "polygons")):
         try:
             is_changed |= _cut_holes(tree, polygons)
@@ -56,6 +61,32 @@ def plain_collada(path: Path) -> bytes | None:
             # They stay, are dropped, and `collada_notes` says so.
             continue
     return ElementTree.tostring(tree) if is_changed else None
+
+
+def _coloured_by_vertices(tree: Element) -> Iterator[Element]:
+    """The surfaces at whose vertices colours differ."""
+    sources = {each.get("id"): each for each in _all(tree, "source")}
+    for tag in ("triangles", "polylist", "polygons", "tristrips", "trifans"):
+        for surface in _all(tree, tag):
+            named = [each.get("source", "")[1:] for each in surface if each.get("semantic") == "COLOR"]
+            found = sources.get(named[0]) if named else None
+            if found is not None and vary(_colours(found)):
+                yield surface
+
+
+def _colours(source: Element) -> np.ndarray:
+    """f64[N, 3]; none if the source is not of colours."""
+    values = next((parse_numbers(each.text or "") for each in _all(source, "float_array")), None) or []
+    stride = next((each.get("stride", "1") for each in _all(source, "accessor")), "3")
+    step = int(stride) if stride.isdecimal() else 0
+    if step < 3 or len(values) % step:
+        return np.zeros((0, 3))
+    return np.array(values).reshape(-1, step)[:, :3]
+
+
+def _can_have_image(tree: Element, surface: Element) -> bool:
+    has_places = any(each.get("semantic") == "TEXCOORD" for each in surface)
+    return has_places and next(_all(tree, "texture"), None) is not None
 
 
 def _name_images(tree: Element) -> bool:
@@ -113,6 +144,8 @@ def collada_notes(path: Path) -> Iterator[str]:
         yield f"{holes} polygons with holes (<ph>) cannot be cut into triangles and are left out"
     if skins := sum(1 for _ in _all(tree, "instance_controller")):
         yield f"{skins} surfaces with a skeleton or a morph (<instance_controller>) are left out"
+    if tree is not None and any(_can_have_image(tree, each) for each in _coloured_by_vertices(tree)):
+        yield LEFT_OUT
 
 
 def _all(tree: Element | None, tag: str) -> Iterator[Element]:

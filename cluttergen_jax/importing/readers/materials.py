@@ -14,6 +14,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.colours import LEFT_OUT, MANY
 from cluttergen_jax.importing.readers.gltf_file import extension_notes, is_coloured_by_vertices, read_document
 
 Rgba = tuple[float, float, float, float]
@@ -21,8 +22,8 @@ GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
 _OPAQUE = 250
 _PBR_MAPS = ("normalTexture", "metallicRoughnessTexture", "occlusionTexture", "emissiveTexture")
 _MTL_MAP = re.compile(r"map_(?!k[ad]$).+|bump|norm|disp|decal|refl")
-_MANY = 0.02
-"""Spread of vertex colours, of 1, above which one colour for all is a loss."""
+_GREYISH = 0.02
+"""How far the channels of a grey differ at most, of 1."""
 _LIGHT = 0.5
 """A grey Kd from here on is what exporters write beside an image: it gets no note."""
 
@@ -57,9 +58,11 @@ class Dresser:
             return Piece(mesh, rgba, uv, texture)
         if image is not None and uv is None:
             self._note("a surface has an image but no sound texture coordinates: it gets one colour")
-        if visual.kind in ("vertex", "face") and _spread(visual) > _MANY:
-            self._note("its vertex colours are averaged to one colour")
-        return Piece(mesh, mean_colour(visual, self._is_linear))
+        rgba = mean_colour(visual, self._is_linear)
+        if visual.kind in ("vertex", "face") and (found := _many_colours(mesh, visual)) is not None:
+            mesh, colours = found
+            return Piece(mesh, (1.0, 1.0, 1.0, rgba[3]), colours=colours)
+        return Piece(mesh, rgba)
 
     def _texture(self, image: Image.Image, material: Any) -> Texture | None:
         if id(image) not in self._known:
@@ -92,7 +95,7 @@ class Dresser:
         kept = getattr(material, "kwargs", None)
         if kept is not None:
             colour = _numbers(kept.get("kd"), 3)
-            if colour is not None and (max(colour) < _LIGHT or max(colour) - min(colour) > _MANY):
+            if colour is not None and (max(colour) < _LIGHT or max(colour) - min(colour) > _GREYISH):
                 text = " ".join(f"{each:g}" for each in colour)
                 self._note(f"an image is drawn as it is, not multiplied by its material's colour (Kd {text})")
             return _rgba([1.0, 1.0, 1.0, (_numbers(kept.get("d"), 1) or [1.0])[0]])
@@ -146,11 +149,23 @@ def _is_opaque(material: Any) -> bool:
     return hasattr(material, "alphaMode") and material.alphaMode in (None, "OPAQUE")
 
 
-def _spread(visual: Any) -> float:
+def _many_colours(mesh: Mesh, visual: Any) -> tuple[Mesh, np.ndarray] | None:
+    """The mesh and u8[V, 3], a colour for each of its vertices; None where one colour does for all.
+
+    Of a mesh with colours for its triangles, each triangle gets vertices of its own.
+    """
     try:
-        return float(np.std(np.atleast_2d(visual.face_colors)[:, :3] / 255.0, axis=0).max())
+        if visual.kind == "face":
+            colours = np.repeat(np.asarray(visual.face_colors)[:, :3], 3, axis=0)
+            mesh = Mesh(mesh.corners.reshape(-1, 3), np.arange(3 * len(mesh.faces)))
+        else:
+            colours = np.asarray(visual.vertex_colors)[:, :3]
+        if len(colours) != len(mesh.vertices) or colours.dtype != np.uint8:
+            return None
     except Exception:  # A damaged colour must not cost the object.
-        return 0.0
+        return None
+    shown = colours[np.unique(mesh.faces)]
+    return (mesh, colours) if np.ptp(shown.astype(int), axis=0).max() > MANY else None
 
 
 def _srgb(values: np.ndarray) -> np.ndarray:
@@ -203,7 +218,7 @@ def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
         "COLOR_0" in each["attributes"] and "material" in each and not is_coloured_by_vertices(document, each)
         for each in primitives
     ):
-        yield "its vertex colours are left out: the colour or the image of its material is taken"
+        yield LEFT_OUT
     has_image = {each.name for each in materials if getattr(each, "baseColorTexture", None) is not None}
     read = {each.name for each in materials if each is not None}
     for index, material in enumerate(document.get("materials", [])):

@@ -17,6 +17,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.collada import collada_notes, collada_polygons, unit_of
+from cluttergen_jax.importing.readers.colours import coloured_by_vertices
 from cluttergen_jax.importing.readers.damage import check_whole, sound_stl, unreadable
 from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
 from cluttergen_jax.importing.readers.mesh_text import Companions, mesh_input
@@ -26,8 +27,14 @@ _RANDOM = re.compile(r"_[0-9a-f]{6}$")
 """What trimesh puts behind a node's name where several surfaces hang on it, another each time."""
 
 
+def _mend_obj(data: bytes) -> tuple[bytes, tuple[str, ...]]:
+    data, of_colours = coloured_by_vertices(data)
+    data, of_polygons = cut_obj(data)
+    return data, (*of_colours, *of_polygons)
+
+
 _MENDS: dict[str, Callable[[bytes], tuple[bytes, tuple[str, ...]]]] = {
-    ".obj": cut_obj,
+    ".obj": _mend_obj,
     ".ply": cut_ply,
     ".stl": sound_stl,
 }
@@ -42,11 +49,12 @@ class MeshFile(NamedTuple):
 
 
 def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:
-    """The file's surfaces in its own frame, each with one colour or with its image.
+    """The file's surfaces in its own frame, each with one colour, with its vertices' or with its image.
 
-    Every geometry of a scene graph is placed where its nodes put it. The colour is the material's, or the
-    mean over vertex colours. A DAE file's declared unit is applied, its vertical axis is not (`axes.own_up`):
-    where a URDF names such a file, that is what PyBullet does. Other files are in their own unit.
+    Every geometry of a scene graph is placed where its nodes put it. The colour is the material's; colours
+    of vertices or triangles that differ are kept for each vertex. A DAE file's declared unit is applied, its
+    vertical axis is not (`axes.own_up`): where a URDF names such a file, that is what PyBullet does. Other
+    files are in their own unit.
 
     Args:
       max_side: pixels; larger images are shrunk.

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from cluttergen_jax.assets.baking import bake_colours
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.mesh_repair.folds import without_folds
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
@@ -63,10 +64,13 @@ def read_shape(
     pieces = tuple(_unfold(piece) for piece in model.pieces)
     if any(piece is not before for piece, before in zip(pieces, model.pieces, strict=True)):
         notes = (*notes, "its surface lay flat over itself in places: they are cut anew")
+    pieces = bake_colours(pieces, options.max_texture)
     shape = Shape(
         name=source.name,
         label=source.label,
-        pieces=tuple(piece.transform(turn, np.zeros(3)) for piece in pieces),
+        pieces=tuple(
+            piece.transform(turn, np.zeros(3)) for piece in bake_colours(pieces, options.max_texture)
+        ),
         provenance=_provenance(source, options),
         synset=source.synset,
         parts=None if model.parts is None else _rotate_meshes(model.parts, turn),
