@@ -161,8 +161,8 @@ class SceneSpec:
       pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
       objects: the pool's objects to use; all of them if empty. Names, patterns and conditions: "mug*",
         "mug* and volume<0.001", "label=*book* and height>=0.1"; one that any of them means is used. There
-        are name, label, synset, licence, source; volume (m^3), mass (kg), x, y, height, width, depth (m),
-        parts, flagged.
+        are name, label, synset, licence, source; volume (m^3 of material), mass (kg), x, y, height, width,
+        depth (m), parts, flagged.
       exclude: the pool's objects to leave out, told in the same ways; exclude=("mug",) is the same as
         pool="dining~mug".
       num_objects: objects per scene, 1 to 128; all of the pool's (40 at most) if not given.
