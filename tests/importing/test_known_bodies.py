@@ -6,6 +6,7 @@ import shutil
 from dataclasses import replace
 
 import msgspec
+import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -16,6 +17,8 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.pool import EMBEDDED, embedded_root, find_pool, read_pool, user_root
 from cluttergen_jax.cli.main import main
+from cluttergen_jax.scene.export.molmospaces import asset_json
+from cluttergen_jax.scene.export.simready import metadata
 from cluttergen_jax.schema import checked_record, with_checksum
 from tests.helpers.imports import made_here
 
@@ -115,6 +118,20 @@ def test_tables_have_size_and_mass(pool, capsys, command):
         x, y, z, _scale, mass = (float(each) for each in re.findall(r"\d[\d.]*", rows[name])[:5])
         np.testing.assert_allclose([x, y, z], 1000 * np.array(sides), rtol=0.03)
         assert mass == pytest.approx(DENSITY * volume, abs=2e-3)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_what_exports_say_of_a_body(pool, name):
+    sides, volume = BODIES[name]
+    asset = pool[name]
+    library = json.loads(asset_json(asset))
+    ready = metadata(asset)
+    np.testing.assert_allclose(list(library["boundingBox"].values()), sides, rtol=0.03)
+    np.testing.assert_allclose(ready["asset_extents"], sides, rtol=0.03)
+    assert library["mass"] == ready["mass"] == pytest.approx(DENSITY * volume, rel=0.03)
+    folder = user_root() / "known" / name
+    model = mujoco.MjModel.from_xml_path(str(folder / "object.xml"))
+    assert model.body_mass.sum() == pytest.approx(DENSITY * volume, rel=0.03)
 
 
 def test_facts_of_an_older_kind_are_measured_anew(pool, home, tmp_path, monkeypatch):
