@@ -45,26 +45,23 @@ from cluttergen_jax.assets.support_map import (
 )
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.geometry import yaw_matrix
-from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
+from cluttergen_jax.importing.furniture_file import find_furniture
+from cluttergen_jax.importing.furniture_pose import read_upright
+from cluttergen_jax.importing.readers import ReadOptions
 from cluttergen_jax.importing.support_joints import moved_together, with_joints
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
 
-_LARGEST = 4.0
-"""Metres."""
+_OF_MASS = ("its file states no", "the mass that its file")
+"""How readers' notes on an object's mass begin, which a support has none of."""
 
 
 def write_table(
     path: str | Path, name: str | None, options: ReadOptions, force: bool, joints: Mapping[str, float]
 ) -> SupportAsset:
     """The support of a table's file, among the user's own; see `cluttergen_jax.import_support`."""
-    sources = find_sources(path)
-    if len(sources) > 1:
-        names = ", ".join(source.name for source in sources[:5])
-        raise AssetError(
-            f"{path} holds {len(sources)} objects ({names})", "one table", "the table's own file"
-        )
-    name = sources[0].name if name is None else name
+    source, of_bodies = find_furniture(path)
+    name = source.name if name is None else name
     if not is_support_name(name) or name in embedded_supports():
         raise PoolError(
             f"a support called {name!r}",
@@ -72,12 +69,10 @@ def write_table(
             f"{', '.join(embedded_supports())}, table-WxD, bin-WxD",
             "name='my_table'",
         )
-    shape = read_shape(sources[0], options, joints, _LARGEST)
+    shape, of_pose = read_upright(source, options, joints)
     support, notes = support_with_notes(shape)
-    for note in shape.notes:
-        if note.startswith("frozen joints"):
-            print(f"{note} (--joint NAME=VALUE moves one)", file=sys.stderr)
-    for note, count in Counter(notes).items():
+    of_file = [note for note in shape.notes if not note.startswith(_OF_MASS)]
+    for note, count in Counter([*of_bodies, *of_pose, *map(_with_option, of_file), *notes]).items():
         print(note + (f" ({count} of them)" if count > 1 else ""), file=sys.stderr)
     support = replace(support, name=name)
     folder = user_supports() / name
@@ -87,6 +82,10 @@ def write_table(
         raise PoolError(f"support {name!r} exists and is another", "a new `name`", "`force` to replace it")
     write_support(folder, support, overwrite=force)
     return support
+
+
+def _with_option(note: str) -> str:
+    return f"{note} (--joint NAME=VALUE moves one)" if note.startswith("frozen joints") else note
 
 
 def _is_same(folder: Path, support: SupportAsset) -> bool:

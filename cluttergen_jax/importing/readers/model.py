@@ -17,6 +17,7 @@ from cluttergen_jax.errors import ConfigError, closest
 
 MAX_PARTS = 32
 _HAIR = 1e-6
+_MOST_NAMES = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,23 +47,46 @@ def frozen_note(joints: Iterable[tuple[str, str, float, bool]]) -> tuple[str, ..
     return (f"frozen joints: {', '.join(described)}",) if described else ()
 
 
-def opened_joint(name: str, value: float, lower: float, upper: float, is_turn: bool) -> float:
+def opened_joint(
+    name: str, value: float, lower: float, upper: float, is_turn: bool
+) -> tuple[float, tuple[str, ...]]:
     """Where a joint is to be, radians or metres, from degrees or metres.
+
+    A limit is met to within the rounding of its file: 1.57 rad is asked for as 90 degrees. Then the joint is
+    put at the limit.
 
     Args:
       lower, upper: how far it goes, radians or metres; infinite where there is no limit.
+
+    Returns:
+      The place, and a note where it is another than asked.
 
     Raises:
       ConfigError: it does not go so far.
     """
     unit, factor = ("degrees", math.pi / 180) if is_turn else ("m", 1.0)
-    if not lower - _HAIR <= value * factor <= upper + _HAIR:
+    asked = value * factor
+    if not lower - _rounding(lower, is_turn) <= asked <= upper + _rounding(upper, is_turn):
         raise ConfigError(
             f"joint {name!r} at {value:g} {unit}",
             f"{lower / factor:.4g} to {upper / factor:.4g} {unit}",
             f"{name}={upper / factor:.4g}" if math.isfinite(upper) else "a value within its limits",
         )
-    return value * factor
+    place = min(max(asked, lower), upper)
+    if abs(place - asked) <= _HAIR:
+        return asked, ()
+    return place, (
+        f"joint {name!r} is at its limit, {place / factor:.4g} {unit}: {value:g} was asked, and its file "
+        "is rounded",
+    )
+
+
+def _rounding(limit: float, is_turn: bool) -> float:
+    """Radians or metres: one unit of a limit's last digit, at least 0.1 degree or 0.1 mm, at most ten times
+    as much or, of angles, 0.01 rad."""
+    least, most = (math.radians(0.1), 0.01) if is_turn else (1e-4, 1e-3)
+    _, point, digits = f"{limit:.9f}".rstrip("0").partition(".")
+    return min(max(10.0 ** -len(digits), least), most) if digits else least
 
 
 def check_joints(asked: Iterable[str], movable: Iterable[str], path: Path) -> None:
@@ -75,6 +99,18 @@ def check_joints(asked: Iterable[str], movable: Iterable[str], path: Path) -> No
                 ", ".join(names) or "no joint moves",
                 meant=closest(name, names),
             )
+
+
+def unknown_body(body: str, path: Path, known: Iterable[str], what: str = "body") -> ConfigError:
+    """The error that a file has no body, link, model or node of that name."""
+    names = [name for name in known if name]
+    allowed = ", ".join(names[:_MOST_NAMES]) + (", ..." if len(names) > _MOST_NAMES else "")
+    return ConfigError(
+        f"{what} {body!r} of {path.name}",
+        allowed or f"nothing in it has a name: {path.name} without '#'",
+        f"{path.name}, which takes all of it as one",
+        closest(body, names),
+    )
 
 
 def convex_parts(meshes: list[Mesh], tolerance: float = 0.02) -> tuple[Mesh, ...] | None:

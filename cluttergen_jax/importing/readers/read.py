@@ -24,6 +24,8 @@ from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
 
 MIN_SIZE = 0.005
 MAX_SIZE = 2.0
+MAX_FURNITURE, MAX_UNSTATED = 20.0, 4.0
+"""Metres that furniture may measure at most: of files whose unit is known, and of others."""
 NOT_STATED = "not stated"
 """The licence of files that have none."""
 _UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "tenths of a millimetre": 0.0001}
@@ -100,16 +102,17 @@ def _model(
     In URDF and SDF a mass is written as it is; most of MJCF's are a density times a volume: that keeps it.
     """
     if source.kind == "urdf":
-        return read_urdf(source.path, options.max_texture, joints or {}), 1.0
+        return read_urdf(source.path, options.max_texture, joints or {}, source.body), 1.0
     if joints and source.kind != "mjcf":
         raise ConfigError(
             f"joints of {source.path.name} ({source.kind})", "those of a URDF or MJCF file", "no `joint`"
         )
     if source.kind == "sdf":
-        return read_sdf(source.path, source.body, options.max_texture), 1.0
+        return read_sdf(source.path, source.body, options.max_texture, source.bodies), 1.0
     if source.kind == "mjcf":
-        return read_mjcf(source.path, source.body, options.max_texture, joints), options.scale**3
-    pieces, notes = read_mesh_file(source.path, options.max_texture)
+        model = read_mjcf(source.path, source.body, options.max_texture, joints, source.bodies)
+        return model, options.scale**3
+    pieces, notes = read_mesh_file(source.path, options.max_texture, node=source.body)
     model = Model(pieces, None, None, notes)
     return with_kept_parts(model, source.parts) if source.parts else model, 1.0
 
@@ -154,18 +157,22 @@ def _check_size(shape: Shape, path: Path, largest: float) -> None:
         raise AssetError(
             f"{path}: {shape.label!r} is {size:.3g} m across",
             f"a largest side between {MIN_SIZE * 1000:g} mm and {largest:g} m",
-            _likely_cause(size),
+            _likely_cause(size, (0.02, 0.6) if largest <= MAX_SIZE else (0.3, MAX_UNSTATED)),
         )
 
 
-def _likely_cause(size: float) -> str:
-    """Which unit would make this an object of 2 cm to 60 cm, in words that name the option."""
+def _likely_cause(size: float, usual: tuple[float, float]) -> str:
+    """Which unit would make this of a usual size, in words that name the option.
+
+    Args:
+      usual: metres, the least and the most across.
+    """
     if size < MIN_SIZE:
         return "`scale` with the factor to metres; a scale may have been applied twice"
     fitting = [
         f"scale={factor:g} if the file is in {unit} ({size * factor:.2g} m across)"
         for unit, factor in _UNITS.items()
-        if 0.02 <= size * factor <= 0.6
+        if usual[0] <= size * factor <= usual[1]
     ]
     return " or ".join(fitting) or "`scale` with the factor from the file's unit to metres"
 
