@@ -21,8 +21,8 @@ MAX_MASS = 20.0
 SURFACE_AIR = 0.05
 """Metres of free air over a surface of furniture that counts: what is lower holds nothing."""
 SURFACE_WIDTH = 0.05
-"""Metres: the shorter side of the largest rectangle on the narrowest surface that counts. What is narrower, and
-would still hold the smallest objects, is mostly the top of a rail."""
+"""Metres: the shorter side of the largest rectangle on the narrowest surface that counts. What is narrower,
+and would still hold the smallest objects, is mostly the top of a rail."""
 SURFACE_AREA = 0.005
 """Square metres, 5 cm x 10 cm, of the smallest surface that counts."""
 NARROW_SURFACE = 0.15

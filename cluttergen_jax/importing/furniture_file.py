@@ -1,4 +1,4 @@
-"""Which bodies of a file are a piece of furniture: all that stand there together, or the one that is named."""
+"""Which bodies of a file are a piece of furniture: all that stand there, or the one that is named."""
 
 from __future__ import annotations
 

@@ -1,17 +1,20 @@
 """Which way up a piece of furniture stands: by the axis that its file or format states, or by its shape.
 
-A coarse grid of cells is looked at along all six axes. A level is a board, or another face, over which there is
-free air, and a rectangle of 15 cm by 15 cm. Every direction gets a score: the area of the largest rectangles
-of all its levels, a quarter more for each further level, and doubled where it stands on legs: little of it
-touches the floor, spread widely, there is free space between, and one level covers most of it.
+A coarse grid of cells is looked at along all six axes. A level is a board, or another face, over which there
+is free air, and a rectangle of 15 cm by 15 cm. Every direction gets a score: the area of the largest
+rectangles of all its levels, a quarter more for each further level, and doubled where it stands on legs:
+little of it touches the floor, spread widely, there is free space between, and one level covers most of it.
 
-A stated pose is kept where it has a level, unless it lies on its top with its legs in the air, or has one level
-and another way up is on legs and has three times its score. Where a format states no axis, the default, z, is
-kept unless another way up has half as much score again. It is turned only to what is clearly best: by a quarter.
+A stated pose is kept where it has a level, unless it lies on its top with its legs in the air, or another way
+up has three times its score and either stands on legs, where this one does not and has two levels at most, or
+has two levels more. Where a format states no axis, z is taken by default, and y where that has half as much
+score again, and is on legs or has two levels more. Furniture is turned only to what is clearly best: its
+score is higher by a quarter than those along other axes.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -32,10 +35,12 @@ _CELLS = 96
 _AIR = 0.15
 """Metres of air over a level that counts here."""
 _TOUCHES, _SPREAD, _COVERS, _CLEAR = 0.3, 0.3, 0.5, 0.2
-"""Of what stands on legs: at most so much of its shadow touches the floor, the hull of that is at least so much
-of the shadow's, the level covers so much of it, and what is above the space between legs is so much of the
-height from the floor."""
+"""Of what stands on legs: at most so much of its shadow touches the floor, the hull of that is at least so
+much of the shadow's, the level covers so much of it, and what is above the space between legs is so much of
+the height from the floor."""
 _PER_LEVEL, _MOST_LEVELS = 0.25, 5
+_USUAL = ("y", "z")
+"""The axes that programs have up which write files that do not say."""
 _STATED_LEAD, _UNSTATED_LEAD, _CLEAR_LEAD = 3.0, 1.5, 1.25
 _LOW, _LEG = 0.25, 0.3
 """Of a table on its top: the height of its plate, over the whole height, and the side of a leg, over the
@@ -93,20 +98,25 @@ def choose_up(looks: Mapping[str, Look], stated: str, is_stated: bool) -> tuple[
       looks: by axis of the file.
       stated: the axis that the file or its format has up; is_stated: whether it says so.
     """
-    own = looks[stated]
-    ranked = sorted((axis for axis in looks if axis != stated), key=lambda axis: -_rank(looks[axis], axis))
-    best, other = ranked[0], looks[ranked[0]]
+    own, others = looks[stated], [axis for axis in looks if axis != stated]
+    if not is_stated and max(looks[axis].num_levels for axis in _USUAL):
+        others = [axis for axis in _USUAL if axis != stated]
+    ranked = sorted(others, key=lambda axis: -_rank(looks[axis], axis))
+    best = _opposite(stated) if own.is_on_its_top else ranked[0]
+    other = looks[best]
+    gain = math.inf if own.score == 0 else other.score / own.score
     is_opposite = best.strip("-") == stated.strip("-")
     if own.is_on_its_top:
-        best, is_better = _opposite(stated), True
-        other, is_opposite = looks[best], False
+        is_better = True
     elif own.num_levels == 0:
         is_better = other.num_levels > 0
     elif is_stated:
-        is_one_of_many = own.num_levels == 1 and other.is_on_legs and not own.is_on_legs
-        is_better = is_one_of_many and other.score >= _STATED_LEAD * own.score and not is_opposite
+        is_on_new_legs = other.is_on_legs and not own.is_on_legs and own.num_levels <= 2
+        has_signs = is_on_new_legs or other.num_levels >= own.num_levels + 2
+        is_better = has_signs and gain >= _STATED_LEAD and not is_opposite
     else:
-        is_better = other.score >= _UNSTATED_LEAD * own.score and not is_opposite
+        has_signs = other.is_on_legs or other.num_levels >= own.num_levels + 2
+        is_better = has_signs and gain >= _UNSTATED_LEAD
     rivals = [looks[axis].score for axis in ranked if axis.strip("-") != best.strip("-")]
     is_clear = own.is_on_its_top or other.score >= _CLEAR_LEAD * max(rivals, default=0.0)
     if is_better and is_clear:
@@ -115,7 +125,8 @@ def choose_up(looks: Mapping[str, Look], stated: str, is_stated: bool) -> tuple[
             f"stood up by its shape, its {best} axis up: {why}{_largest(other)}; as its file has it, "
             f"{_largest(own)}; --up file keeps that"
         ]
-    if own.num_levels == 0 or other.score >= _STATED_LEAD * own.score:
+    is_unsure = not is_stated and not own.is_on_legs and other.num_levels > 0
+    if own.num_levels == 0 or is_unsure:
         return stated, [
             f"not turned, as its shape does not say clearly which way up it stands: {_largest(own)}; with "
             f"--up={best} {_largest(other)}"
@@ -134,9 +145,9 @@ def _opposite(axis: str) -> str:
 
 
 def _rank(look: Look, axis: str) -> float:
-    """The score; of equal ones those count that programs use, z, then y, then those that point up."""
-    habit = 1.0 + 0.01 * (axis == "z") + 0.005 * (axis == "y") - 0.001 * axis.startswith("-")
-    return look.score * habit
+    """The score, nothing for what lies on its top, less for axes that no program has up; z before y."""
+    habit = 0.7 if axis.startswith("-") else 1.0 + 0.01 * (axis == "z") + 0.005 * (axis == "y")
+    return 0.0 if look.is_on_its_top else look.score * habit
 
 
 def looks_of(mesh: Mesh, up: str) -> dict[str, Look]:

@@ -19,6 +19,7 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
+from cluttergen_jax.assets.config import NARROW_SURFACE, SURFACE_AIR
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
 from cluttergen_jax.assets.parts import as_meshes
@@ -48,8 +49,9 @@ from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.importing.furniture_file import find_furniture
 from cluttergen_jax.importing.furniture_pose import read_upright
 from cluttergen_jax.importing.readers import ReadOptions
-from cluttergen_jax.importing.support_joints import moved_together, with_joints
+from cluttergen_jax.importing.support_joints import estimates_of, moved_together, with_joints
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
+from cluttergen_jax.importing.support_space import Air, air_over, columns_over, without_air
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
 
 _OF_MASS = ("its file states no", "the mass that its file")
@@ -72,7 +74,9 @@ def write_table(
     shape, of_pose = read_upright(source, options, joints)
     support, notes = support_with_notes(shape)
     of_file = [note for note in shape.notes if not note.startswith(_OF_MASS)]
-    for note, count in Counter([*of_bodies, *of_pose, *map(_with_option, of_file), *notes]).items():
+    said = [*of_bodies, *of_pose, *map(_with_option, of_file), *notes]
+    said += [*estimates_of(support.joints), *_alarms(support)]
+    for note, count in Counter(said).items():
         print(note + (f" ({count} of them)" if count > 1 else ""), file=sys.stderr)
     support = replace(support, name=name)
     folder = user_supports() / name
@@ -82,6 +86,17 @@ def write_table(
         raise PoolError(f"support {name!r} exists and is another", "a new `name`", "`force` to replace it")
     write_support(folder, support, overwrite=force)
     return support
+
+
+def _alarms(support: SupportAsset) -> list[str]:
+    """What says that furniture is on its edge, or of another unit than it says."""
+    widest = max(2 * min(surface.region.half_extents) for surface in support.surfaces)
+    if widest >= NARROW_SURFACE - _SAME_HEIGHT:
+        return []
+    return [
+        f"ALARM: its largest surface is {100 * widest:.0f} cm wide: is it on its edge (--up x, y, z, -x, -y "
+        "or -z), or of another unit (--scale)? cluttergen inspect draws it"
+    ]
 
 
 def _with_option(note: str) -> str:
@@ -235,10 +250,56 @@ def _several(
         solids = [kept for points in solids if (kept := _lowered(points, surface)) is not None]
     plates = [points for _, group in covers for points in group]
     solids = [points for points in solids if not any(is_inside(points, plate) for plate in plates)]
-    support = _support_of(shape, pieces, surfaces, plates + solids, yaw)
-    heights = [free_height(surface_heights(support, each), each.region) for each in surfaces]
-    named = [replace(each, free_height=free) for each, free in zip(surfaces, heights, strict=True)]
-    return replace(support, named=tuple(named)), notes + lost
+    whole = join_meshes([piece.mesh for piece in pieces])
+    first = _support_of(shape, pieces, surfaces, plates + solids, yaw)
+    before = [air_over(whole, first, surface) for surface in surfaces]
+    by_name = {surface.name: each for each, surface in zip(found, surfaces[-len(found) :], strict=True)}
+    columns = [
+        column
+        for surface, air in zip(surfaces, before, strict=True)
+        if air.is_short and surface.name in by_name
+        for column in columns_over(whole, by_name[surface.name], surface)
+    ]
+    if columns:
+        solids = without_air(plates + solids, columns)
+        first = _support_of(shape, pieces, surfaces, solids, yaw)
+    after = [air_over(whole, first, surface) for surface in surfaces] if columns else before
+    of_air = [_note_of_air(*each) for each in zip(surfaces, before, after, strict=True)]
+    kept = [
+        surface
+        for number, (surface, air) in enumerate(zip(surfaces, after, strict=True))
+        if number == 0 or air.collided >= SURFACE_AIR
+    ]
+    names = ["top", *(f"shelf_{number}" for number in range(1, len(kept)))]
+    named = [
+        replace(each, name=name, free_height=free_height(surface_heights(first, each), each.region))
+        for each, name in zip(kept, names, strict=True)
+    ]
+    return replace(first, named=tuple(named)), notes + lost + [note for note in of_air if note]
+
+
+def _note_of_air(surface: Surface, before: Air, after: Air) -> str:
+    """What is to be said of a surface over which the collision fills, or filled, what is seen free."""
+    where = f"the surface at {surface.position[2]:.2f} m"
+    if after.collided < SURFACE_AIR:
+        return (
+            f"no surface at {surface.position[2]:.2f} m: {_metres(after.seen)} of air are seen over it, "
+            + (f"and its parts leave {_metres(after.collided)}")
+        )
+    if after.is_short:
+        return f"{where}: {_metres(after.seen)} of air are seen over it, and its parts leave " + (
+            _metres(after.collided)
+        )
+    if before.is_short:
+        return (
+            f"{where}: {_metres(before.seen)} of air are seen over it, and convex parts left "
+            f"{_metres(before.collided)}: they were cut, and leave {_metres(after.collided)}"
+        )
+    return ""
+
+
+def _metres(height: float) -> str:
+    return "all" if math.isinf(height) else f"{height:.2f} m"
 
 
 def _support_of(

@@ -1,10 +1,10 @@
 """The surfaces of furniture beside its top: found where things can be put down, whatever the mesh is like.
 
 Vertical lines through the cells of a grid cross the mesh layer by layer. A crossing can carry if it is within
-10 degrees of level, has 5 cm of air above it (`SURFACE_AIR`), and a cube of 2 to 3 cm can get there from outside, so that the
-inside of boards and of closed cabinets has none. Crossings of neighbouring cells that continue each other are
-one surface. It counts if the largest rectangle on it is 5 cm wide and 50 cm^2 large (`SURFACE_WIDTH`,
-`SURFACE_AREA`).
+10 degrees of level, has 5 cm of air above it (`SURFACE_AIR`), and a cube of 2 to 3 cm can get there from
+outside, so that the inside of boards and of closed cabinets has none. Crossings of neighbouring cells that
+continue each other are one surface. It counts if the largest rectangle on it is 5 cm wide and 50 cm^2 large
+(`SURFACE_WIDTH`, `SURFACE_AREA`).
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from cluttergen_jax.importing.readers.model import (
     check_joints,
     frozen_note,
     opened_joint,
+    sound_mass,
     unknown_body,
 )
 
@@ -214,9 +215,17 @@ def _joints(
             range=tuple(model.jnt_range[index].tolist()) if model.jnt_limited[index] else None,
             parent=parent[index],
             pieces=tuple(place for place, by in enumerate(moved) if by == number),
-        )
+            damping=_above_zero(model.dof_damping[model.jnt_dofadr[index]]),
+            friction=_above_zero(model.dof_frictionloss[model.jnt_dofadr[index]]),
+            armature=_above_zero(model.dof_armature[model.jnt_dofadr[index]]),
+        ).with_mass(sound_mass([_body_mass(model, data, body) for body in bodies if last[body] == number]))
         for index, number in numbers.items()
     )
+
+
+def _above_zero(value: float) -> float | None:
+    """What MJCF has for what is not stated is zero."""
+    return float(value) if value > 0 else None
 
 
 def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassProperties:

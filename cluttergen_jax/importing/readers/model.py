@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.assets.mass import StatedMass
+from cluttergen_jax.assets.mass import MassProperties, StatedMass, combine_masses
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Joint, Piece
@@ -18,6 +18,8 @@ from cluttergen_jax.errors import ConfigError, closest
 MAX_PARTS = 32
 _HAIR = 1e-6
 _MOST_NAMES = 20
+_HEAVIEST = 1000.0
+"""Kilograms of what moves on a joint of furniture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,7 @@ def _rounding(limit: float, is_turn: bool) -> float:
     """Radians or metres: one unit of a limit's last digit, at least 0.1 degree or 0.1 mm, at most ten times
     as much or, of angles, 0.01 rad."""
     least, most = (math.radians(0.1), 0.01) if is_turn else (1e-4, 1e-3)
-    _, point, digits = f"{limit:.9f}".rstrip("0").partition(".")
+    _, _, digits = f"{limit:.9f}".rstrip("0").partition(".")
     return min(max(10.0 ** -len(digits), least), most) if digits else least
 
 
@@ -99,6 +101,17 @@ def check_joints(asked: Iterable[str], movable: Iterable[str], path: Path) -> No
                 ", ".join(names) or "no joint moves",
                 meant=closest(name, names),
             )
+
+
+def sound_mass(bodies: Sequence[MassProperties]) -> MassProperties | None:
+    """What moves together on a joint as one body; None where files say what no body has."""
+    if not all(np.isfinite([each.mass, *each.center, *each.inertia.ravel()]).all() for each in bodies):
+        return None
+    stated = combine_masses(bodies)
+    if stated is None or not 0 < stated.body.mass <= _HEAVIEST:
+        return None
+    moments = np.linalg.eigvalsh(stated.body.inertia)
+    return stated.body if moments[0] > 0 and moments[2] <= 1.01 * (moments[0] + moments[1]) else None
 
 
 def unknown_body(body: str, path: Path, known: Iterable[str], what: str = "body") -> ConfigError:

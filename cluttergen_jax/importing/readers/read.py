@@ -84,7 +84,7 @@ def read_shape(
         keeps_parts=bool(source.parts),
         joints=()
         if joints is None
-        else tuple(each.transform(rotation, options.scale, np.zeros(3)) for each in model.joints),
+        else tuple(each.transform(rotation, options.scale, np.zeros(3), mass_scale) for each in model.joints),
     )
     _check_size(shape, source.path, largest)
     return shape

@@ -108,9 +108,7 @@ _FORMS = ("mesh", "box", "cylinder", "sphere", "capsule", "ellipsoid")
 _SCRIPTS = ("materials/scripts", ".")
 
 
-def read_sdf(
-    path: Path, name: str = "", max_side: int = MAX_TEXTURE, bodies: Sequence[str] = ()
-) -> Model:
+def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE, bodies: Sequence[str] = ()) -> Model:
     """One model of a file as one rigid thing, all its joints as they are drawn.
 
     Its own pose turns it, as where it is put into an empty world. Meshes are taken in their own frame, in

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,16 +15,18 @@ import numpy as np
 import trimesh
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
+from cluttergen_jax.assets.mass import MassProperties
 from cluttergen_jax.assets.shape import Joint
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import refuse_stand_in
-from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, rigid
+from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, link_mass, rigid
 from cluttergen_jax.importing.readers.materials import GREY
 from cluttergen_jax.importing.readers.model import (
     Model,
     check_joints,
     frozen_note,
     opened_joint,
+    sound_mass,
     unknown_body,
 )
 from cluttergen_jax.importing.readers.places import mesh_place
@@ -180,13 +182,17 @@ class Joints:
         return poses
 
     def movable(
-        self, poses: Mapping[str, np.ndarray], links: Sequence[str], scale: float, moved: Collection[str]
+        self,
+        poses: Mapping[str, np.ndarray],
+        links: Sequence[str],
+        scale: float,
+        moved: Mapping[str, MassProperties | None],
     ) -> tuple[Joint, ...]:
         """The hinges and slides that mimic no other.
 
         Args:
           poses: of `link_poses`; links: by piece, the name of its link; scale: factor on all lengths.
-          moved: links whose joints are meant.
+          moved: links whose joints are meant, with their masses in the model's frame.
         """
         above = {self._link_of(joint, "child"): joint for joint in self._joints}
         kinds = (*_LIMITED, *_TURNS)
@@ -217,9 +223,22 @@ class Joints:
                 parent=mover(self._link_of(joint, "parent")),
                 pieces=tuple(piece for piece, by in enumerate(movers) if by == place),
             )
-            made = replace(made, axis=tuple((T_model_joint[:3, :3] @ made.axis).tolist()))
+            made = replace(
+                made,
+                axis=tuple((T_model_joint[:3, :3] @ made.axis).tolist()),
+                damping=self._dynamics(joint, "damping"),
+                friction=self._dynamics(joint, "friction"),
+            )
+            masses = [mass for name, mass in moved.items() if mass is not None and mover(name) == place]
+            made = made.with_mass(sound_mass(masses))
             found.append(made.transform(np.eye(3), scale, np.zeros(3)))
         return tuple(found)
+
+    def _dynamics(self, joint: Element, name: str) -> float | None:
+        """What its <dynamics> says, if that is above zero: many programs write zeros for want of others."""
+        dynamics = joint.find("dynamics")
+        value = 0.0 if dynamics is None else number(self._path, dynamics, name, "0")
+        return value if value > 0 else None
 
     def links_below(self, link: str) -> list[str]:
         """A link and all that hang on it.
@@ -328,7 +347,7 @@ def read_urdf(
         links = [link for link in links if link.name in own]
     model = rigid(links, surfaces, _Looks(_materials(robot), surfaces).of, _notes(robot, joints), scale)
     names = [link.name for link in links]
-    moved = [name for name in names if name != body]
+    moved = {link.name: link_mass(path, link) for link in links if link.name != body}
     return replace(
         model, joints=joints.movable(poses, [names[number] for number in model.link_of], scale, moved)
     )
