@@ -28,7 +28,7 @@ from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support_map import largest_rectangle
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, read_shape
-from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_UNSTATED
+from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_UNSTATED, MIN_FURNITURE
 from cluttergen_jax.importing.readers.source import AXES, own_up, states_unit, turn_of
 
 _CELLS = 96
@@ -76,14 +76,14 @@ def read_upright(
       AssetError, ConfigError: see `read_shape`.
     """
     largest = MAX_FURNITURE if states_unit(source) else MAX_UNSTATED
-    shape = read_shape(source, options, joints, largest)
+    shape = read_shape(source, options, joints, largest, MIN_FURNITURE)
     if not shape.is_pose_free:
         return shape, []
     stated = own_up(source.path, source.kind)
     mesh = join_meshes([piece.mesh for piece in shape.pieces])
     axis, notes = choose_up(looks_of(mesh, stated.axis), stated.axis, "default" not in stated.reason)
     if axis != stated.axis:
-        shape = read_shape(source, replace(options, up=axis), joints, largest)
+        shape = read_shape(source, replace(options, up=axis), joints, largest, MIN_FURNITURE)
     return shape, [f"{note} ({stated.axis} is up by {_who(stated.reason)})" for note in notes]
 
 

@@ -24,8 +24,9 @@ from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
 
 MIN_SIZE = 0.005
 MAX_SIZE = 2.0
-MAX_FURNITURE, MAX_UNSTATED = 20.0, 4.0
-"""Metres that furniture may measure at most: of files whose unit is known, and of others."""
+MIN_FURNITURE, MAX_FURNITURE, MAX_UNSTATED = 0.1, 10.0, 4.0
+"""Metres across that furniture may measure: at least, at most where its file's unit is known, and at most of
+others."""
 NOT_STATED = "not stated"
 """The licence of files that have none."""
 _UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "tenths of a millimetre": 0.0001}
@@ -36,13 +37,14 @@ def read_shape(
     options: ReadOptions | None = None,
     joints: Mapping[str, float] | None = None,
     largest: float = MAX_SIZE,
+    smallest: float = MIN_SIZE,
 ) -> Shape:
     """Reads one object, scaled to metres, z up, its pieces not yet welded.
 
     Args:
       joints: where joints of a URDF or MJCF file are to be, metres or degrees; given for furniture
         (`read_mjcf`).
-      largest: metres that it may measure at most.
+      largest, smallest: metres across that it may measure, at most and at least.
 
     Raises:
       AssetError: a file is missing or unreadable (the message names it), or the size is impossible.
@@ -86,7 +88,7 @@ def read_shape(
         if joints is None
         else tuple(each.transform(rotation, options.scale, np.zeros(3), mass_scale) for each in model.joints),
     )
-    _check_size(shape, source.path, largest)
+    _check_size(shape, source.path, smallest, largest)
     return shape
 
 
@@ -143,7 +145,7 @@ def public_path(path: Path) -> str:
     return "/".join(path.resolve().parts[-3:])
 
 
-def _check_size(shape: Shape, path: Path, largest: float) -> None:
+def _check_size(shape: Shape, path: Path, smallest: float, largest: float) -> None:
     """Raises AssetError if the shape is empty, not finite, or its largest side is not that of an object."""
     meshes = [piece.mesh for piece in shape.pieces]
     if not any(len(mesh.faces) for mesh in meshes):
@@ -153,21 +155,18 @@ def _check_size(shape: Shape, path: Path, largest: float) -> None:
         raise AssetError(f"{path} has vertices that are not finite numbers")
     used = whole.vertices[np.unique(whole.faces)]
     size = float(np.ptp(used, axis=0).max())
-    if not MIN_SIZE <= size <= largest:
+    if not smallest <= size <= largest:
         raise AssetError(
             f"{path}: {shape.label!r} is {size:.3g} m across",
-            f"a largest side between {MIN_SIZE * 1000:g} mm and {largest:g} m",
-            _likely_cause(size, (0.02, 0.6) if largest <= MAX_SIZE else (0.3, MAX_UNSTATED)),
+            f"a largest side between {smallest * 1000:g} mm and {largest:g} m",
+            _likely_cause(size, smallest),
         )
 
 
-def _likely_cause(size: float, usual: tuple[float, float]) -> str:
-    """Which unit would make this of a usual size, in words that name the option.
-
-    Args:
-      usual: metres, the least and the most across.
-    """
-    if size < MIN_SIZE:
+def _likely_cause(size: float, smallest: float) -> str:
+    """Which unit would make this an object of 2 cm to 60 cm, or furniture, in words that name the option."""
+    usual = (0.02, 0.6) if smallest < MIN_FURNITURE else (0.3, MAX_UNSTATED)
+    if size < smallest:
         return "`scale` with the factor to metres; a scale may have been applied twice"
     fitting = [
         f"scale={factor:g} if the file is in {unit} ({size * factor:.2g} m across)"
