@@ -30,6 +30,7 @@ from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, read_shape
 from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_UNSTATED, MIN_FURNITURE
 from cluttergen_jax.importing.readers.source import AXES, own_up, states_unit, turn_of
+from cluttergen_jax.importing.surfaces import find_surfaces
 
 _CELLS = 96
 _AIR = 0.15
@@ -81,10 +82,23 @@ def read_upright(
         return shape, []
     stated = own_up(source.path, source.kind)
     mesh = join_meshes([piece.mesh for piece in shape.pieces])
-    axis, notes = choose_up(looks_of(mesh, stated.axis), stated.axis, "default" not in stated.reason)
+    looks = looks_of(mesh, stated.axis)
+    if looks[stated.axis].num_levels == 0:
+        looks[stated.axis] = _look_closer(mesh, looks[stated.axis])
+    axis, notes = choose_up(looks, stated.axis, "default" not in stated.reason)
     if axis != stated.axis:
         shape = read_shape(source, replace(options, up=axis), joints, largest, MIN_FURNITURE)
     return shape, [f"{note} ({stated.axis} is up by {_who(stated.reason)})" for note in notes]
+
+
+def _look_closer(mesh: Mesh, look: Look) -> Look:
+    """Of furniture whose surfaces slope, as boards do from which things slide: they are no levels of a grid."""
+    sides = [2 * np.sort(each.surface.region.half_extents) for each in find_surfaces(mesh, 0.0)[0]]
+    wide = [each for each in sides if each[0] >= NARROW_SURFACE]
+    if not wide:
+        return look
+    low, high = max(wide, key=np.prod).tolist()
+    return replace(look, sides=(low, high), score=float(sum(map(np.prod, wide))), num_levels=len(wide))
 
 
 def _who(reason: str) -> str:

@@ -27,6 +27,8 @@ _INSET, _SHARE = 0.01, 0.02
 _LESS, _LESS_SHARE = 0.02, 0.1
 """Metres, and the share of what is seen, by which parts may leave less."""
 _CELL, _VOXELS = 0.005, 140
+_INSETS = (0.0, 0.005, 0.01, 0.02)
+"""Metres."""
 _MOST_COLUMNS, _MISSING, _MOST_PARTS = 8, 0.05, 400
 _THIN, _GRAIN = 0.001, 1e-7
 """Metres and cubic metres: thinner and smaller pieces of a part are dropped."""
@@ -63,7 +65,7 @@ def air_over(mesh: Mesh, support: SupportAsset, surface: Surface) -> Air:
     for _, window, height, is_hit in cells_below(aligned, center - half, center + half, shape):
         hangs = is_hit & (height > _START)
         over[window] = np.where(hangs, np.minimum(over[window], height), over[window])
-    heights = surface_heights(support, surface)
+    heights = surface_heights(support, surface, _CELL)
     x, y = (heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5) for k in (0, 1))
     xy = rotate_in_plane(
         np.stack(np.meshgrid(x, y, indexing="ij"), -1) - surface.region.center, -surface.region.yaw
@@ -104,25 +106,42 @@ class Column:
         return [(R @ normal, float(R @ normal @ (R @ point + shift))) for normal, point in local]
 
 
-def columns_over(mesh: Mesh, found: FoundSurface, surface: Surface) -> list[Column]:
-    """Boxes of air in which nothing of a mesh is, over the largest rectangles of a surface."""
-    samples = Voxels.of(mesh, _VOXELS).samples
+def columns_over(samples: np.ndarray, found: FoundSurface, surface: Surface) -> list[Column]:
+    """Boxes of air in which nothing of a mesh is, over the largest rectangles of a surface.
+
+    Over what leans over an edge, boxes farther inside are higher.
+
+    Args:
+      samples: f64[N, 3], points of the mesh, at most half a centimetre or so apart (`surface_samples`).
+    """
     T = surface.T_world_surface
     local = (samples - T[:3, 3]) @ T[:3, :3]
     local = local[local[:, 2] > 2 * _START]
     top = float(local[:, 2].max(initial=0.0)) + 2 * _START
+    low, high = surface.polygon.min(0), surface.polygon.max(0)
+    local = local[((local[:, :2] > low) & (local[:, :2] < high)).all(1)]
     yaw = surface.region.yaw
     flat = rotate_in_plane(local[:, :2], -yaw)
     columns = []
     for span in cover(found.mask, _MISSING, _MOST_COLUMNS):
-        corners = found.corners(span)
-        ends = rotate_in_plane(corners, -yaw)
-        low, high = ends.min(0) + _START / 2, ends.max(0) - _START / 2
-        is_over = ((flat > low) & (flat < high)).all(1)
-        height = float(local[is_over, 2].min(initial=top)) - _START
-        if height > _LESS:
-            columns.append(Column(T, corners, height))
+        ends = rotate_in_plane(found.corners(span), -yaw)
+        highest = _LESS
+        for inset in _INSETS:
+            low, high = ends.min(0) + inset, ends.max(0) - inset
+            if (high - low).min() < _LESS:
+                break
+            is_over = ((flat > low + _START / 2) & (flat < high - _START / 2)).all(1)
+            height = float(local[is_over, 2].min(initial=top)) - _START
+            if height > highest:
+                corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+                columns.append(Column(T, rotate_in_plane(corners, yaw), height))
+                highest = height + _START
     return columns
+
+
+def surface_samples(mesh: Mesh) -> np.ndarray:
+    """f64[N, 3]: points of a surface, every point of it near one."""
+    return Voxels.of(mesh, _VOXELS).samples
 
 
 def without_air(parts: list[np.ndarray], columns: list[Column]) -> list[np.ndarray]:
@@ -137,6 +156,11 @@ def without_air(parts: list[np.ndarray], columns: list[Column]) -> list[np.ndarr
 
 def _around(points: np.ndarray, column: Column) -> list[np.ndarray]:
     """A part itself if it is not in the box, or the convex pieces of it that are around it."""
+    local = (points - column.T_world_surface[:3, 3]) @ column.T_world_surface[:3, :3]
+    low, high = column.corners.min(0), column.corners.max(0)
+    is_beside = (local[:, :2].max(0) <= low).any() or (local[:, :2].min(0) >= high).any()
+    if is_beside or local[:, 2].max() <= _THIN or local[:, 2].min() >= column.height:
+        return [points]
     rest = Manifold.hull_points(points)
     around = []
     for normal, offset in column.planes:

@@ -51,7 +51,7 @@ from cluttergen_jax.importing.furniture_pose import read_upright
 from cluttergen_jax.importing.readers import ReadOptions
 from cluttergen_jax.importing.support_joints import estimates_of, moved_together, with_joints
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
-from cluttergen_jax.importing.support_space import Air, air_over, columns_over, without_air
+from cluttergen_jax.importing.support_space import Air, air_over, columns_over, surface_samples, without_air
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
 
 _OF_MASS = ("its file states no", "the mass that its file")
@@ -63,6 +63,9 @@ def write_table(
 ) -> SupportAsset:
     """The support of a table's file, among the user's own; see `cluttergen_jax.import_support`."""
     source, of_bodies = find_furniture(path)
+    if name is None and source.name in embedded_supports():
+        name = f"my_{source.name}"
+        of_bodies.append(f"called {name!r}, as {source.name!r} comes with the package (--name)")
     name = source.name if name is None else name
     if not is_support_name(name) or name in embedded_supports():
         raise PoolError(
@@ -254,12 +257,11 @@ def _several(
     first = _support_of(shape, pieces, surfaces, plates + solids, yaw)
     before = [air_over(whole, first, surface) for surface in surfaces]
     by_name = {surface.name: each for each, surface in zip(found, surfaces[-len(found) :], strict=True)}
-    columns = [
-        column
-        for surface, air in zip(surfaces, before, strict=True)
-        if air.is_short and surface.name in by_name
-        for column in columns_over(whole, by_name[surface.name], surface)
+    short = [
+        each for each, air in zip(surfaces, before, strict=True) if air.is_short and each.name in by_name
     ]
+    samples = surface_samples(whole) if short else np.zeros((0, 3))
+    columns = [column for each in short for column in columns_over(samples, by_name[each.name], each)]
     if columns:
         solids = without_air(plates + solids, columns)
         first = _support_of(shape, pieces, surfaces, solids, yaw)

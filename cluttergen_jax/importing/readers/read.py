@@ -165,7 +165,7 @@ def _check_size(shape: Shape, path: Path, smallest: float, largest: float) -> No
 
 def _likely_cause(size: float, smallest: float) -> str:
     """Which unit would make this an object of 2 cm to 60 cm, or furniture, in words that name the option."""
-    usual = (0.02, 0.6) if smallest < MIN_FURNITURE else (0.3, MAX_UNSTATED)
+    usual = (0.02, 0.6) if smallest < MIN_FURNITURE else (0.15, MAX_UNSTATED)
     if size < smallest:
         return "`scale` with the factor to metres; a scale may have been applied twice"
     fitting = [
