@@ -92,7 +92,7 @@ def read_upright(
 
 
 def _look_closer(mesh: Mesh, look: Look) -> Look:
-    """Of furniture whose surfaces slope, as boards do from which things slide: they are no levels of a grid."""
+    """Of furniture whose surfaces slope, and so are no levels of a grid."""
     sides = [2 * np.sort(each.surface.region.half_extents) for each in find_surfaces(mesh, 0.0)[0]]
     wide = [each for each in sides if each[0] >= NARROW_SURFACE]
     if not wide:
