@@ -62,11 +62,11 @@ def with_joints(support: SupportAsset, joints: Sequence[Joint]) -> SupportAsset:
 
 def estimates_of(joints: Sequence[Joint]) -> list[str]:
     """What files do not state of joints that move in exports, in words."""
-    missing = {
-        what: [joint.name for joint in joints if getattr(joint, what) is None]
-        for what in ("mass", "damping", "friction", "armature")
-    }
-    said = [f"{what} of {', '.join(map(repr, names))}" for what, names in missing.items() if names]
+    missing: dict[tuple[str, ...], list[str]] = {}
+    for what in ("mass", "damping", "friction", "armature"):
+        names = tuple(joint.name for joint in joints if getattr(joint, what) is None)
+        missing.setdefault(names, []).append(what)
+    said = [f"{', '.join(what)} of {', '.join(map(repr, names))}" for names, what in missing.items() if names]
     return [f"its file states none, so exports as mjcf-joints estimate: {'; '.join(said)}"] if said else []
 
 

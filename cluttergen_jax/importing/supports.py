@@ -8,8 +8,8 @@ Of furniture with several surfaces, or a sloping one, all boards, walls and legs
 from __future__ import annotations
 
 import math
+import re
 import sys
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -54,6 +54,7 @@ from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off
 from cluttergen_jax.importing.support_space import Air, air_over, columns_over, surface_samples, without_air
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
 
+_NAMED = re.compile(r"'[^']*'|\S+\.(obj|mtl|dae|stl|ply|glb|png|jpe?g)\b", re.IGNORECASE)
 _OF_MASS = ("its file states no", "the mass that its file")
 """How readers' notes on an object's mass begin, which a support has none of."""
 
@@ -79,8 +80,8 @@ def write_table(
     of_file = [note for note in shape.notes if not note.startswith(_OF_MASS)]
     said = [*of_bodies, *of_pose, *map(_with_option, of_file), *notes]
     said += [*estimates_of(support.joints), *_alarms(support)]
-    for note, count in Counter(said).items():
-        print(note + (f" ({count} of them)" if count > 1 else ""), file=sys.stderr)
+    for note in _together(said):
+        print(note, file=sys.stderr)
     support = replace(support, name=name)
     folder = user_supports() / name
     if folder.exists() and not force:
@@ -89,6 +90,14 @@ def write_table(
         raise PoolError(f"support {name!r} exists and is another", "a new `name`", "`force` to replace it")
     write_support(folder, support, overwrite=force)
     return support
+
+
+def _together(notes: Sequence[str]) -> list[str]:
+    """Notes; of those that differ by a file's or another name alone, the first with the number of others."""
+    alike: dict[str, list[str]] = {}
+    for note in notes:
+        alike.setdefault(_NAMED.sub("", note), []).append(note)
+    return [first + (f" ({len(rest)} more like it)" if rest else "") for first, *rest in alike.values()]
 
 
 def _alarms(support: SupportAsset) -> list[str]:

@@ -178,7 +178,7 @@ def test_what_a_file_states_of_its_joints_is_what_is_exported_and_the_rest_is_na
     shape = read_shape(source, ReadOptions(up="z"), {"rail": OPEN, "hinge": 0, "lock": 0}, 4.0)
     support = read_support(write_support(tmp_path / "kept", support_with_notes(shape)[0]))
     (said,) = estimates_of(support.joints)
-    assert "mass of 'hinge', 'lock'; damping of 'hinge', 'lock'" in said
+    assert "mass, damping, friction of 'hinge', 'lock'; armature of 'rail', 'hinge', 'lock'" in said
     one = replace(scene, support=support, cameras=())
     out = export_scenes([one], tmp_path / "out", "mjcf-joints")
     model = mujoco.MjModel.from_xml_path(str(out / "scenes" / "000000.xml"))
