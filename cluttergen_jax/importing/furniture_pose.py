@@ -189,7 +189,7 @@ def _look(solid: np.ndarray, outside: np.ndarray, pitch: float) -> Look:
     levels = _levels(solid, outside, pitch)
     used = np.flatnonzero(solid.any((0, 1)))
     height = used[-1] - used[0] + 1
-    shadow = solid.any(2)
+    shadow = np.asarray(solid.any(2))
     lowest = solid.argmax(2) - used[0]
     touches = shadow & (lowest <= 1)
     between = lowest[shadow & ~touches]
@@ -249,7 +249,7 @@ def _is_on_its_top(solid: np.ndarray, touches: np.ndarray, shadow: np.ndarray, u
     height = last - first + 1
     if touches.sum() < (1 - _TOUCHES) * shadow.sum():
         return False
-    ends = solid[:, :, last - 1 : last + 1].any(2)
+    ends = np.asarray(solid[:, :, last - 1 : last + 1].any(2))
     if ends.sum() > _TOUCHES * shadow.sum() or _spread(ends, shadow) < _SPREAD:
         return False
     cuts = [solid[:, :, first + round(share * height)] for share in (_LOW, 0.5, 0.75)]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from manifold3d import Manifold
 
+from cluttergen_jax.assets.config import SURFACE_AIR
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.support import SupportAsset, Surface
@@ -77,6 +78,30 @@ def air_over(mesh: Mesh, support: SupportAsset, surface: Surface) -> Air:
 
 def _low(heights: np.ndarray) -> float:
     return float(np.sort(heights)[int(_SHARE * len(heights))]) if len(heights) else math.inf
+
+
+def note_of_air(surface: Surface, before: Air, after: Air) -> str:
+    """What is to be said of a surface over which the collision fills, or filled, what is seen free."""
+    where = f"the surface at {surface.position[2]:.2f} m"
+    if after.collided < SURFACE_AIR:
+        return (
+            f"no surface at {surface.position[2]:.2f} m: {_metres(after.seen)} of air are seen over it, "
+            + (f"and its parts leave {_metres(after.collided)}")
+        )
+    if after.is_short:
+        return f"{where}: {_metres(after.seen)} of air are seen over it, and its parts leave " + (
+            _metres(after.collided)
+        )
+    if before.is_short:
+        return (
+            f"{where}: {_metres(before.seen)} of air are seen over it, and convex parts left "
+            f"{_metres(before.collided)}: they were cut, and leave {_metres(after.collided)}"
+        )
+    return ""
+
+
+def _metres(height: float) -> str:
+    return "all" if math.isinf(height) else f"{height:.2f} m"
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,7 +51,13 @@ from cluttergen_jax.importing.furniture_pose import read_upright
 from cluttergen_jax.importing.readers import ReadOptions
 from cluttergen_jax.importing.support_joints import estimates_of, moved_together, with_joints
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
-from cluttergen_jax.importing.support_space import Air, air_over, columns_over, surface_samples, without_air
+from cluttergen_jax.importing.support_space import (
+    air_over,
+    columns_over,
+    note_of_air,
+    surface_samples,
+    without_air,
+)
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
 
 _NAMED = re.compile(r"'[^']*'|\S+\.(obj|mtl|dae|stl|ply|glb|png|jpe?g)\b", re.IGNORECASE)
@@ -275,42 +281,18 @@ def _several(
         solids = without_air(plates + solids, columns)
         first = _support_of(shape, pieces, surfaces, solids, yaw)
     after = [air_over(whole, first, surface) for surface in surfaces] if columns else before
-    of_air = [_note_of_air(*each) for each in zip(surfaces, before, after, strict=True)]
-    kept = [
+    of_air = [note_of_air(*each) for each in zip(surfaces, before, after, strict=True)]
+    counted = [
         surface
         for number, (surface, air) in enumerate(zip(surfaces, after, strict=True))
         if number == 0 or air.collided >= SURFACE_AIR
     ]
-    names = ["top", *(f"shelf_{number}" for number in range(1, len(kept)))]
+    names = ["top", *(f"shelf_{number}" for number in range(1, len(counted)))]
     named = [
         replace(each, name=name, free_height=free_height(surface_heights(first, each), each.region))
-        for each, name in zip(kept, names, strict=True)
+        for each, name in zip(counted, names, strict=True)
     ]
     return replace(first, named=tuple(named)), notes + lost + [note for note in of_air if note]
-
-
-def _note_of_air(surface: Surface, before: Air, after: Air) -> str:
-    """What is to be said of a surface over which the collision fills, or filled, what is seen free."""
-    where = f"the surface at {surface.position[2]:.2f} m"
-    if after.collided < SURFACE_AIR:
-        return (
-            f"no surface at {surface.position[2]:.2f} m: {_metres(after.seen)} of air are seen over it, "
-            + (f"and its parts leave {_metres(after.collided)}")
-        )
-    if after.is_short:
-        return f"{where}: {_metres(after.seen)} of air are seen over it, and its parts leave " + (
-            _metres(after.collided)
-        )
-    if before.is_short:
-        return (
-            f"{where}: {_metres(before.seen)} of air are seen over it, and convex parts left "
-            f"{_metres(before.collided)}: they were cut, and leave {_metres(after.collided)}"
-        )
-    return ""
-
-
-def _metres(height: float) -> str:
-    return "all" if math.isinf(height) else f"{height:.2f} m"
 
 
 def _support_of(
