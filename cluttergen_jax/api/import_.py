@@ -145,26 +145,34 @@ def import_support(
 ) -> SupportAsset:
     """Makes a support of the user's own of a table, a shelf or a board (`cluttergen import --support`).
 
-    All its surfaces are found: connected, at most 10 degrees from level, 5 cm wide or wider, with 5 cm of air
-    above that is reached from outside. The largest level one under the open sky is called top and comes
-    first; the others are shelf_1, shelf_2 ... from the highest to the lowest. With more than one surface all
-    boards, walls and legs collide; of a table with its top alone, the top and what rises above it.
+    It is stood up by its shape, and that is said, where its file's pose has no surface to put things on or
+    lies on its top, or its format states no axis; `up="file"` keeps the file's. Several bodies of one file
+    are one piece, but for those that move freely.
+
+    All its surfaces are found: connected, at most 10 degrees from level, 5 cm wide or wider, 50 cm^2 or
+    larger, with 5 cm of air above that is reached from outside, and that the convex parts leave free. The
+    largest level one under the open sky is called top and comes first; the others are shelf_1, shelf_2 ...
+    from the highest to the lowest. With more than one surface all boards, walls and legs collide; of a table
+    with its top alone, the top and what rises above it.
 
     The arguments that are not explained here are those of `import_pool`.
 
     Args:
       path: instead of sources and a pool, the file of one piece of furniture with a level or gently sloping
-        surface: a mesh, URDF, SDF or MJCF, or a folder that holds one.
-      name: the new support's name; the file's own if not given.
+        surface: a mesh, URDF, SDF or MJCF, or a folder that holds one. FILE#BODY takes one body, link, model
+        or node of MJCF, URDF, SDF or glTF, with all that hangs on it.
+      name: the new support's name; the file's or the body's own if not given, with my_ before it where a
+        support of that name comes with the package.
       joint: where joints of a URDF or MJCF file are to be, NAME=VALUE each, in metres, or degrees for those
         that turn, such as drawer_1=0.2; the others stay at their lower limit, or where the file has them.
+        Limits are met to within the rounding of the file's numbers.
 
     Returns:
       The support; its name is what `support` of `make_sampler` takes. `surfaces` has what was found.
 
     Raises:
-      AssetError: the file cannot be read, holds several objects, or has no surface to speak of.
-      ConfigError: an option is out of range.
+      AssetError: the file cannot be read, a folder holds several, or it has no surface to speak of.
+      ConfigError: an option is out of range, or there is no such body.
       PoolError: the name is not one, is taken by an embedded support, or by another support and `force` is
         not set.
     """

@@ -18,6 +18,15 @@ MAX_SIZE = 0.60
 """Metres that the largest side of an object stays below: the shorter side of the usual table."""
 MAX_MASS = 20.0
 """Kilograms that an object may weigh: what one lifts onto a table with two hands."""
+SURFACE_AIR = 0.05
+"""Metres of free air over a surface of furniture that counts: what is lower holds nothing."""
+SURFACE_WIDTH = 0.05
+"""Metres: the shorter side of the largest rectangle on the narrowest surface that counts. What is narrower,
+and would still hold the smallest objects, is mostly the top of a rail."""
+SURFACE_AREA = 0.005
+"""Square metres, 5 cm x 10 cm, of the smallest surface that counts."""
+NARROW_SURFACE = 0.15
+"""Metres: furniture whose largest surface is narrower is mostly on its edge, or of another unit."""
 TIME_LIMIT = 120.0
 """Seconds that the import of one object may take."""
 

@@ -13,7 +13,7 @@ from cluttergen_jax.assets.texture import Texture
 
 if TYPE_CHECKING:
     # Of use to importers alone, and slow to load.
-    from cluttergen_jax.assets.mass import StatedMass
+    from cluttergen_jax.assets.mass import MassProperties, StatedMass
 
 
 _FLAT = 1e-5
@@ -105,6 +105,11 @@ class Joint:
       parent: the joint by which it is moved itself, by number; -1 for none.
       pieces: the numbers of the surfaces that it moves, those of joints that hang on it not included.
       boxes, parts: likewise of a support's collision.
+      mass, center, inertia: of what moves with it, joints that hang on it not included: kilograms, metres in
+        the frame of `anchor`, and xx, yy, zz, xy, xz, yz about the centre, kg m^2; None where its file states
+        none that can be.
+      damping, friction, armature: N s/m, N and kg, or of hinges N m s, N m and kg m^2; None where its file
+        states none.
     """
 
     name: str
@@ -117,14 +122,49 @@ class Joint:
     pieces: tuple[int, ...] = ()
     boxes: tuple[int, ...] = ()
     parts: tuple[int, ...] = ()
+    mass: float | None = None
+    center: tuple[float, float, float] | None = None
+    inertia: tuple[float, float, float, float, float, float] | None = None
+    damping: float | None = None
+    friction: float | None = None
+    armature: float | None = None
 
-    def transform(self, rotation: np.ndarray, scale: float, translation: np.ndarray) -> Joint:
-        """The joint of a shape whose points p are at scale * rotation @ p + translation."""
+    def with_mass(self, body: MassProperties | None) -> Joint:
+        """The joint with the mass of what it moves, if it is known."""
+        if body is None:
+            return self
+        x, y, z = body.center.tolist()
+        xx, yy, zz, xy, xz, yz = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
+        return replace(self, mass=float(body.mass), center=(x, y, z), inertia=(xx, yy, zz, xy, xz, yz))
+
+    @property
+    def body(self) -> MassProperties | None:
+        """What it moves; None where that is not known."""
+        if self.mass is None or self.center is None or self.inertia is None:
+            return None
+        from cluttergen_jax.assets.mass import MassProperties
+
+        xx, yy, zz, xy, xz, yz = self.inertia
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return MassProperties(self.mass, np.array(self.center), inertia)
+
+    def transform(
+        self, rotation: np.ndarray, scale: float, translation: np.ndarray, mass: float = 1.0
+    ) -> Joint:
+        """The joint of a shape whose points p are at scale * rotation @ p + translation.
+
+        Args:
+          mass: the factor on masses.
+        """
         factor = scale if self.kind == "slide" else 1.0
         x, y, z = (scale * rotation @ self.anchor + translation).tolist()
         u, v, w = (rotation @ self.axis).tolist()
         limits = None if self.range is None else (factor * self.range[0], factor * self.range[1])
-        return replace(self, anchor=(x, y, z), axis=(u, v, w), value=factor * self.value, range=limits)
+        moved = replace(self, anchor=(x, y, z), axis=(u, v, w), value=factor * self.value, range=limits)
+        if (body := self.body) is None:
+            return moved
+        placed = body.transform(scale * rotation, translation)
+        return moved.with_mass(replace(placed, mass=body.mass * mass, inertia=mass * placed.inertia))
 
 
 @dataclass(frozen=True)

@@ -193,7 +193,7 @@ def _record(support: SupportAsset) -> dict[str, Any]:
             "surface": support.surface,
         }
     if support.joints:
-        more["joints"] = [_round(asdict(joint)) for joint in support.joints]
+        more["joints"] = [_round(_joint_record(joint)) for joint in support.joints]
     return {
         "format": WITH_JOINTS if support.joints else WITH_SURFACES if more else FORMAT,
         "name": support.name,
@@ -213,6 +213,11 @@ def _record(support: SupportAsset) -> dict[str, Any]:
         "provenance": asdict(support.provenance),
         **more,
     }
+
+
+def _joint_record(joint: Joint) -> dict[str, Any]:
+    """Its fields; those on masses and dynamics only where they are known."""
+    return {name: value for name, value in asdict(joint).items() if value is not None or name == "range"}
 
 
 def _surface_record(surface: Surface) -> dict[str, Any]:
@@ -298,6 +303,8 @@ def _faults_of_joints(record: _Stored) -> list[str]:
         while is_sound and 0 <= above < len(record.joints) and steps <= len(record.joints):
             above, steps = record.joints[above].parent, steps + 1
         is_sound &= steps <= len(record.joints)
+        amounts = [each for each in (joint.damping, joint.friction, joint.armature) if each is not None]
+        is_sound &= min(amounts, default=0.0) >= 0 and (joint.mass is None or joint.mass > 0)
         low, high = joint.range or (-math.inf, math.inf)
         if not (is_sound and low - _HAIR <= joint.value <= high + _HAIR):
             faults.append(f"joint {joint.name!r} is not sound")

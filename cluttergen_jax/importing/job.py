@@ -10,6 +10,8 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, read_shape
+from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_SIZE
+from cluttergen_jax.importing.readers.source import states_unit
 from cluttergen_jax.importing.solo_stability import measured_object
 from cluttergen_jax.importing.table_top import LeftOut, Limits
 from cluttergen_jax.physics.log import silent_log
@@ -60,7 +62,10 @@ def make_job(job: Job) -> ObjectAsset | LeftOut | str:
     try:
         # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
         with silent_log():
-            shape = read_shape(job.source, job.config.read)
+            # What is larger is left out as furniture, where its unit is sure.
+            is_known = job.limits is not None and states_unit(job.source)
+            largest = MAX_FURNITURE if is_known else MAX_SIZE
+            shape = read_shape(job.source, job.config.read, largest=largest)
             beyond = job.limits and job.limits.why_shape_left_out(job.place, shape)
             if beyond:
                 return beyond

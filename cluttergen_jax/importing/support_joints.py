@@ -60,6 +60,16 @@ def with_joints(support: SupportAsset, joints: Sequence[Joint]) -> SupportAsset:
     return replace(support, joints=tuple(made))
 
 
+def estimates_of(joints: Sequence[Joint]) -> list[str]:
+    """What files do not state of joints that move in exports, in words."""
+    missing: dict[tuple[str, ...], list[str]] = {}
+    for what in ("mass", "damping", "friction", "armature"):
+        names = tuple(joint.name for joint in joints if getattr(joint, what) is None)
+        missing.setdefault(names, []).append(what)
+    said = [f"{', '.join(what)} of {', '.join(map(repr, names))}" for names, what in missing.items() if names]
+    return [f"its file states none, so exports as mjcf-joints estimate: {'; '.join(said)}"] if said else []
+
+
 def _limits_of(joint: Joint) -> tuple[float, float] | None:
     """Its limits with where it stands, which files may put beyond them; None where they limit nothing."""
     if joint.range is None or max(map(abs, joint.range)) > _NO_LIMIT:

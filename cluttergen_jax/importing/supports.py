@@ -8,8 +8,8 @@ Of furniture with several surfaces, or a sloping one, all boards, walls and legs
 from __future__ import annotations
 
 import math
+import re
 import sys
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +19,7 @@ import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
+from cluttergen_jax.assets.config import NARROW_SURFACE, SURFACE_AIR
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
 from cluttergen_jax.assets.parts import as_meshes
@@ -45,26 +46,34 @@ from cluttergen_jax.assets.support_map import (
 )
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.geometry import yaw_matrix
-from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
-from cluttergen_jax.importing.support_joints import moved_together, with_joints
+from cluttergen_jax.importing.furniture_file import find_furniture
+from cluttergen_jax.importing.furniture_pose import read_upright
+from cluttergen_jax.importing.readers import ReadOptions
+from cluttergen_jax.importing.support_joints import estimates_of, moved_together, with_joints
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
+from cluttergen_jax.importing.support_space import (
+    air_over,
+    columns_over,
+    note_of_air,
+    surface_samples,
+    without_air,
+)
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
 
-_LARGEST = 4.0
-"""Metres."""
+_NAMED = re.compile(r"'[^']*'|\S+\.(obj|mtl|dae|stl|ply|glb|png|jpe?g)\b", re.IGNORECASE)
+_OF_MASS = ("its file states no", "the mass that its file")
+"""How readers' notes on an object's mass begin, which a support has none of."""
 
 
 def write_table(
     path: str | Path, name: str | None, options: ReadOptions, force: bool, joints: Mapping[str, float]
 ) -> SupportAsset:
     """The support of a table's file, among the user's own; see `cluttergen_jax.import_support`."""
-    sources = find_sources(path)
-    if len(sources) > 1:
-        names = ", ".join(source.name for source in sources[:5])
-        raise AssetError(
-            f"{path} holds {len(sources)} objects ({names})", "one table", "the table's own file"
-        )
-    name = sources[0].name if name is None else name
+    source, of_bodies = find_furniture(path)
+    if name is None and source.name in embedded_supports():
+        name = f"my_{source.name}"
+        of_bodies.append(f"called {name!r}, as {source.name!r} comes with the package (--name)")
+    name = source.name if name is None else name
     if not is_support_name(name) or name in embedded_supports():
         raise PoolError(
             f"a support called {name!r}",
@@ -72,13 +81,13 @@ def write_table(
             f"{', '.join(embedded_supports())}, table-WxD, bin-WxD",
             "name='my_table'",
         )
-    shape = read_shape(sources[0], options, joints, _LARGEST)
+    shape, of_pose = read_upright(source, options, joints)
     support, notes = support_with_notes(shape)
-    for note in shape.notes:
-        if note.startswith("frozen joints"):
-            print(f"{note} (--joint NAME=VALUE moves one)", file=sys.stderr)
-    for note, count in Counter(notes).items():
-        print(note + (f" ({count} of them)" if count > 1 else ""), file=sys.stderr)
+    of_file = [note for note in shape.notes if not note.startswith(_OF_MASS)]
+    said = [*of_bodies, *of_pose, *map(_with_option, of_file), *notes]
+    said += [*estimates_of(support.joints), *_alarms(support)]
+    for note in _together(said):
+        print(note, file=sys.stderr)
     support = replace(support, name=name)
     folder = user_supports() / name
     if folder.exists() and not force:
@@ -87,6 +96,29 @@ def write_table(
         raise PoolError(f"support {name!r} exists and is another", "a new `name`", "`force` to replace it")
     write_support(folder, support, overwrite=force)
     return support
+
+
+def _together(notes: Sequence[str]) -> list[str]:
+    """Notes; of those that differ by a file's or another name alone, the first with the number of others."""
+    alike: dict[str, list[str]] = {}
+    for note in notes:
+        alike.setdefault(_NAMED.sub("", note), []).append(note)
+    return [first + (f" ({len(rest)} more like it)" if rest else "") for first, *rest in alike.values()]
+
+
+def _alarms(support: SupportAsset) -> list[str]:
+    """What says that furniture is on its edge, or of another unit than it says."""
+    widest = max(2 * min(surface.region.half_extents) for surface in support.surfaces)
+    if widest >= NARROW_SURFACE - _SAME_HEIGHT:
+        return []
+    return [
+        f"ALARM: its largest surface is {100 * widest:.0f} cm wide: is it on its edge (--up x, y, z, -x, -y "
+        "or -z), or of another unit (--scale)? cluttergen inspect draws it"
+    ]
+
+
+def _with_option(note: str) -> str:
+    return f"{note} (--joint NAME=VALUE moves one)" if note.startswith("frozen joints") else note
 
 
 def _is_same(folder: Path, support: SupportAsset) -> bool:
@@ -236,10 +268,31 @@ def _several(
         solids = [kept for points in solids if (kept := _lowered(points, surface)) is not None]
     plates = [points for _, group in covers for points in group]
     solids = [points for points in solids if not any(is_inside(points, plate) for plate in plates)]
-    support = _support_of(shape, pieces, surfaces, plates + solids, yaw)
-    heights = [free_height(surface_heights(support, each), each.region) for each in surfaces]
-    named = [replace(each, free_height=free) for each, free in zip(surfaces, heights, strict=True)]
-    return replace(support, named=tuple(named)), notes + lost
+    whole = join_meshes([piece.mesh for piece in pieces])
+    first = _support_of(shape, pieces, surfaces, plates + solids, yaw)
+    before = [air_over(whole, first, surface) for surface in surfaces]
+    by_name = {surface.name: each for each, surface in zip(found, surfaces[-len(found) :], strict=True)}
+    short = [
+        each for each, air in zip(surfaces, before, strict=True) if air.is_short and each.name in by_name
+    ]
+    samples = surface_samples(whole) if short else np.zeros((0, 3))
+    columns = [column for each in short for column in columns_over(samples, by_name[each.name], each)]
+    if columns:
+        solids = without_air(plates + solids, columns)
+        first = _support_of(shape, pieces, surfaces, solids, yaw)
+    after = [air_over(whole, first, surface) for surface in surfaces] if columns else before
+    of_air = [note_of_air(*each) for each in zip(surfaces, before, after, strict=True)]
+    counted = [
+        surface
+        for number, (surface, air) in enumerate(zip(surfaces, after, strict=True))
+        if number == 0 or air.collided >= SURFACE_AIR
+    ]
+    names = ["top", *(f"shelf_{number}" for number in range(1, len(counted)))]
+    named = [
+        replace(each, name=name, free_height=free_height(surface_heights(first, each), each.region))
+        for each, name in zip(counted, names, strict=True)
+    ]
+    return replace(first, named=tuple(named)), notes + lost + [note for note in of_air if note]
 
 
 def _support_of(

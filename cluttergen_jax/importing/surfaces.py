@@ -1,9 +1,10 @@
 """The surfaces of furniture beside its top: found where things can be put down, whatever the mesh is like.
 
 Vertical lines through the cells of a grid cross the mesh layer by layer. A crossing can carry if it is within
-10 degrees of level, has 5 cm of air above it, and a cube of 2 to 3 cm can get there from outside, so that the
-inside of boards and of closed cabinets has none. Crossings of neighbouring cells that continue each other are
-one surface.
+10 degrees of level, has 5 cm of air above it (`SURFACE_AIR`), and a cube of 2 to 3 cm can get there from
+outside, so that the inside of boards and of closed cabinets has none. Crossings of neighbouring cells that
+continue each other are one surface. It counts if the largest rectangle on it is 5 cm wide and 50 cm^2 large
+(`SURFACE_WIDTH`, `SURFACE_AREA`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from cluttergen_jax.assets.config import SURFACE_AIR, SURFACE_AREA, SURFACE_WIDTH
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.outline import Ring, outline_of_cells
 from cluttergen_jax.assets.support import Rectangle, Surface
@@ -26,11 +28,7 @@ from cluttergen_jax.assets.support_map import Span, cells_below, cover, largest_
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.geometry import rotate_in_plane, yaw_matrix
 
-SMALLEST = 0.05
-"""Metres: the shorter side of the largest rectangle on the narrowest surface that is kept. What is
-narrower, and would still hold the smallest objects, is mostly the top of a rail."""
 _STEEPEST, _LEVEL = math.radians(10.05), math.radians(0.5)
-_ROOM = 0.05
 _NARROW_GAP = 0.02
 _FLAT = 0.003
 _PITCH, _MOST_CELLS = 0.01, 300
@@ -111,7 +109,10 @@ def find_surfaces(mesh: Mesh, yaw: float) -> tuple[list[FoundSurface], list[str]
         several = _measure(mesh, samples, spots[away <= _FLAT], fit, yaw, layers.pitch)
         found += several
         if not several:
-            notes.append(f"{where}: narrower than {100 * SMALLEST:g} cm")
+            notes.append(
+                f"{where}: narrower than {100 * SURFACE_WIDTH:g} cm, or smaller than "
+                f"{1e4 * SURFACE_AREA:g} cm^2"
+            )
     return sorted(found, key=lambda each: -each.surface.position[2]), notes
 
 
@@ -155,7 +156,7 @@ class _Layers:
         carries = np.zeros(z.shape, bool)
         z[rank, cell], carries[rank, cell] = height, flat
         above = np.concatenate([z[1:], np.full((1, z.shape[1]), np.nan)])
-        carries &= ~(above - z < _ROOM)
+        carries &= ~(above - z < SURFACE_AIR)
         layers = _Layers(lower, pitch, z.reshape(-1, *shape), carries.reshape(-1, *shape))
         layers.carries[...] &= _is_reached(voxels, layers)
         return layers
@@ -215,14 +216,14 @@ def _measure(
 
     flat, seeds = Mesh(local(mesh.vertices), mesh.faces), local(spots)[:, :2]
     above = samples[:, 2] - samples[:, :2] @ fit[:2] - fit[2]
-    risen = local(samples[(above > 0.0) & (above < 2 * _ROOM)])
+    risen = local(samples[(above > 0.0) & (above < 2 * SURFACE_AIR)])
     is_low = np.abs(flat.corners[:, :, 2]).max(1) <= _FLAT
     corners = flat.corners[is_low].reshape(-1, 3)[:, :2]
     near = cKDTree(seeds).query(corners)[0] <= 2 * pitch if len(corners) else np.zeros(0, bool)
     # Cell borders fall on the surface's own sides, where it has any.
     ends = np.concatenate([seeds, corners[near]])
     lower, upper = ends.min(0), ends.max(0)
-    if (upper - lower).min() < SMALLEST:
+    if (upper - lower).min() < SURFACE_WIDTH:
         return []
     shape = np.maximum(np.ceil((upper - lower) / _PITCH - 1e-6), 1).astype(int)
     shape = np.minimum(shape, _MOST_CELLS)
@@ -237,7 +238,7 @@ def _measure(
     centers = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     mask &= cKDTree(seeds).query(centers)[0] <= 1.01 * pitch
     mask = ndimage.binary_closing(np.pad(mask, 1), np.ones((3, 3)))[1:-1, 1:-1]
-    walls = risen[(risen[:, 2] > _FLAT + 0.001) & (risen[:, 2] < _ROOM)][:, :2]
+    walls = risen[(risen[:, 2] > _FLAT + 0.001) & (risen[:, 2] < SURFACE_AIR)][:, :2]
     # A wall's inner face lies on a cell's border: it belongs to the cell farther out.
     index = np.floor((walls + 0.001 * np.sign(walls - centers.mean((0, 1))) - lower) / cell)
     index = index[((index >= 0) & (index < shape)).all(1)].astype(int)
@@ -253,7 +254,7 @@ def _measure(
     for own in (label == number for number in range(1, count + 1)):
         span = largest_rectangle(own)
         half = cell * (span[1] - span[0], span[3] - span[2]) / 2
-        if 2 * half.min() < SMALLEST - 1e-9:
+        if 2 * half.min() < SURFACE_WIDTH - 1e-9 or 4 * half.prod() < SURFACE_AREA - 1e-9:
             continue
         center = _corners(span, lower, cell, yaw).mean(0)
         region = Rectangle((float(center[0]), float(center[1])), (float(half[0]), float(half[1])), yaw)

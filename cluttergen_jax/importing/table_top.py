@@ -14,6 +14,8 @@ from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.config import check_positive
 
 _HAIR = 1e-4
+_FURNITURE = 2.0
+"""Metres."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,9 @@ class Limits:
         """
         detail = " x ".join(f"{side:.2f}" for side in sides) + " m"
         detail += f", {mass:,.4g} kg" if mass > 0 else ""
+        if sides.max() > max(self.size, _FURNITURE) - _HAIR:
+            reason = "furniture by its size, 2 m or more (`cluttergen import --support` takes it)"
+            return LeftOut(name, reason, detail)
         if sides.max() > self.size - _HAIR:
             reason = f"too large for the usual table: a side of {self.size:g} m or more (`max_size`)"
             return LeftOut(name, reason, detail)

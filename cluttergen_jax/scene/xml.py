@@ -34,8 +34,9 @@ _UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISU
 
 _STRANGE = re.compile(r"[^A-Za-z0-9_-]")
 _BOARDS, _LIGHTEST, _THIN, _GRAVITY = 150.0, 0.1, 0.005, 9.81
-"""What moves on a support's joint weighs so much for its box, kg/m^3, and at least 0.1 kg: files of furniture
-state no masses, or wrong ones. Friction in the joint is enough for its weight."""
+"""What moves on a support's joint and whose mass its file does not state weighs so much for its box, kg/m^3,
+and at least 0.1 kg. Friction in the joint that is not stated is enough for its weight."""
+_ARMATURE, _DAMPING = 0.01, 1.0
 
 
 def scene_xml(
@@ -227,17 +228,27 @@ class _SupportBodies:
         mass = max(_BOARDS * size.prod(), _LIGHTEST)
         inertia = mass / 12 * (np.square(size).sum() - np.square(size))
         center, weight = (low + high) / 2, mass * _GRAVITY
+        inertial = {"diaginertia": _text(inertia)}
+        if (stated := joint.body) is not None and joint.inertia is not None:
+            mass, center, weight = stated.mass, stated.center, stated.mass * _GRAVITY
+            inertial = {"fullinertia": _text(joint.inertia)}
         holds = weight * float(np.linalg.norm(center - joint.anchor)) if joint.kind == "hinge" else weight
+        if joint.friction is not None:
+            # Where its axis lets it fall, it is held all the same: scenes were made on it at rest.
+            lever = np.array([0.0, 0.0, 1.0])
+            if joint.kind == "hinge":
+                lever = np.cross(center - joint.anchor, lever)
+            holds = max(joint.friction, weight * abs(float(lever @ joint.axis)))
         own = {"type": joint.kind, "pos": _text(joint.anchor), "axis": _text(joint.axis)}
         own |= {
             "ref": f"{joint.value:.9g}",
             "frictionloss": f"{holds:.4g}",
-            "armature": "0.01",
-            "damping": "1",
+            "armature": f"{_ARMATURE if joint.armature is None else joint.armature:.6g}",
+            "damping": f"{_DAMPING if joint.damping is None else joint.damping:.6g}",
         }
         if joint.range is not None:
             own |= {"limited": "true", "range": _text(joint.range)}
-        ET.SubElement(body, "inertial", pos=_text(center), mass=_text([mass]), diaginertia=_text(inertia))
+        ET.SubElement(body, "inertial", inertial, pos=_text(center), mass=_text([mass]))
         ET.SubElement(body, "joint", own, name=name)
         self._moving[number] = body
         return body

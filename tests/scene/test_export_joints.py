@@ -10,7 +10,7 @@ from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
-from cluttergen_jax.importing.support_joints import with_joints
+from cluttergen_jax.importing.support_joints import estimates_of, with_joints
 from cluttergen_jax.importing.supports import support_with_notes
 from cluttergen_jax.scene.export import export_scenes
 
@@ -158,3 +158,54 @@ def test_a_support_without_joints_is_refused(tmp_path, scene):
     with pytest.raises(ConfigError, match="has no joints"):
         export_scenes([scene], tmp_path / "out", "mjcf-joints")
     assert not (tmp_path / "out").exists()
+
+
+STATED = {
+    '<joint name="rail" type="prismatic">': '<joint name="rail" type="prismatic">'
+    '<dynamics damping="7" friction="0.4"/>',
+    '<link name="drawer">': '<link name="drawer"><inertial><origin xyz="0 0 0.05"/><mass value="2.5"/>'
+    '<inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0" ixz="0" iyz="0.001"/></inertial>',
+}
+
+
+def test_what_a_file_states_of_its_joints_is_what_is_exported_and_the_rest_is_named(tmp_path, scene):
+    text = urdf()
+    for plain, stated in STATED.items():
+        text = text.replace(plain, stated)
+    path = tmp_path / "cabinet.urdf"
+    path.write_text(text)
+    (source,) = find_sources(path)
+    shape = read_shape(source, ReadOptions(up="z"), {"rail": OPEN, "hinge": 0, "lock": 0}, 4.0)
+    support = read_support(write_support(tmp_path / "kept", support_with_notes(shape)[0]))
+    (said,) = estimates_of(support.joints)
+    assert "mass, damping, friction of 'hinge', 'lock'; armature of 'rail', 'hinge', 'lock'" in said
+    one = replace(scene, support=support, cameras=())
+    out = export_scenes([one], tmp_path / "out", "mjcf-joints")
+    model = mujoco.MjModel.from_xml_path(str(out / "scenes" / "000000.xml"))
+    rail, hinge = (
+        next(k for k in range(model.njnt) if model.joint(k).name.endswith(name)) for name in ("rail", "hinge")
+    )
+    dof, body = model.jnt_dofadr[rail], model.jnt_bodyid[rail]
+    assert model.body_mass[body] == pytest.approx(2.5)
+    np.testing.assert_allclose(sorted(model.body_inertia[body]), [0.02, 0.0299, 0.0401], atol=1e-4)
+    # The rail is level, so what its file says of friction is enough.
+    assert model.dof_damping[dof] == pytest.approx(7)
+    assert model.dof_frictionloss[dof] == pytest.approx(0.4)
+    assert model.dof_damping[model.jnt_dofadr[hinge]] == pytest.approx(1)
+    floor = min(piece.mesh.bounds[0, 2] for piece in support.pieces)
+    assert model.body_ipos[body][2] == pytest.approx(0.45 + floor, abs=0.01)
+
+
+def test_mjcf_states_masses_and_dynamics_and_a_lid_that_would_fall_is_held(tmp_path):
+    text = mjcf().replace('axis="0 -1 0" range', 'axis="0 0 -1" damping="3" frictionloss="0.5" range')
+    path = tmp_path / "cabinet.xml"
+    path.write_text(text)
+    (source,) = find_sources(path)
+    shape = read_shape(source, ReadOptions(up="z"), {}, 4.0)
+    rail = shape.joints[0]
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert rail.mass == pytest.approx(model.body("drawer").mass[0])
+    assert (rail.damping, rail.friction, rail.armature) == (3, 0.5, None)
+    half = shape.joints[0].transform(np.eye(3), 0.5, np.zeros(3), 0.125)
+    assert half.mass == pytest.approx(rail.mass / 8)
+    np.testing.assert_allclose(half.inertia, np.array(rail.inertia) / 32)

@@ -233,7 +233,7 @@ def rigid(
     visuals, collisions = ([piece for piece, _ in each] for each in (seen, solid))
     if not visuals and not collisions:
         raise AssetError(f"{surfaces.path} has neither visual nor collision geometry")
-    masses = [_link_mass(surfaces.path, link) for link in links]
+    masses = [link_mass(surfaces.path, link) for link in links]
     stated = combine_masses([mass for mass in masses if mass is not None])
     own_notes = [*notes, *_weightless(links, masses)]
     link_of = [number for piece, number in seen if piece.rgba[3] > 0] or [
@@ -272,7 +272,7 @@ def _weightless(links: Sequence[Link], masses: Sequence[MassProperties | None]) 
         yield f"its file states no mass for {', '.join(map(repr, without))}"
 
 
-def _link_mass(path: Path, link: Link) -> MassProperties | None:
+def link_mass(path: Path, link: Link) -> MassProperties | None:
     """A link's mass and inertia in the model's frame; what cannot be read is NaN, to be refused later."""
     inertial = link.element.find("inertial")
     mass = None if inertial is None else inertial.find("mass")

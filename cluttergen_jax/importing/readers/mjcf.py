@@ -21,6 +21,8 @@ from cluttergen_jax.importing.readers.model import (
     check_joints,
     frozen_note,
     opened_joint,
+    sound_mass,
+    unknown_body,
 )
 
 
@@ -92,7 +94,11 @@ _MOVABLE = {_JOINT.mjJNT_HINGE: "hinge", _JOINT.mjJNT_SLIDE: "slide", _JOINT.mjJ
 
 
 def read_mjcf(
-    path: Path, body: str = "", max_side: int = MAX_TEXTURE, opened: Mapping[str, float] | None = None
+    path: Path,
+    body: str = "",
+    max_side: int = MAX_TEXTURE,
+    opened: Mapping[str, float] | None = None,
+    bodies: Sequence[str] = (),
 ) -> Model:
     """One body with all that hangs on it, at the model's reference configuration.
 
@@ -105,6 +111,7 @@ def read_mjcf(
       max_side: pixels; larger images are shrunk.
       opened: where hinges and slides are to be instead, degrees or metres, by name; given for furniture,
         which has what lies in the world itself, too.
+      bodies: several bodies of the world, named likewise, that are one piece of furniture.
 
     Returns:
       The model; its parts are None if there are more than 32 or one is not convex, its mass is what MuJoCo
@@ -118,11 +125,11 @@ def read_mjcf(
     if model.nflex and not model.ngeom:
         raise AssetError(f"{path} holds soft bodies alone (flex)", "rigid bodies with geoms")
     data = mujoco.MjData(model)
-    _open_joints(model, data, opened or {}, path)
+    of_joints = _open_joints(model, data, opened or {}, path)
     mujoco.mj_kinematics(model, data)
-    root = _root(model, path, body, opened is not None)
-    bodies = [i for i in range(model.nbody) if _hangs_on(model, i, root)]
-    geoms = [i for i in range(model.ngeom) if model.geom_bodyid[i] in bodies]
+    roots = _roots(model, path, body, bodies, opened is not None)
+    root, chosen = roots[0], [i for i in range(model.nbody) if any(_hangs_on(model, i, k) for k in roots)]
+    geoms = [i for i in range(model.ngeom) if model.geom_bodyid[i] in chosen]
     roles = roles_of(model, data, geoms)
     if not roles.surface:
         why = "; ".join(roles.notes) or "it has no geoms"
@@ -132,8 +139,8 @@ def read_mjcf(
         )
     of_pictures = (*of_pictures, *picture_notes(model, roles.surface))
     colliding = tuple(geom_mesh(model, data, i, 16) for i in roles.colliding)
-    notes = (*frozen_note(_frozen_joints(model, data, bodies)), *roles.notes)
-    if root and not body and (beside := len(_in_world(model))):
+    notes = (*frozen_note(_frozen_joints(model, data, chosen)), *of_joints, *roles.notes)
+    if root and not body and not bodies and (beside := len(_in_world(model))):
         notes += (f"left out, as they lie in the world beside the body: {beside} geoms",)
     if kilograms := _mass_of(path, roles.unseen):
         notes += (f"what is left out weighs {kilograms:.3g} kg: it counts, as in MuJoCo",)
@@ -141,21 +148,29 @@ def read_mjcf(
     return Model(
         pieces=[geom_piece(model, data, i, max_side) for i in roles.surface],
         parts=tuple(Mesh.points(each.vertices) for each in colliding) if is_usable else None,
-        stated=combine_masses([_body_mass(model, data, i) for i in bodies]),
+        stated=combine_masses([_body_mass(model, data, i) for i in chosen]),
         notes=(*notes, *dict.fromkeys(of_pictures)),
         colliding=colliding,
-        joints=_joints(model, data, roles.surface),
+        # One body that was chosen stands still itself.
+        joints=_joints(model, data, roles.surface, [i for i in chosen if i != root or not body]),
     )
 
 
-def _open_joints(model: mujoco.MjModel, data: mujoco.MjData, opened: Mapping[str, float], path: Path) -> None:
+def _open_joints(
+    model: mujoco.MjModel, data: mujoco.MjData, opened: Mapping[str, float], path: Path
+) -> list[str]:
+    """Puts joints where they are asked for; what is to be said of that."""
+    notes: list[str] = []
     movable = {model.joint(index).name: index for index in _hinges_and_slides(model)}
     check_joints(opened, movable, path)
     for name, value in opened.items():
         index = movable[name]
         lower, upper = model.jnt_range[index].tolist() if model.jnt_limited[index] else (-np.inf, np.inf)
         is_turn = bool(model.jnt_type[index] == _JOINT.mjJNT_HINGE)
-        data.qpos[model.jnt_qposadr[index]] = opened_joint(name, value, lower, upper, is_turn)
+        place, said = opened_joint(name, value, lower, upper, is_turn)
+        data.qpos[model.jnt_qposadr[index]] = place
+        notes += said
+    return notes
 
 
 def _frozen_joints(
@@ -175,9 +190,12 @@ def _hinges_and_slides(model: mujoco.MjModel) -> list[int]:
     return [int(index) for index in np.flatnonzero(np.isin(model.jnt_type, kinds))]
 
 
-def _joints(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> tuple[Joint, ...]:
-    """Hinges and slides with what each moves, by number of these geoms."""
-    numbers = {index: number for number, index in enumerate(_hinges_and_slides(model))}
+def _joints(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], bodies: Collection[int]
+) -> tuple[Joint, ...]:
+    """The hinges and slides of some bodies with what each moves, by number of these geoms."""
+    own = [index for index in _hinges_and_slides(model) if int(model.jnt_bodyid[index]) in bodies]
+    numbers = {index: number for number, index in enumerate(own)}
     last: dict[int, int] = {0: -1}
     parent: dict[int, int] = {}
     for body in range(1, model.nbody):
@@ -197,9 +215,17 @@ def _joints(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) ->
             range=tuple(model.jnt_range[index].tolist()) if model.jnt_limited[index] else None,
             parent=parent[index],
             pieces=tuple(place for place, by in enumerate(moved) if by == number),
-        )
+            damping=_above_zero(model.dof_damping[model.jnt_dofadr[index]]),
+            friction=_above_zero(model.dof_frictionloss[model.jnt_dofadr[index]]),
+            armature=_above_zero(model.dof_armature[model.jnt_dofadr[index]]),
+        ).with_mass(sound_mass([_body_mass(model, data, body) for body in bodies if last[body] == number]))
         for index, number in numbers.items()
     )
+
+
+def _above_zero(value: float) -> float | None:
+    """What MJCF has for what is not stated is zero."""
+    return float(value) if value > 0 else None
 
 
 def _body_mass(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> MassProperties:
@@ -245,20 +271,32 @@ def world_bodies(model: mujoco.MjModel) -> list[int]:
     return [i for i in range(1, model.nbody) if model.body_parentid[i] == 0]
 
 
-def _root(model: mujoco.MjModel, path: Path, body: str, is_furniture: bool) -> int:
-    """The body's id; 0, the world body, where the geoms lie in the world itself."""
+def _roots(
+    model: mujoco.MjModel, path: Path, body: str, bodies: Sequence[str], is_furniture: bool
+) -> list[int]:
+    """The bodies' ids; 0, the world body, where the geoms lie in the world itself."""
     children = world_bodies(model)
-    if body.startswith("#"):
-        return children[int(body[1:])]
-    if body:
-        return int(model.body(body).id)
+    # Of furniture some parts may lie in the world itself; beside what is free there is scenery.
+    kinds = model.jnt_type[np.isin(model.jnt_bodyid, children)]
+    is_whole = is_furniture and bool(_in_world(model)) and not (kinds == _JOINT.mjJNT_FREE).any()
+    if bodies and is_whole and len(bodies) == len(children):
+        return [0]
+    if body or bodies:
+        return [_body_id(model, path, each) for each in bodies or (body,)]
     if len(children) > 1:
         names = ", ".join(model.body(i).name for i in children)
         raise AssetError(f"{path} holds {len(children)} bodies and none was chosen", names)
-    # Of furniture some parts may lie in the world itself; beside what is free there is scenery.
-    kinds = model.jnt_type[np.isin(model.jnt_bodyid, children)]
-    is_whole = is_furniture and _in_world(model) and not (kinds == _JOINT.mjJNT_FREE).any()
-    return 0 if is_whole or not children else children[0]
+    return [0 if is_whole or not children else children[0]]
+
+
+def _body_id(model: mujoco.MjModel, path: Path, body: str) -> int:
+    names = [model.body(i).name for i in range(1, model.nbody)]
+    if body in names:
+        return 1 + names.index(body)
+    number, children = body.removeprefix("#"), world_bodies(model)
+    if number != body and number.isdecimal() and int(number) < len(children):
+        return children[int(number)]
+    raise unknown_body(body, path, names)
 
 
 def _in_world(model: mujoco.MjModel) -> list[int]:

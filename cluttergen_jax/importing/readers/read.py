@@ -25,6 +25,9 @@ from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
 
 MIN_SIZE = 0.005
 MAX_SIZE = 2.0
+MIN_FURNITURE, MAX_FURNITURE, MAX_UNSTATED = 0.1, 10.0, 4.0
+"""Metres across that furniture may measure: at least, at most where its file's unit is known, and at most of
+others."""
 NOT_STATED = "not stated"
 """The licence of files that have none."""
 _UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "tenths of a millimetre": 0.0001}
@@ -35,13 +38,14 @@ def read_shape(
     options: ReadOptions | None = None,
     joints: Mapping[str, float] | None = None,
     largest: float = MAX_SIZE,
+    smallest: float = MIN_SIZE,
 ) -> Shape:
     """Reads one object, scaled to metres, z up, its pieces not yet welded.
 
     Args:
       joints: where joints of a URDF or MJCF file are to be, metres or degrees; given for furniture
         (`read_mjcf`).
-      largest: metres that it may measure at most.
+      largest, smallest: metres across that it may measure, at most and at least.
 
     Raises:
       AssetError: a file is missing or unreadable (the message names it), or the size is impossible.
@@ -87,9 +91,9 @@ def read_shape(
         keeps_parts=bool(source.parts),
         joints=()
         if joints is None
-        else tuple(each.transform(rotation, options.scale, np.zeros(3)) for each in model.joints),
+        else tuple(each.transform(rotation, options.scale, np.zeros(3), mass_scale) for each in model.joints),
     )
-    _check_size(shape, source.path, largest)
+    _check_size(shape, source.path, smallest, largest)
     return shape
 
 
@@ -105,16 +109,17 @@ def _model(
     In URDF and SDF a mass is written as it is; most of MJCF's are a density times a volume: that keeps it.
     """
     if source.kind == "urdf":
-        return read_urdf(source.path, options.max_texture, joints or {}), 1.0
+        return read_urdf(source.path, options.max_texture, joints or {}, source.body), 1.0
     if joints and source.kind != "mjcf":
         raise ConfigError(
             f"joints of {source.path.name} ({source.kind})", "those of a URDF or MJCF file", "no `joint`"
         )
     if source.kind == "sdf":
-        return read_sdf(source.path, source.body, options.max_texture), 1.0
+        return read_sdf(source.path, source.body, options.max_texture, source.bodies), 1.0
     if source.kind == "mjcf":
-        return read_mjcf(source.path, source.body, options.max_texture, joints), options.scale**3
-    pieces, notes = read_mesh_file(source.path, options.max_texture)
+        model = read_mjcf(source.path, source.body, options.max_texture, joints, source.bodies)
+        return model, options.scale**3
+    pieces, notes = read_mesh_file(source.path, options.max_texture, node=source.body)
     model = Model(pieces, None, None, notes)
     return with_kept_parts(model, source.parts) if source.parts else model, 1.0
 
@@ -145,7 +150,7 @@ def public_path(path: Path) -> str:
     return "/".join(path.resolve().parts[-3:])
 
 
-def _check_size(shape: Shape, path: Path, largest: float) -> None:
+def _check_size(shape: Shape, path: Path, smallest: float, largest: float) -> None:
     """Raises AssetError if the shape is empty, not finite, or its largest side is not that of an object."""
     meshes = [piece.mesh for piece in shape.pieces]
     if not any(len(mesh.faces) for mesh in meshes):
@@ -155,22 +160,23 @@ def _check_size(shape: Shape, path: Path, largest: float) -> None:
         raise AssetError(f"{path} has vertices that are not finite numbers")
     used = whole.vertices[np.unique(whole.faces)]
     size = float(np.ptp(used, axis=0).max())
-    if not MIN_SIZE <= size <= largest:
+    if not smallest <= size <= largest:
         raise AssetError(
             f"{path}: {shape.label!r} is {size:.3g} m across",
-            f"a largest side between {MIN_SIZE * 1000:g} mm and {largest:g} m",
-            _likely_cause(size),
+            f"a largest side between {smallest * 1000:g} mm and {largest:g} m",
+            _likely_cause(size, smallest),
         )
 
 
-def _likely_cause(size: float) -> str:
-    """Which unit would make this an object of 2 cm to 60 cm, in words that name the option."""
-    if size < MIN_SIZE:
+def _likely_cause(size: float, smallest: float) -> str:
+    """Which unit would make this an object of 2 cm to 60 cm, or furniture, in words that name the option."""
+    usual = (0.02, 0.6) if smallest < MIN_FURNITURE else (0.15, MAX_UNSTATED)
+    if size < smallest:
         return "`scale` with the factor to metres; a scale may have been applied twice"
     fitting = [
         f"scale={factor:g} if the file is in {unit} ({size * factor:.2g} m across)"
         for unit, factor in _UNITS.items()
-        if 0.02 <= size * factor <= 0.6
+        if usual[0] <= size * factor <= usual[1]
     ]
     return " or ".join(fitting) or "`scale` with the factor from the file's unit to metres"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from cluttergen_jax.importing.readers.damage import refuse_stand_in
 from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, rigid
 from cluttergen_jax.importing.readers.materials import GREY, Rgba
 from cluttergen_jax.importing.readers.mesh_text import as_utf8
-from cluttergen_jax.importing.readers.model import Model, frozen_note
+from cluttergen_jax.importing.readers.model import Model, frozen_note, unknown_body
 from cluttergen_jax.importing.readers.places import find_named, folder_place, mesh_place
 from cluttergen_jax.importing.readers.xml_tree import (
     BROKEN,
@@ -108,26 +108,40 @@ _FORMS = ("mesh", "box", "cylinder", "sphere", "capsule", "ellipsoid")
 _SCRIPTS = ("materials/scripts", ".")
 
 
-def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE) -> Model:
+def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE, bodies: Sequence[str] = ()) -> Model:
     """One model of a file as one rigid thing, all its joints as they are drawn.
 
     Its own pose turns it, as where it is put into an empty world. Meshes are taken in their own frame, in
     the unit that they declare, as Gazebo does.
 
     Args:
-      name: of the model, or "#" and its number; the only one if empty.
+      name: of the model, or "#" and its number; or of a link of the only one, taken alone; the only model
+        if empty.
       max_side: pixels; larger images are shrunk.
+      bodies: several models, named likewise, that are one piece of furniture.
 
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
+      ConfigError: it has no model or link of that name.
     """
-    found = dict(models(_parse(path)))
-    if not (model := found.get(name) if name else next(iter(found.values()), None)):
-        named = f" called {name!r}" if name else ""
-        raise AssetError(f"{path} holds no model{named}", "a <model> with links")
+    root = _parse(path)
+    found = dict(models(root))
+    chosen = [found[each] for each in bodies or (name,) if each in found] or list(found.values())[:1]
+    if not chosen:
+        raise AssetError(f"{path} holds no model", "a <model> with links")
     surfaces = Surfaces(path, max_side, "uri", _FORMS)
-    links = list(_links(path, model, _pose(path, model) @ _from_placement_frame(path, model)))
-    return rigid(links, surfaces, _Looks(surfaces, model).of, list(_notes(model)))
+    links = [
+        link
+        for model in chosen
+        for link in _links(path, model, _pose(path, model) @ _from_placement_frame(path, model))
+    ]
+    if name and name not in found:
+        known = [*found, *(link.name for link in links if len(found) == 1)]
+        links = [link for link in links if link.name == name and len(found) == 1]
+        if not links:
+            raise unknown_body(name, path, known, "model or link")
+    looks = _Looks(surfaces, chosen[0] if len(chosen) == 1 else root)
+    return rigid(links, surfaces, looks.of, [note for model in chosen for note in _notes(model)])
 
 
 def models(root: Element) -> Iterator[tuple[str, Element]]:

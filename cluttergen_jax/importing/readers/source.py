@@ -147,11 +147,20 @@ class ObjectFile:
     name: str  # `[a-z0-9_-]+`, unique among the sources found together.
     label: str  # What people call it.
     body: str = ""  # The body's or model's name, where an MJCF or SDF file holds several objects.
+    bodies: tuple[str, ...] = ()  # Of furniture, the bodies or models that are one piece of it together.
     provenance: Provenance | None = None
     notes: tuple[str, ...] = ()  # Known faults, passed on as flags.
     parts: tuple[Path, ...] = ()  # Files of collision shapes that are to be its parts.
     synset: str = ""  # What kind of thing it is, as its file or its settings say.
     plain: str = ""  # The name without the number that sets it apart from others.
+
+
+_OF_NO_UNIT = (".obj", ".stl", ".ply")
+
+
+def states_unit(source: ObjectFile) -> bool:
+    """Whether its format has a unit: URDF, SDF, MJCF and glTF have metres, and DAE files state theirs."""
+    return source.kind != "mesh" or source.path.suffix.lower() not in _OF_NO_UNIT
 
 
 def make_source(path: Path, kind: str, title: str = "", behind: str = "") -> ObjectFile:

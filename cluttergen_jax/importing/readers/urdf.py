@@ -15,12 +15,20 @@ import numpy as np
 import trimesh
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
+from cluttergen_jax.assets.mass import MassProperties
 from cluttergen_jax.assets.shape import Joint
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import refuse_stand_in
-from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, rigid
+from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, link_mass, rigid
 from cluttergen_jax.importing.readers.materials import GREY
-from cluttergen_jax.importing.readers.model import Model, check_joints, frozen_note, opened_joint
+from cluttergen_jax.importing.readers.model import (
+    Model,
+    check_joints,
+    frozen_note,
+    opened_joint,
+    sound_mass,
+    unknown_body,
+)
 from cluttergen_jax.importing.readers.places import mesh_place
 from cluttergen_jax.importing.readers.xml_tree import (
     BROKEN,
@@ -127,7 +135,10 @@ class Joints:
     def _lower_limit(self, joint: Element) -> float:
         name, (lower, upper) = joint.get("name", ""), self._limits(joint)
         if name in self._opened:
-            return opened_joint(name, self._opened[name], lower, upper, joint.get("type") in _TURNS)
+            is_turn = joint.get("type") in _TURNS
+            place, notes = opened_joint(name, self._opened[name], lower, upper, is_turn)
+            self.notes += [note for note in notes if note not in self.notes]
+            return place
         return lower if math.isfinite(lower) else 0.0
 
     def _limits(self, joint: Element) -> tuple[float, float]:
@@ -171,17 +182,22 @@ class Joints:
         return poses
 
     def movable(
-        self, poses: Mapping[str, np.ndarray], links: Sequence[str], scale: float
+        self,
+        poses: Mapping[str, np.ndarray],
+        links: Sequence[str],
+        scale: float,
+        moved: Mapping[str, MassProperties | None],
     ) -> tuple[Joint, ...]:
         """The hinges and slides that mimic no other.
 
         Args:
           poses: of `link_poses`; links: by piece, the name of its link; scale: factor on all lengths.
+          moved: links whose joints are meant, with their masses in the model's frame.
         """
         above = {self._link_of(joint, "child"): joint for joint in self._joints}
         kinds = (*_LIMITED, *_TURNS)
         own = [each for each in self._joints if each.get("type") in kinds and each.find("mimic") is None]
-        own = [each for each in own if self._axis(each).any()]
+        own = [each for each in own if self._axis(each).any() and self._link_of(each, "child") in moved]
 
         def mover(link: str) -> int:
             """The joint that moves a link, by number; -1 for none."""
@@ -207,9 +223,36 @@ class Joints:
                 parent=mover(self._link_of(joint, "parent")),
                 pieces=tuple(piece for piece, by in enumerate(movers) if by == place),
             )
-            made = replace(made, axis=tuple((T_model_joint[:3, :3] @ made.axis).tolist()))
+            made = replace(
+                made,
+                axis=tuple((T_model_joint[:3, :3] @ made.axis).tolist()),
+                damping=self._dynamics(joint, "damping"),
+                friction=self._dynamics(joint, "friction"),
+            )
+            masses = [mass for name, mass in moved.items() if mass is not None and mover(name) == place]
+            made = made.with_mass(sound_mass(masses))
             found.append(made.transform(np.eye(3), scale, np.zeros(3)))
         return tuple(found)
+
+    def _dynamics(self, joint: Element, name: str) -> float | None:
+        """What its <dynamics> says, if that is above zero: many programs write zeros for want of others."""
+        dynamics = joint.find("dynamics")
+        value = 0.0 if dynamics is None else number(self._path, dynamics, name, "0")
+        return value if value > 0 else None
+
+    def links_below(self, link: str) -> list[str]:
+        """A link and all that hang on it.
+
+        Raises:
+          ConfigError: there is no such link.
+        """
+        if link not in self._links:
+            raise unknown_body(link, self._path, self._links, "link")
+        found = [link]
+        for name in found:
+            own = [each for each in self._joints if self._link_of(each, "parent") == name]
+            found += [child for each in own if (child := self._link_of(each, "child")) not in found]
+        return found
 
     def _link_of(self, joint: Element, tag: str) -> str:
         link = joint.find(tag)
@@ -272,7 +315,9 @@ def origin(path: Path, element: Element) -> np.ndarray:
 _MOVABLE = ("revolute", "prismatic", "continuous", "floating", "planar")
 
 
-def read_urdf(path: Path, max_side: int = MAX_TEXTURE, opened: Mapping[str, float] | None = None) -> Model:
+def read_urdf(
+    path: Path, max_side: int = MAX_TEXTURE, opened: Mapping[str, float] | None = None, body: str = ""
+) -> Model:
     """The model as one rigid thing; its parts are its collision meshes if all of them are convex.
 
     Pieces are the visuals, or the collision elements where there are none. `globalScaling` in a
@@ -282,10 +327,11 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE, opened: Mapping[str, floa
     Args:
       max_side: pixels; larger images are shrunk.
       opened: where joints are to be, see `Joints`.
+      body: a link that is taken alone, with what hangs on it; all if empty.
 
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
-      ConfigError: there is no such joint, or it does not go so far.
+      ConfigError: there is no such joint or link, or the joint does not go so far.
     """
     robot = _parse(path)
     movable = (joint for joint in robot.findall("joint") if joint.find("mimic") is None)
@@ -296,9 +342,15 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE, opened: Mapping[str, floa
     scale = _global_scaling(path)
     surfaces = Surfaces(path, max_side, notes=joints.notes)
     links = [Link(link, poses[link.get("name", "")], partial(origin, path)) for link in robot.findall("link")]
+    if body:
+        own = joints.links_below(body)
+        links = [link for link in links if link.name in own]
     model = rigid(links, surfaces, _Looks(_materials(robot), surfaces).of, _notes(robot, joints), scale)
     names = [link.name for link in links]
-    return replace(model, joints=joints.movable(poses, [names[number] for number in model.link_of], scale))
+    moved = {link.name: link_mass(path, link) for link in links if link.name != body}
+    return replace(
+        model, joints=joints.movable(poses, [names[number] for number in model.link_of], scale, moved)
+    )
 
 
 def _parse(path: Path) -> Element:

@@ -198,8 +198,9 @@ _ALL = (
         _files(write_object_meshes),
         _files(write_support_meshes),
         _scene_writer(partial(_mjcf_text, has_joints=True)),
-        notes="Friction holds the support's joints (`frictionloss`, as much as what hangs on them weighs); "
-        "limits are those of its file, masses are estimates.",
+        notes="Limits, masses, damping, friction and armature of the support's joints are those of its file "
+        "where it states them. Else masses are estimates, and friction is as much as what moves weighs; "
+        "where a joint would fall, friction holds it in any case.",
     ),
     Format(
         "urdf",
