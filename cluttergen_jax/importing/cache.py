@@ -57,6 +57,7 @@ def source_digest(source: ObjectFile) -> str:
 def cache_key(source: ObjectFile, config: Any) -> str:
     """Hex digest that names the body of a source under a config (a dataclass)."""
     provenance = None if source.provenance is None else asdict(source.provenance)
+    said = [list(source.stretch), list(source.decisions)]
     return _digest(
         source_digest(source),
         source.path.name,
@@ -67,6 +68,7 @@ def cache_key(source: ObjectFile, config: Any) -> str:
         list(source.notes),
         provenance,
         asdict(config),
+        *([said] if said != [[1.0, 1.0, 1.0], []] else []),
     )
 
 

@@ -115,6 +115,7 @@ class ImportReport:
       costs: by object, what it cost now; those that failed among them, those from the cache not.
       sets: a line for each published set that was recognised.
       left_out: bodies that could be read and are no objects for a table, and why.
+      unused: a line for what a JSON beside an object states and is not used; among the object's flags, too.
     """
 
     path: Path | None
@@ -126,6 +127,7 @@ class ImportReport:
     costs: dict[str, Cost] = field(default_factory=dict)
     sets: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
+    unused: tuple[str, ...] = ()
 
     @property
     def cost(self) -> Cost:
@@ -198,6 +200,7 @@ def import_sources(
         {called[name]: cost for name, cost in costs.items()},
         planned.sets,
         (*planned.left_out, *beyond.values()),
+        planned.unused,
     )
 
 

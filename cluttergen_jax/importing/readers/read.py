@@ -50,8 +50,8 @@ def read_shape(
     model, mass_scale = _model(source, options, joints)
     up = options.up if options.up in AXES else own_up(source.path, source.kind).axis
     rotation = turn_of(up, options.front)
-    turn = rotation * options.scale
-    notes = model.notes
+    turn = rotation * options.scale * np.array(source.stretch)
+    notes = (*source.decisions, *model.notes)
     density = options.density if model.density is None else model.density
     mass, stated = (None, None) if options.mass == "volume" else (options.mass, model.stated)
     if stated is not model.stated:

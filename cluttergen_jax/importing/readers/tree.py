@@ -11,6 +11,7 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
+from cluttergen_jax.importing.readers.sidecars import named_pieces
 from cluttergen_jax.importing.readers.source import (
     GENERIC,
     ObjectFile,
@@ -135,6 +136,7 @@ class _Tree:
     root: Path
     skipped: list[Skipped] = field(default_factory=list)
     files: dict[Path, list[Path]] = field(default_factory=dict)
+    named: dict[Path, Path] = field(default_factory=dict)  # Pieces, with the JSON that names them so.
 
     def enter_all(self) -> None:
         """Lists each real folder once: first those that lie here, then those that only links lead to."""
@@ -182,6 +184,7 @@ class _Tree:
             for file in model.files | model.includes:
                 owner.setdefault(file, model)
         belonging = Belonging(self.files, readable, owner)
+        self.named = named_pieces([file for files in self.files.values() for file in files])
         for files in self.files.values():
             here = [models[file] for file in files if file in models]
             for file in files:
@@ -245,7 +248,8 @@ class _Tree:
         best = {each.stem: each for each in (*models, *owned)}
         chosen = []
         for mesh in (each for each in meshes if each not in owned):
-            if reason := belonging.why_mesh(mesh):
+            by = self.named.get(mesh.resolve())
+            if reason := f"a piece that {by.name} names" if by else belonging.why_mesh(mesh):
                 self.skip(mesh, reason, is_piece=True)
                 continue
             key = "" if _STANDS_IN.fullmatch(mesh.stem.lower()) else mesh.stem
