@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +35,7 @@ from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICE
 from cluttergen_jax.importing.scenery import why_no_objects
 from cluttergen_jax.importing.sets import AUTO as ANY_SET
 from cluttergen_jax.importing.sets import NONE as NO_SET
-from cluttergen_jax.importing.sets import KnownSet, describe_sets, known_sets
+from cluttergen_jax.importing.sets import KnownSet, describe_sets, known_sets, layouts
 from cluttergen_jax.importing.settings import (
     OF_READING,
     TAKE,
@@ -58,7 +60,13 @@ class Planned:
     out: str = ""  # Why the layout of its set leaves it out; empty if it does not.
     place: str = ""  # See `LeftOut.name`.
     take: bool | None = None  # Whether the user's settings take it or leave it out; None if they do not say.
+    no_model_of: str = ""  # The set in whose home it lies, and whose models are others; else empty.
     alarms: tuple[str, ...] = ()  # What is stated beside it and not used, in words; among its source's notes.
+
+    @property
+    def is_other(self) -> bool:
+        """Whether it is none of its set's models, and the settings do not take it."""
+        return bool(self.no_model_of) and self.take is None
 
 
 @dataclass(frozen=True)
@@ -97,6 +105,13 @@ class _Group:
     sets: tuple[KnownSet, ...] = ()
     is_folder: bool = True
     sidecars: Sidecars = field(default_factory=lambda: Sidecars((), ()))
+
+    @cached_property
+    def with_models(self) -> tuple[KnownSet, ...]:
+        """The sets of which a model is there; where none is, their layout is another than was thought."""
+        return tuple(
+            each for each in self.sets if any(each.is_model(s) for s in self.found.sources if each.covers(s))
+        )
 
     def has_used(self, skipped: Skipped) -> bool:
         """Whether a file that was passed over says something of an object, and is reported there."""
@@ -143,8 +158,14 @@ def plan_all(
                 failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
     skipped = tuple(each for group in groups for each in group.found.skipped if not group.has_used(each))
     unused = tuple(f"{each.place}: {alarm}" for each in planned for alarm in each.alarms)
-    lines = tuple(describe_sets([known for group in groups for known in group.sets]))
-    kept, left_out = _objects_among(planned, take_all)
+    others = [each for each in planned if each.is_other]
+    counts = Counter(each.no_model_of for each in others)
+    titles = {name: layouts()[name].title for name in counts}
+    skipped += tuple(
+        Skipped(each.place, f"no model of {titles[each.no_model_of]}", is_piece=True) for each in others
+    )
+    lines = tuple(describe_sets([known for group in groups for known in group.sets], counts))
+    kept, left_out = _objects_among([each for each in planned if not each.is_other], take_all)
     return Plan(name_distinctly(_as_in_pool(kept, pool)), skipped, tuple(failures), lines, left_out, unused)
 
 
@@ -243,10 +264,12 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     # A file that is given itself is taken.
     sets = group.sets if group.is_folder else ()
     out = next((why for each in sets if (why := each.why_out(source))), "")
+    others = (each for each in sets if each in group.with_models and each.covers(source))
+    no_model_of = next((each.name for each in others if not out and not each.is_model(source)), "")
     up = _up_axis(source, own, group if "up" in reading else None, known if options.up not in AXES else None)
     if stated.file is not None and decision and "up" not in reading and own.up != base.up:
         up = UpAxis(own.up, f"as {stated.file.name} says")
-    return Planned(own_source, own, up, "name" in naming, out, place, take, alarms)
+    return Planned(own_source, own, up, "name" in naming, out, place, take, no_model_of, alarms)
 
 
 def _with_stated(

@@ -39,7 +39,7 @@ _MAX_WORD, _MAX_SHOWN = 300, 60
 """Letters of a label or a licence, and of a value in a message."""
 _MAX_DEPTH = 4
 """So deep, and in so many values, a JSON of no known set is searched."""
-_MAXVALUES = 10_000
+_MAX_MEMBERS = 10_000
 _MAX_ALARMS = 4
 _HANDLED = ("label.json",)
 """Read with a URDF (`urdf`)."""
@@ -395,10 +395,8 @@ def _named(document: Any, mesh: Path) -> dict[str, Any] | None:
             called = next((table[name] for name in names if isinstance(table.get(name), dict)), None)
             if called is not None:
                 return called
-        members = (
-            list(table.values()) if isinstance(table, dict) else table if isinstance(table, list) else []
-        )
-        for each in members[:_MAXVALUES]:
+        members = [*table.values()] if isinstance(table, dict) else table
+        for each in members[:_MAX_MEMBERS] if isinstance(members, list) else ():
             said = [v for v in each.values() if isinstance(v, str)] if isinstance(each, dict) else []
             if any(v in names or v.replace("\\", "/").rpartition("/")[2] == mesh.name for v in said):
                 return each
