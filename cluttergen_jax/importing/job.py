@@ -10,6 +10,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, read_shape
+from cluttergen_jax.importing.readers.things import SeveralThings
 from cluttergen_jax.importing.solo_stability import measured_object
 from cluttergen_jax.importing.table_top import LeftOut, Limits
 from cluttergen_jax.physics.log import silent_log
@@ -60,13 +61,19 @@ def make_job(job: Job) -> ObjectAsset | LeftOut | str:
     try:
         # Rest and ball test look at the poses themselves, so MuJoCo's own log has nothing to add.
         with silent_log():
-            shape = read_shape(job.source, job.config.read)
+            shape = read_shape(job.source, job.config.read, is_whole=job.limits is None)
             beyond = job.limits and job.limits.why_shape_left_out(job.place, shape)
             if beyond:
                 return beyond
             asset = measured_object(shape, _body(job), job.config.trials)
             lost = (f"{_WAYS[job.num_lost]}: before, {job.fault}",) if job.num_lost else ()
             return replace(asset, flags=(*job.source.notes, *lost, *asset.flags))
+    except SeveralThings as error:
+        reason = (
+            "several things that do not touch, in one file: import one by its name behind '#', or say so in "
+            "objects.toml, ['FILE#NAME'] take = true"
+        )
+        return LeftOut(job.place, reason, ", ".join(error.places))
     except ClutterGenError as error:
         return str(error)
     except Exception as error:  # One unforeseen object must not end a run of hundreds.

@@ -30,7 +30,7 @@ from cluttergen_jax.importing.readers.source import (
     plain_name,
     says_something,
 )
-from cluttergen_jax.importing.readers.tree import SETTINGS, find_all, find_sources
+from cluttergen_jax.importing.readers.tree import SETTINGS, find_all, find_sources, node_source
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
 from cluttergen_jax.importing.scenery import why_no_objects
 from cluttergen_jax.importing.sets import AUTO as ANY_SET
@@ -201,22 +201,31 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
         root = found.sources[0].path.parent
         return _Group(root, found, () if settings is None else ((root, settings),))
     found = find_all(path)
-    root = path if path.is_dir() else path.parent
+    root = path if path.is_dir() else found.files[0].parent
     sets = known_sets(root, found.files if path.is_dir() else root.iterdir(), layout)
-    sidecars = Sidecars(found.sources, found.files, layout != NO_SET)
-    if settings is not None:
-        return _Group(root, found, ((root, settings),), sets, path.is_dir(), sidecars)
     folders = {root, *(each.parent for each in found.files if path.is_dir() and each.name == SETTINGS)}
     lying = tuple(
         (each, here)
         for each in sorted(folders, key=lambda each: len(each.parts))
-        if (here := settings_for(each)) is not None
+        if settings is None and (here := settings_for(each)) is not None
     )
-    for folder, here in lying:
+    lying = lying if settings is None else ((root, settings),)
+    found = _with_nodes(found, lying)
+    for folder, here in lying if settings is None and path.is_dir() else ():
         inside = tuple(each for each in found.sources if each.path.is_relative_to(folder))
-        if path.is_dir():
-            here.check_used([(folder, replace(found, sources=inside))])
+        here.check_used([(folder, replace(found, sources=inside))])
+    sidecars = Sidecars(found.sources, found.files, layout != NO_SET)
     return _Group(root, found, lying, sets, path.is_dir(), sidecars)
+
+
+def _with_nodes(found: Found, settings: Sequence[tuple[Path, Settings]]) -> Found:
+    """The nodes of mesh files that settings speak of, in place of the files."""
+    sources: list[ObjectFile] = []
+    for source in found.sources:
+        nodes = [node for folder, each in settings for node in each.nodes_of(source, folder)]
+        chosen = [node_source(source.path, node) for node in dict.fromkeys(nodes)]
+        sources += chosen or [source]
+    return replace(found, sources=tuple(sources))
 
 
 def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned:

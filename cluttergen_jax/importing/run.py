@@ -143,7 +143,8 @@ class ImportReport:
           AssetError: no object could be made.
         """
         if self.path is None:
-            why = [*(each.reason for each in self.failures), *(each.reason for each in self.left_out)]
+            why = [each.reason for each in self.failures]
+            why += [f"{each.reason}: {each.detail}".removesuffix(": ") for each in self.left_out]
             raise AssetError(f"nothing was imported: {'; '.join(dict.fromkeys(why))}")
         return read_pool(self.path)
 
@@ -258,7 +259,7 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
         own = replace(config.object, read=each.options)
         limits = None if config.take_all or each.take else config.limits
         try:
-            key = cache.cache_key(each.source, own)
+            key = cache.cache_key(each.source, own, limits is None)
             jobs.append(Job(each.source, key, own, limits=limits, place=each.place))
         except OSError as error:
             failures.append(Failure(each.source.name, f"{error.filename} cannot be read ({error.strerror})"))

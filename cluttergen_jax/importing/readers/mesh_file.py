@@ -39,6 +39,7 @@ class MeshFile(NamedTuple):
 
     pieces: list[Piece]  # Its surfaces, in the file's own frame, and unless it declares a unit in its own.
     notes: tuple[str, ...]  # What could not be kept of its materials, in words.
+    names: tuple[tuple[str, ...], ...] = ()  # Of each surface, what it hangs on, the innermost first.
 
 
 def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:
@@ -68,7 +69,7 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
     is_gltf, is_collada = path.suffix.lower() in (".glb", ".gltf"), path.suffix.lower() == ".dae"
     unit = unit_of(path) if is_collada else 1.0
     dresser = Dresser(is_gltf, max_side, image)
-    pieces, materials = [], []
+    pieces, materials, names = [], [], []
     for node in sorted(
         scene.graph.nodes_geometry, key=lambda each: (_RANDOM.sub("", each), scene.graph[each][1])
     ):
@@ -79,6 +80,7 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
             if np.linalg.det(transform[:3, :3]) < 0:
                 mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1])
             pieces.append(dresser.piece(mesh, geometry.visual))
+            names.append(_names_of(scene, node))
             materials.append(getattr(geometry.visual, "material", None))
     lost = gltf_notes(path, materials) if is_gltf else collada_notes(path) if is_collada else ()
     notes = tuple(dict.fromkeys([*of_parsing, *beside.notes, *lost, *dresser.notes]))
@@ -86,7 +88,16 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
         raise AssetError(
             f"{path} holds no triangles", "a surface mesh, not points or curves", "; ".join(notes)
         )
-    return MeshFile(pieces, notes)
+    return MeshFile(pieces, notes, tuple(names))
+
+
+def _names_of(scene: trimesh.Scene, node: str) -> tuple[str, ...]:
+    """What a node and those above it are called, without the root, and what its surface is called."""
+    above, names = scene.graph.transforms.parents, [_RANDOM.sub("", node)]
+    surface = scene.graph[node][1]
+    while (node := above.get(node, scene.graph.base_frame)) != scene.graph.base_frame:
+        names.append(_RANDOM.sub("", node))
+    return tuple(dict.fromkeys([*names, surface]))
 
 
 def _parse(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:

@@ -18,6 +18,7 @@ from cluttergen_jax.importing.readers.mjcf import read_mjcf
 from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, convex_parts
 from cluttergen_jax.importing.readers.sdf import read_sdf
 from cluttergen_jax.importing.readers.source import AUTO, AXES, ObjectFile, ReadOptions, own_up, turn_of
+from cluttergen_jax.importing.readers.things import read_thing
 from cluttergen_jax.importing.readers.tree import find_sources
 from cluttergen_jax.importing.readers.urdf import read_urdf
 from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
@@ -34,6 +35,7 @@ def read_shape(
     options: ReadOptions | None = None,
     joints: Mapping[str, float] | None = None,
     largest: float = MAX_SIZE,
+    is_whole: bool = True,
 ) -> Shape:
     """Reads one object, scaled to metres, z up, its pieces not yet welded.
 
@@ -41,13 +43,14 @@ def read_shape(
       joints: where joints of a URDF or MJCF file are to be, metres or degrees; given for furniture
         (`read_mjcf`).
       largest: metres that it may measure at most.
+      is_whole: whether a mesh file is taken whole, whatever it holds (`read_thing`).
 
     Raises:
       AssetError: a file is missing or unreadable (the message names it), or the size is impossible.
       ConfigError: there is no such joint, or it does not go so far.
     """
     options = options or ReadOptions()
-    model, mass_scale = _model(source, options, joints)
+    model, mass_scale = _model(source, options, joints, is_whole)
     up = options.up if options.up in AXES else own_up(source.path, source.kind).axis
     rotation = turn_of(up, options.front)
     turn = rotation * options.scale * np.array(source.stretch)
@@ -93,7 +96,7 @@ def _rotate_meshes(meshes: Sequence[Mesh], turn: np.ndarray) -> tuple[Mesh, ...]
 
 
 def _model(
-    source: ObjectFile, options: ReadOptions, joints: Mapping[str, float] | None
+    source: ObjectFile, options: ReadOptions, joints: Mapping[str, float] | None, is_whole: bool
 ) -> tuple[Model, float]:
     """What the file holds, and the factor on its masses.
 
@@ -109,7 +112,7 @@ def _model(
         return read_sdf(source.path, source.body, options.max_texture), 1.0
     if source.kind == "mjcf":
         return read_mjcf(source.path, source.body, options.max_texture, joints), options.scale**3
-    pieces, notes = read_mesh_file(source.path, options.max_texture)
+    pieces, notes, _ = read_thing(source.path, options.max_texture, source.body, is_whole)
     model = Model(pieces, None, None, notes)
     return with_kept_parts(model, source.parts) if source.parts else model, 1.0
 

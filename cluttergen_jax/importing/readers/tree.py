@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from cluttergen_jax.errors import AssetError
+from cluttergen_jax.errors import AssetError, closest
 from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
@@ -18,6 +18,7 @@ from cluttergen_jax.importing.readers.source import (
     label_of,
     make_names_distinct,
     make_source,
+    says_something,
 )
 from cluttergen_jax.importing.readers.urdf import XACRO, how_to_process
 from cluttergen_jax.importing.readers.ycb_scans import best_scans
@@ -80,13 +81,17 @@ def survey(path: str | Path) -> Found:
 def find_all(path: str | Path) -> Found:
     """Every object that `path` holds, and every file that is none; several objects may have one name.
 
+    With "#" and a name behind a file, it is that body of a model, or that node of a mesh file.
+
     The meshes that a URDF, SDF or MJCF file names are its pieces; all others are objects of their own. One
     object in several formats counts once. Each real folder is entered once, however many links lead there.
 
     Raises:
       AssetError: nothing is there, or nothing that can be read.
     """
-    path = Path(path)
+    given, path = str(path), Path(path)
+    if not path.exists() and "#" in given:
+        return _chosen(given)
     if not path.exists():
         raise AssetError(f"{path} does not exist", "a mesh, URDF, SDF or MJCF file, or a folder of them")
     if path.suffix.lower() == XACRO and path.is_file():
@@ -108,6 +113,30 @@ def find_all(path: str | Path) -> Found:
             ", ".join([*MESH_SUFFIXES, ".urdf", ".sdf", ".xml (MJCF)"]),
         )
     return found
+
+
+def _chosen(text: str) -> Found:
+    """One body of a model file, or one node of a mesh file, as `file.glb#node` names it."""
+    cuts = [place for place, sign in enumerate(text) if sign == "#"]
+    cut = next((each for each in cuts if Path(text[:each]).is_file()), None)
+    if cut is None or cut == len(text) - 1:
+        raise AssetError(f"{text} does not exist", "a file, and behind '#' the name of what is in it")
+    file, body = Path(text[:cut]), text[cut + 1 :]
+    if file.suffix.lower() in MESH_SUFFIXES:
+        return Found((node_source(file, body),), files=(file,))
+    sources = find_all(file).sources
+    known = {each.body.removeprefix("#") or each.name: each for each in sources}
+    if body not in known:
+        given = f"{file} holds nothing called {body!r}"
+        raise AssetError(given, ", ".join(known), meant=closest(body, known))
+    return Found((known[body],), files=(file,))
+
+
+def node_source(file: Path, node: str) -> ObjectFile:
+    """The source of one node of a mesh file."""
+    is_told = says_something(node)
+    source = make_source(file, "mesh", node if is_told else "", behind="" if is_told else f"-{node}")
+    return replace(source, body=node)
 
 
 def _from_file(path: Path) -> Iterator[ObjectFile]:
