@@ -241,7 +241,7 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     place = place_of(source, group.root)
     base = options if known is None else known.read(options, from_set)
     stated = group.sidecars.of(source, place)
-    own, decision, alarms = _with_stated(stated, options, base, reading, source)
+    own, decision, alarms, is_stretched = _with_stated(stated, options, base, reading, source)
     own = replace(own, **reading)
     if own.up == AUTO and source.provenance is not None:
         # The YCB objects stand as they stood when they were scanned.
@@ -256,13 +256,12 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     if stated.title:
         plain = plain_name(stated.title)
         source = replace(source, name=plain, plain=plain, label=label_of(stated.title))
-    has_scale = "scale" in stated.values and own.scale == stated.values["scale"]
     own_source = replace(
         source,
         parts=parts,
         notes=(*source.notes, *alarms),
         decisions=(decision,) if decision else (),
-        stretch=stated.stretch if has_scale else source.stretch,
+        stretch=stated.stretch if is_stretched else source.stretch,
         **naming,
     )
     if source.provenance is None and words.keys() & {"licence", "attribution"}:
@@ -283,8 +282,8 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
 
 def _with_stated(
     stated: Stated, options: ReadOptions, base: ReadOptions, reading: Mapping[str, Any], source: ObjectFile
-) -> tuple[ReadOptions, str, tuple[str, ...]]:
-    """Options with what a JSON states, the note that says so, and the alarms on what is not used.
+) -> tuple[ReadOptions, str, tuple[str, ...], bool]:
+    """Options with what a JSON states, the note that says so, alarms on what is not used, whether it stretches.
 
     Args:
       options: the user's, which go before it, as settings (`reading`) do. base: these with what a set says.
@@ -303,12 +302,13 @@ def _with_stated(
         if up[-1] == values["front"][-1]:
             alarms.append(f"{file} states front {values.pop('front')}, which is not used: {up} is up")
     texts = {key: f"{each:.6g}" if isinstance(each, float) else str(each) for key, each in values.items()}
-    if "scale" in values and stated.stretch != (1.0, 1.0, 1.0):
+    is_stretched = "scale" in values and stated.stretch != (1.0, 1.0, 1.0)
+    if is_stretched:
         x, y, z = (values["scale"] * each for each in stated.stretch)
         texts["scale"] = f"{x:.6g}, {y:.6g} and {z:.6g} along x, y and z"
     shown = ", ".join(f"{key} {text}" for key, text in texts.items())
     decision = f"{shown} as {file} states ({stated.set_title})" if shown else ""
-    return replace(base, **values), decision, tuple(alarms)
+    return replace(base, **values), decision, tuple(alarms), is_stretched
 
 
 def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: KnownSet | None) -> UpAxis:

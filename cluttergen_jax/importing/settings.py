@@ -14,6 +14,7 @@ friction = 0.2
 name = "frying_pan"
 
 ["kitchen.glb#pan"]       # one of several things in a mesh file: a node, an `o` of OBJ, or a number
+mass = 0.9
 
 ["kitchen.xml#stove"]
 take = true               # or false: whether it is an object, whatever the import makes of it

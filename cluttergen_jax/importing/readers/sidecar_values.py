@@ -105,7 +105,22 @@ def shown(value: Any) -> str:
 
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 _OF_OTHERS = frozenset(
-    {"texture", "normal", "uv", "gray", "grey", "color", "colour", "emission", "alpha", "opacity"}
+    {
+        "log",
+        "down",
+        "upscale",
+        "texture",
+        "textures",
+        "normal",
+        "uv",
+        "gray",
+        "grey",
+        "color",
+        "colour",
+        "emission",
+        "alpha",
+        "opacity",
+    }
     | {"loss", "depth", "camera", "image", "light", "font", "time", "ui", "icon", "text", "line"}
     | {"center", "centre", "com", "inertia", "class", "sample", "price", "version", "test", "random"}
     | {"min", "max", "confidence", "id", "ids"}
@@ -130,9 +145,10 @@ _AXIS_WORDS = frozenset({"up", "axis", "vector", "dir", "direction", "world", "o
 def physical_values(entry: Any) -> Iterator[tuple[str, str, Any, float | str | None]]:
     """Which option a value of a JSON speaks of, its key, itself, and what the option would be."""
     for key, value in _leaves(entry):
-        words = [each.lower() for each in _WORD.findall(key.rpartition("/")[2])]
+        *above, words = [[each.lower() for each in _WORD.findall(step)] for step in key.split("/")]
         joined = "".join(words)
-        if not words or _OF_OTHERS & set(words) or value is None or isinstance(value, dict):
+        kinds = {joined.removesuffix("scale"), *words, *(each for step in above for each in step)}
+        if not words or _OF_OTHERS & kinds or value is None or isinstance(value, dict):
             continue
         is_factor = {"per", "to"} & set(words) and {
             "unit",
