@@ -283,7 +283,7 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
 def _with_stated(
     stated: Stated, options: ReadOptions, base: ReadOptions, reading: Mapping[str, Any], source: ObjectFile
 ) -> tuple[ReadOptions, str, tuple[str, ...], bool]:
-    """Options with what a JSON states, the note that says so, alarms on what is not used, whether it stretches.
+    """Options with what a JSON states, a note on it, alarms on what is not used, and whether it stretches.
 
     Args:
       options: the user's, which go before it, as settings (`reading`) do. base: these with what a set says.

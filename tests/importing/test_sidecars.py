@@ -82,13 +82,8 @@ def test_unequal_scales_stretch_a_mesh(tmp_path):
 
 
 def test_labels_and_terms_of_metadata(tmp_path):
-    document = {
-        "uid": "mug",
-        "name": "Tea  mug",
-        "license": "by",
-        "user": {"displayName": "Ann"},
-        "unit": "cm",
-    }
+    document = {"uid": "mug", "name": "Tea  mug", "license": "by", "unit": "cm"}
+    document["user"] = {"displayName": "Ann"}
     planned = only(save(tmp_path, document, "metadata.json"), scale=1.0)
     assert planned.source.label == "Tea mug"
     assert (planned.options.licence, planned.options.attribution) == ("by", "Ann")

@@ -39,10 +39,23 @@ class MeshFile(NamedTuple):
 
     pieces: list[Piece]  # Its surfaces, in the file's own frame, and unless it declares a unit in its own.
     notes: tuple[str, ...]  # What could not be kept of its materials, in words.
-    names: tuple[tuple[str, ...], ...] = ()  # Of each surface, what it hangs on, the innermost first.
+
+
+class NamedMeshFile(NamedTuple):
+    """What a mesh file holds, and what its surfaces are called."""
+
+    pieces: list[Piece]
+    notes: tuple[str, ...]
+    names: tuple[tuple[str, ...], ...]  # Of each surface, what it hangs on, the innermost first.
 
 
 def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:
+    """`read_named_file` without the names."""
+    pieces, notes, _ = read_named_file(path, max_side, image)
+    return MeshFile(pieces, notes)
+
+
+def read_named_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> NamedMeshFile:
     """The file's surfaces in its own frame, each with one colour or with its image.
 
     Every geometry of a scene graph is placed where its nodes put it. The colour is the material's, or the
@@ -88,13 +101,13 @@ def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | Non
         raise AssetError(
             f"{path} holds no triangles", "a surface mesh, not points or curves", "; ".join(notes)
         )
-    return MeshFile(pieces, notes, tuple(names))
+    return NamedMeshFile(pieces, notes, tuple(names))
 
 
 def _names_of(scene: trimesh.Scene, node: str) -> tuple[str, ...]:
     """What a node and those above it are called, without the root, and what its surface is called."""
     above, names = scene.graph.transforms.parents, [_RANDOM.sub("", node)]
-    surface = scene.graph[node][1]
+    surface = str(scene.graph[node][1])
     while (node := above.get(node, scene.graph.base_frame)) != scene.graph.base_frame:
         names.append(_RANDOM.sub("", node))
     return tuple(dict.fromkeys([*names, surface]))

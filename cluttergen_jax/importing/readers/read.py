@@ -112,7 +112,7 @@ def _model(
         return read_sdf(source.path, source.body, options.max_texture), 1.0
     if source.kind == "mjcf":
         return read_mjcf(source.path, source.body, options.max_texture, joints), options.scale**3
-    pieces, notes, _ = read_thing(source.path, options.max_texture, source.body, is_whole)
+    pieces, notes = read_thing(source.path, options.max_texture, source.body, is_whole)
     model = Model(pieces, None, None, notes)
     return with_kept_parts(model, source.parts) if source.parts else model, 1.0
 

@@ -6,12 +6,13 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from cluttergen_jax.importing.readers.source import AXES
 
+Option = TypeVar("Option", float, str)
 WORDS = ("label", "synset", "licence", "attribution")
 UNIT = "unit"
 _NUMBERS = ("mass", "density", "friction")
@@ -143,53 +144,36 @@ _AXIS_WORDS = frozenset({"up", "axis", "vector", "dir", "direction", "world", "o
 
 
 def physical_values(entry: Any) -> Iterator[tuple[str, str, Any, float | str | None]]:
-    """Which option a value of a JSON speaks of, its key, itself, and what the option would be."""
+    """Which option a value of a JSON speaks of, its key, itself, and what the option would be if it is known."""
     for key, value in _leaves(entry):
         *above, words = [[each.lower() for each in _WORD.findall(step)] for step in key.split("/")]
-        joined = "".join(words)
-        kinds = {joined.removesuffix("scale"), *words, *(each for step in above for each in step)}
-        if not words or _OF_OTHERS & kinds or value is None or isinstance(value, dict):
-            continue
-        is_factor = {"per", "to"} & set(words) and {
-            "unit",
-            "units",
-            "meter",
-            "meters",
-            "metre",
-            "metres",
-        } & set(words)
-        if {"scale", "scales", "scaling"} & set(words) or joined.endswith(("scale", "scaling")) or is_factor:
-            if _is_figure(value) and not _asks_for_nothing(value):
-                yield "scale", key, value, _suggested(lambda v=value: _scale_alone(v))
-            elif (factor := _length(value) if isinstance(value, str) else None) not in (None, 1.0):
-                yield "scale", key, value, factor
-        elif {"mass", "weight"} & set(words) or joined.rstrip("kg") in ("mass", "weight"):
-            if _is_figure(value):
-                is_grams = {"g", "gram", "grams"} & set(words)
-                yield (
-                    "mass",
-                    key,
-                    value,
-                    _suggested(lambda v=value, g=is_grams: positive(v) / (1000 if g else 1)),
-                )
-        elif "up" in words and set(words) <= {
-            "up",
-            "axis",
-            "vector",
-            "dir",
-            "direction",
-            "world",
-            "orient",
-            *"xyz",
-        }:
-            named = next((each for each in words if each in "xyz" and len(each) == 1), "")
-            if named and value is not True:
-                continue
-            yield "up", key, value, _suggested(lambda v=value, n=named: n or _axis(v))
-        elif {"unit", "units"} & set(words):
-            factor = _length(value)
-            if factor not in (None, 1.0):
-                yield "scale", key, value, factor
+        kinds = {"".join(words).removesuffix("scale"), *words, *(each for step in above for each in step)}
+        if words and value is not None and not isinstance(value, dict) and not _OF_OTHERS & kinds:
+            yield from ((name, key, value, option) for name, option in _options(words, value))
+
+
+def _options(words: list[str], value: Any) -> Iterator[tuple[str, float | str | None]]:
+    """The option that a key of these words speaks of, and what its value makes of it."""
+    joined, kinds = "".join(words), set(words)
+    is_factor = bool({"per", "to"} & kinds and _LENGTH_WORDS & kinds)
+    if is_factor or "scales" in kinds or joined.endswith(("scale", "scaling")) or "scale" in kinds:
+        unit = _length(value) if isinstance(value, str) else None
+        if _is_figure(value) and not _asks_for_nothing(value):
+            yield "scale", _or_none(_scale_alone, value)
+        elif unit not in (None, 1.0):
+            yield "scale", unit
+    elif {"mass", "weight"} & kinds or joined.rstrip("kg") in ("mass", "weight"):
+        if _is_figure(value):
+            kilograms = _or_none(positive, value)
+            yield "mass", kilograms / 1000 if kilograms and {"g", "gram", "grams"} & kinds else kilograms
+    elif "up" in kinds and kinds <= _AXIS_WORDS:
+        named = next((each for each in words if each in ("x", "y", "z")), "")
+        if not named:
+            yield "up", _or_none(_axis, value)
+        elif value is True:
+            yield "up", named
+    elif {"unit", "units"} & kinds and (factor := _length(value)) not in (None, 1.0):
+        yield "scale", factor
 
 
 def _is_figure(value: Any) -> bool:
@@ -215,9 +199,9 @@ def _asks_for_nothing(value: Any) -> bool:
         return False
 
 
-def _suggested(make: Callable[[], Any]) -> Any:
+def _or_none(make: Callable[[Any], Option], value: Any) -> Option | None:
     try:
-        return make()
+        return make(value)
     except ValueError:
         return None
 

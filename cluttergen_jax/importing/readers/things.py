@@ -21,7 +21,7 @@ from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import AssetError, ConfigError, closest
-from cluttergen_jax.importing.readers.mesh_file import MeshFile, read_mesh_file
+from cluttergen_jax.importing.readers.mesh_file import MeshFile, NamedMeshFile, read_named_file
 from cluttergen_jax.importing.readers.mesh_text import as_utf8
 from cluttergen_jax.importing.readers.source import says_something
 
@@ -66,14 +66,13 @@ def read_thing(path: Path, max_side: int = MAX_TEXTURE, node: str = "", is_whole
       AssetError: see `read_mesh_file`; `SeveralThings`.
       ConfigError: the file has no such node.
     """
-    file = read_mesh_file(path, max_side)
-    if is_whole and not node:
-        return file
-    if not all(np.isfinite(each.mesh.vertices).all() for each in file.pieces):
-        return file  # `read_shape` reports it.
+    file = read_named_file(path, max_side)
+    # `read_shape` reports what is not finite.
+    if (is_whole and not node) or not all(np.isfinite(each.mesh.vertices).all() for each in file.pieces):
+        return MeshFile(file.pieces, file.notes)
     scene = _Scene(path, file)
     if node:
-        return file._replace(pieces=scene.cut_out(scene.choose(node)), names=())
+        return MeshFile(scene.cut_out(scene.choose(node)), file.notes)
     sheet = scene.sheet
     if len(scene.things) > 1 and scene.is_of_several:
         raise SeveralThings(path, scene.names())
@@ -82,12 +81,12 @@ def read_thing(path: Path, max_side: int = MAX_TEXTURE, node: str = "", is_whole
         each = ", ".join(f"{path.name}#{name}" for name in scene.names()[:_MAX_NAMED])
         notes = (*notes, f"it is made of {len(scene.things)} pieces that do not touch; one alone: {each}")
     if sheet is None:
-        return file._replace(notes=notes)
+        return MeshFile(file.pieces, notes)
     name = scene.own_name(sheet)
     called = f"the flat sheet {name!r}" if name else "a flat sheet"
     notes = (*notes, f"{called} beside it is scenery and is left out; `take_all` takes it")
     rest = [each for each in scene.components if each is not sheet]
-    return file._replace(pieces=scene.cut_out(rest), notes=notes, names=())
+    return MeshFile(scene.cut_out(rest), notes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +106,7 @@ class _Component:
 class _Scene:
     """What a mesh file holds, in connected pieces."""
 
-    def __init__(self, path: Path, file: MeshFile) -> None:
+    def __init__(self, path: Path, file: NamedMeshFile) -> None:
         self._path, self._file = path, file
         self.components = [
             each for index, piece in enumerate(file.pieces) for each in _components(index, piece.mesh)
