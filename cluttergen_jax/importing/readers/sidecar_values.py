@@ -144,7 +144,7 @@ _AXIS_WORDS = frozenset({"up", "axis", "vector", "dir", "direction", "world", "o
 
 
 def physical_values(entry: Any) -> Iterator[tuple[str, str, Any, float | str | None]]:
-    """Which option a value of a JSON speaks of, its key, itself, and what the option would be if it is known."""
+    """Which option a value of a JSON speaks of, its key, itself, and what the option would be, if known."""
     for key, value in _leaves(entry):
         *above, words = [[each.lower() for each in _WORD.findall(step)] for step in key.split("/")]
         kinds = {"".join(words).removesuffix("scale"), *words, *(each for step in above for each in step)}
