@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
@@ -70,9 +72,9 @@ def test_configs_of_a_habitat_tree_name_meshes_and_collision_shapes(tmp_path):
     config = {"render_asset": "../../objects/vase.glb", "mass": 1.5, "COM": [0, 0, 0]}
     config["collision_asset"] = "../../objects/convex/vase_cv_decomp.glb"
     save(tmp_path / "other", config, "../configs/objects/vase.object_config.json", "cup.obj")
-    for given in (tmp_path, tmp_path / "objects", tmp_path / "objects" / "vase.glb"):
-        found = {each.source.name: each.options.mass for each in plan(given).objects}
-        assert found == {"vase": 1.5} | ({"cup": None} if given == tmp_path else {})
+    for source in (tmp_path, tmp_path / "objects", tmp_path / "objects" / "vase.glb"):
+        found = {each.source.name: each.options.mass for each in plan(source).objects}
+        assert found == {"vase": 1.5} | ({"cup": None} if source == tmp_path else {})
 
 
 def test_unequal_scales_stretch_a_mesh(tmp_path):
@@ -204,3 +206,42 @@ def test_huge_and_irregular_files_are_not_read(tmp_path):
     with (tmp_path / "mug.json").open("wb") as file:
         file.truncate(1 << 30)
     assert "1024 MB" in only(tmp_path).alarms[0]
+
+
+KEYS = [
+    "scale",
+    "mass",
+    "up",
+    "units",
+    "name",
+    "render_asset",
+    "uid",
+    "mug",
+    "mug.obj",
+    "annotations",
+    "user",
+]
+LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.sampled_from(KEYS)
+DOCUMENTS = st.recursive(
+    LEAVES,
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=4), inner)
+    ),
+    max_leaves=8,
+)
+
+
+@settings(
+    max_examples=40,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(document=DOCUMENTS)
+def test_any_document_ends_in_a_sound_plan(tmp_path, document):
+    for name in FILES:
+        save(tmp_path / name, document, name)
+    for planned in plan(tmp_path).objects:
+        assert np.isfinite(planned.options.scale)
+        assert all(text.isprintable() for text in (*planned.alarms, *planned.source.decisions))
