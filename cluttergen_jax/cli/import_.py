@@ -105,6 +105,7 @@ def print_report(report: ImportReport, command: Any) -> None:
         print(f"up is {axis} ({with_flags(reason, command)}): {names}")
     if report.objects:
         print(_OF_POSES)
+    print(with_flags(_unused_text(report), command), end="")
     pieces = [each for each in report.skipped if each.is_piece]
     if pieces:
         are = "file is a piece" if len(pieces) == 1 else "files are pieces"
@@ -121,6 +122,21 @@ def print_report(report: ImportReport, command: Any) -> None:
             # A source that could not be found is named in its reason already.
             is_named, reason = failure.reason.startswith(failure.name), with_flags(failure.reason, command)
             print(f"  {reason if is_named else f'{failure.name}: {reason}'}", file=sys.stderr)
+
+
+def _unused_text(report: ImportReport) -> str:
+    """What is stated beside objects and not used: that of objects that are made stands with their flags."""
+    if not report.unused:
+        return ""
+    flags = {flag for asset in report.objects for flag in asset.flags}
+    others = [each for each in report.unused if each.partition(": ")[2] not in flags]
+    is_one = len(report.unused) == 1
+    head = f"{len(report.unused)} {'statement' if is_one else 'statements'} in JSON beside objects not used"
+    lines = [f"  ! {each}" for each in others[:_MOST_NAMED]]
+    if len(others) > _MOST_NAMED:
+        lines.append(f"  and {len(others) - _MOST_NAMED} more (`ImportReport.unused` has each)")
+    seen = " (marked ! above)" if len(others) < len(report.unused) else ""
+    return "\n".join([f"{head}{seen}{':' if lines else ''}", *lines, ""])
 
 
 def _cost_line(report: ImportReport) -> str:

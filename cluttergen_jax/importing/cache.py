@@ -54,9 +54,14 @@ def source_digest(source: ObjectFile) -> str:
     return digest.hexdigest()
 
 
-def cache_key(source: ObjectFile, config: Any) -> str:
-    """Hex digest that names the body of a source under a config (a dataclass)."""
+def cache_key(source: ObjectFile, config: Any, is_whole: bool = False) -> str:
+    """Hex digest that names the body of a source under a config (a dataclass).
+
+    Args:
+      is_whole: see `read_shape`.
+    """
     provenance = None if source.provenance is None else asdict(source.provenance)
+    said = [list(source.stretch), list(source.decisions), is_whole and source.kind == "mesh"]
     return _digest(
         source_digest(source),
         source.path.name,
@@ -67,6 +72,7 @@ def cache_key(source: ObjectFile, config: Any) -> str:
         list(source.notes),
         provenance,
         asdict(config),
+        *([said] if said != [[1.0, 1.0, 1.0], [], False] else []),
     )
 
 

@@ -12,6 +12,7 @@ from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, read_shape
 from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_SIZE
 from cluttergen_jax.importing.readers.source import states_unit
+from cluttergen_jax.importing.readers.things import SeveralThings
 from cluttergen_jax.importing.solo_stability import measured_object
 from cluttergen_jax.importing.table_top import LeftOut, Limits
 from cluttergen_jax.physics.log import silent_log
@@ -65,13 +66,19 @@ def make_job(job: Job) -> ObjectAsset | LeftOut | str:
             # What is larger is left out as furniture, where its unit is sure.
             is_known = job.limits is not None and states_unit(job.source)
             largest = MAX_FURNITURE if is_known else MAX_SIZE
-            shape = read_shape(job.source, job.config.read, largest=largest)
+            shape = read_shape(job.source, job.config.read, largest=largest, is_whole=job.limits is None)
             beyond = job.limits and job.limits.why_shape_left_out(job.place, shape)
             if beyond:
                 return beyond
             asset = measured_object(shape, _body(job), job.config.trials)
             lost = (f"{_WAYS[job.num_lost]}: before, {job.fault}",) if job.num_lost else ()
             return replace(asset, flags=(*job.source.notes, *lost, *asset.flags))
+    except SeveralThings as error:
+        reason = (
+            "several things that do not touch, in one file: import one by its name behind '#', or say so in "
+            "objects.toml, ['FILE#NAME'] take = true"
+        )
+        return LeftOut(job.place, reason, ", ".join(error.places))
     except ClutterGenError as error:
         return str(error)
     except Exception as error:  # One unforeseen object must not end a run of hundreds.

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +18,24 @@ from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Ski
 from cluttergen_jax.importing.readers.gltf_file import words_of
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import NOT_STATED, public_path
+from cluttergen_jax.importing.readers.sidecars import Sidecars, Stated
 from cluttergen_jax.importing.readers.source import (
     AUTO,
     AXES,
     FILE,
     UpAxis,
+    label_of,
     make_names_distinct,
     own_up,
+    plain_name,
     says_something,
 )
-from cluttergen_jax.importing.readers.tree import SETTINGS, find_all, find_sources
+from cluttergen_jax.importing.readers.tree import SETTINGS, find_all, find_sources, node_source
 from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
 from cluttergen_jax.importing.scenery import why_no_objects
 from cluttergen_jax.importing.sets import AUTO as ANY_SET
-from cluttergen_jax.importing.sets import KnownSet, describe_sets, known_sets
+from cluttergen_jax.importing.sets import NONE as NO_SET
+from cluttergen_jax.importing.sets import KnownSet, describe_sets, known_sets, layouts
 from cluttergen_jax.importing.settings import (
     OF_READING,
     TAKE,
@@ -54,6 +60,13 @@ class Planned:
     out: str = ""  # Why the layout of its set leaves it out; empty if it does not.
     place: str = ""  # See `LeftOut.name`.
     take: bool | None = None  # Whether the user's settings take it or leave it out; None if they do not say.
+    no_model_of: str = ""  # The set in whose home it lies, and whose models are others; else empty.
+    alarms: tuple[str, ...] = ()  # What is stated beside it and not used, in words; among its source's notes.
+
+    @property
+    def is_other(self) -> bool:
+        """Whether it is none of its set's models, and the settings do not take it."""
+        return bool(self.no_model_of) and self.take is None
 
 
 @dataclass(frozen=True)
@@ -66,13 +79,17 @@ class Failure:
 
 @dataclass(frozen=True)
 class Plan:
-    """Objects of distinct names, files that are none, what cannot be read, known sets, what is left out."""
+    """Objects of distinct names, files that are none, what cannot be read, known sets, what is left out.
+
+    And what is stated beside objects and not used, a line for each object.
+    """
 
     objects: tuple[Planned, ...]
     skipped: tuple[Skipped, ...]
     failures: tuple[Failure, ...]
     sets: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
+    unused: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -87,6 +104,18 @@ class _Group:
     settings: tuple[tuple[Path, Settings], ...]
     sets: tuple[KnownSet, ...] = ()
     is_folder: bool = True
+    sidecars: Sidecars = field(default_factory=lambda: Sidecars((), ()))
+
+    @cached_property
+    def with_models(self) -> tuple[KnownSet, ...]:
+        """The sets of which a model is there; where none is, their layout is another than was thought."""
+        return tuple(
+            each for each in self.sets if any(each.is_model(s) for s in self.found.sources if each.covers(s))
+        )
+
+    def has_used(self, skipped: Skipped) -> bool:
+        """Whether a file that was passed over says something of an object, and is reported there."""
+        return (self.root.parent / skipped.name).resolve() in self.sidecars.used
 
 
 def plan_all(
@@ -127,10 +156,17 @@ def plan_all(
                 planned.append(_plan_source(source, group, options))
             except OSError as error:
                 failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
-    skipped = tuple(each for group in groups for each in group.found.skipped)
-    lines = tuple(describe_sets([known for group in groups for known in group.sets]))
-    kept, left_out = _objects_among(planned, take_all)
-    return Plan(name_distinctly(_as_in_pool(kept, pool)), skipped, tuple(failures), lines, left_out)
+    skipped = tuple(each for group in groups for each in group.found.skipped if not group.has_used(each))
+    unused = tuple(f"{each.place}: {alarm}" for each in planned for alarm in each.alarms)
+    others = [each for each in planned if each.is_other]
+    counts = Counter(each.no_model_of for each in others)
+    titles = {name: layouts()[name].title for name in counts}
+    skipped += tuple(
+        Skipped(each.place, f"no model of {titles[each.no_model_of]}", is_piece=True) for each in others
+    )
+    lines = tuple(describe_sets([known for group in groups for known in group.sets], counts))
+    kept, left_out = _objects_among([each for each in planned if not each.is_other], take_all)
+    return Plan(name_distinctly(_as_in_pool(kept, pool)), skipped, tuple(failures), lines, left_out, unused)
 
 
 def _objects_among(planned: list[Planned], take_all: bool) -> tuple[list[Planned], tuple[LeftOut, ...]]:
@@ -165,21 +201,31 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
         root = found.sources[0].path.parent
         return _Group(root, found, () if settings is None else ((root, settings),))
     found = find_all(path)
-    root = path if path.is_dir() else path.parent
+    root = path if path.is_dir() else found.files[0].parent
     sets = known_sets(root, found.files if path.is_dir() else root.iterdir(), layout)
-    if settings is not None:
-        return _Group(root, found, ((root, settings),), sets, path.is_dir())
     folders = {root, *(each.parent for each in found.files if path.is_dir() and each.name == SETTINGS)}
     lying = tuple(
         (each, here)
         for each in sorted(folders, key=lambda each: len(each.parts))
-        if (here := settings_for(each)) is not None
+        if settings is None and (here := settings_for(each)) is not None
     )
-    for folder, here in lying:
+    lying = lying if settings is None else ((root, settings),)
+    found = _with_nodes(found, lying)
+    for folder, here in lying if settings is None and path.is_dir() else ():
         inside = tuple(each for each in found.sources if each.path.is_relative_to(folder))
-        if path.is_dir():
-            here.check_used([(folder, replace(found, sources=inside))])
-    return _Group(root, found, lying, sets, path.is_dir())
+        here.check_used([(folder, replace(found, sources=inside))])
+    sidecars = Sidecars(found.sources, found.files, layout != NO_SET)
+    return _Group(root, found, lying, sets, path.is_dir(), sidecars)
+
+
+def _with_nodes(found: Found, settings: Sequence[tuple[Path, Settings]]) -> Found:
+    """The nodes of mesh files that settings speak of, in place of the files."""
+    sources: list[ObjectFile] = []
+    for source in found.sources:
+        nodes = [node for folder, each in settings for node in each.nodes_of(source, folder)]
+        chosen = [node_source(source.path, node) for node in dict.fromkeys(nodes)]
+        sources += chosen or [source]
+    return replace(found, sources=tuple(sources))
 
 
 def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Planned:
@@ -192,7 +238,11 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     reading = {key: value for key, value in values.items() if key in OF_READING}
     known = next((each for each in group.sets if each.covers(source)), None)
     from_set = {} if known is None else known.look_up(source)
-    own = replace(options if known is None else known.read(options, from_set), **reading)
+    place = place_of(source, group.root)
+    base = options if known is None else known.read(options, from_set)
+    stated = group.sidecars.of(source, place)
+    own, decision, alarms, is_stretched = _with_stated(stated, options, base, reading, source)
+    own = replace(own, **reading)
     if own.up == AUTO and source.provenance is not None:
         # The YCB objects stand as they stood when they were scanned.
         own = replace(own, up=FILE)
@@ -200,9 +250,20 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     label = {key: value for key, value in from_set.items() if key == "label"}
     said = {key: value for key, value in words.items() if key == "synset"}
     said |= {"label": words["label"]} if says_something(words.get("label", "")) else {}
+    label |= {key: stated.values[key] for key in ("label", "synset") if key in stated.values}
     naming = {key: value for key, value in {**said, **label, **values}.items() if key not in OF_READING}
     parts = collision_files(source.path) if own.collision == "keep" and source.kind == "mesh" else ()
-    own_source = replace(source, parts=parts, **naming)
+    if stated.title:
+        plain = plain_name(stated.title)
+        source = replace(source, name=plain, plain=plain, label=label_of(stated.title))
+    own_source = replace(
+        source,
+        parts=parts,
+        notes=(*source.notes, *alarms),
+        decisions=(decision,) if decision else (),
+        stretch=stated.stretch if is_stretched else source.stretch,
+        **naming,
+    )
     if source.provenance is None and words.keys() & {"licence", "attribution"}:
         terms = Provenance(
             public_path(source.path), words.get("licence", NOT_STATED), words.get("attribution", "")
@@ -211,8 +272,43 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     # A file that is given itself is taken.
     sets = group.sets if group.is_folder else ()
     out = next((why for each in sets if (why := each.why_out(source))), "")
+    others = (each for each in sets if each in group.with_models and each.covers(source))
+    no_model_of = next((each.name for each in others if not out and not each.is_model(source)), "")
     up = _up_axis(source, own, group if "up" in reading else None, known if options.up not in AXES else None)
-    return Planned(own_source, own, up, "name" in naming, out, place_of(source, group.root), take)
+    if stated.file is not None and decision and "up" not in reading and own.up != base.up:
+        up = UpAxis(own.up, f"as {stated.file.name} says")
+    return Planned(own_source, own, up, "name" in naming, out, place, take, no_model_of, alarms)
+
+
+def _with_stated(
+    stated: Stated, options: ReadOptions, base: ReadOptions, reading: Mapping[str, Any], source: ObjectFile
+) -> tuple[ReadOptions, str, tuple[str, ...], bool]:
+    """Options with what a JSON states, a note on it, alarms on what is not used, and whether it stretches.
+
+    Args:
+      options: the user's, which go before it, as settings (`reading`) do. base: these with what a set says.
+    """
+    chosen = {
+        key for key in OF_READING if getattr(options, key) != getattr(ReadOptions(), key)
+    } | reading.keys()
+    if chosen & {"up", "front"}:
+        chosen = chosen | {"up", "front"}
+    values = {key: value for key, value in stated.values.items() if key in OF_READING and key not in chosen}
+    alarms = [alarm for key, alarm in stated.alarms if key not in chosen]
+    file = "" if stated.file is None else stated.file.name
+    if "front" in values:
+        up = values.get("up", base.up)
+        up = up if up in AXES else own_up(source.path, source.kind).axis
+        if up[-1] == values["front"][-1]:
+            alarms.append(f"{file} states front {values.pop('front')}, which is not used: {up} is up")
+    texts = {key: f"{each:.6g}" if isinstance(each, float) else str(each) for key, each in values.items()}
+    is_stretched = "scale" in values and stated.stretch != (1.0, 1.0, 1.0)
+    if is_stretched:
+        x, y, z = (values["scale"] * each for each in stated.stretch)
+        texts["scale"] = f"{x:.6g}, {y:.6g} and {z:.6g} along x, y and z"
+    shown = ", ".join(f"{key} {text}" for key, text in texts.items())
+    decision = f"{shown} as {file} states ({stated.set_title})" if shown else ""
+    return replace(base, **values), decision, tuple(alarms), is_stretched
 
 
 def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: KnownSet | None) -> UpAxis:

@@ -115,6 +115,7 @@ class ImportReport:
       costs: by object, what it cost now; those that failed among them, those from the cache not.
       sets: a line for each published set that was recognised.
       left_out: bodies that could be read and are no objects for a table, and why.
+      unused: a line for what a JSON beside an object states and is not used; among the object's flags, too.
     """
 
     path: Path | None
@@ -126,6 +127,7 @@ class ImportReport:
     costs: dict[str, Cost] = field(default_factory=dict)
     sets: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
+    unused: tuple[str, ...] = ()
 
     @property
     def cost(self) -> Cost:
@@ -141,7 +143,8 @@ class ImportReport:
           AssetError: no object could be made.
         """
         if self.path is None:
-            why = [*(each.reason for each in self.failures), *(each.reason for each in self.left_out)]
+            why = [each.reason for each in self.failures]
+            why += [f"{each.reason}: {each.detail}".removesuffix(": ") for each in self.left_out]
             raise AssetError(f"nothing was imported: {'; '.join(dict.fromkeys(why))}")
         return read_pool(self.path)
 
@@ -198,6 +201,7 @@ def import_sources(
         {called[name]: cost for name, cost in costs.items()},
         planned.sets,
         (*planned.left_out, *beyond.values()),
+        planned.unused,
     )
 
 
@@ -255,7 +259,7 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
         own = replace(config.object, read=each.options)
         limits = None if config.take_all or each.take else config.limits
         try:
-            key = cache.cache_key(each.source, own)
+            key = cache.cache_key(each.source, own, limits is None)
             jobs.append(Job(each.source, key, own, limits=limits, place=each.place))
         except OSError as error:
             failures.append(Failure(each.source.name, f"{error.filename} cannot be read ({error.strerror})"))

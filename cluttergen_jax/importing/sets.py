@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache, lru_cache
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -76,9 +77,14 @@ class KnownSet:
         for why, patterns in self.layout.leave_out.items():
             if any(fnmatchcase(name, each) for name in names for each in patterns):
                 return f"{why} ({self.layout.title}; set=none takes it)"
-        is_model = not self.layout.models or any(fnmatchcase(path, each) for each in self.layout.models)
-        is_other = not is_model and self.covers(source)
-        return f"no model of {self.layout.title} (set=none takes it)" if is_other else ""
+        return ""
+
+    def is_model(self, source: ObjectFile) -> bool:
+        """Whether a source is one of the set's models; any is where its layout names none."""
+        path = source.path.resolve()
+        place = os.path.relpath(path, self.home).replace(os.sep, "/")
+        patterns = (each.replace("{folder}", escape(path.parent.name)) for each in self.layout.models)
+        return not self.layout.models or any(fnmatchcase(place, each) for each in patterns)
 
     def read(self, options: ReadOptions, found: Mapping[str, str]) -> ReadOptions:
         """Options with the set's values, and with what was found, wherever the user has left the default."""
@@ -125,8 +131,12 @@ def known_sets(root: Path, files: Iterable[Path], name: str = AUTO) -> tuple[Kno
     return found or (() if name == AUTO else (KnownSet(name, layouts()[name], root.resolve()),))
 
 
-def describe_sets(sets: Sequence[KnownSet]) -> Iterator[str]:
-    """One line for each set."""
+def describe_sets(sets: Sequence[KnownSet], num_others: Mapping[str, int]) -> Iterator[str]:
+    """One line for each set.
+
+    Args:
+      num_others: by set, how many files in its home are none of its models.
+    """
     for name in dict.fromkeys(each.name for each in sets):
         homes = [each.home.name for each in sets if each.name == name]
         layout = layouts()[name]
@@ -134,7 +144,10 @@ def describe_sets(sets: Sequence[KnownSet]) -> Iterator[str]:
         values = [f"{key} {value}" for key, value in layout.values.items() if key != "attribution"]
         untried = () if layout.tried else ("known from public lists of files alone",)
         note = (layout.note,) if layout.note else ()
-        yield f"recognised: {', '.join((f'{layout.title} in {where}', *values, *note, *untried))}"
+        count = num_others.get(name, 0)
+        others = (f"{count} other {'file' if count == 1 else 'files'} there no objects of their own",)
+        parts = (f"{layout.title} in {where}", *values, *note, *untried, *(others if count else ()))
+        yield f"recognised: {', '.join(parts)}"
 
 
 def _homes(layout: Layout, files: Sequence[Path]) -> list[Path]:

@@ -13,6 +13,9 @@ friction = 0.2
 ["kitchen.xml#pan"]       # one body of an MJCF file
 name = "frying_pan"
 
+["kitchen.glb#pan"]       # one of several things in a mesh file: a node, an `o` of OBJ, or a number
+mass = 0.9
+
 ["kitchen.xml#stove"]
 take = true               # or false: whether it is an object, whatever the import makes of it
 
@@ -80,6 +83,18 @@ class Settings:
         for pattern in sorted(fitting, key=self._order.__getitem__):
             values |= self.tables[pattern]
         return values
+
+    def nodes_of(self, source: ObjectFile, root: Path) -> list[str]:
+        """The nodes of a mesh file that are spelt out behind its name, in the file's order."""
+        if source.kind != "mesh" or source.body or not source.path.is_relative_to(root):
+            return []
+        names = _names(source, root)
+        pairs = (pattern.partition("#") for pattern in self.tables)
+        return [
+            node
+            for file, _, node in pairs
+            if node and not any(sign in node for sign in "*?[") and any(_fits(name, file) for name in names)
+        ]
 
     def check_used(self, groups: Sequence[tuple[Path, Found]]) -> None:
         """Refuses patterns that fit no object, so that a slip of the pen is not passed over.

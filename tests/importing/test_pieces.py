@@ -43,6 +43,8 @@ def test_files_called_after_an_object_are_pieces_of_it(folder, name, pieces):
         "_vhacd",
         "_coacd",
         "_convex",
+        "_cv_decomp",
+        "_convex_decomposition",
         "_hull",
         "_site",
         "_vis",

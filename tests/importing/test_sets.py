@@ -116,6 +116,49 @@ def test_sets_are_recognised(tmp_path, name, files, objects):
     assert {each.options.scale for each in plan.objects} == {scale}
 
 
+def libero(folder):
+    """A model of LIBERO beside raw and collision meshes of the same thing."""
+    home = folder / "assets" / "stable_scanned_objects" / "white_bowl"
+    for name in ("model.obj", "ceramic_bowl_col.obj", "bowl.obj", "visual/bowl_vis.stl", "ceramic_bowl.obj"):
+        save_box(home / name)
+    mesh = '<asset><mesh name="m" file="visual/bowl_vis.stl"/></asset>'
+    for name in ("white_bowl.xml", "bowl_handle.xml"):
+        body = '<worldbody><body><geom type="mesh" mesh="m"/></body></worldbody>'
+        (home / name).write_text(f"<mujoco>{mesh}{body}</mujoco>")
+    return folder
+
+
+def test_in_a_set_only_its_models_are_objects(tmp_path):
+    plan = plan_all([libero(tmp_path)], ReadOptions())
+    assert [each.source.name for each in plan.objects] == ["white_bowl"]
+    assert not plan.left_out
+    reasons = [each.reason for each in plan.skipped if each.reason == "no model of LIBERO's objects"]
+    assert len(reasons) == 2
+    assert plan.sets[0].endswith("2 other files there no objects of their own")
+    everything = plan_all([tmp_path], ReadOptions(), take_all=True)
+    assert [each.source.name for each in everything.objects] == ["white_bowl"]
+
+
+def test_settings_take_what_is_no_model_of_the_set(tmp_path):
+    libero(tmp_path)
+    (tmp_path / "objects.toml").write_text('["ceramic_bowl.obj"]\ntake = true\n')
+    names = [each.source.name for each in plan_all([tmp_path], ReadOptions()).objects]
+    assert sorted(names) == ["ceramic_bowl", "white_bowl"]
+
+
+def test_a_set_of_another_layout_goes_by_the_general_rules(tmp_path):
+    """Where no model is where it was thought to be, nothing is lost."""
+    home = tmp_path / "stable_hope_objects" / "milk_box"
+    save_model(home / "milk.xml")
+    assert [each.source.name for each in plan_all([tmp_path], ReadOptions()).objects] == ["milk"]
+
+
+def test_raw_and_collision_meshes_beside_a_model_are_pieces_without_a_set(tmp_path):
+    plan = plan_all([libero(tmp_path)], ReadOptions(), layout="none")
+    names = [each.source.path.name for each in plan.objects]
+    assert sorted(names) == ["bowl_handle.xml", "ceramic_bowl.obj", "white_bowl.xml"]
+
+
 def kept(folder, name, **options):
     plan = plan_all([folder], ReadOptions(**options))
     (planned,) = [each for each in plan.objects if each.source.name == name]

@@ -21,7 +21,6 @@ from cluttergen_jax.importing.readers.colours import coloured_by_vertices
 from cluttergen_jax.importing.readers.damage import check_whole, sound_stl, unreadable
 from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
 from cluttergen_jax.importing.readers.mesh_text import Companions, mesh_input
-from cluttergen_jax.importing.readers.model import unknown_body
 from cluttergen_jax.importing.readers.polygons import cut_obj, cut_ply
 
 _RANDOM = re.compile(r"_[0-9a-f]{6}$")
@@ -49,9 +48,21 @@ class MeshFile(NamedTuple):
     notes: tuple[str, ...]  # What could not be kept of its materials, in words.
 
 
-def read_mesh_file(
-    path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None, node: str = ""
-) -> MeshFile:
+class NamedMeshFile(NamedTuple):
+    """What a mesh file holds, and what its surfaces are called."""
+
+    pieces: list[Piece]
+    notes: tuple[str, ...]
+    names: tuple[tuple[str, ...], ...]  # Of each surface, what it hangs on, the innermost first.
+
+
+def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:
+    """`read_named_file` without the names."""
+    pieces, notes, _ = read_named_file(path, max_side, image)
+    return MeshFile(pieces, notes)
+
+
+def read_named_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> NamedMeshFile:
     """The file's surfaces in its own frame, each with one colour, with its vertices' or with its image.
 
     Every geometry of a scene graph is placed where its nodes put it. The colour is the material's; colours
@@ -62,10 +73,8 @@ def read_mesh_file(
     Args:
       max_side: pixels; larger images are shrunk.
       image: for surfaces that have texture coordinates but no image of their own.
-      node: of the scene graph, which is taken alone with all below it; all if empty.
 
     Raises:
-      ConfigError: there is no such node.
       AssetError: the file is missing, announces more than it holds, or cannot be understood.
     """
     if not path.is_file():
@@ -81,16 +90,18 @@ def read_mesh_file(
     is_gltf, is_collada = path.suffix.lower() in (".glb", ".gltf"), path.suffix.lower() == ".dae"
     unit = unit_of(path) if is_collada else 1.0
     dresser = Dresser(is_gltf, max_side, image)
-    pieces, materials = [], []
-    own = scene.graph.nodes_geometry if not node else _below(scene, node, path)
-    for each in sorted(own, key=lambda each: (_RANDOM.sub("", each), scene.graph[each][1])):
-        transform, name = scene.graph[each]
+    pieces, materials, names = [], [], []
+    for node in sorted(
+        scene.graph.nodes_geometry, key=lambda each: (_RANDOM.sub("", each), scene.graph[each][1])
+    ):
+        transform, name = scene.graph[node]
         geometry = scene.geometry[name]
         if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
             mesh = _sound(geometry, path).transform(unit * transform[:3, :3], unit * transform[:3, 3])
             if np.linalg.det(transform[:3, :3]) < 0:
                 mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1])
             pieces.append(dresser.piece(mesh, geometry.visual))
+            names.append(_names_of(scene, node))
             materials.append(getattr(geometry.visual, "material", None))
     lost = gltf_notes(path, materials) if is_gltf else collada_notes(path) if is_collada else ()
     notes = tuple(dict.fromkeys([*of_parsing, *beside.notes, *lost, *dresser.notes]))
@@ -98,7 +109,16 @@ def read_mesh_file(
         raise AssetError(
             f"{path} holds no triangles", "a surface mesh, not points or curves", "; ".join(notes)
         )
-    return MeshFile(pieces, notes)
+    return NamedMeshFile(pieces, notes, tuple(names))
+
+
+def _names_of(scene: trimesh.Scene, node: str) -> tuple[str, ...]:
+    """What a node and those above it are called, without the root, and what its surface is called."""
+    above, names = scene.graph.transforms.parents, [_RANDOM.sub("", node)]
+    surface = str(scene.graph[node][1])
+    while (node := above.get(node, scene.graph.base_frame)) != scene.graph.base_frame:
+        names.append(_RANDOM.sub("", node))
+    return tuple(dict.fromkeys([*names, surface]))
 
 
 def _parse(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
@@ -113,21 +133,6 @@ def _parse(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
     with collada_polygons(path) as of_polygons:
         scene = trimesh.load_scene(**content._asdict(), resolver=beside, process=False)
     return scene, [*notes, *of_polygons]
-
-
-def _below(scene: trimesh.Scene, node: str, path: Path) -> list[str]:
-    """The nodes with surfaces that are a node or hang on it."""
-    graph = scene.graph
-    if node not in graph.nodes:
-        raise unknown_body(node, path, [each for each in graph.nodes if each != graph.base_frame], "node")
-    above = graph.transforms.parents
-
-    def is_below(each: str) -> bool:
-        while each != node and each in above:
-            each = above[each]
-        return each == node
-
-    return [each for each in graph.nodes_geometry if is_below(each)]
 
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:

@@ -20,7 +20,8 @@ _COLLIDES = (
     "vhacd",
     "cvx",
     "convex(?:hull)?",
-    "decomp(?:osed)?",
+    "decomp(?:os(?:ed|ition))?",
+    "cv",
     "collisions?|collider",
     "coll?",
     "hulls?",
@@ -51,6 +52,12 @@ def whole_of(stem: str) -> str:
     """What a file is a piece of by its name: `mug` of `mug_coacd_3`; empty if the name does not say."""
     named = _PIECE.fullmatch(stem.lower())
     return named["whole"] if named else ""
+
+
+def is_collision(stem: str) -> bool:
+    """Whether a file is a collision shape by its name."""
+    whole = whole_of(stem)
+    return bool(whole) and _fineness(stem.lower().removeprefix(whole)) is not None
 
 
 def _is_visible(stem: str) -> bool:
@@ -92,8 +99,13 @@ class Belonging:
         """Why a model is a piece of another; empty if it is not."""
         stem, here = model.path.stem.lower(), self._models[model.path.parent]
         whole = here.get(whole_of(stem)) or self._host(model.path.parent)
-        is_piece = whole is not None and _begins(stem, whole.path.stem.lower())
-        return _by_name(whole.path) if whole is not None and is_piece else ""
+        if whole is None or whole is model:
+            return ""
+        if _begins(stem, whole.path.stem.lower()):
+            return _by_name(whole.path)
+        own = _meshes_of(model)
+        is_part = own and own < _meshes_of(whole) and len(whole.bodies) < 2
+        return f"its meshes are some of those of {whole.path.name}" if is_part else ""
 
     def why_mesh(self, mesh: Path) -> str:
         """Why a mesh that no model names is a piece; empty if it is not."""
@@ -101,6 +113,11 @@ class Belonging:
             return _by_name(whole)
         if (whole := self._beside(mesh)) is not None:
             return f"by its folder a piece of {whole.name}"
+        raw = (
+            each for each in self._models[mesh.parent].values() if mesh.stem.lower() in _named_wholes(each)
+        )
+        if (named := next(raw, None)) is not None:
+            return f"the raw mesh of a piece of {named.path.name}"
         if (host := self._host_of(mesh)) is not None:
             return f"by its folder a piece of {host.path.name}, which does not use it"
         owner = self._owners[mesh.parent]
@@ -162,8 +179,9 @@ class Belonging:
         host = self._host(mesh.parent)
         if host is not None:
             stem = host.path.stem.lower()
-            is_its = stem in _ALONE_IN_ITS_FOLDER or _begins(mesh.stem.lower(), stem)
-            return host if is_its else None
+            own = mesh.stem.lower()
+            is_its = stem in _ALONE_IN_ITS_FOLDER or _begins(own, stem) or _SAYS_NOTHING.fullmatch(own)
+            return host if is_its or is_collision(own) else None
         is_inside = _is(mesh.parent, _PIECE_FOLDER) or _is(mesh.parent, _MESH_FOLDER)
         return self._host(mesh.parent.parent) if is_inside else None
 
@@ -171,6 +189,16 @@ class Belonging:
 def _begins(stem: str, whole: str) -> bool:
     """Whether a name is another with something behind it."""
     return stem.startswith(whole) and stem[len(whole) : len(whole) + 1] in tuple("-_. ")
+
+
+def _named_wholes(model: ModelFile) -> set[str]:
+    """What the meshes that a model names below its folder are pieces of by their names."""
+    home = model.path.resolve().parent
+    return {whole_of(each.stem) for each in _meshes_of(model) if each.is_relative_to(home)} - {""}
+
+
+def _meshes_of(model: ModelFile) -> frozenset[Path]:
+    return frozenset(each for each in model.files if each.suffix.lower() in (*MESH_SUFFIXES, MSH))
 
 
 def _by_name(whole: Path) -> str:
@@ -210,6 +238,8 @@ def _why_near(mesh: Path, model: ModelFile, is_among_pieces: bool) -> str:
     if is_named_after_folder and not model.is_whole and mesh.parent == model.path.parent:
         return f"perhaps one of the files that {model.path.name} names and that are missing"
     stem = mesh.stem.lower()
+    if is_collision(stem) and mesh.parent == model.path.parent:
+        return f"by its name a collision shape, beside {model.path.name}"
     if _UNNAMED.fullmatch(stem) or (is_named_after_folder and _SAYS_NOTHING.fullmatch(stem)):
         return f"by its name a piece of {model.path.name}, which does not use it"
     is_store = any(_is(each, _MESH_FOLDER) for each in (mesh.parent, mesh.parent.parent))

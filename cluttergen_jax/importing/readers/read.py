@@ -19,6 +19,7 @@ from cluttergen_jax.importing.readers.mjcf import read_mjcf
 from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, convex_parts
 from cluttergen_jax.importing.readers.sdf import read_sdf
 from cluttergen_jax.importing.readers.source import AUTO, AXES, ObjectFile, ReadOptions, own_up, turn_of
+from cluttergen_jax.importing.readers.things import read_thing
 from cluttergen_jax.importing.readers.tree import find_sources
 from cluttergen_jax.importing.readers.urdf import read_urdf
 from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
@@ -39,6 +40,7 @@ def read_shape(
     joints: Mapping[str, float] | None = None,
     largest: float = MAX_SIZE,
     smallest: float = MIN_SIZE,
+    is_whole: bool = True,
 ) -> Shape:
     """Reads one object, scaled to metres, z up, its pieces not yet welded.
 
@@ -46,17 +48,18 @@ def read_shape(
       joints: where joints of a URDF or MJCF file are to be, metres or degrees; given for furniture
         (`read_mjcf`).
       largest, smallest: metres across that it may measure, at most and at least.
+      is_whole: whether a mesh file is taken whole, whatever it holds (`read_thing`).
 
     Raises:
       AssetError: a file is missing or unreadable (the message names it), or the size is impossible.
       ConfigError: there is no such joint, or it does not go so far.
     """
     options = options or ReadOptions()
-    model, mass_scale = _model(source, options, joints)
+    model, mass_scale = _model(source, options, joints, is_whole)
     own = own_up(source.path, source.kind)
     rotation = turn_of(options.up if options.up in AXES else own.axis, options.front)
-    turn = rotation * options.scale
-    notes = model.notes
+    turn = rotation * options.scale * np.array(source.stretch)
+    notes = (*source.decisions, *model.notes)
     density = options.density if model.density is None else model.density
     mass, stated = (None, None) if options.mass == "volume" else (options.mass, model.stated)
     if stated is not model.stated:
@@ -72,9 +75,7 @@ def read_shape(
     shape = Shape(
         name=source.name,
         label=source.label,
-        pieces=tuple(
-            piece.transform(turn, np.zeros(3)) for piece in bake_colours(pieces, options.max_texture)
-        ),
+        pieces=tuple(piece.transform(turn, np.zeros(3)) for piece in pieces),
         provenance=_provenance(source, options),
         synset=source.synset,
         parts=None if model.parts is None else _rotate_meshes(model.parts, turn),
@@ -102,7 +103,7 @@ def _rotate_meshes(meshes: Sequence[Mesh], turn: np.ndarray) -> tuple[Mesh, ...]
 
 
 def _model(
-    source: ObjectFile, options: ReadOptions, joints: Mapping[str, float] | None
+    source: ObjectFile, options: ReadOptions, joints: Mapping[str, float] | None, is_whole: bool
 ) -> tuple[Model, float]:
     """What the file holds, and the factor on its masses.
 
@@ -119,7 +120,7 @@ def _model(
     if source.kind == "mjcf":
         model = read_mjcf(source.path, source.body, options.max_texture, joints, source.bodies)
         return model, options.scale**3
-    pieces, notes = read_mesh_file(source.path, options.max_texture, node=source.body)
+    pieces, notes = read_thing(source.path, options.max_texture, source.body, is_whole)
     model = Model(pieces, None, None, notes)
     return with_kept_parts(model, source.parts) if source.parts else model, 1.0
 

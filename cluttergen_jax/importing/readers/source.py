@@ -153,6 +153,8 @@ class ObjectFile:
     parts: tuple[Path, ...] = ()  # Files of collision shapes that are to be its parts.
     synset: str = ""  # What kind of thing it is, as its file or its settings say.
     plain: str = ""  # The name without the number that sets it apart from others.
+    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)  # Factors along a mesh file's axes, beside `scale`.
+    decisions: tuple[str, ...] = ()  # What was decided before it is read, in words; passed on as notes.
 
 
 _OF_NO_UNIT = (".obj", ".stl", ".ply")

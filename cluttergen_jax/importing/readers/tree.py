@@ -7,16 +7,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from cluttergen_jax.errors import AssetError
+from cluttergen_jax.errors import AssetError, closest
 from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
+from cluttergen_jax.importing.readers.sidecars import named_pieces
 from cluttergen_jax.importing.readers.source import (
     GENERIC,
     ObjectFile,
     label_of,
     make_names_distinct,
     make_source,
+    says_something,
 )
 from cluttergen_jax.importing.readers.urdf import XACRO, how_to_process
 from cluttergen_jax.importing.readers.ycb_scans import best_scans
@@ -79,13 +81,17 @@ def survey(path: str | Path) -> Found:
 def find_all(path: str | Path) -> Found:
     """Every object that `path` holds, and every file that is none; several objects may have one name.
 
+    With "#" and a name behind a file, it is that body of a model, or that node of a mesh file.
+
     The meshes that a URDF, SDF or MJCF file names are its pieces; all others are objects of their own. One
     object in several formats counts once. Each real folder is entered once, however many links lead there.
 
     Raises:
       AssetError: nothing is there, or nothing that can be read.
     """
-    path = Path(path)
+    given, path = str(path), Path(path)
+    if not path.exists() and "#" in given:
+        return _chosen(given)
     if not path.exists():
         raise AssetError(f"{path} does not exist", "a mesh, URDF, SDF or MJCF file, or a folder of them")
     if path.suffix.lower() == XACRO and path.is_file():
@@ -107,6 +113,30 @@ def find_all(path: str | Path) -> Found:
             ", ".join([*MESH_SUFFIXES, ".urdf", ".sdf", ".xml (MJCF)"]),
         )
     return found
+
+
+def _chosen(text: str) -> Found:
+    """One body of a model file, or one node of a mesh file, as `file.glb#node` names it."""
+    cuts = [place for place, sign in enumerate(text) if sign == "#"]
+    cut = next((each for each in cuts if Path(text[:each]).is_file()), None)
+    if cut is None or cut == len(text) - 1:
+        raise AssetError(f"{text} does not exist", "a file, and behind '#' the name of what is in it")
+    file, body = Path(text[:cut]), text[cut + 1 :]
+    if file.suffix.lower() in MESH_SUFFIXES:
+        return Found((node_source(file, body),), files=(file,))
+    sources = find_all(file).sources
+    known = {each.body.removeprefix("#") or each.name: each for each in sources}
+    if body not in known:
+        given = f"{file} holds nothing called {body!r}"
+        raise AssetError(given, ", ".join(known), meant=closest(body, known))
+    return Found((known[body],), files=(file,))
+
+
+def node_source(file: Path, node: str) -> ObjectFile:
+    """The source of one node of a mesh file."""
+    is_told = says_something(node)
+    source = make_source(file, "mesh", node if is_told else "", behind="" if is_told else f"-{node}")
+    return replace(source, body=node)
 
 
 def _from_file(path: Path) -> Iterator[ObjectFile]:
@@ -135,6 +165,7 @@ class _Tree:
     root: Path
     skipped: list[Skipped] = field(default_factory=list)
     files: dict[Path, list[Path]] = field(default_factory=dict)
+    named: dict[Path, Path] = field(default_factory=dict)  # Pieces, with the JSON that names them so.
 
     def enter_all(self) -> None:
         """Lists each real folder once: first those that lie here, then those that only links lead to."""
@@ -182,6 +213,7 @@ class _Tree:
             for file in model.files | model.includes:
                 owner.setdefault(file, model)
         belonging = Belonging(self.files, readable, owner)
+        self.named = named_pieces([file for files in self.files.values() for file in files])
         for files in self.files.values():
             here = [models[file] for file in files if file in models]
             for file in files:
@@ -245,7 +277,8 @@ class _Tree:
         best = {each.stem: each for each in (*models, *owned)}
         chosen = []
         for mesh in (each for each in meshes if each not in owned):
-            if reason := belonging.why_mesh(mesh):
+            by = self.named.get(mesh.resolve())
+            if reason := f"a piece that {by.name} names" if by else belonging.why_mesh(mesh):
                 self.skip(mesh, reason, is_piece=True)
                 continue
             key = "" if _STANDS_IN.fullmatch(mesh.stem.lower()) else mesh.stem
