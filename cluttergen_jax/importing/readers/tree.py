@@ -10,7 +10,7 @@ from pathlib import Path
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
-from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
+from cluttergen_jax.importing.readers.sdf_includes import CONFIG, config_of
 from cluttergen_jax.importing.readers.source import (
     GENERIC,
     ObjectFile,
@@ -112,7 +112,10 @@ def find_all(path: str | Path) -> Found:
 def _from_file(path: Path) -> Iterator[ObjectFile]:
     if path.suffix.lower() in MESH_SUFFIXES:
         yield make_source(path, "mesh")
-    elif path.suffix.lower() in MODEL_SUFFIXES and isinstance(model := model_file(path), ModelFile):
+    elif path.suffix.lower() in MODEL_SUFFIXES:
+        model = model_file(path, is_given=True)
+        if isinstance(model, str):
+            raise AssetError(f"{path} is no object: {model}", "a URDF, SDF or MJCF file")
         yield from _sources_of(model)
 
 

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import trimesh
@@ -29,13 +28,14 @@ from cluttergen_jax.importing.readers.xml_tree import (
     number,
     numbers,
     parse_numbers,
+    read_xml,
     without_namespace,
     wrong_attribute,
 )
 
 XACRO = ".xacro"
 _ELEMENT = re.compile(rb"<(xacro:\w+)")
-_EXPRESSION = re.compile(r"\$\{.*?\}|\$\(.*?\)")
+_EXPRESSION = re.compile(r"\$\{[^{}$]*+\}|\$\([^()$]*+\)")
 _NAMESPACE = re.compile(r"\{.*xacro\}")
 
 
@@ -304,7 +304,7 @@ def read_urdf(path: Path, max_side: int = MAX_TEXTURE, opened: Mapping[str, floa
 def _parse(path: Path) -> Element:
     """The root of a URDF; an unprocessed xacro is none."""
     try:
-        robot = ElementTree.parse(path).getroot()
+        robot = read_xml(path)
     except BROKEN as error:
         refuse_xacro(path)
         refuse_stand_in(path)
