@@ -14,6 +14,7 @@ from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
 from cluttergen_jax.importing.readers.gltf_file import words_of
+from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import NOT_STATED, public_path
 from cluttergen_jax.importing.readers.source import (
@@ -127,6 +128,8 @@ def plan_all(
                 planned.append(_plan_source(source, group, options))
             except OSError as error:
                 failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
+            except AssetError as error:
+                failures.append(Failure(source.name, str(error)))
     skipped = tuple(each for group in groups for each in group.found.skipped)
     lines = tuple(describe_sets([known for group in groups for known in group.sets]))
     kept, left_out = _objects_among(planned, take_all)
@@ -196,7 +199,8 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     if own.up == AUTO and source.provenance is not None:
         # The YCB objects stand as they stood when they were scanned.
         own = replace(own, up=FILE)
-    words = words_of(source.path) if source.path.suffix.lower() in (".glb", ".gltf") else {}
+    is_gltf = source.path.suffix.lower() in (".glb", ".gltf")
+    words = call_limited(source.path, words_of, source.path) if is_gltf else {}
     label = {key: value for key, value in from_set.items() if key == "label"}
     said = {key: value for key, value in words.items() if key == "synset"}
     said |= {"label": words["label"]} if says_something(words.get("label", "")) else {}
@@ -218,7 +222,7 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
 def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: KnownSet | None) -> UpAxis:
     """The vertical axis of a source, and who says so: the settings of the group, its set, or the user."""
     if own.up not in AXES:
-        return own_up(source.path, source.kind)
+        return call_limited(source.path, own_up, source.path, source.kind)
     if group is not None and group.settings:
         return UpAxis(own.up, f"as {group.settings[-1][1].path.name} says")
     return UpAxis(own.up, "as `up` says" if known is None else f"as in {known.layout.title}")

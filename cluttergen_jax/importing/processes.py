@@ -75,6 +75,7 @@ class Crew:
       again: makes the next job.
       most_tries: of a job, where `again` is given.
       watch: hears, every second or oftener, which jobs are at work, by index.
+      is_limited: each may take so much memory as `limited.most_memory` says.
     """
 
     def __init__(
@@ -85,10 +86,11 @@ class Crew:
         again: Again | None = None,
         most_tries: int = 2,
         watch: Watch | None = None,
+        is_limited: bool = False,
     ) -> None:
         self._function, self._num, self._limit, self._again = function, num_processes, limit, again
         self._most_tries = most_tries if again is not None else 1
-        self._watch = watch
+        self._watch, self._is_limited = watch, is_limited
         self._workers: list[_Worker] = []
         self._waiting: deque[_Task] = deque()
         self._last: deque[_Task] = deque()
@@ -126,14 +128,14 @@ class Crew:
         free = [worker for worker in self._workers if worker.task is None]
         while self._waiting and len(busy) < self._num:
             if not free:
-                free.append(_Worker(self._function))
+                free.append(_Worker(self._function, self._is_limited))
                 self._workers.append(free[-1])
             busy.append(free.pop())
             busy[-1].give(self._waiting.popleft())
         if self._last and not self._waiting and not busy:
             # Idle workers hold memory, of which there may have been too little.
             self.close()
-            self._workers = [_Worker(self._function)]
+            self._workers = [_Worker(self._function, self._is_limited)]
             self._workers[0].give(self._last.popleft())
 
     def _workers_to_hear(self) -> list[_Worker]:
@@ -265,10 +267,10 @@ class _Worker:
       cpu_before: processor seconds that it had used by then.
     """
 
-    def __init__(self, function: Callable[[Any], Any]) -> None:
+    def __init__(self, function: Callable[[Any], Any], is_limited: bool) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process = context.Process(target=_serve, args=(theirs, is_limited), daemon=True)
         self._process.start()
         theirs.close()
         self.task: _Task | None = None
@@ -322,12 +324,16 @@ def _cpu_seconds(pid: int | None) -> float | None:
         return None
 
 
-def _serve(pipe: Connection) -> None:
+def _serve(pipe: Connection, is_limited: bool) -> None:
     """In a worker: first the function comes, then jobs, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # One thread each, and no GPU; before anything heavy is loaded, as the function and the jobs do.
     os.environ["OMP_NUM_THREADS"] = "1"
     os.environ["JAX_PLATFORMS"] = "cpu"
+    if is_limited:
+        from cluttergen_jax.importing.limited import limit_memory
+
+        limit_memory()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         function = pipe.recv()

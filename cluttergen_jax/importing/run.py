@@ -47,7 +47,7 @@ def _outcomes(
     """What became of each job as they come, from processes of this machine, or of a cluster unwatched."""
     if config.cluster is None:
         crew = Crew(
-            make_job, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, NUM_TRIES, watch
+            make_job, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, NUM_TRIES, watch, True
         )
         with closing(crew):
             yield from crew.outcomes(jobs)
@@ -62,7 +62,7 @@ def _outcomes(
 
 def _maker(limit: float) -> Callable[[Job], Outcome]:
     """On a cluster, each worker has a process of its own that can be ended."""
-    crew = Crew(make_job, 1, limit, next_try, NUM_TRIES)
+    crew = Crew(make_job, 1, limit, next_try, NUM_TRIES, is_limited=True)
     return lambda job: next(crew.outcomes([job]))[1]
 
 
@@ -259,6 +259,8 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
             jobs.append(Job(each.source, key, own, limits=limits, place=each.place))
         except OSError as error:
             failures.append(Failure(each.source.name, f"{error.filename} cannot be read ({error.strerror})"))
+        except AssetError as error:
+            failures.append(Failure(each.source.name, str(error)))
     return jobs, failures
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import mujoco
@@ -13,7 +14,9 @@ from cluttergen_jax.assets.mass import MassProperties, combine_masses
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Joint
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece, is_convex, roles_of
+from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
 from cluttergen_jax.importing.readers.mjcf_pictures import picture_notes
 from cluttergen_jax.importing.readers.model import (
     MAX_PARTS,
@@ -230,14 +233,33 @@ def compile_with_notes(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     Raises:
       AssetError: MuJoCo cannot compile it (its own message is kept), or a name is not UTF-8.
     """
+    check_before_mujoco(path)
     try:
         model, notes = _compile_without_lost_pictures(path)
         # MuJoCo takes any bytes for a name; they would come to light wherever one is first read.
         model.names.decode()
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, mujoco.FatalError) as error:
         message = " ".join(str(error).split())
         raise AssetError(f"{path} cannot be compiled as MJCF: {message}", "an MJCF file") from error
     return model, notes
+
+
+def check_before_mujoco(path: Path) -> None:
+    """Refuses a file that MuJoCo would not come back from: by its text, then in a process with limits.
+
+    MuJoCo compiles in the process that calls it, where a crash, or all memory, would end the whole program.
+
+    Raises:
+      AssetError: it goes beyond limits (`mjcf_limits`), or compiling it crashed, or took too long or too much.
+    """
+    check_mjcf_extent(path)
+    call_limited(path, _try_to_compile, path)
+
+
+def _try_to_compile(path: Path) -> None:
+    """Compiles a file for whether that comes to an end; what it says is said by who compiles it next."""
+    with suppress(ValueError, OSError, mujoco.FatalError):
+        mujoco.MjModel.from_xml_path(str(path))
 
 
 def world_bodies(model: mujoco.MjModel) -> list[int]:

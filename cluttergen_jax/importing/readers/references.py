@@ -38,6 +38,7 @@ class ModelFile:
     bodies: tuple[str, ...] = ()  # Names of bodies of the world ("" for none) or of an SDF's models.
     is_whole: bool = True  # All that it names is there.
     fault: str = ""  # Why it is no object: a part for others to include, or broken.
+    shared: frozenset[Path] = frozenset()  # Files that it includes and that are objects of their own too.
 
 
 def model_file(path: Path, is_given: bool = False) -> ModelFile | str:
@@ -108,8 +109,9 @@ def _sdf(path: Path, is_given: bool) -> ModelFile | str:
         for file in (*there, *belonging)
         if file.suffix.lower() not in _MODELS and file.is_file()
     ]
-    parts = frozenset(each for each in tree.files if not (each.parent / CONFIG).is_file())
-    return ModelFile(path, "sdf", frozenset(files), parts, bodies, is_whole=len(there) == len(named))
+    shared = frozenset(each for each in tree.files if (each.parent / CONFIG).is_file())
+    parts = tree.files - shared
+    return ModelFile(path, "sdf", frozenset(files), frozenset(parts), bodies, shared=shared, is_whole=len(there) == len(named))
 
 
 def _mjcf(path: Path) -> ModelFile:

@@ -67,7 +67,8 @@ def read_paints(scripts: Iterable[Path]) -> dict[str, Paint]:
     for script in scripts:
         text = _COMMENT.sub("", as_utf8(read_file(script, MOST_WORDS)).decode())
         starts = list(_MATERIAL.finditer(text))
-        for start, end in zip(starts, [*(each.start() for each in starts[1:]), len(text)], strict=True):
+        ends = [each.start() for each in starts[1:]] + [len(text)] * bool(starts)
+        for start, end in zip(starts, ends, strict=True):
             inherits = _INHERITS.match(start[2])
             parent = found.get(inherits[1] if inherits else "", Paint())
             found.setdefault(start[1], _paint(_block(text[start.end() : end]), script.parent, parent))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 from cluttergen_jax.importing.readers.sdf_includes import CONFIG, config_of
@@ -113,10 +114,18 @@ def _from_file(path: Path) -> Iterator[ObjectFile]:
     if path.suffix.lower() in MESH_SUFFIXES:
         yield make_source(path, "mesh")
     elif path.suffix.lower() in MODEL_SUFFIXES:
-        model = model_file(path, is_given=True)
+        model = call_limited(path, model_file, path, True)
         if isinstance(model, str):
             raise AssetError(f"{path} is no object: {model}", "a URDF, SDF or MJCF file")
         yield from _sources_of(model)
+
+
+def _model_or_fault(path: Path) -> ModelFile | str:
+    """`model_file` in a process with limits; what ends that is no object."""
+    try:
+        return call_limited(path, model_file, path)
+    except AssetError as error:
+        return str(error)
 
 
 def _sources_of(model: ModelFile) -> Iterator[ObjectFile]:
@@ -174,7 +183,7 @@ class _Tree:
     def sources(self) -> Iterator[ObjectFile]:
         """What is imported; the rest is added to `skipped`."""
         models = {
-            file: model_file(file)
+            file: _model_or_fault(file)
             for files in self.files.values()
             for file in files
             if file.suffix.lower() in MODEL_SUFFIXES
