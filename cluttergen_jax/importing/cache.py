@@ -14,8 +14,8 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.files import cache_home, remove, scratch_folder
-from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.limited import call_limited
+from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.readers.mesh_text import companions
 from cluttergen_jax.importing.readers.opening import check_openable
 from cluttergen_jax.importing.readers.references import ModelFile, model_file

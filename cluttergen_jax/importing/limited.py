@@ -31,7 +31,7 @@ _HEAD = 8
 
 
 def most_memory() -> int:
-    """Bytes that a process may take that reads a stranger's file: 8 GB, on a small machine half of its memory."""
+    """Bytes that a process may take that reads a stranger's file: 8 GB, or half of a smaller machine."""
     try:
         whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (ValueError, OSError, AttributeError):
@@ -66,7 +66,9 @@ def call_limited(path: Path, function: Callable[..., T], *arguments: Any, second
     with _lock:
         answer = _server.ask((function, arguments, seconds), seconds)
     if isinstance(answer, str):
-        raise AssetError(f"{path} cannot be read: {answer}", hint="a file from another source, or a simpler one")
+        raise AssetError(
+            f"{path} cannot be read: {answer}", hint="a file from another source, or a simpler one"
+        )
     is_result, value = answer
     if not is_result:
         raise value
@@ -83,7 +85,9 @@ class _Server:
         if self._process is None or self._owner != os.getpid() or self._process.poll() is not None:
             self._begin()
         process = self._process
-        assert process is not None and process.stdin is not None and process.stdout is not None
+        assert process is not None
+        assert process.stdin is not None
+        assert process.stdout is not None
         late = threading.Event()
 
         def end() -> None:
@@ -109,7 +113,11 @@ class _Server:
 
     def _begin(self) -> None:
         self._owner = os.getpid()
-        settings = {"OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        settings = {
+            "OMP_NUM_THREADS": "1",
+            "JAX_PLATFORMS": "cpu",
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+        }
         self._process = subprocess.Popen(
             [sys.executable, "-c", f"from {__name__} import serve; serve()"],
             stdin=subprocess.PIPE,

@@ -12,9 +12,9 @@ from typing import Any
 from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
+from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
 from cluttergen_jax.importing.readers.gltf_file import words_of
-from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import NOT_STATED, public_path
 from cluttergen_jax.importing.readers.source import (

@@ -45,8 +45,8 @@ from cluttergen_jax.assets.support_map import (
 )
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.geometry import yaw_matrix
-from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.limited import call_limited
+from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.support_joints import moved_together, with_joints
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
@@ -75,9 +75,7 @@ def write_table(
             f"{', '.join(embedded_supports())}, table-WxD, bin-WxD",
             "name='my_table'",
         )
-    shape = call_limited(
-        sources[0].path, read_shape, sources[0], options, joints, _LARGEST, seconds=_READING
-    )
+    shape = call_limited(sources[0].path, read_shape, sources[0], options, joints, _LARGEST, seconds=_READING)
     support, notes = support_with_notes(shape)
     for note in shape.notes:
         if note.startswith("frozen joints"):

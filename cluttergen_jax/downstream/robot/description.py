@@ -11,11 +11,10 @@ from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
-import yaml
 
 from cluttergen_jax.downstream.robot.model_files import HINT, model_digest, model_file, mujoco_spec
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.schema import SchemaError, convert
+from cluttergen_jax.schema import SchemaError, convert, parse_yaml, read_written
 
 _ROBOTS = Path(__file__).with_name("robots")
 _USUAL = "panda"
@@ -214,13 +213,12 @@ def read_robot(file: str | Path) -> RobotDescription:
 @cache
 def _read(path: Path, changed: int) -> RobotDescription:
     try:
-        content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = parse_yaml(read_written(path))
         _check_fields(content, RobotDescription)
         robot = convert(content, RobotDescription)
     except SchemaError as error:
-        raise ConfigError(f"robot {path}: {error}", "the fields of `RobotDescription`", HINT) from error
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise ConfigError(f"robot {path}: {error}", "a YAML file", HINT) from error
+        allowed = "a YAML file with the fields of `RobotDescription`"
+        raise ConfigError(f"robot {path}: {error}", allowed, HINT) from error
 
     def beside(part: Any) -> Any:
         return part if part.package else replace(part, file=str(path.parent / part.file))

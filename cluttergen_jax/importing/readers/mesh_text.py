@@ -16,10 +16,11 @@ from typing import NamedTuple
 import trimesh
 from PIL import Image
 
+from cluttergen_jax.files import MOST_WORDS
 from cluttergen_jax.importing.readers.collada import plain_collada
 from cluttergen_jax.importing.readers.damage import is_text_stl
 from cluttergen_jax.importing.readers.gltf_plain import plain_glb
-from cluttergen_jax.importing.readers.opening import MOST_WORDS, as_utf8, read_file
+from cluttergen_jax.importing.readers.opening import as_utf8, read_file
 from cluttergen_jax.importing.readers.places import OPTIONS, find_named
 
 _END_OF_HEADER = b"end_header"

@@ -250,7 +250,7 @@ def check_before_mujoco(path: Path) -> None:
     MuJoCo compiles in the process that calls it, where a crash, or all memory, would end the whole program.
 
     Raises:
-      AssetError: it goes beyond limits (`mjcf_limits`), or compiling it crashed, or took too long or too much.
+      AssetError: it goes beyond limits (`mjcf_limits`), or compiling it crashes, takes too long or too much.
     """
     check_mjcf_extent(path)
     call_limited(path, _try_to_compile, path)

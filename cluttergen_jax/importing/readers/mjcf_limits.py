@@ -1,4 +1,4 @@
-"""How much an MJCF file asks of MuJoCo, by its text: it is refused before MuJoCo, which has no limits, reads it."""
+"""How much an MJCF file asks of MuJoCo, by its text: MuJoCo itself has no limits."""
 
 from __future__ import annotations
 
@@ -20,12 +20,24 @@ _MOST_CELLS = 1 << 24
 _MOST_BYTES = 4 << 30
 _MOST_SUBDIVISION = 7
 """Of a sphere that MuJoCo makes: each step has four times as many triangles."""
+_MOST_PARAMS = 1000
+"""Of other forms that MuJoCo makes: sides and rings."""
 _MOST_NESTED = 16
 """Files that attach or include each other in a row."""
 _FOLDERS = ("meshdir", "assetdir", "texturedir")
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 _UNITS = {"k": 10, "m": 20, "g": 30, "t": 40, "p": 50, "e": 60}
-_COUNTED = ("count", "grid", "nrow", "ncol", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site", "nuser_cam")
+_COUNTED = (
+    "count",
+    "grid",
+    "nrow",
+    "ncol",
+    "nuser_body",
+    "nuser_jnt",
+    "nuser_geom",
+    "nuser_site",
+    "nuser_cam",
+)
 _COUNTED += ("nuser_tendon", "nuser_actuator", "nuser_sensor", "nkey", "nuserdata", "njmax", "nconmax")
 
 
@@ -33,8 +45,8 @@ def check_mjcf_extent(path: Path) -> None:
     """Refuses a model that goes beyond limits; what MuJoCo refuses itself is left to it.
 
     Raises:
-      AssetError: it attaches or includes itself, names what is no regular file, or asks for more copies, cells,
-        pixels or bytes than a model of an object has.
+      AssetError: it attaches or includes itself, names what is no regular file, or asks for more copies,
+        cells, pixels or bytes than a model of an object has.
     """
     _Model(path).check()
 
@@ -61,7 +73,9 @@ class _Model:
         real = file.resolve()
         if real in above:
             way = " -> ".join(each.name for each in (*above[above.index(real) :], real))
-            raise self._error(f"a model that attaches or includes itself ({way})", "files that come to an end")
+            raise self._error(
+                f"a model that attaches or includes itself ({way})", "files that come to an end"
+            )
         if len(above) >= _MOST_NESTED:
             raise self._error(f"more than {_MOST_NESTED} files within each other", f"up to {_MOST_NESTED}")
         if real in self.sizes:
@@ -106,7 +120,7 @@ class _Model:
 
     def _check_element(self, element: Element) -> None:
         tag = str(element.tag)
-        number = {name: _first(element, name) for name in (*_COUNTED, "width", "height", "params")}
+        number = {name: _first(element, name) for name in (*_COUNTED, "width", "height")}
         if tag == "hfield":
             self._check_grid(tag, number["nrow"], number["ncol"])
         if tag == "texture" and number["width"] > 0:
@@ -116,11 +130,10 @@ class _Model:
                 raise self._error(
                     f"a <texture> of {number['width']:g} x {height:g} pixels", f"up to {MOST_PIXELS:,} pixels"
                 )
-        if tag == "mesh" and element.get("builtin") in ("sphere", "hemisphere"):
-            if number["params"] > (_MOST_SUBDIVISION if element.get("builtin") == "sphere" else 1000):
-                raise self._error(f"a <mesh> of subdivision {number['params']:g}", f"up to {_MOST_SUBDIVISION}")
-        elif tag == "mesh" and max(map(abs, _all(element, "params")), default=0) > 10_000:
-            raise self._error(f"a <mesh> of params {element.get('params')!r}", "numbers up to 10,000")
+        if tag == "mesh" and element.get("builtin"):
+            most = _MOST_SUBDIVISION if element.get("builtin") == "sphere" else _MOST_PARAMS
+            if max(map(abs, _all(element, "params")), default=0) > most:
+                raise self._error(f"a <mesh> of params {element.get('params')!r}", f"up to {most}")
         if tag == "size":
             for name in _COUNTED:
                 if number[name] > _MOST_CELLS:

@@ -5,18 +5,15 @@ from __future__ import annotations
 import codecs
 import gzip
 import io
-import os
-import stat
 from pathlib import Path
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.files import MOST_WORDS, fault_of_file
 
 MOST_MESH = 4 << 30
 """Bytes of a mesh file."""
 MOST_XML = 256 << 20
 """Bytes of a URDF, SDF or MJCF file, and of a COLLADA file."""
-MOST_WORDS = 64 << 20
-"""Bytes of a file that says something about objects: materials, settings, tables, also once unpacked."""
 MOST_PIXELS = 1 << 28
 """Pixels of an image: 16384 by 16384."""
 
@@ -30,26 +27,8 @@ def check_openable(path: Path, most: int = MOST_MESH) -> None:
     Raises:
       AssetError: it is none, or too large. A file that is not there passes: its reader says so.
     """
-    try:
-        found = os.stat(path)
-    except OSError:
-        return
-    except ValueError as error:
-        raise AssetError(f"the path {str(path)!r}, which no file can have ({error})", "a file's path") from error
-    if stat.S_ISDIR(found.st_mode):
-        raise AssetError(f"{path} is a folder", "a file")
-    if not stat.S_ISREG(found.st_mode):
-        raise AssetError(f"{path} is no regular file but {_kind(found.st_mode)}", "regular files")
-    if found.st_size > most:
-        raise AssetError(
-            f"{path} has {found.st_size:,} bytes", f"up to {most:,} bytes", "a smaller file, or several"
-        )
-
-
-def _kind(mode: int) -> str:
-    if stat.S_ISFIFO(mode):
-        return "a named pipe"
-    return "a socket" if stat.S_ISSOCK(mode) else "a device"
+    if fault := fault_of_file(path, most):
+        raise AssetError(f"{str(path)!r} cannot be read: {fault}", f"regular files of up to {most:,} bytes")
 
 
 def read_file(path: Path, most: int = MOST_MESH) -> bytes:

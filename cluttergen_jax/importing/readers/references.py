@@ -111,7 +111,15 @@ def _sdf(path: Path, is_given: bool) -> ModelFile | str:
     ]
     shared = frozenset(each for each in tree.files if (each.parent / CONFIG).is_file())
     parts = tree.files - shared
-    return ModelFile(path, "sdf", frozenset(files), frozenset(parts), bodies, shared=shared, is_whole=len(there) == len(named))
+    return ModelFile(
+        path,
+        "sdf",
+        frozenset(files),
+        frozenset(parts),
+        bodies,
+        shared=shared,
+        is_whole=len(there) == len(named),
+    )
 
 
 def _mjcf(path: Path) -> ModelFile:

@@ -13,10 +13,11 @@ import trimesh
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.files import MOST_WORDS
 from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, rigid
 from cluttergen_jax.importing.readers.materials import GREY, Rgba
 from cluttergen_jax.importing.readers.model import Model, frozen_note
-from cluttergen_jax.importing.readers.opening import MOST_WORDS, as_utf8, read_file
+from cluttergen_jax.importing.readers.opening import as_utf8, read_file
 from cluttergen_jax.importing.readers.places import find_named, folder_place, mesh_place
 from cluttergen_jax.importing.readers.sdf_includes import is_from_elsewhere, read_sdf_tree
 from cluttergen_jax.importing.readers.xml_tree import (

@@ -22,6 +22,7 @@ BROKEN = (OSError, ElementTree.ParseError, ValueError, LookupError)
 """What a file that is no XML raises."""
 _MOST_DEEP = 400
 """Elements within each other. tinyxml2 stops at 500."""
+_TOO_DEEP = f"its elements lie within each other, more than {_MOST_DEEP} deep"
 _MOST_ELEMENTS = 2_000_000
 
 
@@ -46,7 +47,9 @@ def read_xml(path: Path) -> Element:
 def parse_text(data: bytes) -> Element:
     """The root of an XML text; see `read_xml`."""
     if _OWN_DECLARATIONS.search(data):
-        raise ValueError("it declares entities or a document type of its own (<!DOCTYPE ... [), which is not read")
+        raise ValueError(
+            "it declares entities or a document type of its own (<!DOCTYPE ... [), which is not read"
+        )
     try:
         root = ElementTree.fromstring(data)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -68,7 +71,7 @@ def _check_extent(root: Element) -> None:
         element, depth = todo.pop()
         count += 1
         if depth > _MOST_DEEP:
-            raise ValueError(f"its elements lie within each other, more than {_MOST_DEEP} deep")
+            raise ValueError(_TOO_DEEP)
         if count > _MOST_ELEMENTS:
             raise ValueError(f"it has more than {_MOST_ELEMENTS:,} elements")
         todo += [(child, depth + 1) for child in element]
@@ -91,7 +94,7 @@ _MEANT = {"quot": '"', "amp": "&", "apos": "'", "lt": "<", "gt": ">"}
 
 
 def _parse_as_tinyxml(text: str) -> Element:
-    """The tree of a text by tinyxml2's rules: what stands before the root, and text behind it, is passed over.
+    """The tree of a text by tinyxml2's rules: text before the root and behind it is passed over.
 
     A prefix that is not declared counts as the name of its own namespace, of an attribute that comes twice
     the first holds, and an entity that is unknown is text.
@@ -121,7 +124,7 @@ def _parse_as_tinyxml(text: str) -> Element:
             builder.start(_expanded(found["name"]), _attributes(found["values"]))
             open_tags.append(found["name"])
             if len(open_tags) > _MOST_DEEP:
-                raise _fault(text, start, f"its elements lie within each other, more than {_MOST_DEEP} deep", True)
+                raise _fault(text, start, _TOO_DEEP, True)
             place = found.end()
             if found["end"]:
                 builder.end(_expanded(open_tags.pop()))
