@@ -118,7 +118,8 @@ def parse_yaml(data: bytes) -> Any:
     try:
         return yaml.load(data.decode("utf-8-sig"), _YamlLoader)
     except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
-        raise SchemaError(f"not YAML: {' '.join(str(error).split())}") from error
+        said = " ".join(str(error).replace('in "<unicode string>", ', "at ").split())
+        raise SchemaError(f"not YAML: {said}") from error
     except RecursionError as error:
         raise SchemaError("not YAML: nested too deeply") from error
 
@@ -180,15 +181,13 @@ def read_written(path: str | os.PathLike[str]) -> bytes:
     """The bytes of a file that people write.
 
     Raises:
-      SchemaError: it is no regular file, is too large, or cannot be opened; the text does not name it.
+      SchemaError: it is no regular file, or too large; the text does not name it.
+      OSError: it cannot be opened.
     """
     if fault := fault_of_file(path):
         raise SchemaError(fault)
-    try:
-        with open(path, "rb") as file:
-            return file.read()
-    except OSError as error:
-        raise SchemaError(f"it cannot be read ({error.strerror})") from error
+    with open(path, "rb") as file:
+        return file.read()
 
 
 def _lenient(data: bytes) -> Any:

@@ -85,7 +85,7 @@ def _read(layout: str | Path) -> _File:
         raise ConfigError(f"layout {str(layout)!r}", f"a YAML file, or {', '.join(known)}", _HINT, meant)
     try:
         content = parse_yaml(read_written(path))
-    except SchemaError as error:
+    except (SchemaError, OSError) as error:
         raise ConfigError(f"layout {path}: {error}", "YAML", _HINT) from error
     try:
         return convert(content, _File)

@@ -38,8 +38,8 @@ def cache_root() -> Path:
     return cache_home() / ("cache" if os.environ.get("CLUTTERGEN_HOME") else "objects")
 
 
-def source_digest(source: ObjectFile) -> str:
-    """Hex digest of every byte that reading the source may touch: files, materials and textures beside them.
+def source_files(source: ObjectFile) -> set[Path]:
+    """The real paths of a source's file and of all that it names and that is there.
 
     Raises:
       OSError: a file cannot be read.
@@ -47,7 +47,16 @@ def source_digest(source: ObjectFile) -> str:
     files = {file.resolve() for file in (source.path, *source.parts)}
     if source.kind != "mesh" and isinstance(model := model_file(source.path, True), ModelFile):
         files |= model.files | model.includes | model.shared | {source.path.parent.resolve() / "label.json"}
-    files |= {each.resolve() for file in files if file.is_file() for each in companions(file)}
+    return files | {each.resolve() for file in files if file.is_file() for each in companions(file)}
+
+
+def source_digest(source: ObjectFile) -> str:
+    """Hex digest of every byte that reading the source may touch: files, materials and textures beside them.
+
+    Raises:
+      OSError: a file cannot be read.
+    """
+    files = source_files(source)
     for folder in {file.parent for file in files}:
         files |= {each for each in folder.iterdir() if each.suffix.lower() in _COMPANIONS}
     for file in files:
@@ -62,7 +71,7 @@ def source_digest(source: ObjectFile) -> str:
 
 def cache_key(source: ObjectFile, config: Any) -> str:
     """Hex digest that names the body of a source under a config (a dataclass)."""
-    provenance = None if source.provenance is None else asdict(source.provenance)
+    provenance = None if source.provenance is None else source.provenance.record()
     return _digest(
         call_limited(source.path, source_digest, source, seconds=_HASHING),
         source.path.name,

@@ -19,34 +19,14 @@ from pathlib import Path
 from typing import IO, Any, TypeVar
 
 from cluttergen_jax.errors import AssetError, ClutterGenError
+from cluttergen_jax.importing.processes import death, limit_memory, most_memory
 
 T = TypeVar("T")
 SECONDS = 30
 """Of a processor, for one call."""
 _PATIENCE = 2
 """So many times as long may pass, whatever else the machine is busy with."""
-_BYTES = 8 << 30
-_LEAST = 3 << 30
 _HEAD = 8
-
-
-def most_memory() -> int:
-    """Bytes that a process may take that reads a stranger's file: 8 GB, or half of a smaller machine."""
-    try:
-        whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (ValueError, OSError, AttributeError):
-        return _BYTES
-    return max(min(_BYTES, whole // 2), _LEAST)
-
-
-def limit_memory() -> None:
-    """Gives this process `most_memory`, where the system knows limits."""
-    with suppress(ImportError, ValueError, OSError):
-        import resource
-
-        _, hard = resource.getrlimit(resource.RLIMIT_AS)
-        most = most_memory() if hard == resource.RLIM_INFINITY else min(most_memory(), hard)
-        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
 
 
 def call_limited(path: Path, function: Callable[..., T], *arguments: Any, seconds: int = SECONDS) -> T:
@@ -143,8 +123,6 @@ atexit.register(_server.close)
 
 
 def _reason(code: int, is_late: bool, seconds: int) -> str:
-    from cluttergen_jax.importing.processes import death
-
     if is_late or code == -signal.SIGPROF:
         return f"reading it was not done after {seconds} s"
     if code == _NO_MEMORY:

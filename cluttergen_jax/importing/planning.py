@@ -13,6 +13,7 @@ from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.importing.limited import call_limited
+from cluttergen_jax.importing.outside import files_outside
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
 from cluttergen_jax.importing.readers.gltf_file import words_of
 from cluttergen_jax.importing.readers.pieces import collision_files
@@ -212,6 +213,7 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
             public_path(source.path), words.get("licence", NOT_STATED), words.get("attribution", "")
         )
         own_source = replace(own_source, provenance=terms)
+    own_source = replace(own_source, outside=files_outside(own_source, group.root))
     # A file that is given itself is taken.
     sets = group.sets if group.is_folder else ()
     out = next((why for each in sets if (why := each.why_out(source))), "")

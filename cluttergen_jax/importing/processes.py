@@ -29,6 +29,10 @@ _MOST_UNBORN = 3
 """So many workers may end, one after another, before they take a job."""
 
 
+_BYTES = 8 << 30
+_LEAST = 3 << 30
+
+
 @dataclass
 class Outcome:
     """What became of a job."""
@@ -75,7 +79,7 @@ class Crew:
       again: makes the next job.
       most_tries: of a job, where `again` is given.
       watch: hears, every second or oftener, which jobs are at work, by index.
-      is_limited: each may take so much memory as `limited.most_memory` says.
+      is_limited: each may take so much memory as `most_memory` says.
     """
 
     def __init__(
@@ -324,6 +328,25 @@ def _cpu_seconds(pid: int | None) -> float | None:
         return None
 
 
+def most_memory() -> int:
+    """Bytes that a process may take that reads a stranger's file: 8 GB, or half of a smaller machine."""
+    try:
+        whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError, AttributeError):
+        return _BYTES
+    return max(min(_BYTES, whole // 2), _LEAST)
+
+
+def limit_memory() -> None:
+    """Gives this process `most_memory`, where the system knows limits."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        most = most_memory() if hard == resource.RLIM_INFINITY else min(most_memory(), hard)
+        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+
+
 def _serve(pipe: Connection, is_limited: bool) -> None:
     """In a worker: first the function comes, then jobs, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -331,8 +354,6 @@ def _serve(pipe: Connection, is_limited: bool) -> None:
     os.environ["OMP_NUM_THREADS"] = "1"
     os.environ["JAX_PLATFORMS"] = "cpu"
     if is_limited:
-        from cluttergen_jax.importing.limited import limit_memory
-
         limit_memory()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:

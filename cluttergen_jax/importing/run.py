@@ -21,6 +21,7 @@ from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.files import writing
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.job import NUM_TRIES, Job, ObjectConfig, make_job, next_try
+from cluttergen_jax.importing.outside import NOTE, outside_note
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
 from cluttergen_jax.importing.processes import Crew, Outcome, Watch
 from cluttergen_jax.importing.readers import ObjectFile, Skipped
@@ -271,9 +272,10 @@ def _load_cached(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
 
 def _with_source(source: ObjectFile, asset: ObjectAsset) -> ObjectAsset:
     """A cached body that says where it is from now: the same file may lie in several folders."""
-    if source.provenance is not None:
-        return asset
-    return replace(asset, provenance=replace(asset.provenance, source=public_path(source.path)))
+    where = {"source": public_path(source.path)} if source.provenance is None else {}
+    notes = tuple(note for note in asset.notes if not note.startswith(NOTE)) + outside_note(source.outside)
+    provenance = replace(asset.provenance, outside=source.outside, **where)
+    return replace(asset, provenance=provenance, notes=notes)
 
 
 def _too_large_bodies(jobs: Sequence[Job], made: dict[str, ObjectAsset]) -> dict[str, LeftOut]:

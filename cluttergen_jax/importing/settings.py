@@ -125,6 +125,8 @@ def read_settings(path: Path) -> Settings:
     try:
         text = read_written(path).decode("utf-8-sig")
         document = _rows_of(path, text) if is_list else parse_toml(text)
+    except OSError as error:
+        raise ConfigError(f"settings {path} cannot be read ({error.strerror})") from error
     except SchemaError as error:
         raise ConfigError(f"settings {path}: {error}", "a file of TOML, or a table of CSV") from error
     except (ValueError, csv.Error) as error:

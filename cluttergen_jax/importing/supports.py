@@ -46,6 +46,7 @@ from cluttergen_jax.assets.support_map import (
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.importing.limited import call_limited
+from cluttergen_jax.importing.outside import files_outside, outside_note
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.support_joints import moved_together, with_joints
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
@@ -75,8 +76,12 @@ def write_table(
             f"{', '.join(embedded_supports())}, table-WxD, bin-WxD",
             "name='my_table'",
         )
+    root = Path(path) if Path(path).is_dir() else Path(path).parent
+    sources = [replace(sources[0], outside=files_outside(sources[0], root))]
     shape = call_limited(sources[0].path, read_shape, sources[0], options, joints, _LARGEST, seconds=_READING)
     support, notes = support_with_notes(shape)
+    for note in outside_note(sources[0].outside):
+        print(note, file=sys.stderr)
     for note in shape.notes:
         if note.startswith("frozen joints"):
             print(f"{note} (--joint NAME=VALUE moves one)", file=sys.stderr)

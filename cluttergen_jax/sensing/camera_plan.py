@@ -138,6 +138,10 @@ def _plans_by_name(text: str, size: Size | None) -> list[CameraPlan]:
 def _read_file(path: Path, size: Size | None) -> list[CameraPlan]:
     try:
         found = convert(parse_written_json(read_written(path)), _File)
+    except OSError as error:
+        raise ConfigError(
+            f"{path} cannot be read ({error.strerror})", "a JSON file of cameras", _HINT
+        ) from error
     except SchemaError as error:
         raise ConfigError(
             f"{path} is no file of cameras: {error}", '{"cameras": [{"name": ...}]}', _HINT

@@ -216,7 +216,7 @@ def _read(path: Path, changed: int) -> RobotDescription:
         content = parse_yaml(read_written(path))
         _check_fields(content, RobotDescription)
         robot = convert(content, RobotDescription)
-    except SchemaError as error:
+    except (SchemaError, OSError) as error:
         allowed = "a YAML file with the fields of `RobotDescription`"
         raise ConfigError(f"robot {path}: {error}", allowed, HINT) from error
 
