@@ -119,6 +119,14 @@ def fault_of_file(path: str | os.PathLike[str], most: int = MOST_WORDS) -> str:
     return f"it has {found.st_size:,} bytes, and up to {most:,} are read" if found.st_size > most else ""
 
 
+def is_regular_file(path: str | os.PathLike[str]) -> bool:
+    """Whether a regular file is there; False too for a path that none can have, such as a very long one."""
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode)
+    except (OSError, ValueError):
+        return False
+
+
 _STRANGER = "not using it if you do not know where it is from; a copy without links (cp -rL) if you do"
 
 

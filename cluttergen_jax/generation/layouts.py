@@ -8,6 +8,7 @@ import msgspec
 
 from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.files import is_regular_file
 from cluttergen_jax.placement.relations import conditions_of, parse_relations
 from cluttergen_jax.schema import SchemaError, convert, parse_yaml, read_written
 from cluttergen_jax.spec import SceneSpec
@@ -80,7 +81,7 @@ def read_layout(layout: str | Path) -> SceneSpec:
 def _read(layout: str | Path) -> _File:
     known = list_layouts()
     path = known.get(str(layout), Path(layout))
-    if not path.is_file():
+    if not is_regular_file(path):
         meant = closest(str(layout), tuple(known))
         raise ConfigError(f"layout {str(layout)!r}", f"a YAML file, or {', '.join(known)}", _HINT, meant)
     try:

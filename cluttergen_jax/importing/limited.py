@@ -22,9 +22,9 @@ from cluttergen_jax.errors import AssetError, ClutterGenError
 from cluttergen_jax.importing.processes import death, limit_memory, most_memory
 
 T = TypeVar("T")
-SECONDS = 30
+SECONDS = 20
 """Of a processor, for one call."""
-_PATIENCE = 2
+_PATIENCE = 4
 """So many times as long may pass, whatever else the machine is busy with."""
 _HEAD = 8
 
@@ -76,9 +76,11 @@ class _Server:
 
         watch = threading.Timer(seconds * _PATIENCE, end)
         watch.daemon = True
-        watch.start()
         try:
             _send(process.stdin, pickle.dumps(question))
+            # It has loaded what it needs.
+            _receive(process.stdout)
+            watch.start()
             return pickle.loads(_receive(process.stdout))
         except (EOFError, OSError):
             code = process.wait()
@@ -160,6 +162,7 @@ def serve() -> None:
             function, arguments, seconds = pickle.loads(_receive(questions))
         except EOFError:
             return
+        _send(answers, b"")
         _set_alarm(seconds)
         try:
             answer = (True, function(*arguments))

@@ -18,24 +18,36 @@ NOTE = "it takes files from outside its folder: "
 _MOST_NAMED = 3
 
 
-def files_outside(source: ObjectFile, root: Path) -> tuple[str, ...]:
-    """The last steps of the paths of what a source takes from elsewhere; links count as what they lead to.
+def files_outside(source: ObjectFile, given: Path) -> tuple[str, ...]:
+    """The last steps of the paths of what a source takes from elsewhere, also by links; itself among them.
 
-    Its own are those below the folder that the user gave, below the source's package, and beside its file.
+    Its own are those below the folder that the user gave, or beside the file, and below the source's package.
 
     Args:
-      root: the folder that the user gave, or that of the file.
+      given: the folder or file that the user gave.
     """
-    return call_limited(source.path, _files_outside, source, root)
+    return call_limited(source.path, _files_outside, source, given)
 
 
-def _files_outside(source: ObjectFile, root: Path) -> tuple[str, ...]:
+def _files_outside(source: ObjectFile, given: Path) -> tuple[str, ...]:
     real = source.path.resolve()
-    own = {root.resolve(), real.parent, source.path.absolute().parent, _package_of(real)}
+    home = given.resolve() if given.is_dir() else given.absolute().parent
+    own = {home, *_blobs(home)}
+    if not given.is_dir():
+        own |= {home.resolve(), real.parent}
+    if real.is_relative_to(home.resolve()):
+        own.add(_package_of(real))
+    files = source_files(source)
     outside = {
-        each for each in source_files(source) if not any(each.is_relative_to(folder) for folder in own)
+        each for each in files if each.is_file() and not any(each.is_relative_to(folder) for folder in own)
     }
     return tuple(sorted({public_path(each) for each in outside}))
+
+
+def _blobs(folder: Path) -> tuple[Path, ...]:
+    """Where the Hugging Face Hub's cache keeps files whose names are links to them."""
+    parents = (folder, *folder.parents)
+    return tuple(each.parent / "blobs" for each in parents if each.name == "snapshots")
 
 
 def outside_note(outside: tuple[str, ...]) -> tuple[str, ...]:

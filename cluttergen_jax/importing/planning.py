@@ -90,6 +90,11 @@ class _Group:
     sets: tuple[KnownSet, ...] = ()
     is_folder: bool = True
 
+    @property
+    def given(self) -> Path:
+        """What the user gave: the folder, or the one file."""
+        return self.root if self.is_folder else self.found.sources[0].path
+
 
 def plan_all(
     sources: Sequence[str | Path],
@@ -213,7 +218,7 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
             public_path(source.path), words.get("licence", NOT_STATED), words.get("attribution", "")
         )
         own_source = replace(own_source, provenance=terms)
-    own_source = replace(own_source, outside=files_outside(own_source, group.root))
+    own_source = replace(own_source, outside=files_outside(own_source, group.given))
     # A file that is given itself is taken.
     sets = group.sets if group.is_folder else ()
     out = next((why for each in sets if (why := each.why_out(source))), "")

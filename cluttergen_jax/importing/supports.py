@@ -76,8 +76,7 @@ def write_table(
             f"{', '.join(embedded_supports())}, table-WxD, bin-WxD",
             "name='my_table'",
         )
-    root = Path(path) if Path(path).is_dir() else Path(path).parent
-    sources = [replace(sources[0], outside=files_outside(sources[0], root))]
+    sources = [replace(sources[0], outside=files_outside(sources[0], Path(path)))]
     shape = call_limited(sources[0].path, read_shape, sources[0], options, joints, _LARGEST, seconds=_READING)
     support, notes = support_with_notes(shape)
     for note in outside_note(sources[0].outside):

@@ -14,6 +14,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.robot.model_files import HINT, model_digest, model_file, mujoco_spec
 from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.files import is_regular_file
 from cluttergen_jax.schema import SchemaError, convert, parse_yaml, read_written
 
 _ROBOTS = Path(__file__).with_name("robots")
@@ -207,7 +208,7 @@ def read_robot(file: str | Path) -> RobotDescription:
       MissingExtraError: the package that carries its models is not installed.
     """
     path = Path(file).absolute()
-    return _read(path, path.stat().st_mtime_ns if path.is_file() else 0)
+    return _read(path, path.stat().st_mtime_ns if is_regular_file(path) else 0)
 
 
 @cache

@@ -25,6 +25,7 @@ from cluttergen_jax.importing.readers.model import (
     frozen_note,
     opened_joint,
 )
+from cluttergen_jax.importing.readers.opening import check_openable
 
 
 def _compile_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
@@ -90,6 +91,8 @@ def _drop(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
         spec.delete(texture)
 
 
+_COMPILING = 60
+"""Seconds of a processor that MuJoCo may take to compile a file."""
 _JOINT = mujoco.mjtJoint
 _MOVABLE = {_JOINT.mjJNT_HINGE: "hinge", _JOINT.mjJNT_SLIDE: "slide", _JOINT.mjJNT_BALL: "ball"}
 
@@ -244,22 +247,34 @@ def compile_with_notes(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     return model, notes
 
 
-def check_before_mujoco(path: Path) -> None:
+def check_before_mujoco(path: Path, text: str = "") -> None:
     """Refuses a file that MuJoCo would not come back from: by its text, then in a process with limits.
 
     MuJoCo compiles in the process that calls it, where a crash, or all memory, would end the whole program.
 
+    Args:
+      path: MJCF, URDF, or MJB, which MuJoCo has compiled.
+      text: what is compiled in place of the file's own content.
+
     Raises:
       AssetError: it goes beyond limits (`mjcf_limits`), or compiling it crashes, takes too long or too much.
     """
-    check_mjcf_extent(path)
-    call_limited(path, _try_to_compile, path)
+    if path.suffix.lower() in (".mjb", ".urdf"):
+        check_openable(path)
+    else:
+        check_mjcf_extent(path)
+    call_limited(path, _try_to_compile, path, text, seconds=_COMPILING)
 
 
-def _try_to_compile(path: Path) -> None:
+def _try_to_compile(path: Path, text: str) -> None:
     """Compiles a file for whether that comes to an end; what it says is said by who compiles it next."""
     with suppress(ValueError, OSError, mujoco.FatalError):
-        mujoco.MjModel.from_xml_path(str(path))
+        if text:
+            mujoco.MjModel.from_xml_string(text)
+        elif path.suffix.lower() == ".mjb":
+            mujoco.MjModel.from_binary_path(str(path))
+        else:
+            mujoco.MjModel.from_xml_path(str(path))
 
 
 def world_bodies(model: mujoco.MjModel) -> list[int]:

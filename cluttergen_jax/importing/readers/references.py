@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import stand_in
 from cluttergen_jax.importing.readers.mjcf import compile_with_notes, world_bodies
+from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
 from cluttergen_jax.importing.readers.opening import MOST_XML, as_utf8, check_openable, read_file
 from cluttergen_jax.importing.readers.places import folder_place, mesh_place
 from cluttergen_jax.importing.readers.sdf import models
@@ -123,6 +124,11 @@ def _sdf(path: Path, is_given: bool) -> ModelFile | str:
 
 
 def _mjcf(path: Path) -> ModelFile:
+    try:
+        check_mjcf_extent(path)
+    except AssetError:
+        # The reader says what is wrong with it.
+        return ModelFile(path, "mjcf", is_whole=False)
     includes = {path.resolve()}
     root = _expand_includes(path, path.parent, includes)
     includes.discard(path.resolve())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,6 +31,7 @@ from cluttergen_jax.importing.readers.xml_tree import (
     without_namespace,
     wrong_attribute,
 )
+from cluttergen_jax.schema import parse_written_json, read_written
 
 XACRO = ".xacro"
 _ELEMENT = re.compile(rb"<(xacro:\w+)")
@@ -338,8 +338,8 @@ def _global_scaling(path: Path) -> float:
     if not label.is_file():
         return 1.0
     try:
-        scale = float(json.loads(label.read_text(encoding="utf-8")).get("globalScaling", 1.0))
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        scale = float(parse_written_json(read_written(label)).get("globalScaling", 1.0))
+    except (OSError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise AssetError(f"{label} cannot be read: {error}") from error
     if not (math.isfinite(scale) and scale > 0):
         raise AssetError(f"{label} has globalScaling {scale}", "a number above zero")
