@@ -4,6 +4,7 @@ import os
 import signal
 import struct
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,8 +21,11 @@ from cluttergen_jax.importing.readers.pieces import whole_of
 from cluttergen_jax.importing.readers.xml_tree import parse_text
 from cluttergen_jax.importing.run import ImportConfig, import_sources
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
+from tests.helpers import banks
 from tests.helpers.cases import CASES, READERS
+from tests.helpers.endings import add, end_by, refuse, spin, take_memory
 from tests.helpers.imports import made_here
+from tests.helpers.worlds import trio
 
 BOX = '<box size=".1 .1 .1"/>'
 GOOD = f'<robot name="r"><link name="l"><visual><geometry>{BOX}</geometry></visual></link></robot>'
@@ -279,23 +283,6 @@ def test_mjcf_that_asks_for_too_much_is_refused_before_mujoco_reads_it(tmp_path,
             reader(path)
 
 
-def spin():
-    while True:
-        pass
-
-
-def end_by(number):
-    os.kill(os.getpid(), number)
-
-
-def take_memory():
-    return len(bytearray(1 << 40))
-
-
-def add(one, other):
-    return one + other
-
-
 def test_what_ends_the_process_with_limits_ends_nothing_else(tmp_path):
     assert call_limited(tmp_path, add, 1, 2) == 3
     with pytest.raises(AssetError, match="not done after 1 s"):
@@ -306,8 +293,9 @@ def test_what_ends_the_process_with_limits_ends_nothing_else(tmp_path):
         call_limited(tmp_path, take_memory)
     with pytest.raises(TypeError):
         call_limited(tmp_path, add, 1, "2")
-    with pytest.raises(ConfigError, match="up = 'w'"):
-        call_limited(tmp_path, ReadOptions, 1.0, "w")
+    with pytest.raises(ConfigError, match=r"up = 'w'. Allowed: an axis. Try: z.") as caught:
+        call_limited(tmp_path, refuse)
+    assert caught.value.hint == "z"
     assert call_limited(tmp_path, add, 1, 2) == 3
 
 
@@ -356,26 +344,33 @@ def test_files_from_outside_are_noted(tmp_path, kind, name):
     assert all(not each.source.outside for each in plan_all([tmp_path], ReadOptions()).objects)
 
 
-def test_a_bank_of_files_from_outside_leaves_by_consent_alone(tmp_path, home, monkeypatch, capsys):
-    monkeypatch.setattr(run, "_outcomes", made_here)
-    (tmp_path / "mine").mkdir()
+def test_a_bank_of_files_from_outside_leaves_by_consent_alone(tmp_path, home, capsys):
+    objects = {asset.name: asset for asset in trio()}
+    tall = objects["tall"]
+    provenance = replace(tall.provenance, outside=("private/things/mug.obj",))
+    objects["tall"] = replace(tall, provenance=provenance)
+    with banks.writer(tmp_path / "bank", 8, objects=objects) as bank:
+        bank.write_block(0, banks.rows(0, 8))
     (tmp_path / "hub").mkdir()
-    box = find_sources(CASES / "28_sdf_undeclared_prefix")[0].path
-    os.symlink(box, tmp_path / "mine" / "tin.sdf")
-    report = import_sources([tmp_path / "mine"], "linked", ImportConfig(progress=False))
-    (asset,) = report.pool.objects
-    assert asset.provenance.outside
-    assert any("outside its folder" in note for note in asset.notes)
-    bank = ["--pool", "linked", "--num-objects", "1", "--num-scenes", "1", "--out", str(tmp_path / "bank")]
-    assert main(["generate", *bank]) == 0
     push = ["push", str(tmp_path / "bank"), "me/bank", "--hub", str(tmp_path / "hub")]
-    capsys.readouterr()
     assert main(push) != 0
     message = capsys.readouterr().err
-    assert "tin.sdf" in message
+    assert "tall (private/things/mug.obj)" in message
     assert "--allow-outside" in message
     assert not list((tmp_path / "hub").iterdir())
     assert main([*push, "--allow-outside"]) == 0
+
+
+def test_an_object_knows_which_files_it_took_from_outside(tmp_path, home, monkeypatch):
+    monkeypatch.setattr(run, "_outcomes", made_here)
+    (tmp_path / "mine").mkdir()
+    os.symlink(CASES / "28_sdf_undeclared_prefix" / "tin.sdf", tmp_path / "mine" / "tin.sdf")
+    for _ in range(2):
+        # Also what the cache has.
+        report = import_sources([tmp_path / "mine"], "linked", ImportConfig(progress=False))
+        (asset,) = report.pool.objects
+        assert asset.provenance.outside == ("import/28_sdf_undeclared_prefix/tin.sdf",)
+        assert sum("outside its folder" in note for note in asset.notes) == 1
 
 
 def test_a_message_has_an_end(tmp_path):
