@@ -66,8 +66,8 @@ class _Model:
         if count > MOST_ELEMENTS:
             raise self._error(f"a model of {count:.3g} elements, copies included", f"up to {MOST_ELEMENTS:,}")
 
-    def _error(self, given: str, allowed: str) -> AssetError:
-        return AssetError(f"{self.path}: {given}", allowed, "a smaller model")
+    def _error(self, given: str, allowed: str, hint: str = "a smaller model") -> AssetError:
+        return AssetError(f"{self.path}: {given}", allowed, hint)
 
     def _size(self, file: Path, above: tuple[Path, ...], main: Path) -> float:
         """Elements of a file with all that it includes and attaches.
@@ -78,9 +78,7 @@ class _Model:
         real = file.resolve()
         if real in above:
             way = " -> ".join(each.name for each in (*above[above.index(real) :], real))
-            raise self._error(
-                f"a model that attaches or includes itself ({way})", "files that come to an end"
-            )
+            raise self._error(f"a model that attaches or includes itself ({way})", "files that do not", "")
         if len(above) >= _MOST_NESTED:
             raise self._error(f"more than {_MOST_NESTED} files within each other", f"up to {_MOST_NESTED}")
         if real in self.sizes:

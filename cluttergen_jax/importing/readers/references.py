@@ -128,7 +128,7 @@ def _mjcf(path: Path) -> ModelFile:
         check_mjcf_extent(path)
     except AssetError:
         # The reader says what is wrong with it.
-        return ModelFile(path, "mjcf", is_whole=False)
+        return ModelFile(path, "mjcf", _named_in_text(path), is_whole=False)
     includes = {path.resolve()}
     root = _expand_includes(path, path.parent, includes)
     includes.discard(path.resolve())
