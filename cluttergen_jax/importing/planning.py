@@ -168,6 +168,8 @@ def _rename_after_file(planned: Planned, kept: Sequence[Planned]) -> Planned:
 
 
 def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
+    if not str(given):
+        raise AssetError("an empty path", "a file or a folder", "'.' for this folder")
     path = Path(given)
     if str(given) == YCB and not path.exists():
         found = Found(tuple(ycb_sources()))

@@ -373,6 +373,13 @@ def test_an_object_knows_which_files_it_took_from_outside(tmp_path, home, monkey
         assert sum("outside its folder" in note for note in asset.notes) == 1
 
 
+@pytest.mark.parametrize("path", ["", "a" * 5000, "nowhere"])
+def test_odd_paths_are_sentences(path):
+    plan = plan_all([path], ReadOptions())
+    assert not plan.objects
+    assert len(plan.failures) == 1
+
+
 def test_a_message_has_an_end(tmp_path):
     (tmp_path / "a.urdf").write_text(GOOD.replace(BOX, f'<mesh filename="{"a" * 10**6}"/>'))
     assert len(said_of(tmp_path / "a.urdf")) < 3000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -87,7 +88,7 @@ def find_all(path: str | Path) -> Found:
       AssetError: nothing is there, or nothing that can be read.
     """
     path = Path(path)
-    if not path.exists():
+    if not os.path.exists(path):
         raise AssetError(f"{path} does not exist", "a mesh, URDF, SDF or MJCF file, or a folder of them")
     if path.suffix.lower() == XACRO and path.is_file():
         raise AssetError(f"{path} is an unprocessed xacro", "URDF", how_to_process(path))
