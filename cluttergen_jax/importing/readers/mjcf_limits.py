@@ -29,7 +29,7 @@ _MOST_NESTED = 16
 _FOLDERS = ("meshdir", "assetdir", "texturedir")
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 _UNITS = {"k": 10, "m": 20, "g": 30, "t": 40, "p": 50, "e": 60}
-_COUNTED = (
+_COUNTED: tuple[str, ...] = (
     "count",
     "grid",
     "nrow",
