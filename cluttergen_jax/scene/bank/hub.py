@@ -165,9 +165,9 @@ def _check_outside(bank: Bank) -> None:
     Raises:
       BankError: it names the objects, and those files.
     """
-    origins = {name: bank.object(name).provenance for name in sorted(bank.assets["objects"])}
-    origins[bank.support.name] = bank.support.provenance
-    taken = [f"{name} ({', '.join(each.outside)})" for name, each in origins.items() if each.outside]
+    origins = [(name, bank.object(name).provenance) for name in sorted(bank.assets["objects"])]
+    origins.append((bank.support.name, bank.support.provenance))
+    taken = [f"{name} ({', '.join(each.outside)})" for name, each in origins if each.outside]
     if taken:
         more = f", and {len(taken) - 3} more" if len(taken) > 3 else ""
         raise BankError(
