@@ -3,6 +3,9 @@
 import difflib
 from collections.abc import Iterable
 
+_LONGEST = 2000
+"""Letters of a message's first part."""
+
 
 def closest(given: object, known: Iterable[str]) -> str:
     """The known name that is most like a misspelt one; "" if none is."""
@@ -19,6 +22,9 @@ class ClutterGenError(Exception):
     """
 
     def __init__(self, given: str, allowed: str = "", hint: str = "", meant: str = "") -> None:
+        if len(given) > _LONGEST:
+            # What a file says may have any length.
+            given = f"{given[: _LONGEST // 2]} [...] {given[-_LONGEST // 2 :]}"
         self.given, self.allowed, self.hint, self.meant = given, allowed, hint, meant
         parts = [given.rstrip(".") + "."]
         if meant:

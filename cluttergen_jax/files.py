@@ -95,6 +95,38 @@ def inside(folder: str | os.PathLike[str], name: object) -> Path:
     return path
 
 
+MOST_WORDS = 64 << 20
+"""Bytes of a file that people write: settings, layouts, tables."""
+
+
+def fault_of_file(path: str | os.PathLike[str], most: int = MOST_WORDS) -> str:
+    """Why a file is not to be opened, in words; "" if it may be, or is not there, which opening it says.
+
+    A named pipe or a device, where a link leads too, would be waited for without end.
+
+    Args:
+      most: bytes that it may have.
+    """
+    try:
+        found = os.stat(path)
+    except OSError:
+        return ""
+    except ValueError as error:
+        return f"no file can have this path ({error})"
+    if not stat.S_ISREG(found.st_mode):
+        kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket"}
+        return f"it is {kinds.get(stat.S_IFMT(found.st_mode), 'a device')}, no regular file"
+    return f"it has {found.st_size:,} bytes, and up to {most:,} are read" if found.st_size > most else ""
+
+
+def is_regular_file(path: str | os.PathLike[str]) -> bool:
+    """Whether a regular file is there; False too for a path that none can have, such as a very long one."""
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode)
+    except (OSError, ValueError):
+        return False
+
+
 _STRANGER = "not using it if you do not know where it is from; a copy without links (cp -rL) if you do"
 
 

@@ -9,13 +9,18 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
+import yaml
+
+from cluttergen_jax.files import fault_of_file
 
 T = TypeVar("T")
 Record = dict[str, Any]
@@ -43,6 +48,146 @@ def parse_json(data: bytes, allow_nan: bool = False) -> Any:
         return json.loads(data) if allow_nan else msgspec.json.decode(data)
     except (ValueError, RecursionError) as error:
         raise SchemaError(f"not JSON: {error or 'nested too deeply'}") from error
+
+
+_MOST_DEEP = 50
+"""Lists and mappings within each other, in what people write."""
+
+
+def parse_written_json(data: bytes) -> Any:
+    """What JSON that people write says: as `parse_json`, and a key that comes twice is refused.
+
+    Raises:
+      SchemaError: it is none, has a key twice, or lies too deep within each other.
+    """
+    try:
+        value = json.loads(data, object_pairs_hook=_unique, parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        raise SchemaError(f"not JSON: {error or 'nested too deeply'}") from error
+    _check_depth(value)
+    return value
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> Record:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"the key {next(key for key in keys if keys.count(key) > 1)!r} comes twice")
+    return found
+
+
+def _no_number(text: str) -> None:
+    raise ValueError(f"{text} is no number of JSON")
+
+
+def _check_depth(value: Any) -> None:
+    level, depth = [value], 0
+    while level:
+        depth += 1
+        if depth > _MOST_DEEP:
+            raise SchemaError(f"lists and mappings within each other, more than {_MOST_DEEP} deep")
+        level = [
+            inner
+            for each in level
+            if isinstance(each, dict | list)
+            for inner in (each.values() if isinstance(each, dict) else each)
+        ]
+
+
+def parse_toml(text: str) -> Record:
+    """What TOML says; the language itself allows no key twice.
+
+    Raises:
+      SchemaError: it is none, or lies too deep within each other.
+    """
+    try:
+        value = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise SchemaError(f"not TOML: {error or 'nested too deeply'}") from error
+    _check_depth(value)
+    return value
+
+
+def parse_yaml(data: bytes) -> Any:
+    """What YAML says: one document whose keys are texts, each once, in UTF-8.
+
+    Raises:
+      SchemaError: it is none, has a key twice or one that is no text, lies too deep within each other, or
+        grows without bound by what it repeats.
+    """
+    try:
+        return yaml.load(data.decode("utf-8-sig"), _YamlLoader)
+    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
+        said = " ".join(str(error).replace('in "<unicode string>", ', "at ").split())
+        raise SchemaError(f"not YAML: {said}") from error
+    except RecursionError as error:
+        raise SchemaError("not YAML: nested too deeply") from error
+
+
+class _YamlLoader(yaml.SafeLoader):
+    """The safe loader, with the checks of `parse_yaml`."""
+
+    _MOST_ALIASES = 100
+    _MOST_MERGED = 10_000
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = self._num_aliases = 0
+        self._open: list[str] = []
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """One node, at most so deep; what repeats another may not be part of it."""
+        event = self.peek_event()
+        if self.check_event(yaml.AliasEvent):
+            self._num_aliases += 1
+            if event.anchor in self._open or self._num_aliases > self._MOST_ALIASES:
+                is_own = event.anchor in self._open
+                fault = "repeats what it is part of" if is_own else f"is one of over {self._MOST_ALIASES}"
+                raise yaml.MarkedYAMLError(problem=f"*{event.anchor} {fault}", problem_mark=event.start_mark)
+            return super().compose_node(parent, index)
+        self._depth += 1
+        if self._depth > _MOST_DEEP:
+            fault = f"lists and mappings within each other, more than {_MOST_DEEP} deep"
+            raise yaml.MarkedYAMLError(problem=fault, problem_mark=event.start_mark)
+        self._open.append(event.anchor or "")
+        node = super().compose_node(parent, index)
+        self._open.pop()
+        self._depth -= 1
+        return node
+
+    def compose_mapping_node(self, anchor: Any) -> Any:
+        """One mapping, whose keys are texts, each once."""
+        node = super().compose_mapping_node(anchor)
+        seen: set[str] = set()
+        for key, _ in node.value:
+            is_text = isinstance(key, yaml.ScalarNode) and key.tag.rpartition(":")[2] in ("str", "merge")
+            if not is_text or key.value in seen:
+                shown = repr(key.value) if isinstance(key, yaml.ScalarNode) else "a list or a mapping"
+                fault = "comes twice" if is_text else "is no text as a key (quotes make it one)"
+                raise yaml.MarkedYAMLError(problem=f"{shown} {fault}", problem_mark=key.start_mark)
+            seen.add(key.value)
+        return node
+
+    def flatten_mapping(self, node: Any) -> None:
+        """Puts in what `<<` repeats, up to a limit."""
+        super().flatten_mapping(node)
+        if len(node.value) > self._MOST_MERGED:
+            raise yaml.MarkedYAMLError(
+                problem=f"more than {self._MOST_MERGED:,} keys by <<", problem_mark=node.start_mark
+            )
+
+
+def read_written(path: str | os.PathLike[str]) -> bytes:
+    """The bytes of a file that people write.
+
+    Raises:
+      SchemaError: it is no regular file, or too large; the text does not name it.
+      OSError: it cannot be opened.
+    """
+    if fault := fault_of_file(path):
+        raise SchemaError(fault)
+    with open(path, "rb") as file:
+        return file.read()
 
 
 def _lenient(data: bytes) -> Any:

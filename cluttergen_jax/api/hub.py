@@ -5,7 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 
-def push_bank(path: str | Path, name: str, *, hub: str | None = None, is_private: bool = False) -> str:
+def push_bank(
+    path: str | Path,
+    name: str,
+    *,
+    hub: str | None = None,
+    is_private: bool = False,
+    allow_outside: bool = False,
+) -> str:
     """Publishes a bank as a data set, with its card; returns where it is.
 
     What is there under that name is replaced at once, if it is a bank: a hub keeps its earlier revisions.
@@ -16,15 +23,17 @@ def push_bank(path: str | Path, name: str, *, hub: str | None = None, is_private
       hub: another server's address, https://..., or a folder; the variable CLUTTERGEN_HUB says the same. The
         Hugging Face Hub if not given.
       is_private: a new data set can be seen by its owner alone.
+      allow_outside: publish also what was made of files from outside the folders that were imported.
 
     Raises:
-      BankError: the bank is not whole, the name is none or that of something else, or the hub refuses or
-        cannot be reached.
+      BankError: the bank is not whole, holds what was made of files from outside the folders that were
+        imported, the name is none or that of something else, or the hub refuses or cannot
+        be reached.
       MissingExtraError: the extra `hub` is not installed.
     """
     from cluttergen_jax.scene.bank.hub import push
 
-    return push(path, name, hub, is_private)
+    return push(path, name, hub, is_private, allow_outside)
 
 
 def pull_bank(

@@ -195,7 +195,7 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
             "parts": [_round(part.vertices, 7) for part in asset.parts],
             "rgba": [list(map(float, piece.rgba)) for piece in asset.pieces],
             "resting": [asdict(pose) for pose in asset.resting],
-            "provenance": asdict(asset.provenance),
+            "provenance": asset.provenance.record(),
             "quality": asdict(asset.quality),
             "flags": list(asset.flags),
             "files": digests,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -169,11 +169,21 @@ class Joint:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a shape comes from and on which terms it may be passed on."""
+    """Where a shape comes from and on which terms it may be passed on.
+
+    Attributes:
+      outside: files that its own file took from outside its folder, the last steps of their paths.
+    """
 
     source: str
     licence: str
     attribution: str = ""
+    outside: tuple[str, ...] = ()
+
+    def record(self) -> dict[str, Any]:
+        """As JSON values; without `outside` where there is none, as records of older versions are."""
+        fields = {"source": self.source, "licence": self.licence, "attribution": self.attribution}
+        return {**fields, "outside": list(self.outside)} if self.outside else fields
 
 
 @dataclass(frozen=True)

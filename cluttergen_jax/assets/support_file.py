@@ -210,7 +210,7 @@ def _record(support: SupportAsset) -> dict[str, Any]:
             }
             for index, piece in enumerate(support.pieces)
         ],
-        "provenance": asdict(support.provenance),
+        "provenance": support.provenance.record(),
         **more,
     }
 

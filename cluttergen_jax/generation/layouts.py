@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import msgspec
-import yaml
 
 from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.files import is_regular_file
 from cluttergen_jax.placement.relations import conditions_of, parse_relations
+from cluttergen_jax.schema import SchemaError, convert, parse_yaml, read_written
 from cluttergen_jax.spec import SceneSpec
 
 _HINT = "a file such as those of `cluttergen list`"
@@ -81,14 +81,15 @@ def read_layout(layout: str | Path) -> SceneSpec:
 def _read(layout: str | Path) -> _File:
     known = list_layouts()
     path = known.get(str(layout), Path(layout))
-    if not path.is_file():
+    if not is_regular_file(path):
         meant = closest(str(layout), tuple(known))
         raise ConfigError(f"layout {str(layout)!r}", f"a YAML file, or {', '.join(known)}", _HINT, meant)
     try:
-        content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return msgspec.convert(content, _File)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        content = parse_yaml(read_written(path))
+    except (SchemaError, OSError) as error:
         raise ConfigError(f"layout {path}: {error}", "YAML", _HINT) from error
-    except msgspec.ValidationError as error:
+    try:
+        return convert(content, _File)
+    except SchemaError as error:
         fields = ", ".join(_File.__struct_fields__)
         raise ConfigError(f"layout {path}: {error}", f"a mapping with {fields}", _HINT) from error

@@ -40,7 +40,7 @@ from cluttergen_jax.scene.bank.reference import missing_text, parse_reference
 from cluttergen_jax.scene.bank.scene import config_of, region_of
 from cluttergen_jax.scene.bank.table import rows_of, table_of
 from cluttergen_jax.scene.bank.writer import names_of
-from cluttergen_jax.schema import SchemaError, convert, digest_of, parse_json
+from cluttergen_jax.schema import SchemaError, convert, digest_of, parse_written_json, read_written
 from cluttergen_jax.types import small_length
 
 _FORM = '{"pool": "dining", "support": "table", "objects": [{"name": "mug", "position": [0.1, 0, 0.75]}]}'
@@ -176,7 +176,7 @@ def _only(what: str, found: set[str]) -> str:
 
 def _read_file(file: Path) -> _File:
     try:
-        read = convert(parse_json(file.read_bytes()), _File)
+        read = convert(parse_written_json(read_written(file)), _File)
     except (SchemaError, OSError) as error:
         raise ConfigError(f"{file} is no layout ({error})", f"JSON such as {_FORM}") from error
     if not read.objects:

@@ -14,8 +14,10 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.files import cache_home, remove, scratch_folder
+from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.readers.mesh_text import companions
+from cluttergen_jax.importing.readers.opening import check_openable
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
 
 BODY_VERSION = 9
@@ -23,6 +25,8 @@ BODY_VERSION = 9
 masses, checks, colours or the files that hold them. Every cached body is then made again.
 `test_bodies_are_those_of_this_version` fails where that was forgotten."""
 
+_HASHING = 120
+"""Seconds of a processor that all files of an object may take to be read."""
 _LIBRARIES = ("mujoco", "coacd", "manifold3d", "trimesh", "numpy", "scipy", "fast-simplification", "pillow")
 
 # Beside a mesh file, what may give it its colours.
@@ -34,18 +38,29 @@ def cache_root() -> Path:
     return cache_home() / ("cache" if os.environ.get("CLUTTERGEN_HOME") else "objects")
 
 
+def source_files(source: ObjectFile) -> set[Path]:
+    """The real paths of a source's file and of all that it names and that is there.
+
+    Raises:
+      OSError: a file cannot be read.
+    """
+    files = {file.resolve() for file in (source.path, *source.parts)}
+    if source.kind != "mesh" and isinstance(model := model_file(source.path, True), ModelFile):
+        files |= model.files | model.includes | model.shared | {source.path.parent.resolve() / "label.json"}
+    return files | {each.resolve() for file in files if file.is_file() for each in companions(file)}
+
+
 def source_digest(source: ObjectFile) -> str:
     """Hex digest of every byte that reading the source may touch: files, materials and textures beside them.
 
     Raises:
       OSError: a file cannot be read.
     """
-    files = {file.resolve() for file in (source.path, *source.parts)}
-    if source.kind != "mesh" and isinstance(model := model_file(source.path), ModelFile):
-        files |= model.files | model.includes | {source.path.parent.resolve() / "label.json"}
-    files |= {each.resolve() for file in files if file.is_file() for each in companions(file)}
+    files = source_files(source)
     for folder in {file.parent for file in files}:
         files |= {each for each in folder.iterdir() if each.suffix.lower() in _COMPANIONS}
+    for file in files:
+        check_openable(file)
     home = source.path.parent.resolve()
     digest = hashlib.sha256()
     for file in sorted(file for file in files if file.is_file()):
@@ -60,10 +75,10 @@ def cache_key(source: ObjectFile, config: Any, is_whole: bool = False) -> str:
     Args:
       is_whole: see `read_shape`.
     """
-    provenance = None if source.provenance is None else asdict(source.provenance)
+    provenance = None if source.provenance is None else source.provenance.record()
     said = [list(source.stretch), list(source.decisions), is_whole and source.kind == "mesh"]
     return _digest(
-        source_digest(source),
+        call_limited(source.path, source_digest, source, seconds=_HASHING),
         source.path.name,
         source.kind,
         source.body,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile, find_sources
 from cluttergen_jax.importing.readers.source import make_source
 from cluttergen_jax.importing.scenery import MIN_CHAIN, BodyFacts, world_facts
@@ -46,7 +47,9 @@ def find_furniture(path: str | Path) -> tuple[ObjectFile, list[str]]:
     if len(sources) == 1:
         return first, []
     bodies = [source.body for source in sources]
-    taken, notes = _furniture_of(bodies, world_facts(first.path) if first.kind == "mjcf" else [])
+    taken, notes = _furniture_of(
+        bodies, call_limited(first.path, world_facts, first.path) if first.kind == "mjcf" else []
+    )
     said = f"taken as one piece of furniture: {_names(taken)} ({first.path.name}#{taken[0]} takes that alone)"
     return replace(make_source(first.path, first.kind), bodies=tuple(taken)), [said, *notes]
 

@@ -8,7 +8,8 @@ from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.config import NUM_TRIALS
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import check_positive
-from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.errors import AssetError, ClutterGenError
+from cluttergen_jax.importing.processes import most_memory
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, read_shape
 from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_SIZE
 from cluttergen_jax.importing.readers.source import states_unit
@@ -81,6 +82,9 @@ def make_job(job: Job) -> ObjectAsset | LeftOut | str:
         return LeftOut(job.place, reason, ", ".join(error.places))
     except ClutterGenError as error:
         return str(error)
+    except MemoryError:
+        given = f"{job.source.path} takes more than {most_memory() >> 30} GB of memory"
+        return str(AssetError(given, hint="a mesh of fewer triangles, or smaller images"))
     except Exception as error:  # One unforeseen object must not end a run of hundreds.
         return f"{job.source.path}: {type(error).__name__}: {error}"
 

@@ -14,6 +14,8 @@ from typing import Any
 from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
+from cluttergen_jax.importing.limited import call_limited
+from cluttergen_jax.importing.outside import files_outside
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
 from cluttergen_jax.importing.readers.gltf_file import words_of
 from cluttergen_jax.importing.readers.pieces import collision_files
@@ -117,6 +119,11 @@ class _Group:
         """Whether a file that was passed over says something of an object, and is reported there."""
         return (self.root.parent / skipped.name).resolve() in self.sidecars.used
 
+    @property
+    def given(self) -> Path:
+        """What the user gave: the folder, or the one file."""
+        return self.root if self.is_folder else self.found.sources[0].path
+
 
 def plan_all(
     sources: Sequence[str | Path],
@@ -156,6 +163,8 @@ def plan_all(
                 planned.append(_plan_source(source, group, options))
             except OSError as error:
                 failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
+            except AssetError as error:
+                failures.append(Failure(source.name, str(error)))
     skipped = tuple(each for group in groups for each in group.found.skipped if not group.has_used(each))
     unused = tuple(f"{each.place}: {alarm}" for each in planned for alarm in each.alarms)
     others = [each for each in planned if each.is_other]
@@ -195,6 +204,8 @@ def _rename_after_file(planned: Planned, kept: Sequence[Planned]) -> Planned:
 
 
 def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
+    if not str(given):
+        raise AssetError("an empty path", "a file or a folder", "'.' for this folder")
     path = Path(given)
     if str(given) == YCB and not path.exists():
         found = Found(tuple(ycb_sources()))
@@ -246,7 +257,8 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     if own.up == AUTO and source.provenance is not None:
         # The YCB objects stand as they stood when they were scanned.
         own = replace(own, up=FILE)
-    words = words_of(source.path) if source.path.suffix.lower() in (".glb", ".gltf") else {}
+    is_gltf = source.path.suffix.lower() in (".glb", ".gltf")
+    words = call_limited(source.path, words_of, source.path) if is_gltf else {}
     label = {key: value for key, value in from_set.items() if key == "label"}
     said = {key: value for key, value in words.items() if key == "synset"}
     said |= {"label": words["label"]} if says_something(words.get("label", "")) else {}
@@ -269,6 +281,7 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
             public_path(source.path), words.get("licence", NOT_STATED), words.get("attribution", "")
         )
         own_source = replace(own_source, provenance=terms)
+    own_source = replace(own_source, outside=files_outside(own_source, group.given))
     # A file that is given itself is taken.
     sets = group.sets if group.is_folder else ()
     out = next((why for each in sets if (why := each.why_out(source))), "")
@@ -314,7 +327,7 @@ def _with_stated(
 def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: KnownSet | None) -> UpAxis:
     """The vertical axis of a source, and who says so: the settings of the group, its set, or the user."""
     if own.up not in AXES:
-        return own_up(source.path, source.kind)
+        return call_limited(source.path, own_up, source.path, source.kind)
     if group is not None and group.settings:
         return UpAxis(own.up, f"as {group.settings[-1][1].path.name} says")
     return UpAxis(own.up, "as `up` says" if known is None else f"as in {known.layout.title}")

@@ -29,6 +29,10 @@ _MOST_UNBORN = 3
 """So many workers may end, one after another, before they take a job."""
 
 
+_BYTES = 8 << 30
+_LEAST = 3 << 30
+
+
 @dataclass
 class Outcome:
     """What became of a job."""
@@ -75,6 +79,7 @@ class Crew:
       again: makes the next job.
       most_tries: of a job, where `again` is given.
       watch: hears, every second or oftener, which jobs are at work, by index.
+      is_limited: each may take so much memory as `most_memory` says.
     """
 
     def __init__(
@@ -85,10 +90,11 @@ class Crew:
         again: Again | None = None,
         most_tries: int = 2,
         watch: Watch | None = None,
+        is_limited: bool = False,
     ) -> None:
         self._function, self._num, self._limit, self._again = function, num_processes, limit, again
         self._most_tries = most_tries if again is not None else 1
-        self._watch = watch
+        self._watch, self._is_limited = watch, is_limited
         self._workers: list[_Worker] = []
         self._waiting: deque[_Task] = deque()
         self._last: deque[_Task] = deque()
@@ -126,14 +132,14 @@ class Crew:
         free = [worker for worker in self._workers if worker.task is None]
         while self._waiting and len(busy) < self._num:
             if not free:
-                free.append(_Worker(self._function))
+                free.append(_Worker(self._function, self._is_limited))
                 self._workers.append(free[-1])
             busy.append(free.pop())
             busy[-1].give(self._waiting.popleft())
         if self._last and not self._waiting and not busy:
             # Idle workers hold memory, of which there may have been too little.
             self.close()
-            self._workers = [_Worker(self._function)]
+            self._workers = [_Worker(self._function, self._is_limited)]
             self._workers[0].give(self._last.popleft())
 
     def _workers_to_hear(self) -> list[_Worker]:
@@ -265,10 +271,10 @@ class _Worker:
       cpu_before: processor seconds that it had used by then.
     """
 
-    def __init__(self, function: Callable[[Any], Any]) -> None:
+    def __init__(self, function: Callable[[Any], Any], is_limited: bool) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process = context.Process(target=_serve, args=(theirs, is_limited), daemon=True)
         self._process.start()
         theirs.close()
         self.task: _Task | None = None
@@ -322,12 +328,33 @@ def _cpu_seconds(pid: int | None) -> float | None:
         return None
 
 
-def _serve(pipe: Connection) -> None:
+def most_memory() -> int:
+    """Bytes that a process may take that reads a stranger's file: 8 GB, or half of a smaller machine."""
+    try:
+        whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError, AttributeError):
+        return _BYTES
+    return max(min(_BYTES, whole // 2), _LEAST)
+
+
+def limit_memory() -> None:
+    """Gives this process `most_memory`, where the system knows limits."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        most = most_memory() if hard == resource.RLIM_INFINITY else min(most_memory(), hard)
+        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+
+
+def _serve(pipe: Connection, is_limited: bool) -> None:
     """In a worker: first the function comes, then jobs, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # One thread each, and no GPU; before anything heavy is loaded, as the function and the jobs do.
     os.environ["OMP_NUM_THREADS"] = "1"
     os.environ["JAX_PLATFORMS"] = "cpu"
+    if is_limited:
+        limit_memory()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         function = pipe.recv()

@@ -21,6 +21,7 @@ from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.files import writing
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.job import NUM_TRIES, Job, ObjectConfig, make_job, next_try
+from cluttergen_jax.importing.outside import NOTE, outside_note
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
 from cluttergen_jax.importing.processes import Crew, Outcome, Watch
 from cluttergen_jax.importing.readers import ObjectFile, Skipped
@@ -47,7 +48,7 @@ def _outcomes(
     """What became of each job as they come, from processes of this machine, or of a cluster unwatched."""
     if config.cluster is None:
         crew = Crew(
-            make_job, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, NUM_TRIES, watch
+            make_job, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, NUM_TRIES, watch, True
         )
         with closing(crew):
             yield from crew.outcomes(jobs)
@@ -62,7 +63,7 @@ def _outcomes(
 
 def _maker(limit: float) -> Callable[[Job], Outcome]:
     """On a cluster, each worker has a process of its own that can be ended."""
-    crew = Crew(make_job, 1, limit, next_try, NUM_TRIES)
+    crew = Crew(make_job, 1, limit, next_try, NUM_TRIES, is_limited=True)
     return lambda job: next(crew.outcomes([job]))[1]
 
 
@@ -263,6 +264,8 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
             jobs.append(Job(each.source, key, own, limits=limits, place=each.place))
         except OSError as error:
             failures.append(Failure(each.source.name, f"{error.filename} cannot be read ({error.strerror})"))
+        except AssetError as error:
+            failures.append(Failure(each.source.name, str(error)))
     return jobs, failures
 
 
@@ -273,9 +276,10 @@ def _load_cached(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
 
 def _with_source(source: ObjectFile, asset: ObjectAsset) -> ObjectAsset:
     """A cached body that says where it is from now: the same file may lie in several folders."""
-    if source.provenance is not None:
-        return asset
-    return replace(asset, provenance=replace(asset.provenance, source=public_path(source.path)))
+    where = {"source": public_path(source.path)} if source.provenance is None else {}
+    notes = tuple(note for note in asset.notes if not note.startswith(NOTE)) + outside_note(source.outside)
+    provenance = replace(asset.provenance, outside=source.outside, **where)
+    return replace(asset, provenance=provenance, notes=notes)
 
 
 def _too_large_bodies(jobs: Sequence[Job], made: dict[str, ObjectAsset]) -> dict[str, LeftOut]:

@@ -16,6 +16,7 @@ import hashlib
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +24,10 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile
+from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
 from cluttergen_jax.importing.readers.xml_tree import Element, parse_xml, plain_tag
 
 _JOINT, _GEOM, _PULL = mujoco.mjtJoint, mujoco.mjtGeom, mujoco.mjtTrn
@@ -54,8 +58,9 @@ class BodyFacts:
 def world_facts(path: Path) -> list[BodyFacts]:
     """Of each body that hangs on the world, in the file's order; [] where MuJoCo cannot parse the file."""
     try:
+        check_mjcf_extent(path)
         spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, OSError):
+    except (ValueError, OSError, AssetError):
         return []
     try:
         return [_facts(spec, body) for body in spec.worldbody.bodies]
@@ -251,7 +256,9 @@ def why_no_objects(sources: Sequence[ObjectFile]) -> dict[int, tuple[str, str]]:
 def _bodies(sources: Sequence[ObjectFile]) -> list[_Body]:
     of_file: dict[Path, tuple[BodyFacts, ...]] = {}
     for path in {source.path for source in sources if source.kind == "mjcf"}:
-        of_file[path] = tuple(world_facts(path))
+        # What cannot be read is made an object, and says so there.
+        with suppress(AssetError):
+            of_file[path] = tuple(call_limited(path, world_facts, path))
     found = []
     for source in sources:
         siblings = of_file.get(source.path, ())
@@ -273,7 +280,10 @@ def _why_alone(body: _Body) -> str:
     if _GRIPPER.search((body.source.body.removeprefix("#") or body.source.path.stem).lower()):
         return "a robot's gripper, finger or hand, by its name"
     if facts is None:
-        is_robot = body.source.kind in ("urdf", "sdf") and has_limbs(body.source.path, MIN_CHAIN)
+        path, is_robot = body.source.path, False
+        if body.source.kind in ("urdf", "sdf"):
+            with suppress(AssetError):
+                is_robot = call_limited(path, has_limbs, path, MIN_CHAIN)
         return _ROBOT if is_robot else ""
     if actor := _why_actor(facts):
         return actor

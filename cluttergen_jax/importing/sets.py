@@ -6,7 +6,6 @@ A layout says which files are models, what is no table-top object, and what the 
 
 from __future__ import annotations
 
-import gzip
 import json
 import os
 import zlib
@@ -19,13 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import yaml
 
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import AssetError, ConfigError
+from cluttergen_jax.files import MOST_WORDS
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions
+from cluttergen_jax.importing.readers.opening import read_file, unpacked
 from cluttergen_jax.importing.readers.source import label_of
 from cluttergen_jax.importing.settings import did_you_mean
-from cluttergen_jax.schema import convert
+from cluttergen_jax.schema import convert, parse_yaml
 
 AUTO, NONE = "auto", "none"
 _DEFAULTS = ReadOptions()
@@ -101,7 +101,7 @@ class KnownSet:
 @cache
 def layouts() -> dict[str, Layout]:
     """All layouts by name, in the order in which they are tried."""
-    document = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+    document = parse_yaml(Path(__file__).with_suffix(".yaml").read_bytes())
     return convert(document, dict[str, Layout])
 
 
@@ -182,7 +182,7 @@ def _look_up(where: Lookup, path: Path) -> str:
 def _json(path: Path, time: int) -> Any:
     """A JSON file's content as of a time; None if it cannot be read."""
     try:
-        data = path.read_bytes()
-        return json.loads(gzip.decompress(data) if path.suffix == ".gz" else data)
-    except (OSError, ValueError, EOFError, RecursionError, zlib.error):
+        data = read_file(path, MOST_WORDS)
+        return json.loads(unpacked(data) if path.suffix == ".gz" else data)
+    except (AssetError, OSError, ValueError, EOFError, RecursionError, zlib.error):
         return None

@@ -30,7 +30,6 @@ from __future__ import annotations
 
 import csv
 import difflib
-import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
@@ -42,6 +41,7 @@ from cluttergen_jax.assets.object_files import NAME_PATTERN, RESERVED
 from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions
 from cluttergen_jax.importing.readers.tree import SETTINGS
+from cluttergen_jax.schema import SchemaError, parse_toml, read_written
 
 DEFAULT = "default"
 OF_READING = tuple(each.name for each in fields(ReadOptions))
@@ -138,10 +138,12 @@ def read_settings(path: Path) -> Settings:
     """
     is_list = path.suffix.lower() == ".csv"
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        document = _rows_of(path, text) if is_list else tomllib.loads(text)
+        text = read_written(path).decode("utf-8-sig")
+        document = _rows_of(path, text) if is_list else parse_toml(text)
     except OSError as error:
         raise ConfigError(f"settings {path} cannot be read ({error.strerror})") from error
+    except SchemaError as error:
+        raise ConfigError(f"settings {path}: {error}", "a file of TOML, or a table of CSV") from error
     except (ValueError, csv.Error) as error:
         kind = "a table of CSV" if is_list else "TOML"
         raise ConfigError(f"settings {path} are not {kind}: {error}") from error

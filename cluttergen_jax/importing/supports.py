@@ -48,6 +48,8 @@ from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.importing.furniture_file import find_furniture
 from cluttergen_jax.importing.furniture_pose import read_upright
+from cluttergen_jax.importing.limited import call_limited
+from cluttergen_jax.importing.outside import files_outside, outside_note
 from cluttergen_jax.importing.readers import ReadOptions
 from cluttergen_jax.importing.support_joints import estimates_of, moved_together, with_joints
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
@@ -63,6 +65,8 @@ from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
 _NAMED = re.compile(r"'[^']*'|\S+\.(obj|mtl|dae|stl|ply|glb|png|jpe?g)\b", re.IGNORECASE)
 _OF_MASS = ("its file states no", "the mass that its file")
 """How readers' notes on an object's mass begin, which a support has none of."""
+_READING = 120
+"""Seconds of a processor that reading furniture may take."""
 
 
 def write_table(
@@ -81,10 +85,11 @@ def write_table(
             f"{', '.join(embedded_supports())}, table-WxD, bin-WxD",
             "name='my_table'",
         )
-    shape, of_pose = read_upright(source, options, joints)
+    source = replace(source, outside=files_outside(source, source.path))
+    shape, of_pose = call_limited(source.path, read_upright, source, options, joints, seconds=_READING)
     support, notes = support_with_notes(shape)
     of_file = [note for note in shape.notes if not note.startswith(_OF_MASS)]
-    said = [*of_bodies, *of_pose, *map(_with_option, of_file), *notes]
+    said = [*outside_note(source.outside), *of_bodies, *of_pose, *map(_with_option, of_file), *notes]
     said += [*estimates_of(support.joints), *_alarms(support)]
     for note in _together(said):
         print(note, file=sys.stderr)

@@ -10,7 +10,7 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -211,7 +211,7 @@ def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
         key = ids.setdefault(asset.name, len(ids) + 1)
         if (known := infos.get(str(key))) is None:
             new[key] = asset
-            source = {"name": asset.name, "label": asset.label, **asdict(asset.provenance)}
+            source = {"name": asset.name, "label": asset.label, **asset.provenance.record()}
             infos[str(key)] = source | {"hash": object_hash(asset)} | extent | _symmetries(pieces)
         # Earlier versions kept no digest.
         elif any(abs(known[name] - value) > _SAME for name, value in extent.items()) or (

@@ -3,3 +3,5 @@
 from pathlib import Path
 
 CASES = Path(__file__).parents[1] / "cases" / "import"
+READERS = Path(__file__).parents[1] / "cases" / "readers"
+"""Files that killed or stopped their readers."""

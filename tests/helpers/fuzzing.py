@@ -7,6 +7,7 @@ adds what it finds to `tests/corpus`, which `test_fuzz.py` tries again each time
 from __future__ import annotations
 
 import faulthandler
+import gzip
 import hashlib
 import json
 import random
@@ -23,6 +24,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import trimesh
+from PIL import Image
 
 from cluttergen_jax import bank_reader
 from cluttergen_jax.assets.object_files import read_object, write_object
@@ -30,8 +32,15 @@ from cluttergen_jax.assets.pool import Pool, read_pool, write_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import read_support, write_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
+from cluttergen_jax.downstream.robot import description
+from cluttergen_jax.downstream.robot.description import read_robot
 from cluttergen_jax.errors import BankError, ClutterGenError
+from cluttergen_jax.evaluation.judging.scene_files import read_model, read_starts
+from cluttergen_jax.generation import repair
+from cluttergen_jax.generation.layouts import read_layout
+from cluttergen_jax.importing import sets
 from cluttergen_jax.importing.readers import find_sources, read_shape
+from cluttergen_jax.importing.settings import read_settings
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
 from cluttergen_jax.scene.bank import read_bank
@@ -40,12 +49,14 @@ from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from cluttergen_jax.scene.xml import scene_xml
+from cluttergen_jax.sensing.camera_plan import parse_cameras
 from tests.helpers import banks
 from tests.helpers.fuzzed_files import OWN, plain, without_seal
 from tests.helpers.gltf import skinned
 from tests.helpers.worlds import trio
 
 CORPUS = Path(__file__).parents[1] / "corpus"
+ROBOTS = Path(description.__file__).parent / "robots"
 LIKE = {"params": {"actor": {"kernel": np.zeros((4, 3), np.float32)}}}
 _NUMBER = re.compile(rb"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
 _WORD = re.compile(rb"[A-Za-z_]{2,}")
@@ -268,6 +279,69 @@ def _scene(folder: Path) -> None:
     (folder / "scenes" / "000000.xml").write_bytes(text)
 
 
+LAYOUT = """title: A meal
+objects: {mine: mug, yours: bowl}
+relations: ["mine left_of yours"]
+pool: dining
+others: 2
+"""
+TOML = """[default]
+density = 700
+["part.obj"]
+scale = 0.5
+licence = "CC0"
+"""
+CSV = "file,density,label\npart.obj,700,part\n"
+CAMERAS = """{"cameras": [{"name": "front", "width": 64, "height": 48, "K": [[50, 0, 32], [0, 50, 24],
+[0, 0, 1]], "T_world_camera": [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.9], [0, 0, 0, 1]]}]}"""
+BROKEN = """{"pool": "dining", "support": "table", "objects": [{"name": "mug", "position": [0, 0, 0.5],
+"quaternion_wxyz": [1, 0, 0, 0]}]}"""
+MTL = "newmtl red\nKd 1 0 0\nd 0.9\nmap_Kd -s 1 1 1 picture.png\n"
+
+
+def _lines(name: str, text: str) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+    return make
+
+
+def _included(folder: Path) -> None:
+    _text("inner.sdf", SDF)(folder)
+    include = "<include><uri>inner.sdf</uri><name>other</name><pose>0 0 1 0 0 0</pose></include>"
+    (folder / "outer.sdf").write_text(f'\n<?xml version="1.0"?><sdf><model name="m">{include}</model></sdf>')
+
+
+def _coloured(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    box = trimesh.creation.box((0.1, 0.1, 0.2)).export(file_type="obj")
+    (folder / "thing.obj").write_text(f"mtllib thing.mtl\nusemtl red\n{box}")
+    (folder / "thing.mtl").write_text(MTL)
+    Image.new("RGB", (4, 4)).save(folder / "picture.png")
+
+
+def _words_of_a_set(folder: Path) -> None:
+    """What a set keeps beside its objects, packed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "words.json.gz").write_bytes(gzip.compress(b'{"thing": {"label": "a thing"}}', mtime=0))
+
+
+def _look_up(folder: Path) -> object:
+    return sets._json(folder / "words.json.gz", time.monotonic_ns())
+
+
+def _judged(folder: Path) -> None:
+    model = read_model(folder / "thing.xml")
+    read_starts(model, folder / "thing.xml", None, 4)
+
+
+def _states(folder: Path) -> None:
+    _text("thing.xml", MJCF)(folder)
+    model = read_model(folder / "thing.xml")
+    np.savez(folder / "thing.npz", states=np.tile(model.qpos0, (2, 1)))
+
+
 READERS = {
     "bank_record": Reader(_bank, "bank.json", _read_bank),
     "bank_record_signed": Reader(_bank, "bank.json", _read_bank, _sign(None)),
@@ -325,6 +399,25 @@ READERS = {
     "mjcf_mesh": Reader(_text("thing.xml", MJCF), "part.obj", _read_shapes),
     "mjcf_scene": Reader(_text("thing.xml", MJCF), "thing.xml", lambda f: read_mjcf_scene(f / "thing.xml")),
     **{suffix.strip("."): _mesh(suffix) for suffix in (".obj", ".stl", ".ply", ".glb", ".dae")},
+    "sdf_include": Reader(_included, "outer.sdf", _read_shapes),
+    "sdf_included": Reader(_included, "inner.sdf", _read_shapes),
+    "mtl": Reader(_coloured, "thing.mtl", _read_shapes),
+    "texture": Reader(_coloured, "picture.png", _read_shapes),
+    "set_words": Reader(_words_of_a_set, "words.json.gz", _look_up),
+    "settings_toml": Reader(
+        _lines("objects.toml", TOML), "objects.toml", lambda f: read_settings(f / "objects.toml").tables
+    ),
+    "settings_csv": Reader(_lines("a.csv", CSV), "a.csv", lambda f: read_settings(f / "a.csv").tables),
+    "layout": Reader(_lines("a.yaml", LAYOUT), "a.yaml", lambda f: read_layout(f / "a.yaml")),
+    "robot": Reader(
+        _lines("a.yaml", (ROBOTS / "panda.yaml").read_text()), "a.yaml", lambda f: read_robot(f / "a.yaml")
+    ),
+    "cameras": Reader(_lines("a.json", CAMERAS), "a.json", lambda f: repr(parse_cameras([f / "a.json"]))),
+    "broken_layout": Reader(
+        _lines("a.json", BROKEN), "a.json", lambda f: repair._layouts_of_files([f / "a.json"], None, None)
+    ),
+    "judged": Reader(_text("thing.xml", MJCF), "thing.xml", _judged),
+    "judged_states": Reader(_states, "thing.npz", _judged),
     "gltf_skinned": Reader(skinned, "thing.gltf", _read_shapes),
     "stl_ascii": _mesh(".stl", "stl_ascii"),
     "ply_ascii": _mesh(".ply", encoding="ascii"),

@@ -11,11 +11,11 @@ from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
-import yaml
 
 from cluttergen_jax.downstream.robot.model_files import HINT, model_digest, model_file, mujoco_spec
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.schema import SchemaError, convert
+from cluttergen_jax.files import is_regular_file
+from cluttergen_jax.schema import SchemaError, convert, parse_yaml, read_written
 
 _ROBOTS = Path(__file__).with_name("robots")
 _USUAL = "panda"
@@ -208,19 +208,18 @@ def read_robot(file: str | Path) -> RobotDescription:
       MissingExtraError: the package that carries its models is not installed.
     """
     path = Path(file).absolute()
-    return _read(path, path.stat().st_mtime_ns if path.is_file() else 0)
+    return _read(path, path.stat().st_mtime_ns if is_regular_file(path) else 0)
 
 
 @cache
 def _read(path: Path, changed: int) -> RobotDescription:
     try:
-        content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = parse_yaml(read_written(path))
         _check_fields(content, RobotDescription)
         robot = convert(content, RobotDescription)
-    except SchemaError as error:
-        raise ConfigError(f"robot {path}: {error}", "the fields of `RobotDescription`", HINT) from error
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise ConfigError(f"robot {path}: {error}", "a YAML file", HINT) from error
+    except (SchemaError, OSError) as error:
+        allowed = "a YAML file with the fields of `RobotDescription`"
+        raise ConfigError(f"robot {path}: {error}", allowed, HINT) from error
 
     def beside(part: Any) -> Any:
         return part if part.package else replace(part, file=str(path.parent / part.file))

@@ -12,11 +12,13 @@ import numpy as np
 
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.evaluation.judging.usd_scene import read_usd
+from cluttergen_jax.importing.readers.mjcf import check_before_mujoco
+from cluttergen_jax.importing.readers.xml_tree import parse_xml, plain_tag
 
 SUFFIXES = (".xml", ".mjcf", ".mjb", ".urdf", ".usd", ".usda", ".usdc", ".usdz")
 _ARRAYS = (".npz", ".npy")
 _GIVEN = "an MJCF, URDF or USD file, or a folder of them"
-_ROOT = re.compile(rb"<\s*(mujoco|robot|mujocoinclude|\w+)[\s/>]")
+_ROOT = re.compile(rb"<\s*+(\w++)[\s/>]")
 _CONVERT = "a file that numpy.savez wrote, of an array f64[S, nq], or [S, 1 + nq + nv] with the time first"
 
 
@@ -51,8 +53,12 @@ def _is_scene(path: Path) -> bool:
     """Whether the root of an XML file is that of MJCF or URDF; True for other formats."""
     if path.suffix.lower() != ".xml":
         return True
-    root = _ROOT.search(re.sub(rb"<!--.*?-->", b"", path.read_bytes(), flags=re.DOTALL))
-    return root is not None and root[1] in (b"mujoco", b"robot")
+    root = parse_xml(path)
+    if root is not None:
+        return plain_tag(root) in ("mujoco", "robot")
+    # Whoever reads it says what is wrong with it.
+    found = _ROOT.search(path.read_bytes())
+    return found is not None and found[1] in (b"mujoco", b"robot")
 
 
 def read_model(path: Path) -> mujoco.MjModel:
@@ -67,10 +73,14 @@ def read_model(path: Path) -> mujoco.MjModel:
         if suffix.startswith(".usd"):
             model = read_usd(path)
         elif suffix == ".mjb":
+            check_before_mujoco(path)
             model = mujoco.MjModel.from_binary_path(str(path))
         elif suffix == ".urdf":
-            model = mujoco.MjModel.from_xml_string(_with_paths(path))
+            text = _with_paths(path)
+            check_before_mujoco(path, text)
+            model = mujoco.MjModel.from_xml_string(text)
         else:
+            check_before_mujoco(path)
             model = mujoco.MjModel.from_xml_path(str(path))
         model.names.decode()
     except (ValueError, OSError, mujoco.FatalError) as error:

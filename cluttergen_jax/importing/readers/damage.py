@@ -144,7 +144,9 @@ def check_whole(path: Path) -> None:
         return
     try:
         check(path)
-    except (TypeError, LookupError, AttributeError, ValueError, struct.error, RecursionError) as error:
+    except RecursionError as error:
+        raise AssetError(f"{path} cannot be read as a mesh: its header is nested too deeply") from error
+    except (TypeError, LookupError, AttributeError, ValueError, struct.error) as error:
         raise AssetError(f"{path} cannot be read as a mesh: its header is damaged ({error!r})") from error
 
 

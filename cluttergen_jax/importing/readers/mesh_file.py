@@ -21,6 +21,7 @@ from cluttergen_jax.importing.readers.colours import coloured_by_vertices
 from cluttergen_jax.importing.readers.damage import check_whole, sound_stl, unreadable
 from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
 from cluttergen_jax.importing.readers.mesh_text import Companions, mesh_input
+from cluttergen_jax.importing.readers.opening import check_openable
 from cluttergen_jax.importing.readers.polygons import cut_obj, cut_ply
 
 _RANDOM = re.compile(r"_[0-9a-f]{6}$")
@@ -77,6 +78,7 @@ def read_named_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | No
     Raises:
       AssetError: the file is missing, announces more than it holds, or cannot be understood.
     """
+    check_openable(path)
     if not path.is_file():
         raise AssetError(f"mesh file {path} is missing", hint="restoring the file or its name")
     check_whole(path)

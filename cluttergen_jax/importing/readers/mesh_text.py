@@ -7,7 +7,6 @@ file may no longer be found in the MTL file.
 
 from __future__ import annotations
 
-import codecs
 import io
 import re
 from collections.abc import Iterator
@@ -17,9 +16,11 @@ from typing import NamedTuple
 import trimesh
 from PIL import Image
 
+from cluttergen_jax.files import MOST_WORDS
 from cluttergen_jax.importing.readers.collada import plain_collada
 from cluttergen_jax.importing.readers.damage import is_text_stl
 from cluttergen_jax.importing.readers.gltf_plain import plain_glb
+from cluttergen_jax.importing.readers.opening import as_utf8, read_file
 from cluttergen_jax.importing.readers.places import OPTIONS, find_named
 
 _END_OF_HEADER = b"end_header"
@@ -29,7 +30,8 @@ _WORD_AND_TAB = re.compile(rb"^[ \t]*([a-z]+)[ ]*\t[ \t]*", re.MULTILINE)
 ALL_MATERIALS = "*.mtl"
 """What an OBJ file's text calls all its material files together: trimesh asks for one."""
 
-_MTLLIB = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)(?:[ \t]+#.*?)?[ \t\r]*$", re.MULTILINE)
+_MTLLIB = re.compile(rb"^[ \t]*+mtllib[ \t]++([^\n]++)$", re.MULTILINE)
+_REMARK = re.compile(rb"(?<=[ \t])#.*", re.DOTALL)
 
 
 class MeshInput(NamedTuple):
@@ -48,7 +50,7 @@ def mesh_input(path: Path) -> MeshInput:
         return MeshInput(io.BytesIO(named), "dae")
     if suffix not in (".obj", ".ply", ".stl"):
         return MeshInput(str(path))
-    data = path.read_bytes()
+    data = read_file(path)
     if suffix == ".ply":
         head, end, body = data.partition(_END_OF_HEADER)
         data = (_OLD_COLOUR.sub(rb"\1", as_utf8(head)) if end else head) + end + body
@@ -59,21 +61,10 @@ def mesh_input(path: Path) -> MeshInput:
     return MeshInput(io.BytesIO(data), suffix[1:])
 
 
-def as_utf8(data: bytes) -> bytes:
-    """Text in UTF-8: what is UTF-8 or UTF-16 stays as it is, all else is read as Windows-1252 or Latin-1."""
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return data.decode("utf-16", errors="replace").encode()
-    for encoding in ("utf-8-sig", "cp1252"):
-        try:
-            return data.decode(encoding).encode()
-        except UnicodeDecodeError:
-            continue
-    return data.decode("latin-1").encode()
-
-
 def material_lines(data: bytes) -> list[str]:
     """What the `mtllib` lines of an OBJ text name: each one file, or several with spaces between them."""
-    return [name.decode() for name in dict.fromkeys(_MTLLIB.findall(data))]
+    named = (_REMARK.sub(b"", line, count=1).strip(b" \t\r") for line in _MTLLIB.findall(data))
+    return [name.decode() for name in dict.fromkeys(named) if name]
 
 
 def _plain_obj(data: bytes) -> bytes:
@@ -84,12 +75,12 @@ def _plain_obj(data: bytes) -> bytes:
 
 
 _NAMED = {
-    ".mtl": rb"^[ \t]*map_[Kk][Dd][ \t]+(.+?)[ \t\r]*$",
+    ".mtl": rb"^[ \t]*+map_[Kk][Dd][ \t]++([^\n]++)$",
     ".gltf": rb'"uri"\s*:\s*"([^"]{1,1000})"',
-    ".dae": rb"<init_from>\s*([^<]+?)\s*</init_from>",
+    ".dae": rb"<init_from>([^<]++)</init_from>",
 }
 _USED, _DEFINED = (
-    re.compile(rb"^[ \t]*%s[ \t]+(.+?)[ \t\r]*$" % word, re.MULTILINE) for word in (b"usemtl", b"newmtl")
+    re.compile(rb"^[ \t]*+%s[ \t]++([^\n]++)$" % word, re.MULTILINE) for word in (b"usemtl", b"newmtl")
 )
 _ONE_NUMBER = re.compile(rb"^([ \t]*Kd)[ \t]+([-+.\deE]+)(?=[ \t\r]*$)", re.MULTILINE)
 
@@ -103,9 +94,13 @@ def companions(path: Path) -> Iterator[Path]:
                 yield found
                 yield from companions(found) if found.suffix.lower() == ".mtl" else ()
     elif pattern := _NAMED.get(suffix):
-        for name in re.findall(pattern, as_utf8(path.read_bytes()), re.MULTILINE):
-            if (found := find_named(path.parent, name.decode())) is not None:
+        for name in re.findall(pattern, as_utf8(read_file(path)), re.MULTILINE):
+            if (found := find_named(path.parent, name.strip().decode())) is not None:
                 yield found
+
+
+def _names(pattern: re.Pattern[bytes], text: bytes) -> list[bytes]:
+    return [name.strip() for name in pattern.findall(text)]
 
 
 def _material_files(obj: Path) -> Iterator[tuple[str, Path | None]]:
@@ -113,7 +108,7 @@ def _material_files(obj: Path) -> Iterator[tuple[str, Path | None]]:
 
     A line names one file, whose name may hold spaces; or if that is not there, several.
     """
-    for line in material_lines(as_utf8(obj.read_bytes())):
+    for line in material_lines(as_utf8(read_file(obj))):
         names = [line] if find_named(obj.parent, line) else line.split()
         yield from ((name, find_named(obj.parent, name)) for name in names)
 
@@ -140,7 +135,7 @@ class Companions(trimesh.resolvers.FilePathResolver):
             raise FileNotFoundError(name)
         if OPTIONS.match(str(name).strip()):
             self.notes.append(f"the options of an image are ignored ({str(name).strip()})")
-        data = found.read_bytes()
+        data = read_file(found)
         if found.suffix.lower() != ".bin":
             try:
                 Image.open(io.BytesIO(data))
@@ -157,11 +152,12 @@ class Companions(trimesh.resolvers.FilePathResolver):
             if found is None:
                 self._miss(name)
             else:
-                texts.append(as_utf8(found.read_bytes()))
+                texts.append(as_utf8(read_file(found, MOST_WORDS)))
         text = b"\n".join(texts)
         if texts:
-            used = dict.fromkeys(_USED.findall(as_utf8(self._path.read_bytes())))
-            lost = [name.decode() for name in used if name not in set(_DEFINED.findall(text))]
+            used = dict.fromkeys(_names(_USED, as_utf8(self._path.read_bytes())))
+            defined = set(_names(_DEFINED, text))
+            lost = [name.decode() for name in used if name not in defined]
             self.notes += [
                 f"{self._path.name} names material {name!r}, which is nowhere defined" for name in lost
             ]

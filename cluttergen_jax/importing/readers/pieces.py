@@ -32,7 +32,7 @@ _NUMBER = r"(?:parts?|pieces?)[-_. ]?\d+"
 _WORDS = rf"(?:{'|'.join(_COLLIDES)}|{_IS_SEEN}|{_NUMBER})"
 _PIECE = re.compile(
     rf"(?P<whole>.+?)(?P<tail>[-_. ](?:{_WORDS}|sites?)\d*"
-    rf"(?:[-_. ](?:{_WORDS}|mesh|geom|parts?|pieces?)?\d*)*)"
+    rf"(?:[-_. ](?:{_WORDS}|mesh|geom|parts?|pieces?)?\d*)*+)"
 )
 _NUMBERED = re.compile(r"(?P<whole>.+)[-_. ]\d+")
 _PIECE_FOLDER = re.compile(

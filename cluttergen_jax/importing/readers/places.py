@@ -12,6 +12,8 @@ OPTIONS = re.compile(r"(?:-[a-z]+\s+(?:(?:[-+.\de]+|on|off)\s+)*)+")
 _FOLDERS = (".", "textures", "../textures", "../materials/textures")
 _SCHEME = re.compile(r"^(file|package|model)://")
 _DRIVE = re.compile(r"/?[A-Za-z]:/")
+_LONGEST = 1024
+"""Letters of a path in a file; a longer one is none."""
 _MESH_FOLDERS = ("meshes", "../meshes", *_FOLDERS)
 
 
@@ -21,6 +23,8 @@ def find_named(folder: Path, name: str) -> Path | None:
     Looked for where it is said to be, then by its last part alone beside it and in folders called `textures`:
     many files name a place on their author's machine.
     """
+    if len(name) > _LONGEST:
+        return None
     plain = unquote(OPTIONS.sub("", name.strip(), count=1).strip('"').removeprefix("file://"))
     plain = plain.replace("\\", "/")
     last = plain.rpartition("/")[2]
@@ -43,6 +47,8 @@ def mesh_place(model: Path, name: str, is_there: Callable[[Path], bool] | None =
     Args:
       is_there: whether a place has what is looked for; a file if not given.
     """
+    if len(name) > _LONGEST:
+        return None
     roots = (model.parent, *list(model.resolve().parents)[1:5])
     for text in dict.fromkeys((name, unquote(name))):
         plain = _plain_path(text)

@@ -142,7 +142,10 @@ def _provenance(source: ObjectFile, options: ReadOptions) -> Provenance:
     known = source.provenance or ycb_provenance(source.path)
     own = known or Provenance(public_path(source.path), NOT_STATED)
     return replace(
-        own, licence=options.licence or own.licence, attribution=options.attribution or own.attribution
+        own,
+        licence=options.licence or own.licence,
+        attribution=options.attribution or own.attribution,
+        outside=source.outside,
     )
 
 

@@ -11,11 +11,13 @@ from xml.etree import ElementTree
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import stand_in
-from cluttergen_jax.importing.readers.mesh_text import as_utf8
 from cluttergen_jax.importing.readers.mjcf import compile_with_notes, world_bodies
+from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
+from cluttergen_jax.importing.readers.opening import MOST_XML, as_utf8, check_openable, read_file
 from cluttergen_jax.importing.readers.places import folder_place, mesh_place
-from cluttergen_jax.importing.readers.sdf import CONFIG, config_of, models
-from cluttergen_jax.importing.readers.sdf import ROOTS as SDF_ROOTS
+from cluttergen_jax.importing.readers.sdf import models
+from cluttergen_jax.importing.readers.sdf_includes import CONFIG, config_of, is_from_elsewhere, read_sdf_tree
+from cluttergen_jax.importing.readers.sdf_includes import ROOTS as SDF_ROOTS
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
 
 _MADE_BY_MUJOCO = ("frame", "replicate", "attach")
@@ -37,17 +39,27 @@ class ModelFile:
     bodies: tuple[str, ...] = ()  # Names of bodies of the world ("" for none) or of an SDF's models.
     is_whole: bool = True  # All that it names is there.
     fault: str = ""  # Why it is no object: a part for others to include, or broken.
+    shared: frozenset[Path] = frozenset()  # Files that it includes and that are objects of their own too.
 
 
-def model_file(path: Path) -> ModelFile | str:
-    """The model in a .urdf, .sdf or .xml file, or why it is none. One that is broken has a fault."""
+def model_file(path: Path, is_given: bool = False) -> ModelFile | str:
+    """The model in a .urdf, .sdf or .xml file, or why it is none. One that is broken has a fault.
+
+    Args:
+      is_given: the user gave this file: of an SDF's world also those models count that have files of their
+        own, which in a folder are found there.
+    """
+    try:
+        check_openable(path, MOST_XML)
+    except AssetError as error:
+        return str(error)
     tag = _root_tag(path)
     if tag in ("mujoco", "mujocoinclude"):
         return _mjcf(path)
     if tag == "robot" or path.suffix.lower() == ".urdf":
         return _urdf(path)
     if tag in SDF_ROOTS:
-        return _sdf(path)
+        return _sdf(path, is_given)
     if found := stand_in(path):
         return found[0]
     if not tag:
@@ -56,6 +68,8 @@ def model_file(path: Path) -> ModelFile | str:
 
 
 def _root_tag(path: Path) -> str:
+    if (root := parse_xml(path)) is not None:
+        return plain_tag(root)
     try:
         return plain_tag(next(iter(ElementTree.iterparse(path, events=("start",))))[1])
     except (*BROKEN, StopIteration):
@@ -72,16 +86,18 @@ def _urdf(path: Path) -> ModelFile:
     return ModelFile(path, "urdf", real, is_whole=len(files) == len(set(named)))
 
 
-def _sdf(path: Path) -> ModelFile | str:
+def _sdf(path: Path, is_given: bool) -> ModelFile | str:
     _, chosen = config_of(path)
     if chosen not in ("", path.name) and (path.parent / chosen).is_file():
         return f"another version of {chosen}, which {CONFIG} names"
-    root = parse_xml(path)
-    if root is None:
+    try:
+        tree = read_sdf_tree(path)
+    except AssetError:
         return ModelFile(path, "sdf", is_whole=False)
-    bodies = tuple(name for name, _ in models(root))
-    if not bodies and root.find(".//include") is not None:
-        return "it includes models of other files, and has none of its own"
+    root = tree.root
+    bodies = tuple(name for name, each in models(root) if is_given or not is_from_elsewhere(each))
+    if not bodies and tree.files:
+        return f"it includes models of other files, and has none of its own; `import {path.name}` takes them"
     places = ("mesh/uri", "metal/albedo_map", "specular/albedo_map")
     named = {(each.text or "").strip() for tag in places for each in root.iterfind(f".//{tag}")}
     there = [file for name in named if (file := mesh_place(path, name)) is not None]
@@ -94,10 +110,25 @@ def _sdf(path: Path) -> ModelFile | str:
         for file in (*there, *belonging)
         if file.suffix.lower() not in _MODELS and file.is_file()
     ]
-    return ModelFile(path, "sdf", frozenset(files), bodies=bodies, is_whole=len(there) == len(named))
+    shared = frozenset(each for each in tree.files if (each.parent / CONFIG).is_file())
+    parts = tree.files - shared
+    return ModelFile(
+        path,
+        "sdf",
+        frozenset(files),
+        frozenset(parts),
+        bodies,
+        shared=shared,
+        is_whole=len(there) == len(named),
+    )
 
 
 def _mjcf(path: Path) -> ModelFile:
+    try:
+        check_mjcf_extent(path)
+    except AssetError:
+        # The reader says what is wrong with it.
+        return ModelFile(path, "mjcf", _named_in_text(path), is_whole=False)
     includes = {path.resolve()}
     root = _expand_includes(path, path.parent, includes)
     includes.discard(path.resolve())
@@ -135,7 +166,7 @@ def _shows_something(root: Element) -> bool:
 def _named_in_text(path: Path) -> frozenset[Path]:
     """Real paths of what a file names that is no well-formed XML, as far as it is there."""
     try:
-        text = as_utf8(path.read_bytes()).decode(errors="replace")
+        text = as_utf8(read_file(path, MOST_XML)).decode(errors="replace")
     except OSError:
         return frozenset()
     places = (mesh_place(path, name) for name in dict.fromkeys(_NAMED.findall(text)))

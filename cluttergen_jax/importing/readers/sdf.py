@@ -7,33 +7,33 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import trimesh
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.damage import refuse_stand_in
+from cluttergen_jax.files import MOST_WORDS
 from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, rigid
 from cluttergen_jax.importing.readers.materials import GREY, Rgba
-from cluttergen_jax.importing.readers.mesh_text import as_utf8
 from cluttergen_jax.importing.readers.model import Model, frozen_note, unknown_body
+from cluttergen_jax.importing.readers.opening import as_utf8, read_file
 from cluttergen_jax.importing.readers.places import find_named, folder_place, mesh_place
+from cluttergen_jax.importing.readers.sdf_includes import is_from_elsewhere, read_sdf_tree
 from cluttergen_jax.importing.readers.xml_tree import (
-    BROKEN,
     Element,
     number,
     numbers,
     parse_numbers,
-    parse_xml,
     wrong_attribute,
 )
 
-_MATERIAL = re.compile(r"^[ \t]*material[ \t]+(\S+)(?:[ \t]*:[ \t]*(\S+))?[^{\n]*\s*\{", re.MULTILINE)
-_IMAGE = re.compile(r"^[ \t]*texture[ \t]+(\"[^\"]+\"|\S+)", re.MULTILINE)
-_COLOUR = re.compile(r"^[ \t]*diffuse[ \t]+([-+.\deE \t]+?)[ \t\r]*$", re.MULTILINE)
-_COMMENT = re.compile(r"//[^\n]*")
+# Possessive: no script makes them try the same text again and again.
+_MATERIAL = re.compile(r"^[ \t]*+material[ \t]++([^\s{]++)([^{\n]*+)\s*+\{", re.MULTILINE)
+_IMAGE = re.compile(r"^[ \t]*+texture[ \t]++(\"[^\"\n]++\"|\S++)", re.MULTILINE)
+_COLOUR = re.compile(r"^[ \t]*+diffuse[ \t]++([-+.\deE \t\r]++)$", re.MULTILINE)
+_COMMENT = re.compile(r"//[^\n]*+")
+_INHERITS = re.compile(r"[ \t]*+:[ \t]*+(\S++)")
 
 
 @dataclass(frozen=True)
@@ -66,21 +66,24 @@ def read_paints(scripts: Iterable[Path]) -> dict[str, Paint]:
     paints = {f"Gazebo/{name}": Paint((*rgb, 1.0)) for name, rgb in _OWN.items()}
     found: dict[str, Paint] = {}
     for script in scripts:
-        text = _COMMENT.sub("", as_utf8(script.read_bytes()).decode())
-        for start in _MATERIAL.finditer(text):
-            name, parent = start[1], found.get(start[2] or "", Paint())
-            found.setdefault(name, _paint(_block(text, start.end()), script.parent, parent))
+        text = _COMMENT.sub("", as_utf8(read_file(script, MOST_WORDS)).decode())
+        starts = list(_MATERIAL.finditer(text))
+        ends = [each.start() for each in starts[1:]] + [len(text)] * bool(starts)
+        for start, end in zip(starts, ends, strict=True):
+            inherits = _INHERITS.match(start[2])
+            parent = found.get(inherits[1] if inherits else "", Paint())
+            found.setdefault(start[1], _paint(_block(text[start.end() : end]), script.parent, parent))
     return paints | found
 
 
-def _block(text: str, start: int) -> str:
-    """What follows, up to the bracket that closes it."""
+def _block(text: str) -> str:
+    """The text up to the bracket that closes what was opened before it."""
     depth = 1
-    for place in re.finditer(r"[{}]", text[start:]):
+    for place in re.finditer(r"[{}]", text):
         depth += 1 if place[0] == "{" else -1
         if not depth:
-            return text[start : start + place.start()]
-    return text[start:]
+            return text[: place.start()]
+    return text
 
 
 def _paint(block: str, folder: Path, parent: Paint) -> Paint:
@@ -101,10 +104,9 @@ def _rgba(text: str) -> Rgba | None:
     return (r, g, b, a)
 
 
-SUFFIX, CONFIG = ".sdf", "model.config"
-ROOTS = ("sdf", "gazebo")
-"""The latter up to version 1.2, and by habit in later files."""
 _FORMS = ("mesh", "box", "cylinder", "sphere", "capsule", "ellipsoid")
+_MOST_FRAMES = 100
+"""Frames that hang on each other in a row."""
 _SCRIPTS = ("materials/scripts", ".")
 
 
@@ -124,9 +126,12 @@ def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE, bodies: Se
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
       ConfigError: it has no model or link of that name.
     """
-    root = _parse(path)
-    found = dict(models(root))
-    chosen = [found[each] for each in bodies or (name,) if each in found] or list(found.values())[:1]
+    tree = read_sdf_tree(path)
+    found = dict(models(tree.root))
+    chosen = [found[each] for each in bodies or (name,) if each in found]
+    if not chosen:
+        own = [each for each in found.values() if not is_from_elsewhere(each)]
+        chosen = [*own, *found.values()][:1]
     if not chosen:
         raise AssetError(f"{path} holds no model", "a <model> with links")
     surfaces = Surfaces(path, max_side, "uri", _FORMS)
@@ -140,8 +145,10 @@ def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE, bodies: Se
         links = [link for link in links if link.name == name and len(found) == 1]
         if not links:
             raise unknown_body(name, path, known, "model or link")
-    looks = _Looks(surfaces, chosen[0] if len(chosen) == 1 else root)
-    return rigid(links, surfaces, looks.of, [note for model in chosen for note in _notes(model)])
+    looks = _Looks(surfaces, chosen[0] if len(chosen) == 1 else tree.root)
+    notes = [note for model in chosen for note in _notes(model)]
+    notes += [f"left out of its world: {each.given}" for each in tree.missing]
+    return rigid(links, surfaces, looks.of, notes)
 
 
 def models(root: Element) -> Iterator[tuple[str, Element]]:
@@ -150,30 +157,6 @@ def models(root: Element) -> Iterator[tuple[str, Element]]:
     names = [each.get("name", "") for each in found]
     for index, (name, model) in enumerate(zip(names, found, strict=True)):
         yield name if name and names.count(name) == 1 else f"#{index}", model
-
-
-def config_of(path: Path) -> tuple[str, str]:
-    """What the `model.config` beside a file says: the model's name, and the SDF file of the latest version.
-
-    Both are empty where there is none, or it does not say.
-    """
-    root = parse_xml(path.parent / CONFIG)
-    if root is None:
-        return "", ""
-    versions = {each.get("version", ""): (each.text or "").strip() for each in root.findall("sdf")}
-    latest = max(versions, key=lambda each: [int(n) for n in each.split(".") if n.isdigit()], default="")
-    return " ".join((root.findtext("name") or "").split()), versions.get(latest, "")
-
-
-def _parse(path: Path) -> Element:
-    try:
-        root = ElementTree.parse(path).getroot()
-    except BROKEN as error:
-        refuse_stand_in(path)
-        raise AssetError(f"{path} cannot be read as SDF: {error}") from error
-    if root.tag not in ROOTS:
-        raise AssetError(f"{path} is no SDF: its root is <{root.tag}>", "a file whose root is <sdf>")
-    return root
 
 
 def _from_placement_frame(path: Path, model: Element) -> np.ndarray:
@@ -187,12 +170,6 @@ def _links(path: Path, model: Element, pose: np.ndarray) -> Iterator[Link]:
     Args:
       pose: f64[4, 4] from the model to the outermost frame.
     """
-    if (part := model.find("include")) is not None:
-        raise AssetError(
-            f"{path}: model {model.get('name')!r} includes {part.findtext('uri')!r}",
-            "a model that is written out",
-            f"gz sdf -p {path.name} > whole.sdf",
-        )
     for tag in ("link", "joint", "model"):
         check_unique(path, model.findall(tag))
     frames = _Frames(path, model)
@@ -238,8 +215,10 @@ class _Frames:
         """f64[4, 4] from a frame to the model; see `pose_of_element`."""
         if name in ("", "__model__"):
             return np.eye(4)
-        if name not in self._named or name in below:
+        if name not in self._named or name in below or len(below) > _MOST_FRAMES:
             fault = "hangs on itself" if name in below else "is named and nowhere defined"
+            if len(below) > _MOST_FRAMES:
+                fault = f"hangs on more than {_MOST_FRAMES} others in a row"
             raise AssetError(f"{self._path}: frame {name!r} {fault}", ", ".join(map(repr, self._named)))
         frame = self._named[name]
         if frame.tag == "model":

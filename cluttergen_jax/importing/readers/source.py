@@ -152,6 +152,7 @@ class ObjectFile:
     notes: tuple[str, ...] = ()  # Known faults, passed on as flags.
     parts: tuple[Path, ...] = ()  # Files of collision shapes that are to be its parts.
     synset: str = ""  # What kind of thing it is, as its file or its settings say.
+    outside: tuple[str, ...] = ()  # Files that it takes from outside its folder (`Provenance.outside`).
     plain: str = ""  # The name without the number that sets it apart from others.
     stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)  # Factors along a mesh file's axes, beside `scale`.
     decisions: tuple[str, ...] = ()  # What was decided before it is read, in words; passed on as notes.

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cluttergen_jax.errors import AssetError, closest
+from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
-from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
+from cluttergen_jax.importing.readers.sdf_includes import CONFIG, config_of
 from cluttergen_jax.importing.readers.sidecars import named_pieces
 from cluttergen_jax.importing.readers.source import (
     GENERIC,
@@ -89,10 +91,11 @@ def find_all(path: str | Path) -> Found:
     Raises:
       AssetError: nothing is there, or nothing that can be read.
     """
-    given, path = str(path), Path(path)
-    if not path.exists() and "#" in given:
-        return _chosen(given)
-    if not path.exists():
+    given = str(path)
+    path = Path(path)
+    if not os.path.exists(path):
+        if "#" in given:
+            return _chosen(given)
         raise AssetError(f"{path} does not exist", "a mesh, URDF, SDF or MJCF file, or a folder of them")
     if path.suffix.lower() == XACRO and path.is_file():
         raise AssetError(f"{path} is an unprocessed xacro", "URDF", how_to_process(path))
@@ -118,7 +121,7 @@ def find_all(path: str | Path) -> Found:
 def _chosen(text: str) -> Found:
     """One body of a model file, or one node of a mesh file, as `file.glb#node` names it."""
     cuts = [place for place, sign in enumerate(text) if sign == "#"]
-    cut = next((each for each in cuts if Path(text[:each]).is_file()), None)
+    cut = next((each for each in cuts if os.path.isfile(text[:each])), None)
     if cut is None or cut == len(text) - 1:
         raise AssetError(f"{text} does not exist", "a file, and behind '#' the name of what is in it")
     file, body = Path(text[:cut]), text[cut + 1 :]
@@ -142,8 +145,19 @@ def node_source(file: Path, node: str) -> ObjectFile:
 def _from_file(path: Path) -> Iterator[ObjectFile]:
     if path.suffix.lower() in MESH_SUFFIXES:
         yield make_source(path, "mesh")
-    elif path.suffix.lower() in MODEL_SUFFIXES and isinstance(model := model_file(path), ModelFile):
+    elif path.suffix.lower() in MODEL_SUFFIXES:
+        model = call_limited(path, model_file, path, True)
+        if isinstance(model, str):
+            raise AssetError(f"{path} is no object: {model}", "a URDF, SDF or MJCF file")
         yield from _sources_of(model)
+
+
+def _model_or_fault(path: Path) -> ModelFile | str:
+    """`model_file` in a process with limits; what ends that is no object."""
+    try:
+        return call_limited(path, model_file, path)
+    except AssetError as error:
+        return str(error)
 
 
 def _sources_of(model: ModelFile) -> Iterator[ObjectFile]:
@@ -202,7 +216,7 @@ class _Tree:
     def sources(self) -> Iterator[ObjectFile]:
         """What is imported; the rest is added to `skipped`."""
         models = {
-            file: model_file(file)
+            file: _model_or_fault(file)
             for files in self.files.values()
             for file in files
             if file.suffix.lower() in MODEL_SUFFIXES

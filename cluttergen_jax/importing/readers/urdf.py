@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import trimesh
@@ -37,13 +35,15 @@ from cluttergen_jax.importing.readers.xml_tree import (
     number,
     numbers,
     parse_numbers,
+    read_xml,
     without_namespace,
     wrong_attribute,
 )
+from cluttergen_jax.schema import parse_written_json, read_written
 
 XACRO = ".xacro"
 _ELEMENT = re.compile(rb"<(xacro:\w+)")
-_EXPRESSION = re.compile(r"\$\{.*?\}|\$\(.*?\)")
+_EXPRESSION = re.compile(r"\$\{[^{}$]*+\}|\$\([^()$]*+\)")
 _NAMESPACE = re.compile(r"\{.*xacro\}")
 
 
@@ -356,7 +356,7 @@ def read_urdf(
 def _parse(path: Path) -> Element:
     """The root of a URDF; an unprocessed xacro is none."""
     try:
-        robot = ElementTree.parse(path).getroot()
+        robot = read_xml(path)
     except BROKEN as error:
         refuse_xacro(path)
         refuse_stand_in(path)
@@ -390,8 +390,8 @@ def _global_scaling(path: Path) -> float:
     if not label.is_file():
         return 1.0
     try:
-        scale = float(json.loads(label.read_text(encoding="utf-8")).get("globalScaling", 1.0))
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        scale = float(parse_written_json(read_written(label)).get("globalScaling", 1.0))
+    except (OSError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise AssetError(f"{label} cannot be read: {error}") from error
     if not (math.isfinite(scale) and scale > 0):
         raise AssetError(f"{label} has globalScaling {scale}", "a number above zero")

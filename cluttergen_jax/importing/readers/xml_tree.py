@@ -1,26 +1,176 @@
-"""XML files as trees without namespaces, and numbers in them: errors name file, element and attribute."""
+"""XML files as trees without namespaces, and numbers in them: errors name file, element and attribute.
+
+What XML's own rules refuse is read by those of tinyxml2, with which Gazebo, Drake, PyBullet and MuJoCo read:
+prefixes need no declaration, `&` and `<` may stand in values, and encodings that a file states are its own
+affair.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.opening import MOST_XML, as_utf8, read_file
 
 Element = ElementTree.Element
 BROKEN = (OSError, ElementTree.ParseError, ValueError, LookupError)
-"""What a file that is no XML, or in no known encoding, raises."""
+"""What a file that is no XML raises."""
+_MOST_DEEP = 400
+"""Elements within each other. tinyxml2 stops at 500."""
+_TOO_DEEP = f"its elements lie within each other, more than {_MOST_DEEP} deep"
+_MOST_ELEMENTS = 2_000_000
 
 
 def parse_xml(path: Path) -> Element | None:
     """The root of a file; None where it is no XML, which the format's own reader reports."""
     try:
-        return ElementTree.parse(path).getroot()
-    except BROKEN:
+        return read_xml(path)
+    except (*BROKEN, AssetError):
         return None
+
+
+def read_xml(path: Path) -> Element:
+    """The root of a file.
+
+    Raises:
+      OSError, ParseError, ValueError, LookupError: it cannot be read, or is no XML (`BROKEN`).
+      AssetError: it is no regular file, or too large.
+    """
+    return parse_text(read_file(path, MOST_XML))
+
+
+def parse_text(data: bytes) -> Element:
+    """The root of an XML text; see `read_xml`."""
+    if _OWN_DECLARATIONS.search(data):
+        raise ValueError(
+            "it declares entities or a document type of its own (<!DOCTYPE ... [), which is not read"
+        )
+    try:
+        root = ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        try:
+            root = _parse_as_tinyxml(as_utf8(data).decode())
+        except _NoXmlError as fault:
+            # Of a file that neither can read, a fault of the latter's is said where it says more.
+            raise (fault if fault.says_more else error) from error
+    _check_extent(root)
+    return root
+
+
+_OWN_DECLARATIONS = re.compile(rb"<!DOCTYPE[^>\[]*+\[|<!ENTITY")
+
+
+def _check_extent(root: Element) -> None:
+    todo, count = [(root, 1)], 0
+    while todo:
+        element, depth = todo.pop()
+        count += 1
+        if depth > _MOST_DEEP:
+            raise ValueError(_TOO_DEEP)
+        if count > _MOST_ELEMENTS:
+            raise ValueError(f"it has more than {_MOST_ELEMENTS:,} elements")
+        todo += [(child, depth + 1) for child in element]
+
+
+class _NoXmlError(ValueError):
+    says_more = False
+
+
+_NAME = r"[A-Za-z_:\x80-\U0010ffff][\w:.\-\x80-\U0010ffff]*+"
+_VALUE = r"\"[^\"]*+\"|'[^']*+'"
+_ATTRIBUTE = re.compile(rf"\s*+({_NAME})\s*+=\s*+({_VALUE})")
+# Nothing in it is tried a second time: its time is proportional to the text.
+_TAG = re.compile(rf"<(?P<name>{_NAME})(?P<values>(?:\s*+{_NAME}\s*+=\s*+(?:{_VALUE}))*+)\s*+(?P<end>/?)>")
+_END_TAG = re.compile(rf"</\s*+({_NAME})\s*+>")
+_PASSED_OVER = (("<!--", "-->"), ("<?", "?>"), ("<!", ">"))
+_CDATA = ("<![CDATA[", "]]>")
+_REFERENCE = re.compile(r"&(?:#x([0-9a-fA-F]{1,6})|#([0-9]{1,7})|(quot|amp|apos|lt|gt));")
+_MEANT = {"quot": '"', "amp": "&", "apos": "'", "lt": "<", "gt": ">"}
+
+
+def _parse_as_tinyxml(text: str) -> Element:
+    """The tree of a text by tinyxml2's rules: text before the root and behind it is passed over.
+
+    A prefix that is not declared counts as the name of its own namespace, of an attribute that comes twice
+    the first holds, and an entity that is unknown is text.
+    """
+    builder, open_tags, is_over, place = ElementTree.TreeBuilder(), list[str](), False, 0
+    while place < len(text):
+        start = text.find("<", place)
+        start = len(text) if start < 0 else start
+        if open_tags:
+            builder.data(_plain_text(text[place:start]))
+        if start == len(text):
+            break
+        if text.startswith(_CDATA[0], start):
+            place = _behind(text, start, _CDATA)
+            if open_tags:
+                builder.data(text[start + len(_CDATA[0]) : place - len(_CDATA[1])])
+        elif ends := next((ends for ends in _PASSED_OVER if text.startswith(ends[0], start)), None):
+            place = _behind(text, start, ends)
+        elif found := _END_TAG.match(text, start):
+            if not open_tags or open_tags.pop() != found[1]:
+                raise _fault(text, start, f"</{found[1]}> closes no element that is open")
+            builder.end(_expanded(found[1]))
+            is_over, place = not open_tags, found.end()
+        elif found := _TAG.match(text, start):
+            if is_over:
+                raise _fault(text, start, f"a second root, <{found['name']}>")
+            builder.start(_expanded(found["name"]), _attributes(found["values"]))
+            open_tags.append(found["name"])
+            if len(open_tags) > _MOST_DEEP:
+                raise _fault(text, start, _TOO_DEEP, True)
+            place = found.end()
+            if found["end"]:
+                builder.end(_expanded(open_tags.pop()))
+                is_over = not open_tags
+        else:
+            raise _fault(text, start, "a tag that cannot be read")
+    if not is_over:
+        raise _fault(text, place, f"<{open_tags[-1]}> is not closed" if open_tags else "no element")
+    return builder.close()
+
+
+def _behind(text: str, start: int, ends: tuple[str, str]) -> int:
+    end = text.find(ends[1], start + len(ends[0]))
+    if end < 0:
+        raise _fault(text, start, f"{ends[0]} without {ends[1]}")
+    return end + len(ends[1])
+
+
+def _fault(text: str, place: int, what: str, says_more: bool = False) -> _NoXmlError:
+    error = _NoXmlError(f"line {text.count(chr(10), 0, place) + 1}: {what}")
+    error.says_more = says_more
+    return error
+
+
+def _attributes(text: str) -> dict[str, str]:
+    found = [(name, value[1:-1]) for name, value in _ATTRIBUTE.findall(text)]
+    # Of one that comes twice the first holds.
+    return {
+        _expanded(name): _plain_text(value) for name, value in reversed(found) if not name.startswith("xmlns")
+    }
+
+
+def _expanded(name: str) -> str:
+    prefix, _, own = name.rpartition(":")
+    return f"{{{prefix}}}{own}" if prefix and own else name
+
+
+def _plain_text(text: str) -> str:
+    return _REFERENCE.sub(_meant, text) if "&" in text else text
+
+
+def _meant(found: re.Match[str]) -> str:
+    if found[3]:
+        return _MEANT[found[3]]
+    number = int(found[1], 16) if found[1] else int(found[2])
+    return chr(number) if 0 < number <= 0x10FFFF and not 0xD800 <= number < 0xE000 else found[0]
 
 
 def plain_tag(element: Element) -> str:

@@ -28,7 +28,7 @@ _EMPTY = {".gitattributes", "README.md"}
 _NAMES_PATHS = ("pool", "support", "checkpoint", "start")
 
 
-def push(path: str | Path, name: str, hub: str | None, is_private: bool) -> str:
+def push(path: str | Path, name: str, hub: str | None, is_private: bool, allow_outside: bool = False) -> str:
     """Where a bank is after it was published; see `cluttergen_jax.push_bank`."""
     _check_name(name)
     place = hub_of(hub)
@@ -38,6 +38,8 @@ def push(path: str | Path, name: str, hub: str | None, is_private: bool) -> str:
         lock = FolderLock(bank.path)
     with lock:
         check_whole(bank)
+        if not allow_outside:
+            _check_outside(bank)
         with writing(bank.path):
             write_card(bank)
         _check_free(place, name)
@@ -155,6 +157,25 @@ def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
         shown = ", ".join(f"{change.name} ({change.what})" for change in changes[:3])
         more = f", and {len(changes) - 3} more" if len(changes) > 3 else ""
         raise BankError(f"{bank.path}: files are not what was written: {shown}{more}", hint=_MENDED)
+
+
+def _check_outside(bank: Bank) -> None:
+    """Refuses what was made of files from outside the folders that were imported: they may be private.
+
+    Raises:
+      BankError: it names the objects, and those files.
+    """
+    origins = [(name, bank.object(name).provenance) for name in sorted(bank.assets["objects"])]
+    origins.append((bank.support.name, bank.support.provenance))
+    taken = [f"{name} ({', '.join(each.outside)})" for name, each in origins if each.outside]
+    if taken:
+        more = f", and {len(taken) - 3} more" if len(taken) > 3 else ""
+        raise BankError(
+            f"{bank.path}: made of files from outside the folders that were imported: "
+            f"{', '.join(taken[:3])}{more}",
+            "objects whose files lie in their own folders",
+            "looking at these files, then `allow_outside` to publish what was made of them",
+        )
 
 
 _MENDED = "the same `cluttergen generate` again"
