@@ -1,8 +1,7 @@
-"""An SDF world as a MuJoCo model: its models with their links, joints and colliders, what they include too."""
+"""An SDF world as a MuJoCo model: its models, and those that it includes, with links, joints, colliders."""
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,9 +14,9 @@ import trimesh
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.links import Link, Look, Surfaces
 from cluttergen_jax.importing.readers.model import convex_parts
-from cluttergen_jax.importing.readers.places import find_named, folder_place
-from cluttergen_jax.importing.readers.sdf import ROOTS, axis_of, config_of, placed_links
-from cluttergen_jax.importing.readers.xml_tree import Element, length, number, numbers, parse_xml
+from cluttergen_jax.importing.readers.sdf import axis_of, placed_links
+from cluttergen_jax.importing.readers.sdf_includes import read_sdf_tree
+from cluttergen_jax.importing.readers.xml_tree import Element, length, number, numbers
 
 _GEOM, _JOINT = mujoco.mjtGeom, mujoco.mjtJoint
 _KINDS = {
@@ -28,14 +27,13 @@ _KINDS = {
 }
 _ROUND = {"cylinder": _GEOM.mjGEOM_CYLINDER, "capsule": _GEOM.mjGEOM_CAPSULE}
 _FORMS = ("box", "sphere", "cylinder", "capsule", "ellipsoid", "plane", "mesh")
-_PLANE = (
-    '<model name="ground_plane"><static>true</static><link name="link"><collision name="c"><geometry><plane>'
-    "<normal>0 0 1</normal></plane></geometry></collision></link></model>"
-)
-_OWN = {"ground_plane": _PLANE, "sun": ""}
-"""Models of Gazebo's own that worlds include and that lie in its program's folder."""
+_OWN = {
+    "ground_plane": '<link name="link"><collision name="c"><geometry><plane/></geometry></collision></link>',
+    "sun": "",
+}
+"""Links of models of Gazebo's own, which worlds include and which lie in its program's folder."""
+_LEFT_OUT = ("actor", "population", "road", "joint")
 _NO_LIMIT = 1e15
-_MOST_MODELS, _DEEPEST = 2000, 16
 _YES = ("true", "1")
 
 
@@ -53,97 +51,49 @@ def read_sdf_world(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
         that MuJoCo does not have.
       ValueError: MuJoCo refuses it.
     """
-    world = _world_of(path)
-    includes = _Includes(path)
-    includes.write_out(world, path)
-    spec = mujoco.MjSpec()
-    gravity = numbers(path, world, "gravity", 3) if world.find("gravity") is not None else (0, 0, -9.8)
-    spec.option.gravity = gravity
-    physics = world.find("physics")
-    spec.option.timestep = 0.001 if physics is None else number(path, physics, "max_step_size", "0.001")
-    for model in world.findall("model"):
-        _Model(spec, world, model, includes).add()
-    others = dict.fromkeys(each.tag for each in world if each.tag in ("actor", "population", "road", "joint"))
-    notes = (f"of the world, left out: {', '.join(f'<{each}>' for each in others)}",) if others else ()
-    return spec.compile(), notes
-
-
-def _world_of(path: Path) -> Element:
-    root = parse_xml(path)
-    if root is None or root.tag not in ROOTS:
-        raise AssetError(f"{path} is no SDF" + ("" if root is None else f": its root is <{root.tag}>"))
+    root = read_sdf_tree(path).root
     worlds = root.findall("world")
     if len(worlds) > 1:
         raise AssetError(f"{path} holds {len(worlds)} worlds", "one")
     world = worlds[0] if worlds else root
-    if not (world.findall("model") or world.findall("include")):
-        raise AssetError(f"{path} holds no model", "a <world> with models")
-    return world
+    for place, element in enumerate(list(world)):
+        if element.tag == "include":
+            world[place] = _own_model(path, element)
+    spec = mujoco.MjSpec()
+    spec.option.gravity = numbers(path, world, "gravity", 3, "0 0 -9.8")
+    if (physics := world.find("physics")) is not None:
+        spec.option.timestep = number(path, physics, "max_step_size", "0.001")
+    else:
+        spec.option.timestep = 0.001
+    for model in world.findall("model"):
+        _Model(path, spec, world, model).add()
+    others = dict.fromkeys(each.tag for each in world if each.tag in _LEFT_OUT)
+    notes = (f"of the world, left out: {', '.join(f'<{each}>' for each in others)}",) if others else ()
+    return spec.compile(), notes
 
 
-class _Includes:
-    """Puts in what a world includes, and knows from which file each link is."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._number = path, 0
-        self._files: dict[Element, Path] = {}
-
-    def file_of(self, link: Element) -> Path:
-        """The file that a link is written in: its meshes lie beside it."""
-        return self._files.get(link, self._path)
-
-    def write_out(self, parent: Element, path: Path, depth: int = 0) -> None:
-        """Replaces each <include> by the model that it names (AssetError where that is not there)."""
-        for place, element in enumerate(list(parent)):
-            if element.tag == "model":
-                self.write_out(element, path, depth + 1)
-            if element.tag != "include":
-                continue
-            self._number += 1
-            if depth > _DEEPEST or self._number > _MOST_MODELS:
-                raise AssetError(f"{path}: models that include each other without end")
-            model, file = self._read(path, element)
-            parent[place] = model
-            if file is not None:
-                self._files |= dict.fromkeys(model.iter("link"), file)
-                self.write_out(model, file, depth + 1)
-
-    def _read(self, path: Path, include: Element) -> tuple[Element, Path | None]:
-        uri = include.findtext("uri", "").strip()
-        name = uri.rstrip("/").rpartition("/")[2]
-        file = find_named(path.parent, uri) if Path(uri).suffix else None
-        if file is None and (folder := folder_place(path, uri)) is not None:
-            file = folder / (config_of(folder / "model.sdf")[1] or "model.sdf")
-        if file is None or not file.is_file():
-            if name not in _OWN:
-                given = f"{path} includes {uri!r}, which is not there"
-                raise AssetError(given, "a folder with a model.config beside the world, or near it")
-            text, file = _OWN[name] or f'<model name="{name}"><static>true</static></model>', None
-            model = ElementTree.fromstring(text)
-        else:
-            root = parse_xml(file)
-            found = None if root is None else root.find("model")
-            if found is None:
-                raise AssetError(f"{path} includes {file}, which holds no model")
-            model = copy.deepcopy(found)
-        for tag in ("pose", "static"):
-            if (own := include.find(tag)) is not None:
-                for each in model.findall(tag):
-                    model.remove(each)
-                model.append(own)
-        if other := include.get("placement_frame") or include.findtext("placement_frame"):
-            model.set("placement_frame", other)
-        model.set("name", (include.findtext("name") or "").strip() or model.get("name", ""))
-        return model, file
+def _own_model(path: Path, include: Element) -> Element:
+    """Gazebo's own model that a world includes; what else it includes is not there (AssetError)."""
+    uri = include.findtext("uri", "").strip()
+    name = uri.rstrip("/").rpartition("/")[2].lower().replace(" ", "_")
+    if name not in _OWN:
+        allowed = "models that lie beside the world, or near it"
+        raise AssetError(
+            f"{path} includes {uri!r}, which cannot be read", allowed, "its folder beside the world"
+        )
+    model = ElementTree.fromstring(f'<model name="{name}"><static>true</static>{_OWN[name]}</model>')
+    if (pose := include.find("pose")) is not None:
+        model.append(pose)
+    return model
 
 
 class _Model:
     """One model of a world, as bodies of a spec."""
 
-    def __init__(self, spec: mujoco.MjSpec, world: Element, model: Element, includes: _Includes) -> None:
-        self._spec, self._model, self._includes = spec, model, includes
-        self._name, self._path = model.get("name", ""), includes.file_of(model)
-        self._links = placed_links(self._path, model, world)
+    def __init__(self, path: Path, spec: mujoco.MjSpec, world: Element, model: Element) -> None:
+        self._path, self._spec, self._model = path, spec, model
+        self._name = model.get("name", "")
+        self._links = placed_links(path, model, world)
         self._is_static = (model.findtext("static") or "").strip() in _YES
 
     def add(self) -> None:
@@ -162,11 +112,18 @@ class _Model:
         if len(above) < len(joints):
             raise AssetError(f"{self._path}: model {self._name!r} has a link that two joints move")
         made: dict[int, tuple[mujoco.MjsBody, np.ndarray]] = {-1: (self._spec.worldbody, np.eye(4))}
+        for link in self._links:
+            if groups[link.name] < 0:
+                self._add_colliders(*made[-1], link)
         for group in sorted(set(groups.values())):
             self._add_group(group, groups, above, made, ())
 
     def _groups(self) -> dict[str, int]:
-        """A number for each link, the same for links that fixed joints join, -1 for those fixed to the world."""
+        """A number for each link: one for those that fixed joints join, -1 for what is fixed to the world."""
+        names = [link.name for link in self._links]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            given = f"{self._path}: {self._name!r} moves, and has two links called {twice!r} within models"
+            raise AssetError(given, "a name for each")
         groups = {link.name: index for index, link in enumerate(self._links)} | {"world": -1}
         for joint in self._model.iter("joint"):
             if joint.get("type") == "fixed":
@@ -192,39 +149,38 @@ class _Model:
         made: dict[int, tuple[mujoco.MjsBody, np.ndarray]],
         below: tuple[int, ...],
     ) -> tuple[mujoco.MjsBody, np.ndarray]:
-        """The body of links that are one, and its pose in the world; those that it hangs on are made first."""
+        """The body of links that are one, and its pose; those that it hangs on are made first."""
         if group in below:
             raise AssetError(f"{self._path}: joints of {self._name!r} hang on each other in a circle")
-        if group in made and group >= 0:
+        if group in made:
             return made[group]
         links = [each for each in self._links if groups[each.name] == group]
-        if group < 0:
-            body, pose = made[-1]
+        pose, joint = _frame_of(links[0]), above.get(group)
+        parent, place = made[-1]
+        if joint is not None:
+            upper = self._group(groups, joint, "parent")
+            parent, place = self._add_group(upper, groups, above, made, (*below, group))
+        body = parent.add_body(name=self._body_name(links[0]))
+        _put(body, np.linalg.inv(place) @ pose)
+        if joint is None:
+            body.add_freejoint()
         else:
-            pose = _frame_of(links[0])
-            joint = above.get(group)
-            parent, place = made[-1]
-            if joint is not None:
-                upper = self._group(groups, joint, "parent")
-                parent, place = self._add_group(upper, groups, above, made, (*below, group))
-            body = parent.add_body(name=self._body_name(links[0]))
-            _put(body, np.linalg.inv(place) @ pose)
-            if joint is None:
-                body.add_freejoint()
-            else:
-                self._add_joint(body, pose, joint, links)
-            self._weigh(body, pose, links)
-            body.gravcomp = float((links[0].element.findtext("gravity") or "true").strip() not in _YES)
+            self._add_joint(body, pose, joint, links)
+        self._weigh(body, pose, links)
+        body.gravcomp = float((links[0].element.findtext("gravity") or "true").strip() not in _YES)
         made[group] = body, pose
         for link in links:
             self._add_colliders(body, pose, link)
         return body, pose
 
     def _body_name(self, link: Link) -> str:
-        is_only = len(self._links) == 1 or link is self._links[0]
-        name = self._name if is_only and self._name else f"{self._name}::{link.name}"
+        name = self._name if link is self._links[0] and self._name else f"{self._name}::{link.name}"
         names = {each.name for each in self._spec.bodies}
-        return name if name not in names else next(f"{name}-{i}" for i in range(len(names) + 1) if f"{name}-{i}" not in names)
+        return (
+            name
+            if name not in names
+            else next(f"{name}-{i}" for i in range(len(names) + 1) if f"{name}-{i}" not in names)
+        )
 
     def _add_joint(self, body: mujoco.MjsBody, pose: np.ndarray, joint: Element, links: list[Link]) -> None:
         kind = joint.get("type", "")
@@ -272,7 +228,9 @@ class _Model:
             moments.append(turned[:3, :3] @ inertia @ turned[:3, :3].T)
         total = sum(masses)
         if not (math.isfinite(total) and min(masses) >= 0 and total > 0):
-            raise AssetError(f"{self._path}: a link of {self._name!r} has a mass of {min(masses):g} kg", "above 0")
+            raise AssetError(
+                f"{self._path}: a link of {self._name!r} has a mass of {min(masses):g} kg", "above 0"
+            )
         center = np.average(centers, axis=0, weights=masses)
         inertia = np.zeros((3, 3))
         for mass, each, moment in zip(masses, centers, moments, strict=True):
@@ -292,10 +250,10 @@ class _Model:
         return np.array([[values["".join(sorted(a + b))] for b in "xyz"] for a in "xyz"])
 
     def _add_colliders(self, body: mujoco.MjsBody, pose: np.ndarray, link: Link) -> None:
-        path = self._includes.file_of(link.element)
+        path = self._path
         for number_, element in enumerate(link.element.findall("collision")):
             place = np.linalg.inv(pose) @ link.place(element)
-            for geom in self._geoms(path, body, element, place, f"{self._name}::{link.name}::{number_}"):
+            for geom in self._geoms(body, element, place, f"{self._name}::{link.name}::{number_}"):
                 friction = element.find("surface/friction/ode")
                 if friction is not None and friction.find("mu") is not None:
                     geom.friction = (number(path, friction, "mu"), *geom.friction[1:])
@@ -303,8 +261,9 @@ class _Model:
                     geom.density = number(path, element, "density")
 
     def _geoms(
-        self, path: Path, body: mujoco.MjsBody, element: Element, place: np.ndarray, name: str
+        self, body: mujoco.MjsBody, element: Element, place: np.ndarray, name: str
     ) -> Iterator[mujoco.MjsGeom]:
+        path = self._path
         geometry = element.find("geometry")
         form = None if geometry is None or not len(geometry) else geometry[0]
         if form is None or form.tag not in (*_FORMS, "empty"):
@@ -317,7 +276,9 @@ class _Model:
             for index, piece in enumerate(pieces):
                 if convex_parts([piece.mesh]) is None:
                     allowed = "meshes that are convex, and other shapes"
-                    raise AssetError(f"{path}: a collider of {self._name!r} is a mesh that is not convex", allowed)
+                    raise AssetError(
+                        f"{path}: a collider of {self._name!r} is a mesh that is not convex", allowed
+                    )
                 mesh = self._spec.add_mesh(name=f"{name}-{index}-{len(self._spec.meshes)}")
                 mesh.uservert = piece.mesh.vertices.astype(np.float32).ravel()
                 mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX

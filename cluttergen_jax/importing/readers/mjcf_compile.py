@@ -20,6 +20,9 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.xml_tree import BROKEN, read_xml
+
 _SPELLINGS: dict[tuple[str, str], Callable[[str], dict[str, str]]] = {
     ("camera", "orthographic"): lambda said: {"projection": "orthographic"} if said == "true" else {},
     ("compiler", "convexhull"): lambda said: {},
@@ -94,8 +97,8 @@ def _respelled(path: Path) -> tuple[dict[str, bytes], tuple[str, ...]]:
     while waiting:
         name, file = waiting.pop()
         try:
-            root = ElementTree.parse(file).getroot()
-        except (OSError, ElementTree.ParseError, ValueError, LookupError):
+            root = read_xml(file)
+        except (*BROKEN, AssetError):
             return {}, ()
         for element in root.iter():
             for attribute in [each for each in element.attrib if (element.tag, each) in _SPELLINGS]:

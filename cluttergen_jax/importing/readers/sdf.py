@@ -166,14 +166,12 @@ def _links(path: Path, model: Element, pose: np.ndarray) -> Iterator[Link]:
 
 
 def placed_links(path: Path, model: Element, world: Element) -> list[Link]:
-    """The links of a model and of those nested in it, where the model is in a world (AssetError as `read_sdf`)."""
+    """The links of a model of a world, and of models nested in it; errors are those of `read_sdf`."""
     pose = _Frames(path, world).pose_of_element(model, "")
     return list(_links(path, model, pose @ _from_placement_frame(path, model)))
 
 
-def axis_of(
-    path: Path, model: Element, joint: Element, child: Link
-) -> tuple[np.ndarray, np.ndarray | None]:
+def axis_of(path: Path, model: Element, joint: Element, child: Link) -> tuple[np.ndarray, np.ndarray | None]:
     """f64[3] each in the world: where a joint of a model is, and its axis, None if it has none.
 
     Args:
