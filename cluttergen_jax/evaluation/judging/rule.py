@@ -208,13 +208,13 @@ def judge_start(
     shift, turn = np.full((2, len(config.seconds), number), np.inf)
     try:
         mujoco.mj_forward(model, data)
-        depth, against = _overlaps(model, data, bodies)
+        depth, against, is_complete = _overlaps(model, data, bodies)
         is_chained, is_lifted = _carried(model, data, bodies)
         motion = _Motion(model, data, bodies, config.hold_joints)
         shift, turn = motion.run(config.seconds)
         floats = ~is_chained | (~is_lifted & (motion.sunk > GAP))
         falls, note = motion.sinking() > FALL, motion.note
-        if not note and data.warning.number[_FULL].any():
+        if not note and (data.warning.number[_FULL].any() or not is_complete):
             note = "MuJoCo had no room for all contacts"
     except mujoco.FatalError as error:
         note = " ".join(str(error).split())
@@ -257,18 +257,22 @@ def _pairs(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tu
 
 def _overlaps(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """f64[B], metres, the deepest overlap of each body with another, and with what.
+) -> tuple[np.ndarray, tuple[str, ...], bool]:
+    """f64[B], metres, the deepest overlap of each body with another, with what, and whether none is missed.
 
     It is measured by geometry: whatever the file says of who may touch whom.
     """
     deepest, against = np.zeros(len(bodies.ids)), [""] * len(bodies.ids)
-    everybody = np.isin(model.body_rootid[model.geom_bodyid], bodies.ids)
+    root, is_complete = model.body_rootid[model.geom_bodyid], True
     try:
-        found = [_open_contacts(model, data, bodies, everybody)]
+        found = [_open_contacts(model, data, bodies, np.isin(root, bodies.ids))]
     except _NoRoomError:
-        root = model.body_rootid[model.geom_bodyid]
-        found = [_open_contacts(model, data, bodies, root == body) for body in bodies.ids]
+        found = [_pairs(model, data, bodies)[:2]]
+        for body in bodies.ids:
+            try:
+                found.append(_open_contacts(model, data, bodies, root == body))
+            except _NoRoomError:
+                is_complete = False
     for owner, distance in found:
         for pair, depth in zip(owner.tolist(), -distance, strict=True):
             for own, other in (pair, pair[::-1]):
@@ -277,7 +281,7 @@ def _overlaps(
                         depth,
                         bodies.names[other] if other >= 0 else "what is not judged",
                     )
-    return deepest, tuple(against)
+    return deepest, tuple(against), is_complete
 
 
 class _NoRoomError(Exception):
