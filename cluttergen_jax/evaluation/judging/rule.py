@@ -300,7 +300,7 @@ def _open_contacts(
     # Two geoms are tried if one has a bit for what it is that the other asks for.
     model.geom_contype[:] = np.where(bodies.is_shape, np.where(is_asked, 1, 2), 0)
     model.geom_conaffinity[:] = np.where(bodies.is_shape & is_asked, 3, 0)
-    # A body has the bits of its geoms. What did not collide is in no tree that is searched for a body's geoms.
+    # A body has the bits of its geoms. What did not collide is in no tree that is searched for geoms.
     for of_body, of_geom in (
         (model.body_contype, model.geom_contype),
         (model.body_conaffinity, model.geom_conaffinity),
