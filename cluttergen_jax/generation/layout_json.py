@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.geometry import product, rotation_matrix, turn_between
+from cluttergen_jax.schema import SchemaError, parse_written_json, read_written
 
 FORM = '{"pool": "dining", "support": "table", "objects": [{"name": "mug", "position": [0.1, 0, 0.75]}]}'
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -75,10 +75,9 @@ def read_layout_json(path: Path) -> LayoutFile:
       ConfigError: it is no layout, has a key that is not known, or says two things of one object.
     """
     try:
-        record = json.loads(path.read_bytes(), object_pairs_hook=_once, parse_constant=_no_number)
-    except (OSError, ValueError, RecursionError) as error:
-        why = error or "nested too deeply"
-        raise ConfigError(f"{path} is no layout ({why})", f"JSON such as {FORM}") from error
+        record = parse_written_json(read_written(path))
+    except (SchemaError, OSError) as error:
+        raise ConfigError(f"{path} is no layout ({error})", f"JSON such as {FORM}") from error
     if not isinstance(record, dict):
         raise ConfigError(f"{path} is no layout but {type(record).__name__}", f"JSON such as {FORM}")
     known = ("pool", "support", "objects", "unit", "units", "is_stable", *_REMARKS)
@@ -101,17 +100,6 @@ def read_layout_json(path: Path) -> LayoutFile:
     is_plain = not unit and not any("unit" in each or "units" in each for each in record["objects"])
     is_plain &= all("position" in each for each in record["objects"])
     return LayoutFile(entries, pool, support, half_extents, tuple(notes), is_plain)
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    names = [name for name, _ in pairs]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise ValueError(f"the key {twice!r} comes twice")
-    return dict(pairs)
-
-
-def _no_number(text: str) -> Any:
-    raise ValueError(f"{text} is no number")
 
 
 def _check_keys(record: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:

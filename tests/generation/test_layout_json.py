@@ -182,7 +182,8 @@ def test_why_there_is_no_place(position, said):
 def test_a_board_of_several_is_named():
     mug, shelf = find_pool("dining")["mug"], find_support("bookcase").on_surface("all")
     board = shelf.surfaces[1]
-    pose = np.array([*board.position, 1, 0, 0, 0]) + [0, 0, 0.2, 0, 0, 0, 0]
+    x, y, z = board.position
+    pose = np.array([x, y, z + 0.2, 1, 0, 0, 0])
     assert repr(board.name) in reason_without_place(mug, pose, shelf, 0.05)
 
 

@@ -89,11 +89,11 @@ def read_model(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     check_openable(path)
     if path.suffix.lower() in (".xml", ".mjcf"):
         return compile_with_notes(path, is_simulated=True)
-    return call_limited(path, _read_other, path, seconds=_SECONDS)
+    return call_limited(path, load_model, path, seconds=_SECONDS)
 
 
-def _read_other(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """The model of a file that is not MJCF."""
+def load_model(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """`read_model` of a file that is not MJCF, in this process, without limits."""
     suffix, notes = path.suffix.lower(), ()
     try:
         if suffix.startswith(".usd"):
