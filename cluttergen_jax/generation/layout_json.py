@@ -80,10 +80,8 @@ def read_layout_json(path: Path) -> LayoutFile:
         raise ConfigError(f"{path} is no layout ({error})", f"JSON such as {FORM}") from error
     if not isinstance(record, dict):
         raise ConfigError(f"{path} is no layout but {type(record).__name__}", f"JSON such as {FORM}")
-    known = ("pool", "support", "objects", "unit", "units", "is_stable", *_REMARKS)
-    if "format" in record:
-        known += _EXPORTED
-    _check_keys(record, known, f"{path}")
+    exported = _EXPORTED if "format" in record else ()
+    _check_keys(record, (*_OF_FILE, *_REMARKS, *exported), f"{path}")
     if not isinstance(record.get("objects"), list):
         raise ConfigError(f"{path} is no layout: it has no list of objects", f"JSON such as {FORM}")
     if not record["objects"]:
@@ -244,6 +242,7 @@ def _about(axis: int, angle: float) -> np.ndarray:
 
 
 _DEGREE = math.pi / 180
+_OF_FILE = ("pool", "support", "objects", "unit", "units", "is_stable")
 _PLAIN = ("name", "asset", "unit", "units")
 _PLACES = ("position", "position_m", "position_cm", "position_mm")
 _TURNS: dict[str, Callable[[Any, str], np.ndarray]] = {

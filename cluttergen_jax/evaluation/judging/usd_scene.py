@@ -57,7 +57,8 @@ def _own_words(error: Exception) -> str:
 def _read_stage(stage: Any) -> mujoco.MjModel:
     """The model of an open stage; see `read_usd`."""
     # Older versions of usd-core cannot be asked.
-    if lost := getattr(stage, "GetCompositionErrors", tuple)():
+    lost: Any = getattr(stage, "GetCompositionErrors", tuple)()
+    if lost:
         raise AssetError(
             f"parts of it are not there: {' '.join(str(lost[0]).split())}", "a stage that is whole"
         )
