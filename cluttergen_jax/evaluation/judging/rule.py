@@ -239,7 +239,9 @@ def _down(model: mujoco.MjModel) -> np.ndarray:
     return model.opt.gravity / max(float(np.linalg.norm(model.opt.gravity)), 1e-9)
 
 
-def _pairs(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tuple[np.ndarray, ...]:
+def _pairs(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the contacts between two bodies: who touches whom, how near, and how far upwards.
 
     Returns:

@@ -20,9 +20,8 @@ from cluttergen_jax.importing.readers.mjcf import compile_with_notes
 from cluttergen_jax.importing.readers.opening import check_openable
 from cluttergen_jax.importing.readers.xml_tree import parse_xml, plain_tag
 
-SUFFIXES = (".xml", ".mjcf", ".mjb", ".urdf", ".usd", ".usda", ".usdc", ".usdz")
-SUFFIXES += (".sdf", ".world")
 _SDF = (".sdf", ".world")
+SUFFIXES = (".xml", ".mjcf", ".mjb", ".urdf", ".usd", ".usda", ".usdc", ".usdz", *_SDF)
 _ARRAYS = (".npz", ".npy")
 _FREE, _BALL = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
 _UNIT = 0.01
@@ -94,7 +93,8 @@ def read_model(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
 
 def load_model(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     """`read_model` of a file that is not MJCF, in this process, without limits."""
-    suffix, notes = path.suffix.lower(), ()
+    suffix = path.suffix.lower()
+    notes: tuple[str, ...] = ()
     try:
         if suffix.startswith(".usd"):
             model = read_usd(path)
