@@ -41,17 +41,32 @@ def _pulled(model, actuator):
 
 
 def judged(model):
-    """The bodies with a free joint alone that collide and that nothing drives."""
+    """The bodies with a free joint that collide and that nothing drives, and their geoms."""
     found = []
     driven = {_pulled(model, i) for i in range(model.nu)}
     for joint in range(model.njnt):
         body = int(model.jnt_bodyid[joint])
         tree = [b for b in range(model.nbody) if model.body_rootid[b] == body]
         geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in tree]
-        alone = sum(int(model.jnt_bodyid[j]) in tree for j in range(model.njnt)) == 1
         collides = any(model.geom_contype[g] or model.geom_conaffinity[g] for g in geoms)
-        if model.jnt_type[joint] == FREE and alone and collides and body not in driven:
+        if model.jnt_type[joint] == FREE and collides and not driven & set(tree):
             found.append((body, geoms))
+    return found
+
+
+def shapes(model):
+    """The geoms that can collide with anything: overlaps count between any two of them."""
+    return {g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]}
+
+
+def depths(model, data, bodies):
+    """How deep each body is in anything else: by distances, whatever contacts the file leaves out."""
+    solid, found = shapes(model), {}
+    for body, geoms in bodies:
+        own = solid & set(geoms)
+        pairs = [(a, b) for a in own for b in solid - set(geoms) if is_near(model, data, a, b)]
+        gaps = [mujoco.mj_geomDistance(model, data, a, b, GAP, np.zeros(6)) for a, b in pairs]
+        found[body] = max(0.0, -min(gaps, default=0.0))
     return found
 
 
@@ -102,6 +117,11 @@ def carried(model, data, bodies):
     return np.linalg.matrix_power(touch.astype(int), len(groups))[:-1, -1] > 0
 
 
+def places_of(data, index, links):
+    """Where the bodies are, by their centre of mass as one, and the links by their own."""
+    return np.concatenate([data.subtree_com[index], data.xipos[[b for b, _ in links]]])
+
+
 def judge(path, detector="native", seconds=(1.0, 10.0), hold_joints=False, most=50):
     """What each body of each start does: a list of records of plain values."""
     model = mujoco.MjModel.from_xml_path(str(path))
@@ -111,6 +131,10 @@ def judge(path, detector="native", seconds=(1.0, 10.0), hold_joints=False, most=
     model.opt.disableflags = (model.opt.disableflags & ~flag) | (flag if detector == "libccd" else 0)
     bodies, records = judged(model), []
     index = [body for body, _ in bodies]
+    # Links with joints of their own, and the place of the body that they hang on.
+    links = [b for b in range(1, model.nbody) if b not in index and model.body_jntnum[b]]
+    links = [(b, index.index(model.body_rootid[b])) for b in links if model.body_rootid[b] in index]
+    parts, owner = [*index, *(b for b, _ in links)], [*range(len(index)), *(p for _, p in links)]
     held = [j for j in range(model.njnt) if hold_joints and model.jnt_type[j] != FREE]
     places = [int(model.jnt_qposadr[j]) for j in held], [int(model.jnt_dofadr[j]) for j in held]
     for name, qpos, key in starts_of(model, Path(path), most):
@@ -119,13 +143,9 @@ def judge(path, detector="native", seconds=(1.0, 10.0), hold_joints=False, most=
             mujoco.mj_resetDataKeyframe(model, data, key)
         data.qpos[:], data.qvel[:] = qpos, 0
         mujoco.mj_forward(model, data)
-        depth = dict.fromkeys(index, 0.0)
-        for contact in data.contact:
-            roots = [int(model.body_rootid[model.geom_bodyid[g]]) for g in (contact.geom1, contact.geom2)]
-            for root in set(roots) & depth.keys() if roots[0] != roots[1] else ():
-                depth[root] = max(depth[root], -contact.dist)
+        depth = depths(model, data, bodies)
         is_carried, is_lifted = carried(model, data, bodies), lifted(model, data, bodies)
-        start, turned = data.subtree_com[index].copy(), data.xmat[index].reshape(-1, 3, 3).copy()
+        start, turned = places_of(data, index, links), data.xmat[parts].reshape(-1, 3, 3).copy()
         held_at = data.qpos[places[0]].copy()
         far, most_turned = np.zeros(len(index)), np.zeros(len(index))
         still, sunk = [], np.zeros(len(index))
@@ -135,11 +155,11 @@ def judge(path, detector="native", seconds=(1.0, 10.0), hold_joints=False, most=
                 data.qpos[places[0]], data.qvel[places[1]] = held_at, 0
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
-            moved = data.subtree_com[index] - start
-            trace = np.einsum("bij,bij->b", data.xmat[index].reshape(-1, 3, 3), turned)
-            far = np.maximum(far, np.nan_to_num(np.linalg.norm(moved, axis=1), nan=np.inf))
+            moved = places_of(data, index, links) - start
+            trace = np.einsum("bij,bij->b", data.xmat[parts].reshape(-1, 3, 3), turned)
+            np.maximum.at(far, owner, np.nan_to_num(np.linalg.norm(moved, axis=1), nan=np.inf))
             turn = np.arccos(np.clip((trace - 1) / 2, -1, 1))
-            most_turned = np.maximum(most_turned, np.nan_to_num(turn, nan=np.inf))
+            np.maximum.at(most_turned, owner, np.nan_to_num(turn, nan=np.inf))
             if step == round(AT_ONCE / model.opt.timestep):
                 sunk = -moved[:, 2]
             if step in [round(s / model.opt.timestep) for s in seconds]:

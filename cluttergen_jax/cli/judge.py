@@ -10,9 +10,9 @@ from cluttergen_jax.evaluation.api import judge
 
 @options_from(judge, paths=Positional[tuple[str, ...]], states=str | None)
 class Judge(Options):
-    """Judge anybody's scenes by one strict rule: MJCF, URDF or USD files, or arrays of starts.
+    """Judge anybody's scenes by one strict rule: MJCF, URDF, SDF or USD files, or arrays of starts.
 
-    Exit status 1 only if nothing could be judged.
+    Exit status 1 if a file could not be judged; the others are.
 
     Example: `cluttergen judge kitchen.xml --states starts.npz --hold-joints --out judged`
     """
@@ -20,4 +20,4 @@ class Judge(Options):
     def run(self) -> int:
         report = self.call(judge)
         print(report)
-        return 0 if report.starts else 1
+        return 1 if report.unread else 0

@@ -212,15 +212,17 @@ def judge(
     """Judges anybody's scenes by one strict rule (`cluttergen judge`).
 
     Each free body of each start is simulated in the installed MuJoCo from rest, everything awake, with the
-    file's own options; nothing is repaired. It is told what moves up to each horizon, what overlaps and what
-    nothing carries at the start, and what falls; a simulation that diverges counts as moved.
+    file's own options; nothing is repaired. It is told what moves up to each horizon, what overlaps (by
+    geometry, also where the file leaves contacts out) and what nothing carries at the start, and what falls;
+    a simulation that diverges counts as moved. What is noted, such as a missing picture, is in `notes`.
 
     Args:
-      paths: files of scenes (MJCF, URDF, MJB; USD with the extra `usd`) and folders of them. An MJCF file
-        starts at each of its keyframes, or where its bodies are; or at the states in an array of the same
-        name beside it (scene.npz or scene.npy beside scene.xml).
+      paths: files of scenes (MJCF, URDF, MJB, SDF worlds; USD with the extra `usd`) and folders of them. An
+        MJCF file starts at each of its keyframes, or where its bodies are; or at the states in an array of
+        the same name beside it (scene.npz or scene.npy beside scene.xml).
       states: starts of a single file: an array, or its npz or npy file. Rows are qpos, or qpos and qvel,
-        with or without the time before them; velocities count as zero.
+        with or without the time before them; velocities count as zero. Numbers are real and finite,
+        quaternions of unit length to within 0.01.
       out: a folder for report.csv, report.parquet and a picture of the worst scene; nothing is written if
         not given.
       seconds: horizons, ascending.

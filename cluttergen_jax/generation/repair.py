@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
@@ -25,6 +24,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import file_whole, write_atomically, writing
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.generation.generate import recipe_of
+from cluttergen_jax.generation.layout_json import FORM, read_layout_json
+from cluttergen_jax.generation.layout_reasons import hint_for_positions, reason_without_place
 from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.learning.methods import Method
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
@@ -40,35 +41,10 @@ from cluttergen_jax.scene.bank.reference import missing_text, parse_reference
 from cluttergen_jax.scene.bank.scene import config_of, region_of
 from cluttergen_jax.scene.bank.table import rows_of, table_of
 from cluttergen_jax.scene.bank.writer import names_of
-from cluttergen_jax.schema import SchemaError, convert, digest_of, parse_written_json, read_written
+from cluttergen_jax.schema import digest_of
 from cluttergen_jax.types import small_length
 
-_FORM = '{"pool": "dining", "support": "table", "objects": [{"name": "mug", "position": [0.1, 0, 0.75]}]}'
 _SHOWN = 20
-
-
-class _Entry(msgspec.Struct):
-    name: str
-    position: tuple[float, float, float]
-    quaternion_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-    asset: str = ""
-
-
-class _Region(msgspec.Struct):
-    half_extents: tuple[float, float]
-
-
-class _Support(msgspec.Struct):
-    """As exports tell it."""
-
-    name: str
-    region: _Region
-
-
-class _File(msgspec.Struct):
-    objects: list[_Entry]
-    pool: str = ""
-    support: str | _Support = ""
 
 
 class BrokenLayout(NamedTuple):
@@ -78,20 +54,27 @@ class BrokenLayout(NamedTuple):
       source: the file or the scene.
       names: as the source has them; objects: their assets.
       poses: f64[N, 7], T_world_object, metres, wxyz.
+      is_in_metres: they are taken for metres as the source states no unit.
     """
 
     source: str
     names: tuple[str, ...]
     objects: tuple[ObjectAsset, ...]
     poses: np.ndarray
+    is_in_metres: bool = False
 
 
 class LayoutSet(NamedTuple):
-    """Broken layouts on one support, and what decides how they are repaired."""
+    """Broken layouts on one support, and what decides how they are repaired.
+
+    Attributes:
+      notes: what is odd in their files.
+    """
 
     layouts: tuple[BrokenLayout, ...]
     support: SupportAsset
     config: ProblemConfig
+    notes: tuple[str, ...] = ()
 
 
 def read_layouts(
@@ -114,7 +97,7 @@ def read_layouts(
     folder = path / "scenes" if (path / "scenes").is_dir() else path
     files = [path] if path.is_file() else sorted(folder.glob("*.json"))
     if not files:
-        raise ConfigError(f"{source}, in which there is no layout", f"a bank, or JSON files such as {_FORM}")
+        raise ConfigError(f"{source}, in which there is no layout", f"a bank, or JSON files such as {FORM}")
     return _layouts_of_files(files, pool, support)
 
 
@@ -144,26 +127,22 @@ def _layouts_of_bank(bank: Bank, numbers: Sequence[int] | None) -> LayoutSet:
 
 
 def _layouts_of_files(files: Sequence[Path], pool: str | None, support: str | None) -> LayoutSet:
-    read = {file: _read_file(file) for file in files}
+    read = {file: read_layout_json(file) for file in files}
     pool = _only("pool", {pool or each.pool for each in read.values()})
-    named = (each.support if isinstance(each.support, str) else each.support.name for each in read.values())
-    support = _only("support", {support or each for each in named})
+    support = _only("support", {support or each.support for each in read.values()})
     # A layout does not say on which of several surfaces its objects are.
     assets, table, layouts = find_pool(pool), find_support(support).on_surface("all"), []
     for file, each in read.items():
-        if isinstance(each.support, _Support):
-            theirs, ours = (np.array(one.region.half_extents) for one in (each.support, table))
+        if each.half_extents is not None:
+            theirs, ours = np.array(each.half_extents), np.array(table.region.half_extents)
             if np.abs(theirs - ours).max() > 1e-4:
                 given = f"{file}: a support with a region of {2 * theirs[0]:g} x {2 * theirs[1]:g} m"
                 raise ConfigError(given, f"{2 * ours[0]:g} x {2 * ours[1]:g} m, as {support!r}", "`support`")
-        objects = tuple(assets[entry.asset or base_name(entry.name)] for entry in each.objects)
-        poses = np.array([[*entry.position, *entry.quaternion_wxyz] for entry in each.objects], float)
-        length = np.linalg.norm(poses[:, 3:], axis=1)
-        if not (np.isfinite(poses).all() and (length > 1e-3).all()):
-            raise ConfigError(f"{file}: a pose that is not finite or has no direction", "metres; w, x, y, z")
-        poses[:, 3:] /= length[:, None]
-        layouts.append(BrokenLayout(file.name, tuple(e.name for e in each.objects), objects, poses))
-    return LayoutSet(tuple(layouts), table, ProblemConfig(pool=pool, support=support))
+        objects = tuple(assets[entry.asset or base_name(entry.name)] for entry in each.entries)
+        names, poses = tuple(e.name for e in each.entries), np.array([e.pose for e in each.entries])
+        layouts.append(BrokenLayout(file.name, names, objects, poses, each.is_in_metres))
+    notes = tuple(note for each in read.values() for note in each.notes)
+    return LayoutSet(tuple(layouts), table, ProblemConfig(pool=pool, support=support), notes)
 
 
 def _only(what: str, found: set[str]) -> str:
@@ -172,16 +151,6 @@ def _only(what: str, found: set[str]) -> str:
         given = f"a layout that names no {what}" if "" in found else f"layouts of the {what}s {sorted(found)}"
         raise ConfigError(given, f"one {what}", f"`{what}`")
     return next(iter(found))
-
-
-def _read_file(file: Path) -> _File:
-    try:
-        read = convert(parse_written_json(read_written(file)), _File)
-    except (SchemaError, OSError) as error:
-        raise ConfigError(f"{file} is no layout ({error})", f"JSON such as {_FORM}") from error
-    if not read.objects:
-        raise ConfigError(f"{file} holds no objects", "one or more")
-    return read
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,6 +162,8 @@ class RepairedLayout:
       poses: f64[N, 7], where they are now; as given where an object could not be placed.
       is_placed: bool[N].
       is_stable: all are placed, and stand together in the final check.
+      reasons: why each could not be placed, "" where it could.
+      hint: what its positions may have been meant as, "" where that is not plain.
     """
 
     layout: BrokenLayout
@@ -200,6 +171,8 @@ class RepairedLayout:
     poses: np.ndarray
     is_placed: np.ndarray
     is_stable: bool
+    reasons: tuple[str, ...]
+    hint: str
 
     @property
     def shift(self) -> np.ndarray:
@@ -224,19 +197,21 @@ class RepairedLayout:
                 "is_placed": is_placed,
                 "shift": shift,
                 "turn": turn,
+                "reason": reason,
             }
-            for name, asset, (pose, is_placed), (shift, turn) in zip(
-                layout.names, layout.objects, each_one, motion, strict=True
+            for name, asset, (pose, is_placed), (shift, turn), reason in zip(
+                layout.names, layout.objects, each_one, motion, self.reasons, strict=True
             )
         ]
 
     def __str__(self) -> str:
         if self.is_stable:
             return f"{self.layout.source}: stable"
-        names = [name for name, there in zip(self.layout.names, self.is_placed, strict=True) if not there]
+        names = [f"{name} ({why})" for name, why in zip(self.layout.names, self.reasons, strict=True) if why]
         why = (
             f"no stable place near its own for {', '.join(names)}" if names else f"{self.verdict} as a whole"
         )
+        why += f"; {self.hint}" if self.hint else ""
         return f"not repaired: {self.layout.source}: {why}"
 
 
@@ -247,10 +222,12 @@ class RepairReport:
     Attributes:
       path: the bank or the file that was written.
       layouts: in the order of the source.
+      notes: what is odd in their files.
     """
 
     path: Path
     layouts: tuple[RepairedLayout, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def rows(self) -> pa.Table:
@@ -278,8 +255,11 @@ class RepairReport:
             each_one = ((r["name"], small_length(r["shift"]), np.degrees(r["turn"])) for r in moved)
             lines += [f"  {name}: {shift}, {turn:.1f} deg" for name, shift, turn in each_one]
         broken = [str(each) for each in self.layouts if not each.is_stable]
-        more = [f"and {len(broken) - _SHOWN} more"] if len(broken) > _SHOWN else []
-        return "\n".join([*lines, *broken[:_SHOWN], *more])
+        return "\n".join([*lines, *_shorten(broken), *_shorten(list(self.notes))])
+
+
+def _shorten(lines: list[str]) -> list[str]:
+    return lines[:_SHOWN] + ([f"and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else [])
 
 
 def repair_layouts(given: LayoutSet, out: Path, limits: RepairConfig, overwrite: bool) -> RepairReport:
@@ -299,7 +279,8 @@ def repair_layouts(given: LayoutSet, out: Path, limits: RepairConfig, overwrite:
         return table_of(np.array([number]), batch, world.names, half_extents)
 
     def report(path: Path, rows: Iterable[BankRow]) -> RepairReport:
-        return RepairReport(path, tuple(map(partial(_compare, world.names), given.layouts, indices, rows)))
+        compare = partial(_compare, world.names, given.support, limits.max_shift)
+        return RepairReport(path, tuple(map(compare, given.layouts, indices, rows)), given.notes)
 
     with Progress("repairing", len(given.layouts), "layout") as progress:
         progress.note(COMPILING)
@@ -360,10 +341,22 @@ def _setup_of(given: LayoutSet) -> tuple[Setup, list[list[int]]]:
 
 
 def _compare(
-    names: Sequence[str], layout: BrokenLayout, indices: Sequence[int], row: BankRow
+    names: Sequence[str],
+    support: SupportAsset,
+    max_shift: float,
+    layout: BrokenLayout,
+    indices: Sequence[int],
+    row: BankRow,
 ) -> RepairedLayout:
     """A layout before and after."""
     placed = dict(zip(row.objects, row.poses.astype(float), strict=True))
     is_placed = np.array([names[index] in placed for index in indices])
     poses = np.array([placed.get(names[i], pose) for i, pose in zip(indices, layout.poses, strict=True)])
-    return RepairedLayout(layout, row.verdict, poses, is_placed, row.is_success)
+    reasons = tuple(
+        "" if there else reason_without_place(asset, pose, support, max_shift)
+        for asset, pose, there in zip(layout.objects, layout.poses, is_placed, strict=True)
+    )
+    hint = ""
+    if any(reasons):
+        hint = hint_for_positions(layout.objects, layout.poses, support, layout.is_in_metres)
+    return RepairedLayout(layout, row.verdict, poses, is_placed, row.is_success, reasons, hint)

@@ -27,6 +27,7 @@ import numpy as np
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile
+from cluttergen_jax.importing.readers.mjcf_compile import parse_mjcf
 from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
 from cluttergen_jax.importing.readers.xml_tree import Element, parse_xml, plain_tag
 
@@ -59,7 +60,7 @@ def world_facts(path: Path) -> list[BodyFacts]:
     """Of each body that hangs on the world, in the file's order; [] where MuJoCo cannot parse the file."""
     try:
         check_mjcf_extent(path)
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = parse_mjcf(path)[0]
     except (ValueError, OSError, AssetError):
         return []
     try:

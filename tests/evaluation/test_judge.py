@@ -56,11 +56,12 @@ def test_every_fault_is_found_by_its_name(tmp_path):
             "low": [True, False, False, False],
             "top": [True, False, False, False],
             "edge": [False, False, False, True],
+            "jointed": [True, False, False, False],
         }
     text = str(report)
-    assert "2 free bodies are not judged: they have other joints or an actuator" in text
+    assert "1 free bodies are not judged: an actuator drives them" in text
     assert "1 free bodies are not judged: they collide with nothing" in text
-    assert "3 of 6 moved" in text
+    assert "3 of 7 moved" in text
 
 
 def test_a_plain_second_judge_agrees(tmp_path):

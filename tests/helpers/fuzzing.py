@@ -19,6 +19,7 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +36,9 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.downstream.robot import description
 from cluttergen_jax.downstream.robot.description import read_robot
 from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.evaluation.judging.scene_files import read_model, read_starts
+from cluttergen_jax.evaluation.judging.scene_files import load_model, read_model, read_starts
 from cluttergen_jax.generation import repair
+from cluttergen_jax.generation.layout_json import read_layout_json
 from cluttergen_jax.generation.layouts import read_layout
 from cluttergen_jax.importing import sets
 from cluttergen_jax.importing.readers import find_sources, read_shape
@@ -270,6 +272,60 @@ MJCF = """<mujoco><asset><mesh name="part" file="part.obj" scale="1 1 1"/></asse
 <geom type="box" size="0.05 0.05 0.01" pos="0 0 0.11"/></body></body></worldbody></mujoco>"""
 
 
+POSES = """{"pool": "dining", "support": {"name": "table", "top": 0.7}, "unit": "cm", "objects": [
+{"name": "mug", "position": [10, -20.5, 75], "quaternion_xyzw": [0, 0, 0.7, 0.7], "comment": "left"},
+{"name": "mug.b", "asset": "mug", "position_cm": {"x": 1, "y": 2, "z": 75}, "rpy_deg": [0, 10, 90]},
+{"name": "bowl", "position": [0, 0, 75], "yaw": 1.5, "yaw_deg": 85.943669}]}"""
+
+WEIGHED = URDF.replace(
+    "</link>",
+    '<inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/>'
+    "</inertial>"
+    "</link>",
+)
+
+STAGE = """#usda 1.0
+(
+    upAxis = "Y"
+    metersPerUnit = 0.01
+)
+def Xform "thing" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
+{
+    float physics:mass = 0.3
+    point3f physics:centerOfMass = (0, 1, 0)
+    float3 xformOp:scale = (2, 2, 2)
+    uniform token[] xformOpOrder = ["xformOp:scale"]
+    def Mesh "mesh" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"])
+    {
+        uniform token physics:approximation = "none"
+        point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+        int[] faceVertexCounts = [3, 3, 3, 3]
+        int[] faceVertexIndices = [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3]
+    }
+    def Cylinder "rod" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+    {
+        double radius = 2
+        double height = 5
+        uniform token axis = "X"
+    }
+}
+def Cube "floor" (prepend apiSchemas = ["PhysicsCollisionAPI"])
+{
+    double size = 9
+}
+"""
+
+MODEL = SDF[SDF.index("<model") : SDF.index("</sdf>")].replace(
+    "<box>\n<size>0.1 0.1 0.2</size></box>", "<mesh><uri>part.obj</uri></mesh>"
+)
+WORLD = f"""<sdf version="1.9"><world name="w"><gravity>0 0 -9.81</gravity><physics type="ode">
+<max_step_size>0.002</max_step_size></physics><include><uri>model://ground_plane</uri></include>
+<frame name="up"><pose>0 0 0.5 0 0 1</pose></frame><model name="shelf"><static>true</static><link name="l">
+<collision name="c"><geometry><plane><normal>0 0.1 1</normal></plane></geometry></collision></link></model>
+{MODEL}
+</world></sdf>"""
+
+
 def _scene(folder: Path) -> None:
     poses = np.array([[0.0, 0.0, 0.75, 1.0, 0.0, 0.0, 0.0]])
     with banks.writer(folder, 1):
@@ -332,13 +388,13 @@ def _look_up(folder: Path) -> object:
 
 
 def _judged(folder: Path) -> None:
-    model = read_model(folder / "thing.xml")
+    model = read_model(folder / "thing.xml")[0]
     read_starts(model, folder / "thing.xml", None, 4)
 
 
 def _states(folder: Path) -> None:
     _text("thing.xml", MJCF)(folder)
-    model = read_model(folder / "thing.xml")
+    model = read_model(folder / "thing.xml")[0]
     np.savez(folder / "thing.npz", states=np.tile(model.qpos0, (2, 1)))
 
 
@@ -398,6 +454,12 @@ READERS = {
     "mjcf": Reader(_text("thing.xml", MJCF), "thing.xml", _read_shapes),
     "mjcf_mesh": Reader(_text("thing.xml", MJCF), "part.obj", _read_shapes),
     "mjcf_scene": Reader(_text("thing.xml", MJCF), "thing.xml", lambda f: read_mjcf_scene(f / "thing.xml")),
+    "layout_json": Reader(
+        _text("thing.json", POSES), "thing.json", lambda f: read_layout_json(f / "thing.json").entries
+    ),
+    "judged_urdf": Reader(_text("thing.urdf", WEIGHED), "thing.urdf", lambda f: load_model(f / "thing.urdf")),
+    "judged_sdf": Reader(_text("thing.sdf", WORLD), "thing.sdf", lambda f: load_model(f / "thing.sdf")),
+    "judged_sdf_mesh": Reader(_text("thing.sdf", WORLD), "part.obj", lambda f: load_model(f / "thing.sdf")),
     **{suffix.strip("."): _mesh(suffix) for suffix in (".obj", ".stl", ".ply", ".glb", ".dae")},
     "sdf_include": Reader(_included, "outer.sdf", _read_shapes),
     "sdf_included": Reader(_included, "inner.sdf", _read_shapes),
@@ -422,6 +484,11 @@ READERS = {
     "stl_ascii": _mesh(".stl", "stl_ascii"),
     "ply_ascii": _mesh(".ply", encoding="ascii"),
 }
+
+if find_spec("pxr"):
+    READERS["judged_usd"] = Reader(
+        _text("thing.usda", STAGE), "thing.usda", lambda f: load_model(f / "thing.usda")
+    )
 
 
 class Bench:

@@ -33,6 +33,7 @@ def judge_scenes(
     """See `cluttergen_jax.judge`."""
     files, num_others = find_scenes(paths)
     unread: dict[Path, str] = {}
+    changed: dict[Path, tuple[str, ...]] = {}
     left_out = Counter[str]()
     threads = jobs or os.cpu_count() or 1
     # MuJoCo keeps meshes that it has read, and takes a file of the same second for the one that it knows.
@@ -41,11 +42,15 @@ def judge_scenes(
     def tasks() -> Iterator[_Task]:
         for path in files:
             try:
-                model = read_model(path)
+                model, of_file = read_model(path)
                 bodies = find_free_bodies(model)
+                changed[path] = (*of_file, *bodies.notes)
                 left_out.update(f"free bodies are not judged: {why}" for why in bodies.left_out)
                 if not len(bodies.ids):
-                    raise AssetError("no body in it moves freely")
+                    why = "; ".join(
+                        f"free bodies are not judged: {each}" for each in dict.fromkeys(bodies.left_out)
+                    )
+                    raise AssetError(f"no body in it moves freely{f' ({why})' if why else ''}")
                 config.check_steps(model)
                 starts, num_more = read_starts(model, path, states, max_starts)
                 left_out[f"starts are not judged: at most {max_starts} of a file"] += num_more
@@ -73,5 +78,12 @@ def judge_scenes(
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
     left_out["XML files are no scenes: parts of others, or of another kind"] = num_others
-    notes = tuple(f"{number} {what}" for what, number in left_out.items() if number)
-    return JudgeReport(config, judged, unread, notes)
+    notes = [f"{number} {what}" for what, number in left_out.items() if number]
+    files_of: dict[str, list[str]] = {}
+    for path, of_file in changed.items():
+        for note in of_file:
+            files_of.setdefault(note, []).append(path.name)
+    for note, names in files_of.items():
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        notes.append(f"{names[0]}{more}: {note}")
+    return JudgeReport(config, judged, unread, tuple(notes))

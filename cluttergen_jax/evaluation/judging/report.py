@@ -181,7 +181,7 @@ def _shorten(lines: list[str]) -> list[str]:
 
 def draw(each: JudgedStart, path: Path) -> Path:
     """A picture of a start and of its end side by side, what moved in red."""
-    model, found = read_model(each.file), each.found
+    model, found = read_model(each.file)[0], each.found
     is_seen = (model.geom_group < _GROUPS_SEEN) & (model.geom_rgba[:, 3] > 0)
     names = [model.body(int(body)).name or f"body-{body}" for body in model.body_rootid[model.geom_bodyid]]
     is_judged = np.isin(names, found.names)

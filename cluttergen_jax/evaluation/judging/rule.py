@@ -12,9 +12,11 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.config import Detector, check_positive
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.evaluation.measures.simulate import horizons_of, shift_and_turn
 from cluttergen_jax.geometry import rotate
+from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_rgba, is_convex, is_plane
+from cluttergen_jax.importing.readers.model import convex_parts
 from cluttergen_jax.physics.margin import MIN_LIFT
 from cluttergen_jax.physics.simulations import disabled_flags
 from cluttergen_jax.progress import stop_asked
@@ -36,6 +38,7 @@ _PULLED = {
     int(mujoco.mjtTrn.mjTRN_SLIDERCRANK): "site_bodyid",
 }
 _FREE = mujoco.mjtJoint.mjJNT_FREE
+_MOST_NAMES = 5
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 
 
@@ -63,16 +66,20 @@ class JudgeConfig:
 
 @dataclass(frozen=True, eq=False)
 class FreeBodies:
-    """The bodies of a model that are judged: those that hang on the world by one free joint.
+    """The bodies of a model that are judged: those with a free joint, with all that hangs on them.
 
     Attributes:
       ids: i[B], of the bodies; names: of each.
       left_out: why other bodies with a free joint are not judged.
+      is_shape: bool[ngeom], the geoms by which overlaps are measured (`collision_shapes`).
+      notes: what was decided about these.
     """
 
     ids: np.ndarray
     names: tuple[str, ...]
     left_out: tuple[str, ...]
+    is_shape: np.ndarray
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +89,10 @@ class Judgement:
     Attributes:
       names: of the bodies.
       shift, turn: f64[H, B], the farthest that each was from its start up to each horizon, metres and
-        radians; infinite where the simulation diverged or stopped.
-      penetration: f64[B], metres, the deepest overlap at the start; against: with what, "" if with nothing.
+        radians; of a body with joints the farthest of its links; infinite where the simulation diverged or
+        stopped.
+      penetration: f64[B], metres, the deepest overlap at the start, whether or not contacts are filtered;
+        against: with what, "" if with nothing.
       floats: bool[B]: at the start no chain of bodies at most 1 mm apart leads to anything that is not
         judged; or nothing within 1 mm presses it upwards, and it sinks by more than 1 mm within 0.05 s.
       falls: bool[B]: at the last horizon it is more than 5 cm below its start.
@@ -109,26 +118,70 @@ class Judgement:
 def find_free_bodies(model: mujoco.MjModel) -> FreeBodies:
     """The bodies of a model that are judged.
 
-    Left out are those with other joints or an actuator: robots, and objects that bend; and those that collide
-    with nothing: markers.
+    Left out are those that an actuator drives: robots; and those that collide with nothing: markers.
     """
-    collides = (model.geom_contype | model.geom_conaffinity) != 0
-    collides[np.concatenate([model.pair_geom1, model.pair_geom2])] = True
+    collides = _collides(model)
     targets = zip(model.actuator_trntype.tolist(), model.actuator_trnid[:, 0].tolist(), strict=True)
     pulled = [int(getattr(model, _PULLED[kind])[target]) for kind, target in targets if kind in _PULLED]
     pulled += model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_BODY, 0].tolist()
     is_driven = np.isin(np.arange(model.nbody), model.body_rootid[pulled])
-    joints = np.bincount(model.body_rootid[model.jnt_bodyid], minlength=model.nbody)
     kept, left_out = [], []
     for body in model.jnt_bodyid[model.jnt_type == _FREE].tolist():
-        if joints[body] > 1 or is_driven[body]:
-            left_out.append("they have other joints or an actuator")
+        if is_driven[body]:
+            left_out.append("an actuator drives them")
         elif not collides[model.body_rootid[model.geom_bodyid] == body].any():
             left_out.append("they collide with nothing")
         else:
             kept.append(body)
-    names = tuple(model.body(body).name or f"body-{body}" for body in kept)
-    return FreeBodies(np.array(kept, int), names, tuple(left_out))
+    names = tuple(_name(model, body) for body in kept)
+    return FreeBodies(np.array(kept, int), names, tuple(left_out), *collision_shapes(model))
+
+
+def collision_shapes(model: mujoco.MjModel) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The geoms that are the shapes of bodies, whatever contacts the file leaves out between two of them.
+
+    Of a body with all that hangs on it these are the geoms that can collide with anything at all. If it has
+    none, they are those that are drawn, opaque, convex and have a volume; markers that a program moves
+    (mocap) have none.
+
+    Returns:
+      bool[ngeom], and a note on the bodies that are measured by what is drawn.
+    """
+    is_shape = _collides(model)
+    root = model.body_rootid[model.geom_bodyid]
+    has_shape = np.isin(root, root[is_shape])
+    candidates = np.flatnonzero(~has_shape & (model.body_mocapid[root] < 0))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    drawn = [geom for geom in candidates.tolist() if _is_solid(model, data, geom)]
+    is_shape[drawn] = True
+    names = [repr(_name(model, body)) for body in dict.fromkeys(root[drawn].tolist())]
+    if not names:
+        return is_shape, ()
+    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+    what = "bodies that collide with nothing: overlaps with them are measured by what is drawn of them"
+    return is_shape, (f"{what}: {', '.join(names[:_MOST_NAMES])}{more}",)
+
+
+def _collides(model: mujoco.MjModel) -> np.ndarray:
+    """bool[ngeom]: what can collide with anything, by its bits or because a pair names it."""
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    collides[np.concatenate([model.pair_geom1, model.pair_geom2])] = True
+    return collides
+
+
+def _is_solid(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> bool:
+    """Whether a geom is opaque, convex and has a volume."""
+    if is_plane(model, geom) or not is_convex(model, geom) or geom_rgba(model, geom)[3] < 1:
+        return False
+    try:
+        return convex_parts([geom_mesh(model, data, geom)]) is not None
+    except AssetError:
+        return False
+
+
+def _name(model: mujoco.MjModel, body: int) -> str:
+    return model.body(body).name or f"body-{body}"
 
 
 def judge_start(
@@ -155,13 +208,13 @@ def judge_start(
     shift, turn = np.full((2, len(config.seconds), number), np.inf)
     try:
         mujoco.mj_forward(model, data)
-        depth, against = _overlaps(model, data, bodies)
+        depth, against, is_complete = _overlaps(model, data, bodies)
         is_chained, is_lifted = _carried(model, data, bodies)
         motion = _Motion(model, data, bodies, config.hold_joints)
         shift, turn = motion.run(config.seconds)
         floats = ~is_chained | (~is_lifted & (motion.sunk > GAP))
         falls, note = motion.sinking() > FALL, motion.note
-        if not note and data.warning.number[_FULL].any():
+        if not note and (data.warning.number[_FULL].any() or not is_complete):
             note = "MuJoCo had no room for all contacts"
     except mujoco.FatalError as error:
         note = " ".join(str(error).split())
@@ -186,7 +239,9 @@ def _down(model: mujoco.MjModel) -> np.ndarray:
     return model.opt.gravity / max(float(np.linalg.norm(model.opt.gravity)), 1e-9)
 
 
-def _pairs(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tuple[np.ndarray, ...]:
+def _pairs(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the contacts between two bodies: who touches whom, how near, and how far upwards.
 
     Returns:
@@ -204,18 +259,69 @@ def _pairs(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tu
 
 def _overlaps(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """f64[B], metres, the deepest overlap of each body with another, and with what."""
+) -> tuple[np.ndarray, tuple[str, ...], bool]:
+    """f64[B], metres, the deepest overlap of each body with another, with what, and whether none is missed.
+
+    It is measured by geometry: whatever the file says of who may touch whom.
+    """
     deepest, against = np.zeros(len(bodies.ids)), [""] * len(bodies.ids)
-    owner, distance, _ = _pairs(model, data, bodies)
-    for pair, depth in zip(owner.tolist(), -distance, strict=True):
-        for own, other in (pair, pair[::-1]):
-            if own >= 0 and depth > deepest[own]:
-                deepest[own], against[own] = (
-                    depth,
-                    bodies.names[other] if other >= 0 else "what is not judged",
-                )
-    return deepest, tuple(against)
+    root, is_complete = model.body_rootid[model.geom_bodyid], True
+    try:
+        found = [_open_contacts(model, data, bodies, np.isin(root, bodies.ids))]
+    except _NoRoomError:
+        found = [_pairs(model, data, bodies)[:2]]
+        for body in bodies.ids:
+            try:
+                found.append(_open_contacts(model, data, bodies, root == body))
+            except _NoRoomError:
+                is_complete = False
+    for owner, distance in found:
+        for pair, depth in zip(owner.tolist(), -distance, strict=True):
+            for own, other in (pair, pair[::-1]):
+                if own >= 0 and depth > deepest[own]:
+                    deepest[own], against[own] = (
+                        depth,
+                        bodies.names[other] if other >= 0 else "what is not judged",
+                    )
+    return deepest, tuple(against), is_complete
+
+
+class _NoRoomError(Exception):
+    """MuJoCo has no room for all contacts."""
+
+
+def _open_contacts(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies, is_asked: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """`_pairs` of the shapes of some bodies, bool[ngeom], with all other shapes, without any filter.
+
+    Raises:
+      _NoRoomError: there are more contacts than the file has room for.
+    """
+    model, data = copy.copy(model), copy.copy(data)
+    # Two geoms are tried if one has a bit for what it is that the other asks for.
+    model.geom_contype[:] = np.where(bodies.is_shape, np.where(is_asked, 1, 2), 0)
+    model.geom_conaffinity[:] = np.where(bodies.is_shape & is_asked, 3, 0)
+    # A body has the bits of its geoms. What did not collide is in no tree that is searched for geoms.
+    for of_body, of_geom in (
+        (model.body_contype, model.geom_contype),
+        (model.body_conaffinity, model.geom_conaffinity),
+    ):
+        of_body[:] = 0
+        np.bitwise_or.at(of_body, model.geom_bodyid, of_geom)
+    model.exclude_signature[:] = -1
+    disable, enable = mujoco.mjtDisableBit, mujoco.mjtEnableBit
+    model.opt.disableflags &= ~int(disable.mjDSBL_CONTACT | disable.mjDSBL_CONSTRAINT)
+    model.opt.disableflags |= int(disable.mjDSBL_FILTERPARENT | disable.mjDSBL_MIDPHASE)
+    model.opt.enableflags &= ~int(enable.mjENBL_OVERRIDE)
+    data.warning.number[:] = 0
+    try:
+        mujoco.mj_collision(model, data)
+    except mujoco.FatalError as error:
+        raise _NoRoomError from error
+    if data.warning.number[_FULL].any():
+        raise _NoRoomError
+    return _pairs(model, data, bodies)[:2]
 
 
 def _carried(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tuple[np.ndarray, np.ndarray]:
@@ -249,6 +355,12 @@ class _Motion:
         axes = data.xmat[bodies.ids].reshape(-1, 3, 3)
         self._center = np.einsum("bji,bj->bi", axes, data.subtree_com[bodies.ids] - data.xpos[bodies.ids])
         self._start, self._qpos, self.sunk = self.poses(), data.qpos.copy(), np.zeros(len(bodies.ids))
+        # Links that move against the body that they hang on, and whose they are.
+        place = np.full(model.nbody, -1)
+        place[bodies.ids] = np.arange(len(bodies.ids))
+        is_link = (place[model.body_rootid] >= 0) & (model.body_jntnum > 0) & (place < 0)
+        self._links = np.flatnonzero(is_link)
+        self._owner, self._links_start = place[model.body_rootid[self._links]], self._link_poses()
         # Positions and velocities of joints that are held.
         self._is_held, self._is_stopped = np.full(model.nq, holds), np.full(model.nv, holds)
         for joint in np.flatnonzero(model.jnt_type == _FREE):
@@ -262,6 +374,20 @@ class _Motion:
             pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
             pose[:, :3] += rotate(np, pose[:, 3:], self._center)
         return pose
+
+    def _link_poses(self) -> np.ndarray:
+        """f64[L, 7]: where the centres of mass of all links are, and their orientations."""
+        return np.c_[self._data.xipos[self._links], self._data.xquat[self._links]]
+
+    def _moved(self) -> np.ndarray:
+        """f64[2, B], metres and radians from the start; of a body with links the farthest of them."""
+        moved = np.array(shift_and_turn(self.poses(), self._start))
+        if len(self._links):
+            mujoco.mj_kinematics(self._model, self._data)
+            links = shift_and_turn(self._link_poses(), self._links_start)
+            for farthest, each in zip(moved, links, strict=True):
+                np.maximum.at(farthest, self._owner, each)
+        return moved
 
     def sinking(self) -> np.ndarray:
         """f64[B], metres by which each body has sunk along gravity since the start; 0 where it diverged."""
@@ -279,7 +405,7 @@ class _Motion:
                 number = min(stride, until - done, at_once - done if done < at_once else stride)
                 self._advance(number)
                 done += number
-                farthest = np.maximum(farthest, shift_and_turn(self.poses(), self._start))
+                farthest = np.maximum(farthest, self._moved())
                 if done == at_once:
                     self.sunk = self.sinking()
             # Where it diverges nothing is known of anything any more.

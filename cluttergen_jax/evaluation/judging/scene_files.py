@@ -1,24 +1,35 @@
-"""Files of scenes as MuJoCo models with one start or more: MJCF, URDF, USD, and arrays of states."""
+"""Files of scenes as MuJoCo models with one start or more: MJCF, URDF, USD, SDF, and arrays of states."""
 
 from __future__ import annotations
 
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from cluttergen_jax.errors import AssetError, ConfigError
+from cluttergen_jax.evaluation.judging.sdf_scene import read_sdf_world
 from cluttergen_jax.evaluation.judging.usd_scene import read_usd
-from cluttergen_jax.importing.readers.mjcf import check_before_mujoco
+from cluttergen_jax.importing.limited import call_limited
+from cluttergen_jax.importing.readers.mjcf import compile_with_notes
+from cluttergen_jax.importing.readers.opening import check_openable
 from cluttergen_jax.importing.readers.xml_tree import parse_xml, plain_tag
 
-SUFFIXES = (".xml", ".mjcf", ".mjb", ".urdf", ".usd", ".usda", ".usdc", ".usdz")
+_SDF = (".sdf", ".world")
+SUFFIXES = (".xml", ".mjcf", ".mjb", ".urdf", ".usd", ".usda", ".usdc", ".usdz", *_SDF)
 _ARRAYS = (".npz", ".npy")
-_GIVEN = "an MJCF, URDF or USD file, or a folder of them"
+_FREE, _BALL = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
+_UNIT = 0.01
+"""How far from 1 the length of a quaternion may be: files keep few digits, and MuJoCo makes it 1."""
+_GIVEN = "an MJCF, URDF, SDF or USD file, or a folder of them"
 _ROOT = re.compile(rb"<\s*+(\w++)[\s/>]")
+_SECONDS = 120
+"""Of a processor, to load one file."""
 _CONVERT = "a file that numpy.savez wrote, of an array f64[S, nq], or [S, 1 + nq + nv] with the time first"
 
 
@@ -50,42 +61,53 @@ def find_scenes(paths: Sequence[str | Path]) -> tuple[list[Path], int]:
 
 
 def _is_scene(path: Path) -> bool:
-    """Whether the root of an XML file is that of MJCF or URDF; True for other formats."""
-    if path.suffix.lower() != ".xml":
+    """Whether the root of an XML file is that of MJCF or URDF, or an SDF file holds a world.
+
+    True for other formats, and for what cannot be read, which is said of it then.
+    """
+    if path.suffix.lower() not in (*_SDF, ".xml"):
         return True
-    root = parse_xml(path)
-    if root is not None:
-        return plain_tag(root) in ("mujoco", "robot")
+    if (root := parse_xml(path)) is not None:
+        is_sdf = path.suffix.lower() in _SDF
+        return root.find("world") is not None if is_sdf else plain_tag(root) in ("mujoco", "robot")
     # Whoever reads it says what is wrong with it.
-    found = _ROOT.search(path.read_bytes())
-    return found is not None and found[1] in (b"mujoco", b"robot")
+    try:
+        found = _ROOT.search(path.read_bytes())
+    except OSError:
+        return True
+    return path.suffix.lower() in _SDF or (found is not None and found[1] in (b"mujoco", b"robot"))
 
 
-def read_model(path: Path) -> mujoco.MjModel:
-    """The model of a file as MuJoCo loads it.
+def read_model(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """The model of a file as MuJoCo loads it, and what it was loaded without.
 
     Raises:
       AssetError: it cannot be loaded.
       MissingExtraError: it is USD, and usd-core is not installed.
     """
+    check_openable(path)
+    if path.suffix.lower() in (".xml", ".mjcf"):
+        return compile_with_notes(path, is_simulated=True)
+    return call_limited(path, load_model, path, seconds=_SECONDS)
+
+
+def load_model(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """`read_model` of a file that is not MJCF, in this process, without limits."""
     suffix = path.suffix.lower()
+    notes: tuple[str, ...] = ()
     try:
         if suffix.startswith(".usd"):
             model = read_usd(path)
+        elif suffix in _SDF:
+            model, notes = read_sdf_world(path)
         elif suffix == ".mjb":
-            check_before_mujoco(path)
             model = mujoco.MjModel.from_binary_path(str(path))
-        elif suffix == ".urdf":
-            text = _with_paths(path)
-            check_before_mujoco(path, text)
-            model = mujoco.MjModel.from_xml_string(text)
         else:
-            check_before_mujoco(path)
-            model = mujoco.MjModel.from_xml_path(str(path))
+            model = mujoco.MjModel.from_xml_string(_with_paths(path))
         model.names.decode()
-    except (ValueError, OSError, mujoco.FatalError) as error:
+    except (ValueError, OSError, RecursionError, mujoco.FatalError) as error:
         raise AssetError(" ".join(str(error).split()) or "MuJoCo cannot load it") from error
-    return model
+    return model, notes
 
 
 def _with_paths(path: Path) -> str:
@@ -134,10 +156,13 @@ def read_starts(
     return starts, len(rows) - len(starts)
 
 
-def _arrays(states: str | Path | np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+def _arrays(states: Any) -> Iterator[tuple[str, np.ndarray]]:
     """Arrays of states with what to call them."""
-    if isinstance(states, np.ndarray):
-        yield "", states
+    if not isinstance(states, str | Path):
+        try:
+            yield "", np.asarray(states)
+        except (ValueError, TypeError) as error:
+            raise AssetError(f"states that are no array ({error})", "an array f64[S, nq]") from error
         return
     try:
         loaded = np.load(states, allow_pickle=False)
@@ -148,7 +173,7 @@ def _arrays(states: str | Path | np.ndarray) -> Iterator[tuple[str, np.ndarray]]
             names = loaded.files
             for name in names:
                 yield (f"{name}-" if len(names) > 1 else ""), loaded[name]
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, ValueError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
         raise AssetError(f"the states {states} cannot be read ({error})", _CONVERT) from error
 
 
@@ -156,14 +181,37 @@ def _positions(model: mujoco.MjModel, states: np.ndarray) -> np.ndarray:
     """f64[S, nq]: the positions in rows of these alone, or with velocities behind and the time before them.
 
     What a row has of velocities and activations does not count: a start is at rest.
+
+    Raises:
+      AssetError: they are not real numbers, not the model's, not finite, or a quaternion is not of unit
+        length; the text says which.
     """
+    if not (np.issubdtype(states.dtype, np.floating) or np.issubdtype(states.dtype, np.integer)):
+        raise AssetError(f"states of type {states.dtype}", "real numbers")
     nq, nv, na = model.nq, model.nv, model.na
     first = {nq: 0, nq + nv: 0, nq + nv + na: 0, 1 + nq + nv: 1, 1 + nq + nv + na: 1}
     width = states.shape[-1] if states.ndim in (1, 2) else None
-    if width not in first or not len(states) or not np.issubdtype(states.dtype, np.number):
+    if width not in first or not len(states):
         allowed = f"rows of nq = {nq}, nq + nv = {nq + nv} or 1 + nq + nv = {1 + nq + nv} numbers"
         raise AssetError(f"states of shape {states.shape} are none of this model", allowed)
-    rows = np.atleast_2d(states)[:, first[width] : first[width] + nq].astype(float)
-    if not np.isfinite(rows).all():
-        raise AssetError("states that hold numbers that are not finite")
+    with np.errstate(over="ignore"):
+        wide = np.atleast_2d(states).astype(float)
+    if not (is_finite := np.isfinite(wide)).all():
+        row, column = np.argwhere(~is_finite)[0].tolist()
+        number = int((~is_finite).sum())
+        given = f"states[{row}, {column}] = {wide[row, column]}, of {number} numbers that are not finite"
+        raise AssetError(given, "finite numbers")
+    rows = wide[:, first[width] : first[width] + nq]
+    for joint in np.flatnonzero(np.isin(model.jnt_type, [int(_FREE), int(_BALL)])).tolist():
+        start = int(model.jnt_qposadr[joint]) + (3 if model.jnt_type[joint] == _FREE else 0)
+        length = np.linalg.norm(rows[:, start : start + 4], axis=1)
+        if (wrong := np.abs(length - 1) > _UNIT).any():
+            row, from_ = int(wrong.argmax()), first[width] + start
+            body = model.body(int(model.jnt_bodyid[joint])).name or f"body-{int(model.jnt_bodyid[joint])}"
+            which = f"states[{row}, {from_}:{from_ + 4}], the quaternion of {body!r}"
+            raise AssetError(
+                f"{which}, is of length {length[row]:.4g}",
+                f"unit quaternions wxyz, to within {_UNIT:g}",
+                "dividing it by its length, if the order of the columns is right",
+            )
     return rows

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull
 
-from cluttergen_jax.errors import AssetError, MissingExtraError
+from cluttergen_jax.assets.parts import hull_of
+from cluttergen_jax.errors import AssetError, ClutterGenError, MissingExtraError
 
 try:
     from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
@@ -19,6 +20,7 @@ except ImportError:  # pragma: no cover - depends on what is installed
 _GEOM = mujoco.mjtGeom
 _TURNS = {"X": ((0, 1, 0), 90), "Y": ((1, 0, 0), -90), "Z": ((0, 0, 1), 0)}
 _ROUND = {"Capsule": _GEOM.mjGEOM_CAPSULE, "Cylinder": _GEOM.mjGEOM_CYLINDER}
+_SAID = re.compile(r"Error in '[^']*' at line \d+ in file .*? : '(.*?)'(?=\s*Error in '|\s*$)", re.DOTALL)
 _FILLED = 0.99
 """Share of its hull that a mesh fills which counts as convex."""
 
@@ -30,16 +32,36 @@ def read_usd(path: Path) -> mujoco.MjModel:
     neither mass nor density has 1,000 kg/m^3, which is UsdPhysics' own default.
 
     Raises:
-      AssetError: it cannot be opened, has joints, or a collider that is not convex or of another kind.
+      AssetError: it cannot be opened, has joints, or a collider that is not convex or of another kind; USD's
+        own words are kept.
       MissingExtraError: usd-core is not installed.
       ValueError: MuJoCo refuses it.
     """
     if Usd is None:
         raise MissingExtraError("usd", "reading USD")
     try:
-        stage = Usd.Stage.Open(str(path))
-    except Exception as error:  # pxr's own kind has no public name.
-        raise AssetError("it cannot be opened as USD", "a stage") from error
+        return _read_stage(Usd.Stage.Open(str(path)))
+    except (ClutterGenError, ValueError, MemoryError):
+        raise
+    except Exception as error:  # pxr's own kind has no public name, and has no other base.
+        raise AssetError(f"it cannot be read as USD: {_own_words(error)}", "a stage") from error
+
+
+def _own_words(error: Exception) -> str:
+    """What USD says of an error, without the places in its source."""
+    said = [" ".join(each.split()) for each in _SAID.findall(str(error))]
+    cause = [each for each in said if not each.startswith("Failed to open layer")] or said
+    return "; ".join(dict.fromkeys(cause)) or " ".join(str(error).split()) or type(error).__name__
+
+
+def _read_stage(stage: Any) -> mujoco.MjModel:
+    """The model of an open stage; see `read_usd`."""
+    # Older versions of usd-core cannot be asked.
+    lost: Any = getattr(stage, "GetCompositionErrors", tuple)()
+    if lost:
+        raise AssetError(
+            f"parts of it are not there: {' '.join(str(lost[0]).split())}", "a stage that is whole"
+        )
     spec, cache = mujoco.MjSpec(), UsdGeom.XformCache()
     units = _Units(UsdGeom.GetStageMetersPerUnit(stage), UsdPhysics.GetStageKilogramsPerUnit(stage))
     to_world = Gf.Matrix4d(1.0).SetScale(units.metre)
@@ -168,14 +190,23 @@ def _add_collider(spec: mujoco.MjSpec, body: mujoco.MjsBody, prim: Any, place: A
 def _hull_points(prim: Any) -> np.ndarray:
     """f64[V, 3]: the points of a mesh that collides as its hull."""
     mesh, approximation = UsdGeom.Mesh(prim), UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr()
-    points = np.array(mesh.GetPointsAttr().Get(), np.float64)
+    points = np.array(mesh.GetPointsAttr().Get() or (), np.float64).reshape(-1, 3)
+    if len(points) < 4 or not np.isfinite(points).all():
+        given = f"the collider {prim.GetPath()} is a mesh of {len(points)} points"
+        raise AssetError(given, "meshes of 4 finite points or more")
     if approximation and approximation.Get() == "convexHull":
         return points
-    counts = np.array(mesh.GetFaceVertexCountsAttr().Get())
-    faces = np.split(np.array(mesh.GetFaceVertexIndicesAttr().Get()), np.cumsum(counts)[:-1])
+    counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or (), int)
+    indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or (), int)
+    is_sound = len(counts) and counts.min() > 2 and counts.sum() == len(indices)
+    if not is_sound or indices.min() < 0 or indices.max() >= len(points):
+        given = f"the collider {prim.GetPath()} is a mesh whose faces do not fit its {len(points)} points"
+        raise AssetError(given, "faces of 3 points or more, which are there")
+    faces = np.split(indices, np.cumsum(counts)[:-1])
     fans = [(face[0], face[i], face[i + 1]) for face in faces for i in range(1, len(face) - 1)]
     a, b, c = points[np.array(fans)].transpose(1, 0, 2)
-    if abs((a * np.cross(b, c)).sum()) / 6 < _FILLED * ConvexHull(points).volume:
+    hull = hull_of(points)
+    if hull is None or abs((a * np.cross(b, c)).sum()) / 6 < _FILLED * hull.volume:
         allowed = "meshes that are convex or collide as their hull"
         raise AssetError(f"the collider {prim.GetPath()} is a mesh that is not convex", allowed)
     return points

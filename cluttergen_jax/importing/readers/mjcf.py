@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Joint
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.limited import call_limited
+from cluttergen_jax.importing.readers.mjcf_compile import NO_MASS, compile_mjcf, parse_mjcf
 from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece, is_convex, roles_of
 from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
 from cluttergen_jax.importing.readers.mjcf_pictures import picture_notes
@@ -28,70 +29,6 @@ from cluttergen_jax.importing.readers.model import (
     unknown_body,
 )
 from cluttergen_jax.importing.readers.opening import check_openable
-
-
-def _compile_without_lost_pictures(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """The model of an MJCF file, without the pictures that MuJoCo cannot read, and notes of these.
-
-    Raises:
-      ValueError: the file cannot be compiled for another reason.
-    """
-    try:
-        return mujoco.MjModel.from_xml_path(str(path)), ()
-    except ValueError:
-        if not (lost := _unreadable_pictures(path)):
-            raise
-    spec = mujoco.MjSpec.from_file(str(path))
-    worn = {each for material in spec.materials for each in material.textures}
-    _drop(spec, lost)
-    files = dict.fromkeys(file for name, file in lost.items() if name in worn)
-    notes = (f"the image {file!r} cannot be read: its surface has its material's colour" for file in files)
-    return spec.compile(), tuple(notes)
-
-
-def _unreadable_pictures(path: Path) -> dict[str, str]:
-    """The files of the textures that MuJoCo cannot read, by the textures' names."""
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except ValueError:
-        return {}
-    return {name: _file_of(spec.texture(name)) for name in _pictures(spec) if not _is_read(path, name)}
-
-
-def _pictures(spec: mujoco.MjSpec) -> list[str]:
-    """The names of the textures that come from files."""
-    return [each.name for each in spec.textures if _file_of(each)]
-
-
-def _file_of(texture: mujoco.MjsTexture) -> str:
-    return next((each for each in (texture.file, *texture.cubefiles) if each), "")
-
-
-def _is_read(path: Path, name: str) -> bool:
-    """Whether MuJoCo can read a picture of the file, asked where all else is left out."""
-    spec = mujoco.MjSpec.from_file(str(path))
-    for body in list(spec.worldbody.bodies):
-        spec.delete(body)
-    for thing in [*spec.worldbody.geoms, *spec.meshes, *spec.hfields]:
-        spec.delete(thing)
-    _drop(spec, [each for each in _pictures(spec) if each != name])
-    try:
-        spec.compile()
-    except ValueError:
-        return False
-    return True
-
-
-def _drop(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
-    """Takes pictures off all materials, and away."""
-    names = set(names)
-    for material in spec.materials:
-        for role, name in enumerate(material.textures):
-            if name in names:
-                material.textures[role] = ""
-    for texture in [each for each in spec.textures if each.name in names]:
-        spec.delete(texture)
-
 
 _COMPILING = 60
 """Seconds of a processor that MuJoCo may take to compile a file."""
@@ -154,7 +91,7 @@ def read_mjcf(
     return Model(
         pieces=[geom_piece(model, data, i, max_side) for i in roles.surface],
         parts=tuple(Mesh.points(each.vertices) for each in colliding) if is_usable else None,
-        stated=combine_masses([_body_mass(model, data, i) for i in chosen]),
+        stated=combine_masses([_body_mass(model, data, i) for i in chosen if model.body_mass[i] != NO_MASS]),
         notes=(*notes, *dict.fromkeys(of_pictures)),
         colliding=colliding,
         # One body that was chosen stands still itself.
@@ -245,8 +182,8 @@ def _mass_of(path: Path, geoms: Collection[int]) -> float:
     """Kilograms that geoms add to their bodies; 0 where these state their own, or consist of nothing else."""
     if not geoms:
         return 0.0
-    spec = mujoco.MjSpec.from_file(str(path))
     try:
+        spec = parse_mjcf(path)[0]
         before = spec.compile().body_mass.sum()
         for geom in spec.geoms:
             if geom.id in geoms:
@@ -256,15 +193,15 @@ def _mass_of(path: Path, geoms: Collection[int]) -> float:
         return 0.0
 
 
-def compile_with_notes(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """The model of an MJCF file, whose names are text, and which pictures it has to do without.
+def compile_with_notes(path: Path, is_simulated: bool = False) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """The model of an MJCF file, whose names are text, and what had to be changed in it (`compile_mjcf`).
 
     Raises:
       AssetError: MuJoCo cannot compile it (its own message is kept), or a name is not UTF-8.
     """
     check_before_mujoco(path)
     try:
-        model, notes = _compile_without_lost_pictures(path)
+        model, notes = compile_mjcf(path, is_simulated)
         # MuJoCo takes any bytes for a name; they would come to light wherever one is first read.
         model.names.decode()
     except (ValueError, OSError, mujoco.FatalError) as error:

@@ -180,6 +180,36 @@ def _links(path: Path, model: Element, pose: np.ndarray) -> Iterator[Link]:
         yield from _links(path, inner, pose @ frames.pose_of(inner.get("name", "")))
 
 
+def placed_links(path: Path, model: Element, world: Element) -> list[Link]:
+    """The links of a model of a world, and of models nested in it; errors are those of `read_sdf`."""
+    pose = _Frames(path, world).pose_of_element(model, "")
+    return list(_links(path, model, pose @ _from_placement_frame(path, model)))
+
+
+def axis_of(path: Path, model: Element, joint: Element, child: Link) -> tuple[np.ndarray, np.ndarray | None]:
+    """f64[3] each in the world: where a joint of a model is, and its axis, None if it has none.
+
+    Args:
+      child: the link that the joint moves, as `placed_links` has it.
+
+    Raises:
+      AssetError: a frame is not there, or the axis has no direction.
+    """
+    frames = _Frames(path, model)
+    to_world = child.pose
+    anchor = (to_world @ frames.pose_of(joint.get("name", "")))[:3, 3]
+    axis = joint.find("axis")
+    if axis is None:
+        return anchor, None
+    direction = numbers(path, axis, "xyz", 3, "0 0 1")
+    if not direction.any():
+        raise wrong_attribute(path, axis, "xyz", "a direction")
+    written = axis.find("xyz")
+    other = "" if written is None else written.get("expressed_in", "")
+    turn = to_world @ frames.pose_of(other or joint.get("name", ""))
+    return anchor, turn[:3, :3] @ (direction / np.linalg.norm(direction))
+
+
 class _Frames:
     """The frames of a model: of its links, joints, nested models, and those that are frames alone."""
 

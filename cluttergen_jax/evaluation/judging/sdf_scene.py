@@ -1,0 +1,314 @@
+"""An SDF world as a MuJoCo model: its models, and those that it includes, with links, joints, colliders."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import trimesh
+
+from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.links import Link, Look, Surfaces
+from cluttergen_jax.importing.readers.model import convex_parts
+from cluttergen_jax.importing.readers.sdf import axis_of, placed_links
+from cluttergen_jax.importing.readers.sdf_includes import read_sdf_tree
+from cluttergen_jax.importing.readers.xml_tree import Element, length, number, numbers
+
+_GEOM, _JOINT = mujoco.mjtGeom, mujoco.mjtJoint
+_KINDS = {
+    "revolute": _JOINT.mjJNT_HINGE,
+    "continuous": _JOINT.mjJNT_HINGE,
+    "prismatic": _JOINT.mjJNT_SLIDE,
+    "ball": _JOINT.mjJNT_BALL,
+}
+_ROUND = {"cylinder": _GEOM.mjGEOM_CYLINDER, "capsule": _GEOM.mjGEOM_CAPSULE}
+_FORMS = ("box", "sphere", "cylinder", "capsule", "ellipsoid", "plane", "mesh")
+_OWN = {
+    "ground_plane": '<link name="link"><collision name="c"><geometry><plane/></geometry></collision></link>',
+    "sun": "",
+}
+"""Links of models of Gazebo's own, which worlds include and which lie in its program's folder."""
+_LEFT_OUT = ("actor", "population", "road", "joint")
+_NO_LIMIT = 1e15
+_YES = ("true", "1")
+
+
+def read_sdf_world(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """The models of a world, or of a file without one, in metres, z up.
+
+    Gravity and the largest time step are the file's, else SDF's defaults (9.8 m/s^2, 1 ms), and so are mass
+    and inertia where a link states none (1 kg, 1 kg m^2). Links that fixed joints join are one body.
+
+    Returns:
+      The model, and what of the world is left out.
+
+    Raises:
+      AssetError: it cannot be read, an included model is not there, or a collider or a joint is of a kind
+        that MuJoCo does not have.
+      ValueError: MuJoCo refuses it.
+    """
+    root = read_sdf_tree(path).root
+    worlds = root.findall("world")
+    if len(worlds) > 1:
+        raise AssetError(f"{path} holds {len(worlds)} worlds", "one")
+    world = worlds[0] if worlds else root
+    for place, element in enumerate(list(world)):
+        if element.tag == "include":
+            world[place] = _own_model(path, element)
+    spec = mujoco.MjSpec()
+    spec.option.gravity = numbers(path, world, "gravity", 3, "0 0 -9.8")
+    if (physics := world.find("physics")) is not None:
+        spec.option.timestep = number(path, physics, "max_step_size", "0.001")
+    else:
+        spec.option.timestep = 0.001
+    for model in world.findall("model"):
+        _Model(path, spec, world, model).add()
+    others = dict.fromkeys(each.tag for each in world if each.tag in _LEFT_OUT)
+    notes = (f"of the world, left out: {', '.join(f'<{each}>' for each in others)}",) if others else ()
+    return spec.compile(), notes
+
+
+def _own_model(path: Path, include: Element) -> Element:
+    """Gazebo's own model that a world includes; what else it includes is not there (AssetError)."""
+    uri = include.findtext("uri", "").strip()
+    name = uri.rstrip("/").rpartition("/")[2].lower().replace(" ", "_")
+    if name not in _OWN:
+        allowed = "models that lie beside the world, or near it"
+        raise AssetError(
+            f"{path} includes {uri!r}, which cannot be read", allowed, "its folder beside the world"
+        )
+    model = ElementTree.fromstring(f'<model name="{name}"><static>true</static>{_OWN[name]}</model>')
+    if (pose := include.find("pose")) is not None:
+        model.append(pose)
+    return model
+
+
+class _Model:
+    """One model of a world, as bodies of a spec."""
+
+    def __init__(self, path: Path, spec: mujoco.MjSpec, world: Element, model: Element) -> None:
+        self._path, self._spec, self._model = path, spec, model
+        self._name = model.get("name", "")
+        self._links = placed_links(path, model, world)
+        self._is_static = (model.findtext("static") or "").strip() in _YES
+
+    def add(self) -> None:
+        """Adds its bodies (AssetError where MuJoCo has nothing like it)."""
+        if self._is_static:
+            for link in self._links:
+                self._add_colliders(self._spec.worldbody, np.eye(4), link)
+            return
+        for inner in self._model.iter("model"):
+            moving = [each for each in inner.findall("joint") if each.get("type") != "fixed"]
+            if inner is not self._model and moving:
+                raise AssetError(f"{self._path}: model {inner.get('name')!r} within a model has joints")
+        groups = self._groups()
+        joints = [each for each in self._model.findall("joint") if each.get("type") != "fixed"]
+        above = {self._group(groups, each, "child"): each for each in joints}
+        if len(above) < len(joints):
+            raise AssetError(f"{self._path}: model {self._name!r} has a link that two joints move")
+        made: dict[int, tuple[mujoco.MjsBody, np.ndarray]] = {-1: (self._spec.worldbody, np.eye(4))}
+        for link in self._links:
+            if groups[link.name] < 0:
+                self._add_colliders(*made[-1], link)
+        for group in sorted(set(groups.values())):
+            self._add_group(group, groups, above, made, ())
+
+    def _groups(self) -> dict[str, int]:
+        """A number for each link: one for those that fixed joints join, -1 for what is fixed to the world."""
+        names = [link.name for link in self._links]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            given = f"{self._path}: {self._name!r} moves, and has two links called {twice!r} within models"
+            raise AssetError(given, "a name for each")
+        groups = {link.name: index for index, link in enumerate(self._links)} | {"world": -1}
+        for joint in self._model.iter("joint"):
+            if joint.get("type") == "fixed":
+                one, other = (self._group(groups, joint, tag) for tag in ("parent", "child"))
+                low = min(one, other)
+                groups = {name: low if group in (one, other) else group for name, group in groups.items()}
+        return {name: group for name, group in groups.items() if name != "world"}
+
+    def _group(self, groups: dict[str, int], joint: Element, tag: str) -> int:
+        name = joint.findtext(tag, "").strip().rpartition("::")[2]
+        if name == "world":
+            return -1
+        if name not in groups:
+            given = f"{self._path}: joint {joint.get('name')!r} of {self._name!r} has the {tag} {name!r}"
+            raise AssetError(given, ", ".join(map(repr, groups)))
+        return groups[name]
+
+    def _add_group(
+        self,
+        group: int,
+        groups: dict[str, int],
+        above: dict[int, Element],
+        made: dict[int, tuple[mujoco.MjsBody, np.ndarray]],
+        below: tuple[int, ...],
+    ) -> tuple[mujoco.MjsBody, np.ndarray]:
+        """The body of links that are one, and its pose; those that it hangs on are made first."""
+        if group in below:
+            raise AssetError(f"{self._path}: joints of {self._name!r} hang on each other in a circle")
+        if group in made:
+            return made[group]
+        links = [each for each in self._links if groups[each.name] == group]
+        pose, joint = _frame_of(links[0]), above.get(group)
+        parent, place = made[-1]
+        if joint is not None:
+            upper = self._group(groups, joint, "parent")
+            parent, place = self._add_group(upper, groups, above, made, (*below, group))
+        body = parent.add_body(name=self._body_name(links[0]))
+        _put(body, np.linalg.inv(place) @ pose)
+        if joint is None:
+            body.add_freejoint()
+        else:
+            self._add_joint(body, pose, joint, links)
+        self._weigh(body, pose, links)
+        body.gravcomp = float((links[0].element.findtext("gravity") or "true").strip() not in _YES)
+        made[group] = body, pose
+        for link in links:
+            self._add_colliders(body, pose, link)
+        return body, pose
+
+    def _body_name(self, link: Link) -> str:
+        name = self._name if link is self._links[0] and self._name else f"{self._name}::{link.name}"
+        names = {each.name for each in self._spec.bodies}
+        return (
+            name
+            if name not in names
+            else next(f"{name}-{i}" for i in range(len(names) + 1) if f"{name}-{i}" not in names)
+        )
+
+    def _add_joint(self, body: mujoco.MjsBody, pose: np.ndarray, joint: Element, links: list[Link]) -> None:
+        kind = joint.get("type", "")
+        if kind not in _KINDS:
+            given = f"{self._path}: joint {joint.get('name')!r} of {self._name!r} is of type {kind!r}"
+            raise AssetError(given, ", ".join(("fixed", *_KINDS)))
+        made = body.add_joint(type=_KINDS[kind])
+        child = joint.findtext("child", "").strip().rpartition("::")[2]
+        link = next(each for each in links if each.name == child)
+        anchor, axis = axis_of(self._path, self._model, joint, link)
+        back = np.linalg.inv(pose)
+        made.pos = (back @ np.append(anchor, 1.0))[:3]
+        if axis is None:
+            return
+        made.axis = back[:3, :3] @ axis
+        element = joint.find("axis")
+        limit = None if element is None else element.find("limit")
+        if limit is not None and kind != "continuous":
+            lower, upper = (
+                number(self._path, limit, each, default, is_finite=False)
+                for each, default in (("lower", "-1e16"), ("upper", "1e16"))
+            )
+            if max(abs(lower), abs(upper)) < _NO_LIMIT:
+                made.range, made.limited = (lower, upper), mujoco.mjtLimited.mjLIMITED_TRUE
+                if made.type == _JOINT.mjJNT_HINGE:
+                    made.range = np.degrees((lower, upper))
+        dynamics = None if element is None else element.find("dynamics")
+        if dynamics is not None:
+            made.damping = number(self._path, dynamics, "damping", "0")
+            made.frictionloss = number(self._path, dynamics, "friction", "0")
+
+    def _weigh(self, body: mujoco.MjsBody, pose: np.ndarray, links: list[Link]) -> None:
+        """Mass, centre and inertia of links that are one; with auto="true" MuJoCo's own of the colliders."""
+        inertials = [(link, link.element.find("inertial")) for link in links]
+        if any(each is not None and each.get("auto", "") in _YES for _, each in inertials):
+            return
+        masses, centers, moments = [], [], []
+        for link, inertial in inertials:
+            mass, inertia = 1.0, np.eye(3)
+            if inertial is not None:
+                mass, inertia = number(self._path, inertial, "mass", "1"), self._inertia(inertial)
+            turned = np.linalg.inv(pose) @ link.place(Element("none") if inertial is None else inertial)
+            masses.append(mass)
+            centers.append(turned[:3, 3])
+            moments.append(turned[:3, :3] @ inertia @ turned[:3, :3].T)
+        total = sum(masses)
+        if not (math.isfinite(total) and min(masses) >= 0 and total > 0):
+            raise AssetError(
+                f"{self._path}: a link of {self._name!r} has a mass of {min(masses):g} kg", "above 0"
+            )
+        center = np.average(centers, axis=0, weights=masses)
+        inertia = np.zeros((3, 3))
+        for mass, each, moment in zip(masses, centers, moments, strict=True):
+            offset = each - center
+            inertia += moment + mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        body.mass, body.ipos, body.explicitinertial = total, center, True
+        body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+    def _inertia(self, inertial: Element) -> np.ndarray:
+        given = inertial.find("inertia")
+        if given is None:
+            return np.eye(3)
+        values = {
+            a + b: number(self._path, given, f"i{a}{b}", "1" if a == b else "0")
+            for a, b in ("xx", "yy", "zz", "xy", "xz", "yz")
+        }
+        return np.array([[values["".join(sorted(a + b))] for b in "xyz"] for a in "xyz"])
+
+    def _add_colliders(self, body: mujoco.MjsBody, pose: np.ndarray, link: Link) -> None:
+        path = self._path
+        for number_, element in enumerate(link.element.findall("collision")):
+            place = np.linalg.inv(pose) @ link.place(element)
+            for geom in self._geoms(body, element, place, f"{self._name}::{link.name}::{number_}"):
+                friction = element.find("surface/friction/ode")
+                if friction is not None and friction.find("mu") is not None:
+                    geom.friction = (number(path, friction, "mu"), *geom.friction[1:])
+                if element.find("density") is not None:
+                    geom.density = number(path, element, "density")
+
+    def _geoms(
+        self, body: mujoco.MjsBody, element: Element, place: np.ndarray, name: str
+    ) -> Iterator[mujoco.MjsGeom]:
+        path = self._path
+        geometry = element.find("geometry")
+        form = None if geometry is None or not len(geometry) else geometry[0]
+        if form is None or form.tag not in (*_FORMS, "empty"):
+            what = "nothing" if form is None else f"<{form.tag}>"
+            raise AssetError(f"{path}: a collider of {self._name!r} is {what}", ", ".join(_FORMS))
+        if form.tag == "empty":
+            return
+        if form.tag == "mesh":
+            pieces = Surfaces(path, 16, "uri", _FORMS).pieces(element, place, 1.0, Look())
+            for index, piece in enumerate(pieces):
+                if convex_parts([piece.mesh]) is None:
+                    allowed = "meshes that are convex, and other shapes"
+                    raise AssetError(
+                        f"{path}: a collider of {self._name!r} is a mesh that is not convex", allowed
+                    )
+                mesh = self._spec.add_mesh(name=f"{name}-{index}-{len(self._spec.meshes)}")
+                mesh.uservert = piece.mesh.vertices.astype(np.float32).ravel()
+                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+                yield body.add_geom(type=_GEOM.mjGEOM_MESH, meshname=mesh.name)
+            return
+        geom = body.add_geom()
+        if form.tag == "plane":
+            normal = numbers(path, form, "normal", 3, "0 0 1")
+            if not normal.any():
+                raise AssetError(f"{path}: a plane of {self._name!r} without a normal")
+            place = place @ trimesh.geometry.align_vectors([0, 0, 1], normal / np.linalg.norm(normal))
+            geom.type, geom.size = _GEOM.mjGEOM_PLANE, (0, 0, 1)
+        elif form.tag == "box":
+            geom.type, geom.size = _GEOM.mjGEOM_BOX, numbers(path, form, "size", 3) / 2
+        elif form.tag == "ellipsoid":
+            geom.type, geom.size = _GEOM.mjGEOM_ELLIPSOID, numbers(path, form, "radii", 3)
+        elif form.tag == "sphere":
+            geom.type, geom.size = _GEOM.mjGEOM_SPHERE, (length(path, form, "radius"), 0, 0)
+        else:
+            radius, height = (length(path, form, each) for each in ("radius", "length"))
+            geom.type, geom.size = _ROUND[form.tag], (radius, height / 2, 0)
+        _put(geom, place)
+        yield geom
+
+
+def _frame_of(link: Link) -> np.ndarray:
+    """f64[4, 4]: a link's own frame in the world."""
+    return link.place(Element("none"))
+
+
+def _put(thing: mujoco.MjsBody | mujoco.MjsGeom, pose: np.ndarray) -> None:
+    """Gives a body or a geom a pose f64[4, 4]."""
+    thing.pos, thing.quat = pose[:3, 3], trimesh.transformations.quaternion_from_matrix(pose)

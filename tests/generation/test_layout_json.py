@@ -1,0 +1,200 @@
+"""Layouts in JSON: spellings of a pose that are read, keys that are refused, and why there is no place."""
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import cluttergen_jax as cg
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation.layout_json import read_layout_json
+from cluttergen_jax.generation.layout_reasons import hint_for_positions, reason_without_place
+from cluttergen_jax.geometry import rotation_matrix, yaw_quaternion
+
+CASES = Path(__file__).parents[1] / "cases" / "repair"
+
+
+def write(path, *entries, **more):
+    objects = [{"name": "mug", **entry} for entry in entries]
+    path.write_text(json.dumps({"pool": "dining", "support": "table", "objects": objects} | more))
+    return path
+
+
+def pose_of(tmp_path, entry, **more):
+    return read_layout_json(write(tmp_path / "a.json", entry, **more)).entries[0].pose
+
+
+@pytest.mark.parametrize(
+    ("entry", "more"),
+    [
+        ({"position": [0.1, -0.2, 0.75]}, {}),
+        ({"position": [0.1, -0.2, 0.75]}, {"unit": "m"}),
+        ({"position": [10, -20, 75]}, {"unit": "cm"}),
+        ({"position": [10, -20, 75], "unit": "centimetres"}, {}),
+        ({"position": [100, -200, 750]}, {"units": "mm"}),
+        ({"position_cm": [10, -20, 75]}, {}),
+        ({"position_mm": [100, -200, 750]}, {}),
+        ({"position_m": [0.1, -0.2, 0.75], "position_cm": [10, -20, 75]}, {}),
+        ({"position": {"x": 0.1, "y": -0.2, "z": 0.75}}, {}),
+    ],
+)
+def test_a_position_is_in_the_unit_that_is_stated(tmp_path, entry, more):
+    np.testing.assert_allclose(pose_of(tmp_path, entry, **more), [0.1, -0.2, 0.75, 1, 0, 0, 0], atol=1e-12)
+
+
+ANGLES = np.array([0.3, -0.5, 1.1])
+TURN = Rotation.from_euler("xyz", ANGLES)
+YAW = Rotation.from_euler("z", 1.1)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("quaternion_wxyz", TURN.as_quat(scalar_first=True).tolist(), TURN),
+        ("quaternion_xyzw", TURN.as_quat().tolist(), TURN),
+        ("quat_xyzw", (-TURN.as_quat()).tolist(), TURN),
+        ("rpy", ANGLES.tolist(), TURN),
+        ("euler_rad", ANGLES.tolist(), TURN),
+        ("euler_deg", np.degrees(ANGLES).tolist(), TURN),
+        ("rpy_deg", np.degrees(ANGLES).tolist(), TURN),
+        ("yaw", 1.1, YAW),
+        ("yaw_deg", math.degrees(1.1), YAW),
+    ],
+)
+def test_an_orientation_is_read_by_its_key(tmp_path, key, value, expected):
+    pose = pose_of(tmp_path, {"position": [0, 0, 1], key: value})
+    np.testing.assert_allclose(rotation_matrix(pose[3:]), expected.as_matrix(), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("entry", "more", "said"),
+    [
+        ({"quaternion": [1, 0, 0, 0]}, {}, r"'quaternion' is not known.*quaternion_wxyz.*quaternion_xyzw"),
+        ({"quaternion_wxzy": [1, 0, 0, 0]}, {}, r"Did you mean 'quaternion_wxyz'"),
+        ({"euler": [0, 0, 90]}, {}, r"'euler' is not known. Did you mean 'euler_deg'"),
+        ({"scale": 2}, {}, r"'scale' is not known"),
+        ({"yaw": 90}, {}, r"yaw = 90.*Did you mean 'yaw_deg'"),
+        ({"rpy": [0, 0, 90]}, {}, r"Did you mean 'rpy_deg'"),
+        ({"yaw_deg": 90, "quaternion_wxyz": [1, 0, 0, 0]}, {}, "say different things"),
+        ({"position_cm": [0, 0, 1]}, {}, "say different things"),
+        ({"unit": "cm"}, {"unit": "mm"}, "one unit"),
+        ({}, {"unit": "inch"}, "m, cm, mm"),
+        ({"position_m": [0, 0, 1]}, {"unit": "cm"}, "one unit"),
+        ({}, {"suport": "table"}, r"'suport' is not known. Did you mean 'support'"),
+        ({}, {"gravity": [0, 0, -9.8]}, "'gravity' is not known"),
+        ({"quaternion_wxyz": [0, 0, 0, 0]}, {}, "no direction"),
+        ({"quaternion_wxyz": ["1", 0, 0, 0]}, {}, "4 numbers"),
+        ({"yaw_deg": [90]}, {}, "1 numbers"),
+        ({"position": [0, 0, True]}, {}, "3 numbers"),
+        ({"name": ""}, {}, "name"),
+        ({}, {"support": {"name": "table", "colour": "red"}}, "'colour' is not known"),
+    ],
+)
+def test_what_is_not_understood_is_refused_by_its_name(tmp_path, entry, more, said):
+    path = write(tmp_path / "a.json", {"position": [0, 0, 1]} | entry, **more)
+    with pytest.raises(ConfigError, match=said):
+        read_layout_json(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"pool": "dining", "pool": "study", "objects": []}',
+        '{"objects": [{"name": "mug", "position": [0, 0, NaN]}]}',
+        '{"objects": [{"name": "mug", "position": [0, 0, 1e999]}]}',
+        '{"objects": {"mug": [0, 0, 1]}}',
+        '{"objects": [["mug"]]}',
+        '{"objects": [{"name": "mug", "position": [0, 0, 1' + "0" * 400 + "]}]}",
+        "[" * 100_000,
+        "\ud83d".encode("utf-8", "surrogatepass").decode("latin-1"),
+        "",
+    ],
+)
+def test_what_is_no_layout_ends_in_a_sentence(tmp_path, text):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(ConfigError):
+        read_layout_json(tmp_path / "a.json")
+
+
+def test_an_order_of_a_quaternion_in_which_it_lies_is_told(tmp_path):
+    half = math.sqrt(0.5)
+    entry = {"position": [0, 0, 1], "quaternion_wxyz": [0, 0, half, half]}
+    (note,) = read_layout_json(write(tmp_path / "a.json", entry)).notes
+    assert "in the order of quaternion_xyzw it is upright" in note
+    (note,) = read_layout_json(
+        write(tmp_path / "a.json", {"position": [0, 0, 1], "quat_wxyz": [2, 0, 0, 0]})
+    ).notes
+    assert "of length 2" in note
+    # What lies in both orders is meant to lie.
+    entry = {"position": [0, 0, 1], "quaternion_wxyz": [half, half, 0, 0]}
+    assert read_layout_json(write(tmp_path / "a.json", entry)).notes == ()
+
+
+def test_the_case_of_a_quaternion_xyzw_is_read():
+    (entry,) = read_layout_json(CASES / "quaternion_xyzw.json").entries
+    assert entry.pose[3:].tolist() == [1, 0, 0, 0]
+
+
+def test_a_quaternion_xyzw_turns_what_is_repaired(tmp_path):
+    turn = yaw_quaternion(1.0)
+    entry = {"position": [0, 0, 0.75], "quaternion_xyzw": [*turn[1:], turn[0]]}
+    report = cg.repair(write(tmp_path / "a.json", entry, support="table-0.60x0.60"), tmp_path / "b.json")
+    (fixed,) = json.loads((tmp_path / "b.json").read_text())["objects"]
+    assert report.layouts[0].is_stable
+    np.testing.assert_allclose(np.abs(np.array(fixed["quaternion_wxyz"]) @ turn), 1, atol=1e-4)
+    # What it writes is a layout that it reads.
+    assert read_layout_json(tmp_path / "b.json").entries[0].name == "mug"
+
+
+def test_heights_above_the_table_are_told_as_such(tmp_path, capsys):
+    assert main(["repair", str(CASES / "z_from_table_top.json"), "--out", str(tmp_path / "a.json")]) == 1
+    said = capsys.readouterr().out
+    assert "mug (0.75 m under the top of" in said
+    assert "measured from its top" in said
+    written = json.loads((tmp_path / "a.json").read_text())
+    assert ["under" in each["reason"] for each in written["objects"]] == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("position", "said"),
+    [
+        ((0, 0, 0.2), r"0.55 m under the top of 'table'"),
+        ((0, 0, 1.5), r"0.75 m above the top"),
+        ((0.8, 0, 0.75), r"0.49 m beyond the edge of 'table'$"),
+        ((0.8, 0, 0), r"beyond the edge of 'table' and 0.75 m under"),
+        ((0.1, 0.1, 0.76), r"too little room within 0.05 m"),
+    ],
+)
+def test_why_there_is_no_place(position, said):
+    mug, table = find_pool("dining")["mug"], find_support("table-0.60x0.60")
+    pose = np.array([*position, 1, 0, 0, 0])
+    reason = reason_without_place(mug, pose, table, 0.05)
+    assert re.search(said, reason), reason
+
+
+def test_a_board_of_several_is_named():
+    mug, shelf = find_pool("dining")["mug"], find_support("bookcase").on_surface("all")
+    board = shelf.surfaces[1]
+    x, y, z = board.position
+    pose = np.array([x, y, z + 0.2, 1, 0, 0, 0])
+    assert repr(board.name) in reason_without_place(mug, pose, shelf, 0.05)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(100.0, "cm"), (1000.0, "mm")])
+def test_other_units_are_asked_for_where_all_would_fit(factor, unit):
+    pool, table = find_pool("dining"), find_support("table-0.60x0.60")
+    objects = [pool["mug"], pool["bowl"]]
+    poses = np.array([[0.1, 0, 0.75, 1, 0, 0, 0], [-0.1, 0.1, 0.74, 1, 0, 0, 0]])
+    assert hint_for_positions(objects, poses, table, True) == ""
+    poses[:, :3] *= factor
+    assert f'"unit": "{unit}"' in hint_for_positions(objects, poses, table, True)
+    assert hint_for_positions(objects, poses, table, False) == ""
+    poses[0, 0] += factor
+    assert hint_for_positions(objects, poses, table, True) == ""
