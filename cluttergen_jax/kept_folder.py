@@ -12,7 +12,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
@@ -169,7 +169,7 @@ class FolderLock:
         patience: float = 0.0,
     ) -> None:
         self.path = Path(os.path.realpath((file or folder / LOCK).parent), (file or folder / LOCK).name)
-        self._file, self._made = -1, list[Path]()
+        self._file, self._made, self._is_ours = -1, list[Path](), True
         if self.path in _held.get():
             if check is not None:
                 check()
@@ -178,6 +178,14 @@ class FolderLock:
         try:
             if check is not None:
                 check()
+        except BaseException:
+            # A file of this name that holds something was there before, and may be somebody else's.
+            self._is_ours = os.fstat(self._file).st_size == 0
+            self.release(is_kept=False)
+            raise
+        # What another program keeps under this name is left as it is.
+        self._is_ours = os.pread(self._file, 1, 0) in (b"", b"{")
+        if self._is_ours:
             holder = {
                 "process": os.getpid(),
                 "host": socket.gethostname(),
@@ -185,10 +193,6 @@ class FolderLock:
             }
             os.ftruncate(self._file, 0)
             os.write(self._file, json.dumps(holder).encode())
-        except BaseException:
-            # A file of this name that holds something was there before, and may be somebody else's.
-            self.release(is_ours=os.fstat(self._file).st_size == 0, is_kept=False)
-            raise
 
     def _open(self, folder: Path, deadline: float) -> None:
         while True:
@@ -218,16 +222,15 @@ class FolderLock:
     def __exit__(self, kind: object, *_: object) -> None:
         self.release(is_kept=kind is None)
 
-    def release(self, is_ours: bool = True, is_kept: bool = True) -> None:
+    def release(self, is_kept: bool = True) -> None:
         """Lets go; once is enough.
 
         Args:
-          is_ours: the lock's file is this package's, and is removed.
           is_kept: folders that were made for it stay even if they are empty.
         """
         if self._file >= 0:
             # Removed while it is still held: a process that waits for it notices that the file is gone.
-            if is_ours:
+            if self._is_ours:
                 with suppress(OSError):
                     self.path.unlink(missing_ok=True)
             if not is_kept:
@@ -254,6 +257,21 @@ def holding(lock: FolderLock) -> Iterator[None]:
             yield
         finally:
             _held.reset(token)
+
+
+def held_folder(folder: Path | None) -> AbstractContextManager[None]:
+    """Holds a folder of whatever kind in the block, in which the same thread may lock it again.
+
+    Args:
+      folder: made if need be, and removed again where the block fails and it is empty; None holds nothing.
+
+    Raises:
+      BankError: another process writes there, or it cannot be written.
+    """
+    if folder is None:
+        return nullcontext()
+    with writing(folder):
+        return holding(FolderLock(folder))
 
 
 def lock_beside(folder: Path, patience: float = 0.0) -> FolderLock:

@@ -104,7 +104,11 @@ def pull_policies(
     )
     if not found:
         raise BankError(f"{name} holds no checkpoints", "a folder POOL-VARIANT with record.json for each")
-    if there := [each for each in found if inside(root, each).exists() and not overwrite]:
+    with writing(root), lock_beside(root / "policies"):
+        return _fetch_policies(place, name, commit, root, found, overwrite)
+
+
+XX    if there := [each for each in found if inside(root, each).exists() and not overwrite]:
         raise BankError(
             f"{root / there[0]} exists", "checkpoints that are new", "`overwrite` to replace them"
         )

@@ -17,6 +17,7 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
+from cluttergen_jax.kept_folder import held_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
@@ -97,28 +98,28 @@ def perception_data(
     if num_objects is not None:
         check_range("num_objects", num_objects, 1, most, min(8, most))
     num_scenes = -(-num_views // (VIEWS_A_SCENE * len(_METHODS)))
-    VIEWS.check_place(Path(out))
-    if overwrite or not any(Path(out).glob(f"bank-{split}-*")):
-        # Scenes take minutes, and are of no use where nothing can draw them.
-        find_backend()
-    banks: dict[str, Bank] = {
-        method: generate(
-            Path(out) / f"bank-{split}-{method}",
-            pool=pool,
-            support=support,
-            method=method,
-            num_objects=min(num_objects or usual, most),
-            num_scenes=max(num_scenes, 8),
-            order="random",
-            render=False,
-            max_files=0,
-            seed=config.seed,
-            num_threads=num_threads,
-            overwrite=overwrite,
-        )
-        for method, usual in _METHODS.items()
-    }
-    return write_views(out, banks, split, num_views, config, overwrite)
+    with VIEWS.hold(Path(out)):
+        if overwrite or not any(Path(out).glob(f"bank-{split}-*")):
+            # Scenes take minutes, and are of no use where nothing can draw them.
+            find_backend()
+        banks: dict[str, Bank] = {
+            method: generate(
+                Path(out) / f"bank-{split}-{method}",
+                pool=pool,
+                support=support,
+                method=method,
+                num_objects=min(num_objects or usual, most),
+                num_scenes=max(num_scenes, 8),
+                order="random",
+                render=False,
+                max_files=0,
+                seed=config.seed,
+                num_threads=num_threads,
+                overwrite=overwrite,
+            )
+            for method, usual in _METHODS.items()
+        }
+        return write_views(out, banks, split, num_views, config, overwrite)
 
 
 @with_own_settings
@@ -224,6 +225,7 @@ def perception_eval(
     views = read_views(data)
     chosen = str(segmenter) if segmenter is not None else views.pool
     folder = None if out is None else Path(out)
-    return evaluate_perception(
-        views, split, chosen, tuple(cameras), tuple(map(float, noise)), num_views, seed, folder, calibrate
-    )
+    with held_folder(folder):
+        return evaluate_perception(
+            views, split, chosen, tuple(cameras), tuple(map(float, noise)), num_views, seed, folder, calibrate
+        )
