@@ -44,11 +44,13 @@ from cluttergen_jax.assets.support_map import (
     surface_heights,
 )
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
+from cluttergen_jax.files import writing
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.support_joints import moved_together, with_joints
 from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
+from cluttergen_jax.kept_folder import PATIENCE, lock_beside
 
 _LARGEST = 4.0
 """Metres."""
@@ -81,11 +83,14 @@ def write_table(
         print(note + (f" ({count} of them)" if count > 1 else ""), file=sys.stderr)
     support = replace(support, name=name)
     folder = user_supports() / name
-    if folder.exists() and not force:
-        if _is_same(folder, support):
-            return support
-        raise PoolError(f"support {name!r} exists and is another", "a new `name`", "`force` to replace it")
-    write_support(folder, support, overwrite=force)
+    with writing(folder), lock_beside(folder, PATIENCE):
+        if folder.exists() and not force:
+            if _is_same(folder, support):
+                return support
+            raise PoolError(
+                f"support {name!r} exists and is another", "a new `name`", "`force` to replace it"
+            )
+        write_support(folder, support, overwrite=force)
     return support
 
 

@@ -27,6 +27,7 @@ from cluttergen_jax.downstream.dataset.files import (
 from cluttergen_jax.downstream.dataset.views import ViewConfig, ViewMaker
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import remove_partial, write_atomically, writing
+from cluttergen_jax.kept_folder import holding
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes, region_of

@@ -143,7 +143,7 @@ def run_training(
 
 @contextmanager
 def _holding_run(folder: Path) -> Iterator[None]:
-    """`hold_run` by the process that writes; where it cannot, all of those that train together are refused."""
+    """`hold_run` by the process that writes; where it cannot, all that train together are refused."""
     from cluttergen_jax.learning.training.distributed import agree, is_writer
 
     with ExitStack() as stack:
