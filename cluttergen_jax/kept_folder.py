@@ -28,7 +28,8 @@ try:
 except ImportError:  # Windows has no fcntl.
     fcntl = None  # type: ignore[assignment]
 
-_P, _R = ParamSpec("_P"), TypeVar("_R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 LOCK = ".lock"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
 
@@ -199,13 +200,17 @@ class FolderLock:
 
     def _open(self, folder: Path, deadline: float) -> None:
         while True:
-            self._make_folders()
             try:
+                self._make_folders()
                 self._file = _open_locked(self.path, folder)
                 return
             except FileNotFoundError:
                 # Whoever had made the folder let go and removed it, empty as it was.
                 continue
+            except FileExistsError:
+                # Likewise, but for what is there and is no folder.
+                if os.path.lexists(self.path.parent) and not self.path.parent.is_dir():
+                    raise
             except BankError:
                 if time.monotonic() >= deadline:
                     raise

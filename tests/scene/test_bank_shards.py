@@ -2,6 +2,7 @@
 
 import os
 import random
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
@@ -141,15 +142,16 @@ def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_loo
 
 def merged_behind(patch, path, times=1):
     """From now on the bank's next file that is opened is gone: its blocks have become shards meanwhile."""
-    left, opened = [times], pa.OSFile
+    left = [times]
 
-    def open_late(name):
+    def open_late(opened, *args, **kwargs):
         if left[0]:
             left[0] -= 1
             BankIndex.of(read_bank(path)).write_shard(range(IN_A_SHARD))
-        return opened(name)
+        return opened(*args, **kwargs)
 
-    patch.setattr(pa, "OSFile", open_late)
+    patch.setattr(pa, "OSFile", partial(open_late, pa.OSFile))
+    patch.setattr(pq, "ParquetFile", partial(open_late, pq.ParquetFile))
 
 
 def ours(path):
