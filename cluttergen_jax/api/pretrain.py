@@ -53,6 +53,7 @@ def pretrain(
 
     Raises:
       ConfigError: a setting is out of range, or the folder holds a run with other settings.
+      BankError: another process writes to `out`.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
     from cluttergen_jax.learning.ppo.checkpoint import hold_run

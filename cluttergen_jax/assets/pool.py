@@ -8,13 +8,14 @@ bank's recipe and a checkpoint's record too.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import importlib.resources
 import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -187,7 +188,13 @@ def hold_pool(path: Path) -> AbstractContextManager[None]:
       BankError: another process writes it for more than a minute, or it cannot be written.
     """
     with writing(path):
-        return holding(lock_beside(path, PATIENCE))
+        try:
+            return holding(lock_beside(path, PATIENCE))
+        except OSError as error:
+            # Where nothing can be written, a pool that stays as it is can still be read.
+            if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+                return nullcontext()
+            raise
 
 
 def _write_held(path: Path, pool: Pool, overwrite: bool) -> None:

@@ -175,12 +175,13 @@ def import_sources(
     if not sources:
         raise AssetError("nothing to import", f"files, folders, or {YCB!r}")
     if config.add:
-        # Refused before any work, where there is no such pool. Another process may be putting in a new one.
+        # Refused before any work, where there is no such pool. Another process may be writing it.
         with hold_pool(user_root() / pool_name):
             read_pool(user_pool_folder(pool_name))
     known = None if config.force and not config.add else user_root() / pool_name
     planned = plan_all(sources, config.object.read, config.settings, known, config.layout, config.take_all)
-    _check_name_is_free(known, planned.objects, config)
+    with hold_pool(user_root() / pool_name):
+        _check_name_is_free(known, planned.objects, config)
     jobs, unreadable = _jobs(planned.objects, config)
     made: dict[str, ObjectAsset] = {} if config.force else _load_cached(jobs)
     missing = [job for job in jobs if job.source.name not in made]

@@ -153,13 +153,14 @@ def perception_train(
 
     Raises:
       ConfigError: a setting is out of range, there are no views, or the folder holds another run.
-      BankError: the folder holds no views, or damaged ones.
+      BankError: the folder holds no views, or damaged ones; or another process writes to `out`.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
     from typing import get_args
 
     from cluttergen_jax.downstream.perception.segment.network import SegmentConfig
     from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining, ViewSource
+    from cluttergen_jax.learning.ppo.checkpoint import hold_run
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_views is not None:
@@ -167,11 +168,12 @@ def perception_train(
     if reads not in get_args(SegmenterInput):
         raise ConfigError(f"reads = {reads!r}", ", ".join(get_args(SegmenterInput)))
     config = FIT.replace_given(num_epochs, batch_size, learning_rate, seed)
-    source = ViewSource(Path(data), seed, num_views)
-    network = SegmentConfig(len(source.views.names), colour=reads == "colour")
     folder = Path(out or f"runs/segmenter-{reads}-{seed}")
-    show(f"run        {folder}")
-    return SegmenterTraining(network, config, source, folder, show).run()
+    with hold_run(folder):
+        source = ViewSource(Path(data), seed, num_views)
+        network = SegmentConfig(len(source.views.names), colour=reads == "colour")
+        show(f"run        {folder}")
+        return SegmenterTraining(network, config, source, folder, show).run()
 
 
 @with_own_settings
@@ -222,10 +224,10 @@ def perception_eval(
     check_noise(noise)
     if num_views is not None:
         check_range("num_views", num_views, 1, MAX_VIEWS, 200)
-    views = read_views(data)
-    chosen = str(segmenter) if segmenter is not None else views.pool
     folder = None if out is None else Path(out)
     with held_folder(folder):
+        views = read_views(data)
+        chosen = str(segmenter) if segmenter is not None else views.pool
         return evaluate_perception(
             views, split, chosen, tuple(cameras), tuple(map(float, noise)), num_views, seed, folder, calibrate
         )

@@ -232,13 +232,14 @@ def placer_train(
 
     Raises:
       ConfigError: a setting is out of range, there are no pairs, or the folder holds another run.
-      BankError: a folder holds no pairs, or damaged ones.
+      BankError: a folder holds no pairs, or damaged ones; or another process writes to `out`.
       PoolError: `encoder_weights` does not hold what the encoders need.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
     from cluttergen_jax.downstream.placer.examples import ExampleSource
     from cluttergen_jax.downstream.placer.training import PlacerTraining
     from cluttergen_jax.downstream.placer.training import preset as preset_of
+    from cluttergen_jax.learning.ppo.checkpoint import hold_run
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_pairs is not None:
@@ -247,7 +248,8 @@ def placer_train(
     weights = None if encoder_weights is None else Path(encoder_weights)
     found, config = preset_of(head, preset, loss, weights)
     config = config.replace_given(num_epochs, batch_size, learning_rate, seed)
-    source = ExampleSource(tuple(Path(each) for each in folders), noise, seed, num_pairs)
     folder = Path(out or f"runs/placer-{head}-{seed}")
-    show(f"run        {folder}")
-    return PlacerTraining(found, config, source, folder, show).run()
+    with hold_run(folder):
+        source = ExampleSource(tuple(Path(each) for each in folders), noise, seed, num_pairs)
+        show(f"run        {folder}")
+        return PlacerTraining(found, config, source, folder, show).run()

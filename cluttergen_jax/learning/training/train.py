@@ -144,17 +144,23 @@ def run_training(
 @contextmanager
 def _holding_run(folder: Path) -> Iterator[None]:
     """`hold_run` by the process that writes; where it cannot, all that train together are refused."""
-    from cluttergen_jax.learning.training.distributed import agree, is_writer
+    import jax
 
     with ExitStack() as stack:
         refusal = None
         try:
-            if is_writer():
+            if jax.process_index() == 0:
                 stack.enter_context(hold_run(folder))
         except ClutterGenError as error:
             refusal = error
-        if agree(refusal is not None).any():
-            raise refusal or BankError(f"{folder} cannot be written by the first of the processes")
+        if jax.process_count() > 1:
+            from cluttergen_jax.learning.training.distributed import agree
+
+            is_refused = agree(refusal is not None).any()
+            if is_refused and refusal is None:
+                raise BankError(f"{folder} cannot be written by the first of the processes")
+        if refusal is not None:
+            raise refusal
         yield
 
 
