@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -21,10 +21,12 @@ from cluttergen_jax.bank_reader import Bank
 from cluttergen_jax.cli.commands import COMMANDS
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.generation import hand
-from cluttergen_jax.importing import supports
+from cluttergen_jax.importing import cache, run, supports
 from cluttergen_jax.kept_folder import FolderLock, lock_beside
 from cluttergen_jax.learning.policies.embedded import pulled_root
+from cluttergen_jax.rendering.viewer.session import _write_new
 from tests.helpers import banks
+from tests.helpers.imports import made_here
 from tests.helpers.placing import write_bank
 from tests.helpers.shapes import save_box
 from tests.helpers.worlds import trio
@@ -162,6 +164,43 @@ def test_every_command_that_writes_is_known():
     assert not any("--out" in OPTIONS[name] for name in READERS if name != "view")
 
 
+def test_what_comes_into_a_pool_while_an_import_works_is_kept(places, monkeypatch):
+    """The pool was read before objects were made, and written after: what came meanwhile was lost."""
+    make = run._make
+
+    def make_late(*args):
+        held = read_pool(user_root() / "mine")
+        late = replace(held, objects=(*held.objects, replace(held.objects[0], name="late")))
+        write_pool(user_root() / "mine", late, overwrite=True)
+        return make(*args)
+
+    monkeypatch.setattr(run, "_outcomes", made_here)
+    monkeypatch.setattr(run, "_make", make_late)
+    assert main(["import", str(places["file"]), "--pool", "mine", "--add"]) == 0
+    assert set(read_pool(user_root() / "mine").names) == {"box", "prism", "tall", "late", "cube"}
+
+
+def test_a_body_that_another_import_removes_from_the_cache_is_named(places, monkeypatch, capsys):
+    make = run._make
+
+    def make_in_vain(jobs, config):
+        made = make(jobs, config)
+        for job in jobs:
+            cache.drop(job.key)
+        return made
+
+    monkeypatch.setattr(run, "_outcomes", made_here)
+    monkeypatch.setattr(run, "_make", make_in_vain)
+    assert main(["import", str(places["file"]), "--pool", "mine", "--add"]) == 1
+    assert "cube: another import removed it from the cache meanwhile" in capsys.readouterr().err
+    assert read_pool(user_root() / "mine").names == ("box", "prism", "tall")
+
+
+def test_screenshots_get_names_of_their_own(tmp_path):
+    paths = [_write_new(tmp_path, "a scene", bytes([number])) for number in range(3)]
+    assert [path.read_bytes() for path in paths] == [b"\0", b"\1", b"\2"]
+
+
 def test_scenes_by_hand_have_the_banks_owner(places):
     """`view --place` writes a bank as `generate` does."""
     assert hand.BankWriter is banks.BankWriter
@@ -201,7 +240,7 @@ sys.exit(main(sys.argv[3:]))
 
 
 def run_at_once(tmp_path, *commands):
-    """Runs command lines in processes of their own that begin together: of each its status, and its errors."""
+    """Runs command lines in processes that begin together: of each its status, and its errors."""
     go, ready = tmp_path / "go", [tmp_path / f"ready-{number}" for number in range(len(commands))]
     started = [
         subprocess.Popen(
@@ -234,7 +273,7 @@ def assert_one_wins(results):
 
 
 TWICE = {
-    "generate": "generate --pool {trio} --method random --num-objects 2 -n 600 --max-files 2 --no-render --out {out}",
+    "generate": "generate --pool {trio} --method random --num-objects 2 -n 600 --max-files 0 --out {out}",
     "certify": "certify {bank} --seconds 0.1",
     "push": "push {bank} me/other --hub {hub}",
     "export": "export {bank} --out {out}",
@@ -243,7 +282,7 @@ TWICE = {
     "render": "render {bank} --no-picture --depth --segmentation --out {out}",
     "judge": "judge {scene} --seconds 0.1 --out {out}",
     "dataset": "dataset {bank} --no-colour --cameras free:2 --size 64x48 --out {out}",
-    "pretrain": "pretrain --encoder set --num-shapes 2 --num-held-out 1 --num-epochs 1 --object-points 64 --out {out}",
+    "pretrain": "pretrain --encoder set --num-shapes 2 --num-held-out 1 --num-epochs 1 --out {out}",
     "evaluate": "evaluate --pools {trio} --methods random --num-objects 2 --trials 8 --out {out}",
     "placer data": "placer data {bank} --num-pairs 4 --out {out}",
     "import support": "import --support {table} --name desk",

@@ -215,6 +215,7 @@ def perception_eval(
       MissingExtraError: the extra `perception` is not installed.
     """
     from cluttergen_jax.downstream.perception.evaluate import evaluate_perception
+    from cluttergen_jax.downstream.perception.segment.network_segmenter import KIND, segmenter_folder
     from cluttergen_jax.downstream.perception.views.store import read_views
 
     check_folder(out)
@@ -228,6 +229,17 @@ def perception_eval(
     with held_folder(folder):
         views = read_views(data)
         chosen = str(segmenter) if segmenter is not None else views.pool
-        return evaluate_perception(
-            views, split, chosen, tuple(cameras), tuple(map(float, noise)), num_views, seed, folder, calibrate
-        )
+        # The rule is written beside the segmenter, into the folder of its run.
+        beside = segmenter_folder(chosen) if calibrate else None
+        with held_folder(beside and (beside.parent if beside.name == KIND else beside)):
+            return evaluate_perception(
+                views,
+                split,
+                chosen,
+                tuple(cameras),
+                tuple(map(float, noise)),
+                num_views,
+                seed,
+                folder,
+                calibrate,
+            )

@@ -323,7 +323,7 @@ def _has_proposals(recording: Replay | None) -> bool:
 
 
 def _write_new(folder: Path, title: str, data: bytes) -> Path:
-    """Writes a file that is not there yet, TITLE-001.png and so on, whoever writes there besides; which one."""
+    """Writes a file that is not there yet, TITLE-001.png and so on, whoever else writes there."""
     name = "".join(c if c.isalnum() or c in "-_" else "-" for c in title).replace("--", "-")
     for number in itertools.count(1):
         path = folder / f"{name}-{number:03d}.png"
