@@ -214,8 +214,12 @@ def perception_eval(
       PoolError: there is no such segmenter, or it is damaged.
       MissingExtraError: the extra `perception` is not installed.
     """
-    from cluttergen_jax.downstream.perception.evaluate import evaluate_perception
-    from cluttergen_jax.downstream.perception.segment.network_segmenter import KIND, segmenter_folder
+    from cluttergen_jax.downstream.perception.evaluate import TRUE_MASKS, evaluate_perception
+    from cluttergen_jax.downstream.perception.segment.network_segmenter import (
+        KIND,
+        embedded_segmenters,
+        segmenter_folder,
+    )
     from cluttergen_jax.downstream.perception.views.store import read_views
 
     check_folder(out)
@@ -230,7 +234,8 @@ def perception_eval(
         views = read_views(data)
         chosen = str(segmenter) if segmenter is not None else views.pool
         # The rule is written beside the segmenter, into the folder of its run.
-        beside = segmenter_folder(chosen) if calibrate else None
+        is_own = chosen not in (TRUE_MASKS, *embedded_segmenters())
+        beside = segmenter_folder(chosen) if calibrate and is_own else None
         with held_folder(beside and (beside.parent if beside.name == KIND else beside)):
             return evaluate_perception(
                 views,
