@@ -141,7 +141,7 @@ class KeptFolder:
 
 
 _held: ContextVar[frozenset[Path]] = ContextVar("held folders", default=frozenset())
-"""The lock files that `holding` blocks around this code hold; threads begin with none."""
+"""The lock files that `hold` blocks around this code hold; threads begin with none."""
 _PAUSE = 0.02
 PATIENCE = 60.0
 """Seconds for which a short change waits for another one."""
@@ -254,7 +254,7 @@ class FolderLock:
 
 
 @contextmanager
-def holding(lock: FolderLock) -> Iterator[None]:
+def hold(lock: FolderLock) -> Iterator[None]:
     """Holds a folder in the block, in which the same thread may lock it again.
 
     A command holds its folder so, from its first check to its last write; what it calls holds it for itself.
@@ -267,7 +267,7 @@ def holding(lock: FolderLock) -> Iterator[None]:
             _held.reset(token)
 
 
-def held_folder(folder: Path | None) -> AbstractContextManager[None]:
+def hold_folder(folder: Path | None) -> AbstractContextManager[None]:
     """Holds a folder of whatever kind in the block, in which the same thread may lock it again.
 
     Args:
@@ -279,26 +279,26 @@ def held_folder(folder: Path | None) -> AbstractContextManager[None]:
     if folder is None:
         return nullcontext()
     with writing(folder):
-        return holding(FolderLock(folder))
+        return hold(FolderLock(folder))
 
 
-def held_file(path: str | Path | None) -> AbstractContextManager[None]:
-    """Holds a single file in the block, which need not exist; None holds nothing. Raises as `held_folder`."""
+def hold_file(path: str | Path | None) -> AbstractContextManager[None]:
+    """Holds a single file in the block, which need not exist; None holds nothing. Raises as `hold_folder`."""
     if path is None:
         return nullcontext()
     with writing(Path(path)):
-        return holding(lock_beside(Path(path)))
+        return hold(lock_beside(Path(path)))
 
 
-def holding_out(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """The function, which holds the folder of its argument `out` (`held_folder`) while it runs."""
+def hold_out(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """The function, which holds the folder of its argument `out` (`hold_folder`) while it runs."""
     signature = inspect.signature(function)
 
     @functools.wraps(function)
     def held(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         given = signature.bind(*args, **kwargs)
         given.apply_defaults()
-        with held_folder(given.arguments["out"]):
+        with hold_folder(given.arguments["out"]):
             return function(*args, **kwargs)
 
     return held

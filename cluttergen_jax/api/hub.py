@@ -92,7 +92,7 @@ def pull_policies(
     """
     from cluttergen_jax.errors import BankError
     from cluttergen_jax.files import inside, scratch_folder, swap_in, writing
-    from cluttergen_jax.kept_folder import held_folder
+    from cluttergen_jax.kept_folder import hold_folder
     from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
     from cluttergen_jax.learning.policies.embedded import pulled_root
     from cluttergen_jax.learning.ppo.checkpoint import check_weights
@@ -105,7 +105,7 @@ def pull_policies(
     )
     if not found:
         raise BankError(f"{name} holds no checkpoints", "a folder POOL-VARIANT with record.json for each")
-    with held_folder(root):
+    with hold_folder(root):
         if there := [each for each in found if inside(root, each).exists() and not overwrite]:
             raise BankError(
                 f"{root / there[0]} exists", "checkpoints that are new", "`overwrite` to replace them"

@@ -10,7 +10,7 @@ from cluttergen_jax.api.text import parse_size, scene_numbers
 from cluttergen_jax.config import FilmFormat, PixelOrigin, check_range
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
-from cluttergen_jax.kept_folder import held_folder
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.rendering.config import QUALITIES, CameraView, FilmConfig, Quality
 
@@ -146,7 +146,7 @@ def render(
         BopConfig(views, seed, split, pixel_origin, plans or None),
         plans,
     )
-    with held_folder(Path(out)):
+    with hold_folder(Path(out)):
         return rendering.make(str(source), numbers)
 
 

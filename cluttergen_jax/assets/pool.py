@@ -28,7 +28,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside, scratch_folder, writing
-from cluttergen_jax.kept_folder import PATIENCE, holding, lock_beside
+from cluttergen_jax.kept_folder import PATIENCE, hold, lock_beside
 from cluttergen_jax.schema import SchemaError, checked_record, convert, with_checksum
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
@@ -175,7 +175,7 @@ def write_pool(path: str | Path, pool: Pool, *, overwrite: bool = False) -> Path
     """
     path = Path(path)
     with hold_pool(path):
-        _write_held(path, pool, overwrite)
+        _write_folder(path, pool, overwrite)
     return path
 
 
@@ -189,7 +189,7 @@ def hold_pool(path: Path) -> AbstractContextManager[None]:
     """
     with writing(path):
         try:
-            return holding(lock_beside(path, PATIENCE))
+            return hold(lock_beside(path, PATIENCE))
         except OSError as error:
             # Where nothing can be written, a pool that stays as it is can still be read.
             if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
@@ -197,7 +197,7 @@ def hold_pool(path: Path) -> AbstractContextManager[None]:
             raise
 
 
-def _write_held(path: Path, pool: Pool, overwrite: bool) -> None:
+def _write_folder(path: Path, pool: Pool, overwrite: bool) -> None:
     if path.exists() and not (overwrite and (path / _INDEX).is_file()):
         raise PoolError(f"{path} exists", "a new folder" if not overwrite else "a new folder or a pool's")
     with folder_whole(path) as fresh:

@@ -40,10 +40,10 @@ class Inspect:
 
     def run(self) -> int:
         from cluttergen_jax.files import check_file
-        from cluttergen_jax.kept_folder import held_file
+        from cluttergen_jax.kept_folder import hold_file
 
         check_file(self.out, "out", f"{self.pool}.png")
-        with held_file(self.out):
+        with hold_file(self.out):
             return self._inspect()
 
     def _inspect(self) -> int:

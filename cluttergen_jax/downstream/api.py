@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.config import Engine, Method, PlacerHead, Suite, check_names, check_whole, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
-from cluttergen_jax.kept_folder import held_folder
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def evaluate_suite(
     if wrong := [name for name, value in others.items() if value]:
         raise ConfigError(f"`{wrong[0]}` with suite {suite!r}", hint=f"leaving out `{wrong[0]}`")
     folder = suite_folder(suite, quick) if out is None else Path(out)
-    with held_folder(folder):
+    with hold_folder(folder):
         if suite == NAME:
             scale = DownstreamScale(
                 quick=quick,

@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
-from cluttergen_jax.kept_folder import KeptFolder, holding
+from cluttergen_jax.kept_folder import KeptFolder, hold
 from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.schema import (
     SEAL,
@@ -92,7 +92,7 @@ class SampleFormat:
         Raises:
           BankError: it holds something else, or another process writes there.
         """
-        return holding(self.kept_folder(path).lock())
+        return hold(self.kept_folder(path).lock())
 
     def read_record(self, path: Path) -> dict[str, Any]:
         """The record of a folder. Raises BankError: there is none, or it is damaged."""

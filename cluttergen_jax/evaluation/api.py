@@ -21,7 +21,7 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
-from cluttergen_jax.kept_folder import held_folder
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.spec import EvaluateOptions, SceneSpec, spec_of, takes_spec
 
@@ -150,7 +150,7 @@ def evaluate(
     for trial in planned:
         asked.check_poses(trial.method)
     folder = None if out is None else Path(out)
-    with held_folder(folder):
+    with hold_folder(folder):
         runner = open_runner(
             folder, planned, asked.checkpoint, checkpoints, asked.engine, asked.num_threads, fresh
         )
@@ -257,6 +257,6 @@ def judge(
     config = JudgeConfig(tuple(seconds), max_shift, max_turn_deg, max_penetration, hold_joints)
     if states is not None and len(find_scenes(paths)[0]) > 1:
         raise ConfigError("`states` of several files", "of one file", "arrays of their names beside them")
-    with held_folder(None if out is None else Path(out)):
+    with hold_folder(None if out is None else Path(out)):
         report = judge_scenes(paths, states, config, tuple(detectors), max_starts, jobs)
         return report if out is None else replace(report, notes=(*report.notes, report.write(Path(out))))

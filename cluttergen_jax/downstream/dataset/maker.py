@@ -27,7 +27,7 @@ from cluttergen_jax.downstream.dataset.files import (
 from cluttergen_jax.downstream.dataset.views import ViewConfig, ViewMaker
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import remove_partial, write_atomically, writing
-from cluttergen_jax.kept_folder import holding
+from cluttergen_jax.kept_folder import hold
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes, region_of
@@ -206,7 +206,7 @@ def make(
 ) -> Dataset:
     """A dataset in a folder, begun or continued; see `cluttergen_jax.make_dataset`."""
     recipe = DatasetPlan.of(banks, shares, num_scenes, config).recipe() | {"form": form}
-    with holding(dataset_folder(out).lock()), writing(out):
+    with hold(dataset_folder(out).lock()), writing(out):
         remove_partial(out)
         known = begin_record(out, recipe)
         plan = DatasetPlan.of(banks, shares, num_scenes, config, known.get("num_scenes", ()))

@@ -17,7 +17,7 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
-from cluttergen_jax.kept_folder import held_folder
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
@@ -230,13 +230,13 @@ def perception_eval(
     if num_views is not None:
         check_range("num_views", num_views, 1, MAX_VIEWS, 200)
     folder = None if out is None else Path(out)
-    with held_folder(folder):
+    with hold_folder(folder):
         views = read_views(data)
         chosen = str(segmenter) if segmenter is not None else views.pool
         # The rule is written beside the segmenter, into the folder of its run.
         is_own = chosen not in (TRUE_MASKS, *embedded_segmenters())
         beside = segmenter_folder(chosen) if calibrate and is_own else None
-        with held_folder(beside and (beside.parent if beside.name == KIND else beside)):
+        with hold_folder(beside and (beside.parent if beside.name == KIND else beside)):
             return evaluate_perception(
                 views,
                 split,

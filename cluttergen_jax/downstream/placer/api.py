@@ -23,7 +23,7 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import check_folder
-from cluttergen_jax.kept_folder import held_folder
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.spec import SceneSpec
 
@@ -184,7 +184,7 @@ def placer_eval(
     if not 0 <= chains <= MAX_PAIRS:
         raise ConfigError(f"chains = {chains}", f"0 to {MAX_PAIRS}", "chains=100")
     folder = None if out is None else Path(out)
-    with held_folder(folder):
+    with hold_folder(folder):
         store = Store(folder and folder / "results")
         trials = PlacerTrials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)
         asked = tuple(str(each) if isinstance(each, Path) else each for each in placers)

@@ -36,7 +36,7 @@ from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash, planner_recipe
 from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.evaluation.machine import versions
-from cluttergen_jax.kept_folder import holding_out
+from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.tables import aligned_table
 
 _MOST_DRAWS = 16
@@ -103,7 +103,7 @@ def rearrange_hash() -> str:
     return constants_hash(episode, judge, layouts, moves, observe, order, task, arm=planner_hash())
 
 
-@holding_out
+@hold_out
 def run_rearrangements(
     setting: RearrangeSetting,
     options: RearrangeOptions,

@@ -37,7 +37,7 @@ from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.geometry import rotation_matrix
-from cluttergen_jax.kept_folder import holding_out
+from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
@@ -116,7 +116,7 @@ def own_place(index: int, scene: Scene) -> np.ndarray:
     return scene.poses[-1:]
 
 
-@holding_out
+@hold_out
 def run_trials(
     scenes: Sequence[Scene],
     task: RobotTask,

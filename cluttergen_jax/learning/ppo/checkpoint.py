@@ -19,7 +19,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
-from cluttergen_jax.kept_folder import KeptFolder, check_recipe, holding
+from cluttergen_jax.kept_folder import KeptFolder, check_recipe, hold
 from cluttergen_jax.learning.ppo.sharding import with_keys, without_keys
 from cluttergen_jax.schema import Record, SchemaError, checked_record, digest_of, with_checksum
 from cluttergen_jax.types import Array
@@ -114,7 +114,7 @@ def hold_run(folder: Path, patience: float = 0.0) -> AbstractContextManager[None
     Raises:
       ConfigError: the place holds no run. BankError: another process writes there, or it cannot be written.
     """
-    return holding(_kept_folder(folder).lock(patience))
+    return hold(_kept_folder(folder).lock(patience))
 
 
 def _kept_folder(folder: Path) -> KeptFolder:

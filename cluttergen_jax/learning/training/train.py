@@ -137,12 +137,12 @@ def run_training(
       settings: in place of `config.settings()`, for an experiment that changes more than an argument does.
       interrupt: who asks for a stop, in place of Ctrl-C alone.
     """
-    with _holding_run(config.folder):
+    with _hold_run(config.folder):
         return _run(config, settings, show, interrupt)
 
 
 @contextmanager
-def _holding_run(folder: Path) -> Iterator[None]:
+def _hold_run(folder: Path) -> Iterator[None]:
     """`hold_run` by the process that writes; where it cannot, all that train together are refused."""
     import jax
 

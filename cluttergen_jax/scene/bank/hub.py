@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
 from cluttergen_jax.files import inside, remove, resumable_folder, swap_in, writing
-from cluttergen_jax.kept_folder import held_folder, lock_beside
+from cluttergen_jax.kept_folder import hold_folder, lock_beside
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.card import write_card
@@ -35,7 +35,7 @@ def push(path: str | Path, name: str, hub: str | None, is_private: bool) -> str:
     place = hub_of(hub)
     bank = read_bank(path)
     check_is_here(bank.path)
-    with held_folder(bank.path):
+    with hold_folder(bank.path):
         # As it is now: another process may have written it since.
         bank = read_bank(bank.path)
         check_whole(bank)
