@@ -12,6 +12,7 @@ import inspect
 import json
 import os
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
@@ -142,7 +143,8 @@ class KeptFolder:
 
 _held: ContextVar[frozenset[Path]] = ContextVar("held folders", default=frozenset())
 """The lock files that `hold` blocks around this code hold; threads begin with none."""
-_PAUSE = 0.02
+_PAUSE, _SILENT = 0.02, 1.0
+"""Seconds between two tries, and after which a wait is said."""
 PATIENCE = 60.0
 """Seconds for which a short change waits for another one."""
 
@@ -178,7 +180,7 @@ class FolderLock:
             if check is not None:
                 check()
             return
-        self._open(folder, time.monotonic() + patience)
+        self._open(folder, patience)
         try:
             if check is not None:
                 check()
@@ -198,7 +200,8 @@ class FolderLock:
             os.ftruncate(self._file, 0)
             os.write(self._file, json.dumps(holder).encode())
 
-    def _open(self, folder: Path, deadline: float) -> None:
+    def _open(self, folder: Path, patience: float) -> None:
+        begun, is_said = time.monotonic(), False
         while True:
             try:
                 self._make_folders()
@@ -211,9 +214,13 @@ class FolderLock:
                 # Likewise, but for what is there and is no folder.
                 if os.path.lexists(self.path.parent) and not self.path.parent.is_dir():
                     raise
-            except BankError:
-                if time.monotonic() >= deadline:
+            except BankError as error:
+                waited = time.monotonic() - begun
+                if waited >= patience:
                     raise
+                if waited > _SILENT and not is_said:
+                    print(f"note: {error.given}: waiting for it, {patience:g} s at most", file=sys.stderr)
+                    is_said = True
                 time.sleep(_PAUSE)
 
     def _make_folders(self) -> None:
