@@ -27,7 +27,7 @@ from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Callable, Iterable, Iterator, NamedTuple, Sequence
 from xml.sax.saxutils import quoteattr
@@ -45,6 +45,8 @@ _FORMATS = (1, 2, 3)
 """Of their assets."""
 _BLOCK_SIZE, _AT_ONCE = 256, 32
 """Scenes of a row group; row groups that are read together."""
+_TRIES = 100
+"""So often a folder is listed again that changes while it is read."""
 _FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
 _NAME, _IMAGE = re.compile(r"[a-z0-9_-]+(#\d+)?"), re.compile(r"[a-z0-9_-]+\.png")
 _LISTS = ("objects", "is_placed", "poses")
@@ -88,6 +90,10 @@ class BankError(Exception):
         self.given, self.allowed, self.hint = given, allowed, hint
         parts = (given, allowed and f"Allowed: {allowed}", hint and f"Try: {hint}")
         super().__init__(" ".join(f"{part}." for part in parts if part))
+
+
+class _GoneError(Exception):
+    """A file that was listed is not there any more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +223,7 @@ class Bank:
     @cached_property
     def indices(self) -> np.ndarray:
         """i64, sorted: the numbers of the scenes that are there."""
-        return np.concatenate([np.zeros(0, np.int64), *map(self._indices_of, self._places)])
+        return np.concatenate([np.zeros(0, np.int64), *map(self._indices_of, list(self._places))])
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -425,7 +431,13 @@ class Bank:
     @cached_property
     def _places(self) -> dict[int, tuple[str, int]]:
         """By block, in order: its file, and its row group there."""
-        found = [match for match in map(_FILE.fullmatch, os.listdir(self.path)) if match]
+        names = before = None
+        # A listing that is made while a writer exchanges files may have neither the old ones nor the new one.
+        for _ in range(_TRIES):
+            before, names = names, sorted(filter(_FILE.fullmatch, os.listdir(self.path)))
+            if names == before:
+                break
+        found = filter(None, map(_FILE.fullmatch, names or ()))
         blocks = {match[0]: range(int(match[1]), int(match[2] or match[1]) + 1) for match in found}
         places: dict[int, tuple[str, int]] = {}
         # A file of one block was written after one of many that holds it too.
@@ -435,29 +447,62 @@ class Bank:
 
     def _open(self, name: str) -> Any:
         if self._latest[0] != name:
-            path = str((self.path / name).absolute())
-            self._latest = name, pq.ParquetFile(path, page_checksum_verification=True)
+            try:
+                file = pa.OSFile(str((self.path / name).absolute()))
+            except FileNotFoundError as error:
+                raise _GoneError from error
+            except OSError as error:
+                given = f"{self.path / name} cannot be read ({_line(error)})"
+                raise BankError(given, "", _AGAIN) from error
+            self._latest = name, pq.ParquetFile(file, page_checksum_verification=True)
         return self._latest[1]
 
+    def _of_block(self, block: int, use: Callable[[str], Any]) -> Any:
+        """What `use` makes of the file of a block.
+
+        A writer may put blocks into another file after they were listed: listing and reading are one step,
+        which is done again. Damaged is what was read, and is not what was written.
+        """
+        for _ in range(_TRIES):
+            if block not in self._places:
+                break
+            name = self._places[block][0]
+            try:
+                with _reading(self.path / name):
+                    return use(name)
+            except _GoneError:
+                self.__dict__.pop("_places", None)
+        raise BankError(f"{self.path / f'scenes-{block:06d}.parquet'} is missing", "", _AGAIN)
+
     def _indices_of(self, block: int) -> np.ndarray:
-        name, group = self._places[block]
-        with _reading(self.path / name):
-            return block * _BLOCK_SIZE + np.arange(self._open(name).metadata.row_group(group).num_rows)
+        def count(name: str) -> Any:
+            return self._open(name).metadata.row_group(self._places[block][1]).num_rows
+
+        return block * _BLOCK_SIZE + np.arange(self._of_block(block, count))
 
     def _read(
         self, convert: Callable[[pa.Table], Any], columns: Sequence[str], blocks: Iterable[int] | None = None
     ) -> Iterator[Any]:
         """What `convert` makes of rows, some thousand at a time, of all blocks or these."""
-        order = self._places if blocks is None else blocks
-        for (name, _), run in groupby(order, lambda block: (self._places[block][0], block // _AT_ONCE)):
-            numbers = list(run)
-            with _reading(self.path / name):
-                groups = [self._places[block][1] for block in numbers]
-                rows = self._open(name).read_row_groups(groups, list({"index": 0, **dict.fromkeys(columns)}))
-                rows.validate(full=True)
-                if not np.array_equal(rows["index"], np.concatenate([*map(self._indices_of, numbers)])):
-                    raise ValueError("its scenes are not those that its name says")
-                made = convert(rows)
+        rest = list(self._places if blocks is None else blocks)
+
+        def together(name: str) -> list[int]:
+            kept = (self._places.get(each, ("", 0))[0] == name for each in rest)
+            run = takewhile(lambda each: next(kept) and each // _AT_ONCE == rest[0] // _AT_ONCE, rest)
+            return list(run)
+
+        def read(name: str) -> Any:
+            numbers = together(name)
+            groups = [self._places[block][1] for block in numbers]
+            rows = self._open(name).read_row_groups(groups, list({"index": 0, **dict.fromkeys(columns)}))
+            rows.validate(full=True)
+            if not np.array_equal(rows["index"], np.concatenate([*map(self._indices_of, numbers)])):
+                raise ValueError("its scenes are not those that its name says")
+            return numbers, convert(rows)
+
+        while rest:
+            numbers, made = self._of_block(rest[0], read)
+            rest = rest[len(numbers) :]
             yield made
 
     def _convert(self, table: pa.Table) -> _Rows:

@@ -7,14 +7,19 @@ from __future__ import annotations
 
 import datetime
 import errno
+import functools
+import inspect
 import json
 import os
 import socket
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.files import is_partial, writing
@@ -24,6 +29,8 @@ try:
 except ImportError:  # Windows has no fcntl.
     fcntl = None  # type: ignore[assignment]
 
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 LOCK = ".lock"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
 
@@ -99,11 +106,6 @@ class KeptFolder:
     is_begun: Callable[[Path], bool]
     error: type[ClutterGenError] = BankError
 
-    @property
-    def is_free(self) -> bool:
-        """Whether there is none of another kind."""
-        return self._other() is None
-
     def check_place(self) -> None:
         """Refuses a folder that holds something else, or a file (ClutterGenError: of the kind `error`)."""
         if (other := self._other()) is not None:
@@ -119,16 +121,32 @@ class KeptFolder:
         # Asked last: what another process has finished in the meantime makes the folder whole.
         return None if self.is_whole(self.path) else other
 
-    def lock(self) -> FolderLock:
-        """Holds the folder, which is made if need be; `check_place` comes first.
+    def lock(self, patience: float = 0.0) -> FolderLock:
+        """Holds the folder, which is made if need be, and then looks at what it holds (`check_place`).
+
+        What a folder holds is judged under its lock alone: nobody sees what another writer has half begun.
+
+        Args:
+          patience: seconds to wait for another process.
 
         Raises:
           ClutterGenError: likewise; or another process writes there, or it cannot be written.
         """
         with writing(self.path):
-            self.check_place()
-            self.path.mkdir(parents=True, exist_ok=True)
-            return FolderLock(self.path)
+            try:
+                return FolderLock(self.path, check=self.check_place, patience=patience)
+            except OSError:
+                # A file, or something of other people, which takes no lock.
+                self.check_place()
+                raise
+
+
+_held: ContextVar[frozenset[Path]] = ContextVar("held folders", default=frozenset())
+"""The lock files that `hold` blocks around this code hold; threads begin with none."""
+_PAUSE, _SILENT = 0.02, 1.0
+"""Seconds between two tries, and after which a wait is said."""
+PATIENCE = 60.0
+"""Seconds for which a short change waits for another one."""
 
 
 class FolderLock:
@@ -138,36 +156,102 @@ class FolderLock:
     process cannot leave behind. Where the file system knows no locks, nothing is held.
 
     Args:
-      folder: what is held, which may not exist yet if there is a `file`.
-      file: in a folder that exists, removed again by `release`; None is one in the folder itself.
+      folder: what is held; it is made if need be, and removed again where a check or the block fails, if it
+        is still empty.
+      file: in place of one in the folder, which then need not exist; removed again by `release`.
+      check: looks at the folder once it is held; what it raises is passed on, and the folder is let go.
+      patience: seconds to wait for another process.
 
     Raises:
       BankError: another process holds it; the message says which.
+      OSError: the file cannot be made.
     """
 
-    def __init__(self, folder: Path, file: Path | None = None) -> None:
-        self.path = file or folder / LOCK
-        self._file = _open_locked(self.path, folder)
-        holder = {
-            "process": os.getpid(),
-            "host": socket.gethostname(),
-            "since": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
-        }
-        os.ftruncate(self._file, 0)
-        os.write(self._file, json.dumps(holder).encode())
+    def __init__(
+        self,
+        folder: Path,
+        file: Path | None = None,
+        check: Callable[[], None] | None = None,
+        patience: float = 0.0,
+    ) -> None:
+        self.path = Path(os.path.realpath((file or folder / LOCK).parent), (file or folder / LOCK).name)
+        self._file, self._made, self._is_ours = -1, list[Path](), True
+        if self.path in _held.get():
+            if check is not None:
+                check()
+            return
+        self._open(folder, patience)
+        try:
+            if check is not None:
+                check()
+        except BaseException:
+            # A file of this name that holds something was there before, and may be somebody else's.
+            self._is_ours = os.fstat(self._file).st_size == 0
+            self.release(is_kept=False)
+            raise
+        # What another program keeps under this name is left as it is.
+        self._is_ours = os.pread(self._file, 1, 0) in (b"", b"{")
+        if self._is_ours:
+            holder = {
+                "process": os.getpid(),
+                "host": socket.gethostname(),
+                "since": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+            }
+            os.ftruncate(self._file, 0)
+            os.write(self._file, json.dumps(holder).encode())
+
+    def _open(self, folder: Path, patience: float) -> None:
+        begun, is_said = time.monotonic(), False
+        while True:
+            try:
+                self._make_folders()
+                self._file = _open_locked(self.path, folder)
+                return
+            except FileNotFoundError:
+                # Whoever had made the folder let go and removed it, empty as it was.
+                continue
+            except FileExistsError:
+                # Likewise, but for what is there and is no folder.
+                if os.path.lexists(self.path.parent) and not self.path.parent.is_dir():
+                    raise
+            except BankError as error:
+                waited = time.monotonic() - begun
+                if waited >= patience:
+                    raise
+                if waited > _SILENT and not is_said:
+                    print(f"note: {error.given}: waiting for it, {patience:g} s at most", file=sys.stderr)
+                    is_said = True
+                time.sleep(_PAUSE)
+
+    def _make_folders(self) -> None:
+        place, missing = self.path.parent, list[Path]()
+        while not place.exists():
+            missing.append(place)
+            place = place.parent
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._made += [each for each in missing if each not in self._made]
 
     def __enter__(self) -> FolderLock:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.release()
+    def __exit__(self, kind: object, *_: object) -> None:
+        self.release(is_kept=kind is None)
 
-    def release(self) -> None:
-        """Lets go; once is enough."""
+    def release(self, is_kept: bool = True) -> None:
+        """Lets go; once is enough.
+
+        Args:
+          is_kept: folders that were made for it stay even if they are empty.
+        """
         if self._file >= 0:
             # Removed while it is still held: a process that waits for it notices that the file is gone.
-            with suppress(OSError):
-                self.path.unlink(missing_ok=True)
+            if self._is_ours:
+                with suppress(OSError):
+                    self.path.unlink(missing_ok=True)
+            if not is_kept:
+                with suppress(OSError):
+                    for each in self._made:
+                        each.rmdir()
             os.close(self._file)
             self._file = -1
 
@@ -176,21 +260,65 @@ class FolderLock:
             self.release()
 
 
-def lock_beside(folder: Path) -> FolderLock:
-    """Holds a folder that is made anew, and may not exist yet, by a file beside it.
+@contextmanager
+def hold(lock: FolderLock) -> Iterator[None]:
+    """Holds a folder in the block, in which the same thread may lock it again.
+
+    A command holds its folder so, from its first check to its last write; what it calls holds it for itself.
+    """
+    with lock:
+        token = _held.set(_held.get() | {lock.path})
+        try:
+            yield
+        finally:
+            _held.reset(token)
+
+
+def hold_folder(folder: Path | None) -> AbstractContextManager[None]:
+    """Holds a folder of whatever kind in the block, in which the same thread may lock it again.
+
+    Args:
+      folder: made if need be, and removed again where the block fails and it is empty; None holds nothing.
+
+    Raises:
+      BankError: another process writes there, or it cannot be written.
+    """
+    if folder is None:
+        return nullcontext()
+    with writing(folder):
+        return hold(FolderLock(folder))
+
+
+def hold_file(path: str | Path | None) -> AbstractContextManager[None]:
+    """Holds a single file in the block, which need not exist; None holds nothing. Raises as `hold_folder`."""
+    if path is None:
+        return nullcontext()
+    with writing(Path(path)):
+        return hold(lock_beside(Path(path)))
+
+
+def hold_out(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """The function, which holds the folder of its argument `out` (`hold_folder`) while it runs."""
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def held(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        given = signature.bind(*args, **kwargs)
+        given.apply_defaults()
+        with hold_folder(given.arguments["out"]):
+            return function(*args, **kwargs)
+
+    return held
+
+
+def lock_beside(folder: Path, patience: float = 0.0) -> FolderLock:
+    """Holds a folder that is made anew, or a file, which may not exist yet, by a file beside it.
 
     Raises:
       BankError: another process holds it.
     """
     folder = folder.absolute()
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    return FolderLock(folder, folder.with_name(f".{folder.name}.lock"))
-
-
-def check_unlocked(folder: Path) -> None:
-    """Refuses a folder that another process is writing to; takes no lock (BankError: one holds it)."""
-    if (folder / LOCK).exists():
-        os.close(_open_locked(folder / LOCK, folder))
+    return FolderLock(folder, folder.with_name(f".{folder.name}.lock"), patience=patience)
 
 
 def _open_locked(path: Path, folder: Path) -> int:

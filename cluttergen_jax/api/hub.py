@@ -62,8 +62,8 @@ def pull_bank(
       allow_unchecked: take a bank that has no digests of its files or rows: those of older versions.
 
     Raises:
-      BankError: there is no such bank, it is damaged or has no digests, `out` exists, or the hub cannot be
-        reached.
+      BankError: there is no such bank, it is damaged or has no digests, `out` exists or is being written by
+        another process, or the hub cannot be reached.
       UnsafePathError: it names paths outside of its folder.
       MissingExtraError: the extra `hub` is not installed.
     """
@@ -93,14 +93,15 @@ def pull_policies(
       The names, POOL-VARIANT.
 
     Raises:
-      BankError: there is no such data set, it holds no checkpoint, one is there already, or the hub cannot be
-        reached.
+      BankError: there is no such data set, it holds no checkpoint, one is there already, another process
+        pulls some, or the hub cannot be reached.
       PoolError: a checkpoint is damaged.
       UnsafePathError: it names paths outside of its folder.
       MissingExtraError: the extra `hub` is not installed.
     """
     from cluttergen_jax.errors import BankError
     from cluttergen_jax.files import inside, scratch_folder, swap_in, writing
+    from cluttergen_jax.kept_folder import hold_folder
     from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
     from cluttergen_jax.learning.policies.embedded import pulled_root
     from cluttergen_jax.learning.ppo.checkpoint import check_weights
@@ -113,17 +114,18 @@ def pull_policies(
     )
     if not found:
         raise BankError(f"{name} holds no checkpoints", "a folder POOL-VARIANT with record.json for each")
-    if there := [each for each in found if inside(root, each).exists() and not overwrite]:
-        raise BankError(
-            f"{root / there[0]} exists", "checkpoints that are new", "`overwrite` to replace them"
-        )
-    with writing(root), scratch_folder(root / "fetched") as scratch:
-        place.fetch(name, commit, scratch, _OF_POLICIES)
-        for each in found:
-            check_weights(read_checkpoint(inside(scratch, each)).path)
-        for each in found:
-            swap_in(scratch / each, root / each)
-    return found
+    with hold_folder(root):
+        if there := [each for each in found if inside(root, each).exists() and not overwrite]:
+            raise BankError(
+                f"{root / there[0]} exists", "checkpoints that are new", "`overwrite` to replace them"
+            )
+        with writing(root), scratch_folder(root / "fetched") as scratch:
+            place.fetch(name, commit, scratch, _OF_POLICIES)
+            for each in found:
+                check_weights(read_checkpoint(inside(scratch, each)).path)
+            for each in found:
+                swap_in(scratch / each, root / each)
+        return found
 
 
 def holds_policies(name: str, hub: str | None = None, revision: str | None = None) -> bool:

@@ -53,8 +53,10 @@ def pretrain(
 
     Raises:
       ConfigError: a setting is out of range, or the folder holds a run with other settings.
+      BankError: another process writes to `out`.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
+    from cluttergen_jax.learning.ppo.checkpoint import hold_run
     from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining, PretrainReport, small
 
     sizes = small(encoder)
@@ -70,5 +72,6 @@ def pretrain(
         seed=seed,
     )
     folder = Path(out or f"runs/encoder-{encoder}")
-    accuracy = Pretraining(config, folder).run()
+    with hold_run(folder):
+        accuracy = Pretraining(config, folder).run()
     return PretrainReport(folder, accuracy, num_held_out * len(config.families), len(config.families))

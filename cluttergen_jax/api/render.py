@@ -10,6 +10,7 @@ from cluttergen_jax.api.text import parse_size, scene_numbers
 from cluttergen_jax.config import FilmFormat, PixelOrigin, check_range
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.rendering.config import QUALITIES, CameraView, FilmConfig, Quality
 
@@ -96,7 +97,7 @@ def render(
       PoolError, BankError, AssetError: there is no such source, no such scene, or no success.
       ConfigError: a setting is out of range.
       RendererError: what is asked for has to be drawn, and nothing can be drawn on this machine.
-      BankError: another call is adding scenes to the same dataset.
+      BankError: another process writes to `out`.
     """
     products = {
         "picture": picture,
@@ -132,7 +133,7 @@ def render(
         raise ConfigError(f"quality = {quality!r}", ", ".join(QUALITIES), "quality='draft'")
     plans = parse_cameras(cameras, size) if cameras else ()
     check_range("columns", columns, 1, _MOST_COLUMNS, 4)
-    return Rendering(
+    rendering = Rendering(
         frozenset(name for name, is_asked in products.items() if is_asked),
         Path(out),
         size,
@@ -144,7 +145,9 @@ def render(
         columns,
         BopConfig(views, seed, split, pixel_origin, plans or None),
         plans,
-    ).make(str(source), numbers)
+    )
+    with hold_folder(Path(out)):
+        return rendering.make(str(source), numbers)
 
 
 def _numbers(scenes: Sequence[int] | str | None) -> Sequence[int] | Literal["all"] | None:

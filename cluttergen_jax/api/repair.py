@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.api.text import scene_numbers
+from cluttergen_jax.kept_folder import hold_file
 from cluttergen_jax.numerics import with_kept_programs
 
 if TYPE_CHECKING:
@@ -57,5 +58,7 @@ def repair(
     from cluttergen_jax.placement.repair import RepairConfig
 
     limits = RepairConfig(max_shift, max_turn_deg)
-    given = read_layouts(source, pool, support, scene_numbers(scenes))
-    return repair_layouts(given, Path(out), limits, overwrite)
+    # A bank is held by who writes it.
+    with hold_file(out if Path(out).suffix == ".json" else None):
+        given = read_layouts(source, pool, support, scene_numbers(scenes))
+        return repair_layouts(given, Path(out), limits, overwrite)

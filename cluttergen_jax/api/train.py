@@ -89,6 +89,7 @@ def train(
     Raises:
       ConfigError: a setting is out of range, or the folder holds a run with other settings.
       PoolError: the pool or the support cannot be found or read.
+      BankError: another process writes to `out`.
       DivergedError: numbers are not finite any more; the last good state is saved.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """

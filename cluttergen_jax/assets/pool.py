@@ -8,12 +8,14 @@ bank's recipe and a checkpoint's record too.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import importlib.resources
 import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -25,7 +27,8 @@ from cluttergen_jax.assets.facts import FACTS_FORMAT, ObjectFacts, chosen_names,
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
-from cluttergen_jax.files import folder_whole, inside, scratch_folder
+from cluttergen_jax.files import folder_whole, inside, scratch_folder, writing
+from cluttergen_jax.kept_folder import PATIENCE, hold, lock_beside
 from cluttergen_jax.schema import SchemaError, checked_record, convert, with_checksum
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
@@ -171,6 +174,30 @@ def write_pool(path: str | Path, pool: Pool, *, overwrite: bool = False) -> Path
       PoolError: something is there already and `overwrite` is False, or what is there is not a pool.
     """
     path = Path(path)
+    with hold_pool(path):
+        _write_folder(path, pool, overwrite)
+    return path
+
+
+def hold_pool(path: Path) -> AbstractContextManager[None]:
+    """Holds a pool's folder, which need not exist, in the block: from reading a pool to writing it again.
+
+    Changes of pools are short: another process is waited for.
+
+    Raises:
+      BankError: another process writes it for more than a minute, or it cannot be written.
+    """
+    with writing(path):
+        try:
+            return hold(lock_beside(path, PATIENCE))
+        except OSError as error:
+            # Where nothing can be written, a pool that stays as it is can still be read.
+            if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+                return nullcontext()
+            raise
+
+
+def _write_folder(path: Path, pool: Pool, overwrite: bool) -> None:
     if path.exists() and not (overwrite and (path / _INDEX).is_file()):
         raise PoolError(f"{path} exists", "a new folder" if not overwrite else "a new folder or a pool's")
     with folder_whole(path) as fresh:
@@ -180,7 +207,6 @@ def write_pool(path: str | Path, pool: Pool, *, overwrite: bool = False) -> Path
         (fresh / _INDEX).write_text(
             json.dumps(with_checksum(_index(pool)), indent=1) + "\n", encoding="utf-8"
         )
-    return path
 
 
 def _index(pool: Pool) -> dict[str, Any]:
@@ -330,14 +356,16 @@ def remove_pool(name: str) -> Pool | None:
     Raises:
       PoolError: it is embedded, or there is none of that name.
     """
-    folder = user_pool_folder(name)
-    try:
-        pool = read_pool(folder)
-    except ClutterGenError:
-        pool = None
-    # Out of sight first: a removal that is stopped halfway leaves no pool of which half is missing.
-    with scratch_folder(folder) as aside:
-        os.rename(folder, aside / folder.name)
+    with hold_pool(user_pool_folder(name)):
+        # What is removed is what the pool holds then; another process may have removed it meanwhile.
+        folder = user_pool_folder(name)
+        try:
+            pool = read_pool(folder)
+        except ClutterGenError:
+            pool = None
+        # Out of sight first: a removal that is stopped halfway leaves no pool of which half is missing.
+        with scratch_folder(folder) as aside:
+            os.rename(folder, aside / folder.name)
     return pool
 
 

@@ -39,13 +39,19 @@ class Inspect:
     grasps: bool = False
 
     def run(self) -> int:
+        from cluttergen_jax.files import check_file
+        from cluttergen_jax.kept_folder import hold_file
+
+        check_file(self.out, "out", f"{self.pool}.png")
+        with hold_file(self.out):
+            return self._inspect()
+
+    def _inspect(self) -> int:
         from cluttergen_jax.assets.facts import chosen_names
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.cli.pool_table import pool_table
         from cluttergen_jax.errors import ConfigError
-        from cluttergen_jax.files import check_file
 
-        check_file(self.out, "out", f"{self.pool}.png")
         if (support := _support_called(self.pool)) is not None:
             return self._inspect_support(support)
         pool = find_pool(self.pool, self.exclude)

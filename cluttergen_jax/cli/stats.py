@@ -25,7 +25,7 @@ class Stats:
     json: bool = False
 
     def run(self) -> int:
-        from cluttergen_jax.files import writing
+        from cluttergen_jax.kept_folder import hold_folder
         from cluttergen_jax.scene.bank import read_bank
         from cluttergen_jax.scene.bank.card import CARD, write_card
         from cluttergen_jax.scene.bank.stats import stats_of, stats_text
@@ -34,8 +34,8 @@ class Stats:
         stats = stats_of(bank)
         print(json.dumps(stats.as_json(), indent=1) if self.json else stats_text(bank, stats))
         if self.card:
-            with writing(bank.path):
-                written = write_card(bank)
+            with hold_folder(bank.path):
+                written = write_card(read_bank(bank.path))
             if not self.json:
                 print(f"card       {written or f'left alone: {bank.path / CARD} is your own'}")
         return 0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.config import Engine, Method, PlacerHead, Suite, check_names, check_whole, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ def evaluate_suite(
       ConfigError: a setting is outside its range, or there is no such suite, study or method.
       PoolError: there is no such pool.
       MissingExtraError: a study needs an extra that is not installed.
+      BankError: another process writes to `out`.
     """
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.downstream.studies.study import DownstreamScale
@@ -95,28 +97,29 @@ def evaluate_suite(
     if wrong := [name for name, value in others.items() if value]:
         raise ConfigError(f"`{wrong[0]}` with suite {suite!r}", hint=f"leaving out `{wrong[0]}`")
     folder = suite_folder(suite, quick) if out is None else Path(out)
-    if suite == NAME:
-        scale = DownstreamScale(
-            quick=quick,
-            trials=trials,
-            seeds=seeds,
-            pools=tuple(pools),
-            seed=seed,
-            num_pairs=num_pairs,
-            heads=tuple(heads),
-            bank=None if bank is None else bank_folder(bank),
+    with hold_folder(folder):
+        if suite == NAME:
+            scale = DownstreamScale(
+                quick=quick,
+                trials=trials,
+                seeds=seeds,
+                pools=tuple(pools),
+                seed=seed,
+                num_pairs=num_pairs,
+                heads=tuple(heads),
+                bank=None if bank is None else bank_folder(bank),
+            )
+            return run_downstream(folder, only, scale, num_threads, fresh, show)
+        return make_suite(
+            suite,
+            only,
+            Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed),
+            folder,
+            checkpoint=checkpoint,
+            checkpoints=checkpoints,
+            engine=engine,
+            place=place,
+            num_threads=num_threads,
+            fresh=fresh,
+            show=show,
         )
-        return run_downstream(folder, only, scale, num_threads, fresh, show)
-    return make_suite(
-        suite,
-        only,
-        Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed),
-        folder,
-        checkpoint=checkpoint,
-        checkpoints=checkpoints,
-        engine=engine,
-        place=place,
-        num_threads=num_threads,
-        fresh=fresh,
-        show=show,
-    )

@@ -273,10 +273,15 @@ class FitRun(ABC):
 
         Raises:
           ConfigError: there are too few examples, some are not finite, or the loss is not.
+          BankError: another process writes the run.
           KeyboardInterrupt: on Ctrl-C, once everything is saved.
         """
-        if self._is_done():
-            return self.folder / self.kind
+        with checkpoint.hold_run(self.folder):
+            # Another process may have made a run here since.
+            checkpoint.check_folder(self.folder, self.recipe)
+            return self.folder / self.kind if self._is_done() else self._run()
+
+    def _run(self) -> Path:
         started = time.monotonic()
         held_out = self._sound("val")
         examples = self._sound("train")
@@ -287,7 +292,6 @@ class FitRun(ABC):
                 "one batch or more",
             )
         fit = Fit(self.learner, self.config, batches * self.config.num_epochs)
-        self.folder.mkdir(parents=True, exist_ok=True)
         with Interrupt() as interrupt:
             state = self._load_or_start(fit)
             state = self._learn(fit, state, examples, held_out, interrupt)

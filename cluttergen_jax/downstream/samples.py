@@ -13,6 +13,7 @@ import io
 import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -23,7 +24,7 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
-from cluttergen_jax.kept_folder import KeptFolder
+from cluttergen_jax.kept_folder import KeptFolder, hold
 from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.schema import (
     SEAL,
@@ -85,10 +86,13 @@ class SampleFormat:
             is_begun=lambda each: each.name.startswith(begun),
         )
 
-    def check_place(self, path: Path) -> None:
-        """Refuses a folder that holds something else. Raises BankError: it does."""
-        with writing(path):
-            self.kept_folder(path).check_place()
+    def hold(self, path: Path) -> AbstractContextManager[None]:
+        """Holds a folder in the block, which is made if need be; `write` is called there.
+
+        Raises:
+          BankError: it holds something else, or another process writes there.
+        """
+        return hold(self.kept_folder(path).lock())
 
     def read_record(self, path: Path) -> dict[str, Any]:
         """The record of a folder. Raises BankError: there is none, or it is damaged."""
@@ -180,7 +184,7 @@ class SampleFormat:
           fill: given the record, makes the blocks that are missing, damaged or shorter, of so many rows.
 
         Raises:
-          BankError: see `check_place` and `with_split`, or another process writes there.
+          BankError: see `hold` and `with_split`, or another process writes there.
         """
         with self.kept_folder(path).lock(), writing(path):
             remove_partial(path)

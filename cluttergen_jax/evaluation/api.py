@@ -21,6 +21,7 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.spec import EvaluateOptions, SceneSpec, spec_of, takes_spec
 
@@ -95,6 +96,7 @@ def evaluate(
       ConfigError: a setting is outside its range, there is no such method, or no row asks the `checkpoint`.
       PoolError: there is no such pool or support.
       ClutterGenError: no row can be made.
+      BankError: another process writes to `out`.
     """
     from cluttergen_jax.assets.pool import join_pool_names
     from cluttergen_jax.cluster import cluster_of
@@ -148,12 +150,13 @@ def evaluate(
     for trial in planned:
         asked.check_poses(trial.method)
     folder = None if out is None else Path(out)
-    runner = open_runner(
-        folder, planned, asked.checkpoint, checkpoints, asked.engine, asked.num_threads, fresh
-    )
-    if place is not None:
-        runner.make_on(place, planned)
-    return compare(runner, planned, folder)
+    with hold_folder(folder):
+        runner = open_runner(
+            folder, planned, asked.checkpoint, checkpoints, asked.engine, asked.num_threads, fresh
+        )
+        if place is not None:
+            runner.make_on(place, planned)
+        return compare(runner, planned, folder)
 
 
 def certify(
@@ -240,6 +243,7 @@ def judge(
 
     Raises:
       ConfigError: a setting is outside its range, a path does not exist, or no file is a scene.
+      BankError: another process writes to `out`.
     """
     from cluttergen_jax.evaluation.judging.judge import judge_scenes
     from cluttergen_jax.evaluation.judging.rule import JudgeConfig
@@ -255,5 +259,6 @@ def judge(
     config = JudgeConfig(tuple(seconds), max_shift, max_turn_deg, max_penetration, hold_joints)
     if states is not None and len(find_scenes(paths)[0]) > 1:
         raise ConfigError("`states` of several files", "of one file", "arrays of their names beside them")
-    report = judge_scenes(paths, states, config, tuple(detectors), max_starts, jobs)
-    return report if out is None else replace(report, notes=(*report.notes, report.write(Path(out))))
+    with hold_folder(None if out is None else Path(out)):
+        report = judge_scenes(paths, states, config, tuple(detectors), max_starts, jobs)
+        return report if out is None else replace(report, notes=(*report.notes, report.write(Path(out))))

@@ -25,7 +25,7 @@ from cluttergen_jax.evaluation.measures.robustness import ShakeConfig, TiltConfi
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.simulate import each_scene, horizons_of, movement
 from cluttergen_jax.files import writing
-from cluttergen_jax.kept_folder import FolderLock
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
@@ -59,14 +59,12 @@ def certify_bank(
     """The certificates of a bank's scenes, written into it; see `cluttergen_jax.certify`."""
     horizons_of((seconds,))
     check_is_here(bank.path)
-    with writing(bank.path):
-        lock = FolderLock(bank.path)
-    try:
+    with hold_folder(bank.path):
+        # As it is now: another process may have written it since it was opened.
+        bank = read_bank(bank.path)
         found = _certify(bank, seconds, jobs, force, cluster)
         with writing(bank.path):
             write_card(bank)
-    finally:
-        lock.release()
     return found
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.pool import find_pool, read_pool, user_pool_folder, write_pool
+from cluttergen_jax.assets.pool import find_pool, hold_pool, read_pool, user_pool_folder, write_pool
 from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.stances import stances
 from cluttergen_jax.errors import PoolError
@@ -67,17 +67,18 @@ def set_pose(pool: str, name: str, pose: int) -> ObjectAsset:
       PoolError: there is no such pool of the user's own, no such object in it, or no such pose.
       AssetError: it does not stand so.
     """
-    folder = user_pool_folder(pool)
-    old = read_pool(folder)
-    asset = old[name]
-    poses = _poses(asset)
-    if not 0 <= pose < len(poses):
-        raise PoolError(f"pose {pose} of {name!r}", f"0 to {len(poses) - 1}")
-    if pose == 0:
-        return asset
-    with silent_log():
-        turned = turned_object(asset, upright_turn(np.array(poses[pose].up)))
-    # Of a large pool objects are read anew whenever they are asked for.
-    objects = tuple(turned if each.name == name else each for each in old.objects)
-    write_pool(folder, replace(old, objects=objects), overwrite=True)
+    with hold_pool(user_pool_folder(pool)):
+        folder = user_pool_folder(pool)
+        old = read_pool(folder)
+        asset = old[name]
+        poses = _poses(asset)
+        if not 0 <= pose < len(poses):
+            raise PoolError(f"pose {pose} of {name!r}", f"0 to {len(poses) - 1}")
+        if pose == 0:
+            return asset
+        with silent_log():
+            turned = turned_object(asset, upright_turn(np.array(poses[pose].up)))
+        # Of a large pool objects are read anew whenever they are asked for.
+        objects = tuple(turned if each.name == name else each for each in old.objects)
+        write_pool(folder, replace(old, objects=objects), overwrite=True)
     return turned

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -14,7 +14,16 @@ from tempfile import TemporaryFile
 from cluttergen_jax.assets.config import TIME_LIMIT
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import NAME_PATTERN, object_hash
-from cluttergen_jax.assets.pool import ALL, EMBEDDED, Pool, read_pool, user_pool_folder, user_root, write_pool
+from cluttergen_jax.assets.pool import (
+    ALL,
+    EMBEDDED,
+    Pool,
+    hold_pool,
+    read_pool,
+    user_pool_folder,
+    user_root,
+    write_pool,
+)
 from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.config import check_positive, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
@@ -169,10 +178,14 @@ def import_sources(
     _check_name(pool_name)
     if not sources:
         raise AssetError("nothing to import", f"files, folders, or {YCB!r}")
-    old = read_pool(user_pool_folder(pool_name)) if config.add else None
-    known = None if config.force and old is None else user_root() / pool_name
+    if config.add:
+        # Refused before any work, where there is no such pool. Another process may be writing it.
+        with hold_pool(user_root() / pool_name):
+            read_pool(user_pool_folder(pool_name))
+    known = None if config.force and not config.add else user_root() / pool_name
     planned = plan_all(sources, config.object.read, config.settings, known, config.layout, config.take_all)
-    _check_name_is_free(known, planned.objects, config)
+    with hold_pool(user_root() / pool_name):
+        _check_name_is_free(known, planned.objects, config)
     jobs, unreadable = _jobs(planned.objects, config)
     made: dict[str, ObjectAsset] = {} if config.force else _load_cached(jobs)
     missing = [job for job in jobs if job.source.name not in made]
@@ -185,13 +198,14 @@ def import_sources(
             cache.drop(job.key)
     lost, beyond, costs = _make(missing, config)
     made |= _load_cached(missing)
+    lost = [*lost, *_removed_meanwhile(missing, made, {*beyond, *(each.name for each in lost)})]
     # What was made by other limits is in the cache.
     beyond |= _too_large_bodies(jobs, made)
     kept = [each for each in planned.objects if each.source.name in made.keys() - beyond.keys()]
     failures = (*planned.failures, *unreadable, *lost)
     called = _final_names(planned.objects, kept)
     objects = tuple(replace(made[name], name=called[name]) for name in (each.source.name for each in kept))
-    path = _write(pool_name, objects, old, config) if objects else None
+    path = _write(pool_name, objects, config) if objects else None
     return ImportReport(
         path,
         objects,
@@ -272,6 +286,15 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
 def _load_cached(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
     pairs = ((job.source, cache.load(job.key, job.source.name)) for job in jobs)
     return {source.name: _with_source(source, asset) for source, asset in pairs if asset is not None}
+
+
+def _removed_meanwhile(
+    jobs: Sequence[Job], made: Mapping[str, ObjectAsset], others: Collection[str]
+) -> list[Failure]:
+    """Those that were made, and that another import with `force` has removed from the cache since."""
+    names = [job.source.name for job in jobs if job.source.name not in made and job.source.name not in others]
+    reason = "another import removed it from the cache meanwhile. Try: the same command again"
+    return [Failure(name, reason) for name in names]
 
 
 def _with_source(source: ObjectFile, asset: ObjectAsset) -> ObjectAsset:
@@ -369,17 +392,19 @@ def _line(name: str, cost: Cost, asset: ObjectAsset | LeftOut | str | None, reas
     return f"{name}: made in {took}: {parts}, {asset.mass:.3g} kg{flags}"
 
 
-def _write(name: str, objects: tuple[ObjectAsset, ...], old: Pool | None, config: ImportConfig) -> Path:
+def _write(name: str, objects: tuple[ObjectAsset, ...], config: ImportConfig) -> Path:
+    """Writes the pool, or adds to what it holds now: other processes may have added to it since we began."""
     path = user_root() / name
-    if old is not None:
-        objects = _merge_pool(old, objects, config)
-    licences = sorted({asset.provenance.licence for asset in objects})
-    pool = Pool(name, objects, config.object.body.tier, "; ".join(licences))
-    if path.exists() and (not config.force or old is not None) and _is_same(path, pool):
-        return path
-    if path.exists() and not config.force and old is None:
-        raise _name_error(name)
-    return write_pool(path, pool, overwrite=config.force or old is not None)
+    with hold_pool(path):
+        if config.add:
+            objects = _merge_pool(read_pool(user_pool_folder(name)), objects, config)
+        licences = sorted({asset.provenance.licence for asset in objects})
+        pool = Pool(name, objects, config.object.body.tier, "; ".join(licences))
+        if path.exists() and (not config.force or config.add) and _is_same(path, pool):
+            return path
+        if path.exists() and not config.force and not config.add:
+            raise _name_error(name)
+        return write_pool(path, pool, overwrite=config.force or config.add)
 
 
 def _merge_pool(old: Pool, objects: tuple[ObjectAsset, ...], config: ImportConfig) -> tuple[ObjectAsset, ...]:

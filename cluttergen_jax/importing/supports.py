@@ -45,6 +45,7 @@ from cluttergen_jax.assets.support_map import (
     surface_heights,
 )
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
+from cluttergen_jax.files import writing
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.importing.furniture_file import find_furniture
 from cluttergen_jax.importing.furniture_pose import read_upright
@@ -61,6 +62,7 @@ from cluttergen_jax.importing.support_space import (
     without_air,
 )
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
+from cluttergen_jax.kept_folder import PATIENCE, lock_beside
 
 _NAMED = re.compile(r"'[^']*'|\S+\.(obj|mtl|dae|stl|ply|glb|png|jpe?g)\b", re.IGNORECASE)
 _OF_MASS = ("its file states no", "the mass that its file")
@@ -95,11 +97,14 @@ def write_table(
         print(note, file=sys.stderr)
     support = replace(support, name=name)
     folder = user_supports() / name
-    if folder.exists() and not force:
-        if _is_same(folder, support):
-            return support
-        raise PoolError(f"support {name!r} exists and is another", "a new `name`", "`force` to replace it")
-    write_support(folder, support, overwrite=force)
+    with writing(folder), lock_beside(folder, PATIENCE):
+        if folder.exists() and not force:
+            if _is_same(folder, support):
+                return support
+            raise PoolError(
+                f"support {name!r} exists and is another", "a new `name`", "`force` to replace it"
+            )
+        write_support(folder, support, overwrite=force)
     return support
 
 

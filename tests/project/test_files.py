@@ -217,7 +217,7 @@ def test_a_kept_folder_is_continued_by_the_same_recipe_alone(tmp_path):
     with folder.lock(), pytest.raises(BankError, match=f"written by process {os.getpid()}"):
         folder.lock()
     (folder.path / "begun").mkdir()
-    assert folder.is_free
+    folder.check_place()
     (folder.path / "other").touch()
     with pytest.raises(BankError, match="other is in"):
         folder.lock()

@@ -14,6 +14,7 @@ import cluttergen_jax as cg
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.scene.bank import remote as module
 from cluttergen_jax.scene.bank.reference import parse_reference
 from cluttergen_jax.scene.bank.remote import (
     RemoteFolder,
@@ -172,3 +173,20 @@ def bucket(tmp_path, monkeypatch):
     yield "s3://tests/bank?" + place
     server.terminate()
     server.wait()
+
+
+def test_what_reads_a_mirror_leaves_it_to_who_writes_it(url, monkeypatch):
+    """What a reader fetched took away objects that the writer had not published yet."""
+    monkeypatch.setattr(module, "FETCHING", 0.0)
+    with banks.writer(url, BLOCK_SIZE) as writer:
+        writer.write_block(0, banks.rows(0))
+        late = writer.path / "assets/objects/late/object.json"
+        late.parent.mkdir()
+        late.write_text("{}")
+        assert read_bank(url).table.num_rows == BLOCK_SIZE
+        assert late.is_file()
+        with pytest.raises(BankError, match="is being written by process"):
+            banks.writer(url, BLOCK_SIZE)
+    # Nobody writes now: what is there counts.
+    read_bank(url)
+    assert not late.exists()

@@ -1,6 +1,7 @@
 """Banks under bad luck: damage, other assets, a full disk, a second writer, a killed one. Nothing is lost."""
 
 import errno
+import fcntl
 import json
 import multiprocessing
 import os
@@ -13,7 +14,9 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pyarrow as pa
@@ -33,6 +36,7 @@ from cluttergen_jax.scene.bank.card import CARD, write_card
 from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.stats import stats_of, stats_text
 from cluttergen_jax.scene.bank.table import SCHEMA
+from cluttergen_jax.scene.bank.writer import BankWriter
 from tests.helpers import banks
 from tests.helpers.worlds import box, trio
 
@@ -265,6 +269,88 @@ def test_writers_that_race_take_turns(tmp_path, whole):
     assert len(refused) < 3
     assert all("being written by" in str(error) for error in refused)
     assert_complete(path, whole)
+
+
+STEPS = [
+    *((Path, name) for name in ("is_dir", "exists", "iterdir", "unlink", "rmdir")),
+    *((os, name) for name in ("mkdir", "open", "listdir", "stat", "lstat")),
+    (fcntl, "flock"),
+]
+"""What looks at a bank's folder, or changes it, before the bank is begun."""
+
+
+def at_step(patch, number, act):
+    """From now on `act` is called before the step of this number; a list of how many there were so far."""
+    count, busy = [0], []
+
+    def step(call, *args, **kwargs):
+        if not busy:
+            count[0] += 1
+            if count[0] == number:
+                busy.append(True)
+                act()
+                busy.clear()
+        return call(*args, **kwargs)
+
+    for owner, name in STEPS:
+        patch.setattr(owner, name, _stepped(owner, getattr(owner, name), step))
+    # Once the bank is begun its folder is held.
+    begin = BankWriter._begin
+
+    def begun(*args):
+        busy.append(True)
+        return begin(*args)
+
+    patch.setattr(BankWriter, "_begin", begun)
+    return count
+
+
+def _stepped(owner, call, step):
+    # Called on a path, a function is given the path; those of modules are given nothing more.
+    return (lambda *args, **kwargs: step(call, *args, **kwargs)) if owner is Path else partial(step, call)
+
+
+def write_whole(path, held):
+    banks.write(path, 1)
+
+
+def only_begin(path, held):
+    held.append(banks.writer(path, BLOCK_SIZE))
+
+
+def begin_and_fail(path, held):
+    path.mkdir(exist_ok=True)
+    FolderLock(path).release()
+    with suppress(OSError):
+        path.rmdir()
+
+
+def refusal_of(call, errors):
+    try:
+        call()
+    except BankError as error:
+        errors.append(error)
+
+
+@pytest.mark.parametrize("other", [write_whole, only_begin, begin_and_fail])
+def test_a_writer_is_overtaken_at_each_step_of_its_beginning(tmp_path, other):
+    """Whatever others do between two steps, a writer begins the bank, continues it, or is refused."""
+    with pytest.MonkeyPatch.context() as patch:
+        count = at_step(patch, 0, None)
+        banks.write(tmp_path / "alone", 1)
+    assert count[0] > 5
+    for number in range(1, count[0] + 1):
+        path, held, errors = tmp_path / f"bank-{number}", [], []
+        act = partial(refusal_of, partial(other, path, held), errors)
+        with pytest.MonkeyPatch.context() as patch:
+            at_step(patch, number, act)
+            refusal_of(partial(banks.write, path, 1), errors)
+        for each in held:
+            each.close()
+        assert len(errors) < 2
+        assert all("is being written by" in str(error) for error in errors), (number, errors)
+        banks.write(path, 1)
+        assert_complete(path, tmp_path / "alone")
 
 
 def test_what_another_has_just_begun_is_not_taken_for_something_else(tmp_path):

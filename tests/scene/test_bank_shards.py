@@ -1,19 +1,22 @@
 """Shards: the same rows in fewer files, whatever happened on the way; and memory that does not grow."""
 
+import os
 import random
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from cluttergen_jax import bank_reader
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import blocks as module
 from cluttergen_jax.scene.bank import index as module_index
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import recover_record
-from cluttergen_jax.scene.bank.blocks import StoredBlocks, shard_path, write_shard
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, write_shard
 from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import check_whole
 from cluttergen_jax.scene.bank.index import BankIndex
@@ -135,3 +138,72 @@ def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_loo
     write(tmp_path)
     assert changes_of(read_bank(tmp_path)) == []
     assert read_bank(tmp_path).table["shake"].null_count == (NUM_BLOCKS - 1) * BLOCK_SIZE
+
+
+def merged_behind(patch, path, times=1):
+    """From now on the bank's next file that is opened is gone: its blocks have become shards meanwhile."""
+    left = [times]
+
+    def open_late(opened, *args, **kwargs):
+        if left[0]:
+            left[0] -= 1
+            BankIndex.of(read_bank(path)).write_shard(range(IN_A_SHARD))
+        return opened(*args, **kwargs)
+
+    patch.setattr(pa, "OSFile", partial(open_late, pa.OSFile))
+    patch.setattr(pq, "ParquetFile", partial(open_late, pq.ParquetFile))
+
+
+def ours(path):
+    return ((row.index, row.poses) for row in read_bank(path).scenes())
+
+
+def theirs(path):
+    return ((scene.index, scene.poses) for scene in bank_reader.Bank(path))
+
+
+@pytest.mark.parametrize("read", [ours, theirs])
+@pytest.mark.parametrize("is_open", [False, True], ids=["listed", "half_read"])
+def test_a_bank_is_read_while_its_blocks_become_a_shard(tmp_path, monkeypatch, read, is_open):
+    write(tmp_path, shard_blocks=1000)
+    whole = list(read(tmp_path))
+    scenes = read(tmp_path)
+    # The first block is read, the second one is in a file of its own when the folder is listed.
+    begun = [next(scenes)] if is_open else []
+    merged_behind(monkeypatch, tmp_path)
+    read_now = begun + list(scenes)
+    assert shard_path(tmp_path, range(IN_A_SHARD)).exists()
+    assert [index for index, _ in read_now] == [index for index, _ in whole]
+    assert all(np.array_equal(one, two) for (_, one), (_, two) in zip(read_now, whole, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("read", "error"), [(ours, BankError), (theirs, bank_reader.BankError)], ids=["ours", "theirs"]
+)
+def test_damaged_is_said_of_what_was_read_alone(tmp_path, read, error):
+    write(tmp_path, shard_blocks=1000)
+    scenes, file = read(tmp_path), block_path(tmp_path, 1)
+    next(scenes)
+    file.unlink()
+    with pytest.raises(error, match=r"scenes-000001\.parquet is missing"):
+        list(scenes)
+    # A link that leads nowhere is listed, and never there.
+    file.symlink_to(tmp_path / "nowhere")
+    with pytest.raises(error, match=r"scenes-000001\.parquet is missing"):
+        list(read(tmp_path))
+    file.unlink()
+    file.write_bytes(b"PAR1")
+    with pytest.raises(error, match=r"scenes-000001\.parquet is damaged"):
+        list(read(tmp_path))
+
+
+def test_a_listing_that_is_overtaken_by_a_shard_is_made_again(tmp_path, monkeypatch):
+    """A folder's listing may lack both a shard that came and the blocks that went while it was made."""
+    write(tmp_path, shard_blocks=1000)
+    whole, listed = read_bank(tmp_path).table, os.listdir
+    BankIndex.of(read_bank(tmp_path)).write_shard(range(IN_A_SHARD))
+    first = [each for each in listed(tmp_path) if each != shard_path(tmp_path, range(IN_A_SHARD)).name]
+    for read in (lambda: read_bank(tmp_path).table.num_rows, lambda: len(list(theirs(tmp_path)))):
+        overtaken = iter([first])
+        monkeypatch.setattr(os, "listdir", lambda place, late=overtaken: next(late, None) or listed(place))
+        assert read() == whole.num_rows

@@ -27,6 +27,7 @@ from cluttergen_jax.downstream.dataset.files import (
 from cluttergen_jax.downstream.dataset.views import ViewConfig, ViewMaker
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import remove_partial, write_atomically, writing
+from cluttergen_jax.kept_folder import hold
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes, region_of
@@ -205,7 +206,7 @@ def make(
 ) -> Dataset:
     """A dataset in a folder, begun or continued; see `cluttergen_jax.make_dataset`."""
     recipe = DatasetPlan.of(banks, shares, num_scenes, config).recipe() | {"form": form}
-    with dataset_folder(out).lock(), writing(out):
+    with hold(dataset_folder(out).lock()), writing(out):
         remove_partial(out)
         known = begin_record(out, recipe)
         plan = DatasetPlan.of(banks, shares, num_scenes, config, known.get("num_scenes", ()))
@@ -215,9 +216,8 @@ def make(
         else:
             shards = _make_shards(plan, out, form, cluster, known.get("shards", {}))
             write_record(out, told | {"shards": shards})
-    if form == "bop":
-        # It is held by those who add to it.
-        _make_bop(plan, out)
+        if form == "bop":
+            _make_bop(plan, out)
     return Dataset(out, form, plan.num_views())
 
 

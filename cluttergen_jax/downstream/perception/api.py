@@ -17,6 +17,7 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
@@ -97,28 +98,28 @@ def perception_data(
     if num_objects is not None:
         check_range("num_objects", num_objects, 1, most, min(8, most))
     num_scenes = -(-num_views // (VIEWS_A_SCENE * len(_METHODS)))
-    VIEWS.check_place(Path(out))
-    if overwrite or not any(Path(out).glob(f"bank-{split}-*")):
-        # Scenes take minutes, and are of no use where nothing can draw them.
-        find_backend()
-    banks: dict[str, Bank] = {
-        method: generate(
-            Path(out) / f"bank-{split}-{method}",
-            pool=pool,
-            support=support,
-            method=method,
-            num_objects=min(num_objects or usual, most),
-            num_scenes=max(num_scenes, 8),
-            order="random",
-            render=False,
-            max_files=0,
-            seed=config.seed,
-            num_threads=num_threads,
-            overwrite=overwrite,
-        )
-        for method, usual in _METHODS.items()
-    }
-    return write_views(out, banks, split, num_views, config, overwrite)
+    with VIEWS.hold(Path(out)):
+        if overwrite or not any(Path(out).glob(f"bank-{split}-*")):
+            # Scenes take minutes, and are of no use where nothing can draw them.
+            find_backend()
+        banks: dict[str, Bank] = {
+            method: generate(
+                Path(out) / f"bank-{split}-{method}",
+                pool=pool,
+                support=support,
+                method=method,
+                num_objects=min(num_objects or usual, most),
+                num_scenes=max(num_scenes, 8),
+                order="random",
+                render=False,
+                max_files=0,
+                seed=config.seed,
+                num_threads=num_threads,
+                overwrite=overwrite,
+            )
+            for method, usual in _METHODS.items()
+        }
+        return write_views(out, banks, split, num_views, config, overwrite)
 
 
 @with_own_settings
@@ -152,13 +153,14 @@ def perception_train(
 
     Raises:
       ConfigError: a setting is out of range, there are no views, or the folder holds another run.
-      BankError: the folder holds no views, or damaged ones.
+      BankError: the folder holds no views, or damaged ones; or another process writes to `out`.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
     from typing import get_args
 
     from cluttergen_jax.downstream.perception.segment.network import SegmentConfig
     from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining, ViewSource
+    from cluttergen_jax.learning.ppo.checkpoint import hold_run
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_views is not None:
@@ -166,11 +168,12 @@ def perception_train(
     if reads not in get_args(SegmenterInput):
         raise ConfigError(f"reads = {reads!r}", ", ".join(get_args(SegmenterInput)))
     config = FIT.replace_given(num_epochs, batch_size, learning_rate, seed)
-    source = ViewSource(Path(data), seed, num_views)
-    network = SegmentConfig(len(source.views.names), colour=reads == "colour")
     folder = Path(out or f"runs/segmenter-{reads}-{seed}")
-    show(f"run        {folder}")
-    return SegmenterTraining(network, config, source, folder, show).run()
+    with hold_run(folder):
+        source = ViewSource(Path(data), seed, num_views)
+        network = SegmentConfig(len(source.views.names), colour=reads == "colour")
+        show(f"run        {folder}")
+        return SegmenterTraining(network, config, source, folder, show).run()
 
 
 @with_own_settings
@@ -211,7 +214,12 @@ def perception_eval(
       PoolError: there is no such segmenter, or it is damaged.
       MissingExtraError: the extra `perception` is not installed.
     """
-    from cluttergen_jax.downstream.perception.evaluate import evaluate_perception
+    from cluttergen_jax.downstream.perception.evaluate import TRUE_MASKS, evaluate_perception
+    from cluttergen_jax.downstream.perception.segment.network_segmenter import (
+        KIND,
+        embedded_segmenters,
+        segmenter_folder,
+    )
     from cluttergen_jax.downstream.perception.views.store import read_views
 
     check_folder(out)
@@ -221,9 +229,22 @@ def perception_eval(
     check_noise(noise)
     if num_views is not None:
         check_range("num_views", num_views, 1, MAX_VIEWS, 200)
-    views = read_views(data)
-    chosen = str(segmenter) if segmenter is not None else views.pool
     folder = None if out is None else Path(out)
-    return evaluate_perception(
-        views, split, chosen, tuple(cameras), tuple(map(float, noise)), num_views, seed, folder, calibrate
-    )
+    with hold_folder(folder):
+        views = read_views(data)
+        chosen = str(segmenter) if segmenter is not None else views.pool
+        # The rule is written beside the segmenter, into the folder of its run.
+        is_own = chosen not in (TRUE_MASKS, *embedded_segmenters())
+        beside = segmenter_folder(chosen) if calibrate and is_own else None
+        with hold_folder(beside and (beside.parent if beside.name == KIND else beside)):
+            return evaluate_perception(
+                views,
+                split,
+                chosen,
+                tuple(cameras),
+                tuple(map(float, noise)),
+                num_views,
+                seed,
+                folder,
+                calibrate,
+            )

@@ -23,6 +23,7 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import check_folder
+from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.spec import SceneSpec
 
@@ -97,7 +98,6 @@ def placer_data(
     name = split or "train"
 
     def make() -> Bank:
-        PAIRS.check_place(Path(out))
         asked = (spec or SceneSpec(pool="household")).replace_given(pool, method, support, num_objects)
         check_upright(asked.poses, "a placer")
         check_one_level(find_support(asked.support).on_surface(asked.surface), "a placer")
@@ -112,16 +112,17 @@ def placer_data(
         )
 
     given = (spec, pool, num_scenes, method, support, num_objects)
-    found = bank_or_made(bank, make, "spec pool num_scenes method support num_objects", given)
-    check_upright(poses_of(found), "a placer")
-    check_one_level(found.support, "a placer")
-    if "assets" not in found.record:
-        raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
-    if found.recipe.get("method") == PILE:
-        hint = "generate --method guided"
-        raise BankError(f"{found.path} holds piles", "scenes placed one object after another", hint)
-    of_split = split_of(found, split)
-    return write_pairs(out, found, of_split, num_pairs, camera, seed, num_threads, overwrite)
+    with PAIRS.hold(Path(out)):
+        found = bank_or_made(bank, make, "spec pool num_scenes method support num_objects", given)
+        check_upright(poses_of(found), "a placer")
+        check_one_level(found.support, "a placer")
+        if "assets" not in found.record:
+            raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
+        if found.recipe.get("method") == PILE:
+            hint = "generate --method guided"
+            raise BankError(f"{found.path} holds piles", "scenes placed one object after another", hint)
+        of_split = split_of(found, split)
+        return write_pairs(out, found, of_split, num_pairs, camera, seed, num_threads, overwrite)
 
 
 @with_own_settings
@@ -183,10 +184,11 @@ def placer_eval(
     if not 0 <= chains <= MAX_PAIRS:
         raise ConfigError(f"chains = {chains}", f"0 to {MAX_PAIRS}", "chains=100")
     folder = None if out is None else Path(out)
-    store = Store(folder and folder / "results")
-    trials = PlacerTrials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)
-    asked = tuple(str(each) if isinstance(each, Path) else each for each in placers)
-    return compare_placers(trials, asked, tuple(map(float, noise)), folder, chains)
+    with hold_folder(folder):
+        store = Store(folder and folder / "results")
+        trials = PlacerTrials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)
+        asked = tuple(str(each) if isinstance(each, Path) else each for each in placers)
+        return compare_placers(trials, asked, tuple(map(float, noise)), folder, chains)
 
 
 @with_own_settings
@@ -230,13 +232,14 @@ def placer_train(
 
     Raises:
       ConfigError: a setting is out of range, there are no pairs, or the folder holds another run.
-      BankError: a folder holds no pairs, or damaged ones.
+      BankError: a folder holds no pairs, or damaged ones; or another process writes to `out`.
       PoolError: `encoder_weights` does not hold what the encoders need.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
     from cluttergen_jax.downstream.placer.examples import ExampleSource
     from cluttergen_jax.downstream.placer.training import PlacerTraining
     from cluttergen_jax.downstream.placer.training import preset as preset_of
+    from cluttergen_jax.learning.ppo.checkpoint import hold_run
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_pairs is not None:
@@ -245,7 +248,8 @@ def placer_train(
     weights = None if encoder_weights is None else Path(encoder_weights)
     found, config = preset_of(head, preset, loss, weights)
     config = config.replace_given(num_epochs, batch_size, learning_rate, seed)
-    source = ExampleSource(tuple(Path(each) for each in folders), noise, seed, num_pairs)
     folder = Path(out or f"runs/placer-{head}-{seed}")
-    show(f"run        {folder}")
-    return PlacerTraining(found, config, source, folder, show).run()
+    with hold_run(folder):
+        source = ExampleSource(tuple(Path(each) for each in folders), noise, seed, num_pairs)
+        show(f"run        {folder}")
+        return PlacerTraining(found, config, source, folder, show).run()

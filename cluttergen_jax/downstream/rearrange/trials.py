@@ -36,6 +36,7 @@ from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
 from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash, planner_recipe
 from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.evaluation.machine import versions
+from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.tables import aligned_table
 
 _MOST_DRAWS = 16
@@ -102,6 +103,7 @@ def rearrange_hash() -> str:
     return constants_hash(episode, judge, layouts, moves, observe, order, task, arm=planner_hash())
 
 
+@hold_out
 def run_rearrangements(
     setting: RearrangeSetting,
     options: RearrangeOptions,
@@ -136,8 +138,8 @@ def run_rearrangements(
       robot: that does it; the Panda if not given.
 
     Raises:
-      BankError: the folder holds rows of other settings, grasps or weights, a damaged file, or a film shows
-        another end.
+      BankError: another process writes to `out`, it holds rows of other settings, grasps or weights, a
+        damaged file, or a film shows another end.
       ConfigError: the pool has too few objects.
       RendererError: pictures are asked for, and nothing here can draw.
     """

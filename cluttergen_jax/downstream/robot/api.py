@@ -19,6 +19,7 @@ from cluttergen_jax.config import (
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_file, check_folder
+from cluttergen_jax.kept_folder import hold_file
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.spec import SceneSpec
 
@@ -89,15 +90,16 @@ def robot_grasps(
     check_range("seed", seed, 0, _MOST_SEED, 0)
     found, described = find_pool(pool), find_robot(robot)
     chosen = tuple(found[name] for name in objects) or found.objects
-    sets = grasp_sets(chosen, num_grasps, seed, num_threads, fresh, described)
-    if out is not None:
-        write_grasps(Path(out), sets.sets)
-    if picture is not None:
-        from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet
-        from cluttergen_jax.rendering.sheet import save_png
+    with hold_file(out), hold_file(picture):
+        sets = grasp_sets(chosen, num_grasps, seed, num_threads, fresh, described)
+        if out is not None:
+            write_grasps(Path(out), sets.sets)
+        if picture is not None:
+            from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet
+            from cluttergen_jax.rendering.sheet import save_png
 
-        save_png(grasp_sheet(chosen, sets), picture)
-    return sets
+            save_png(grasp_sheet(chosen, sets), picture)
+        return sets
 
 
 @with_own_settings

@@ -37,6 +37,7 @@ from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.geometry import rotation_matrix
+from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
@@ -115,6 +116,7 @@ def own_place(index: int, scene: Scene) -> np.ndarray:
     return scene.poses[-1:]
 
 
+@hold_out
 def run_trials(
     scenes: Sequence[Scene],
     task: RobotTask,
@@ -148,8 +150,8 @@ def run_trials(
       robot: that does it; the Panda if not given.
 
     Raises:
-      BankError: there is no scene, the folder holds rows of another recipe or of other scenes, or a film
-        shows another end.
+      BankError: there is no scene, another process writes to `out`, it holds rows of another recipe or of
+        other scenes, or a film shows another end.
       RendererError: films are asked for, and nothing here can draw.
     """
     if not scenes:

@@ -73,7 +73,8 @@ class BopScenes:
     def __enter__(self) -> BopScenes:
         folder = self._dataset.folder
         folder.mkdir(parents=True, exist_ok=True)
-        self._lock = FolderLock(folder)
+        # What another process has begun between our looking at it and our holding it.
+        self._lock = FolderLock(folder, check=self._check_camera)
         if self._split.folder.is_dir():
             remove_partial(self._split.folder)
         # What another process has added between our reading it and our holding it.

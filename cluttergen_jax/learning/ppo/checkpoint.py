@@ -8,6 +8,7 @@ import json
 import zipfile
 import zlib
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
-from cluttergen_jax.kept_folder import KeptFolder, check_recipe
+from cluttergen_jax.kept_folder import KeptFolder, check_recipe, hold
 from cluttergen_jax.learning.ppo.sharding import with_keys, without_keys
 from cluttergen_jax.schema import Record, SchemaError, checked_record, digest_of, with_checksum
 from cluttergen_jax.types import Array
@@ -104,6 +105,28 @@ def folder_hash(folder: Path, names: Sequence[str] | None = None) -> str:
     return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 
+def hold_run(folder: Path, patience: float = 0.0) -> AbstractContextManager[None]:
+    """Holds a run's folder in the block, which is made if need be; what calls `check_folder` is called there.
+
+    Args:
+      patience: seconds to wait for another process.
+
+    Raises:
+      ConfigError: the place holds no run. BankError: another process writes there, or it cannot be written.
+    """
+    return hold(_kept_folder(folder).lock(patience))
+
+
+def _kept_folder(folder: Path) -> KeptFolder:
+    return KeptFolder(
+        folder,
+        lambda _: has_state(folder / "last"),
+        "{other} is nothing of a run",
+        _is_of_a_run,
+        ConfigError,
+    )
+
+
 def check_folder(folder: Path, recipe: Record) -> None:
     """Refuses to continue a run that was made with other settings, and a place that holds no run.
 
@@ -111,9 +134,7 @@ def check_folder(folder: Path, recipe: Record) -> None:
       ConfigError: there is one, and the message says which settings differ; or there is something else.
     """
     last = folder / "last"
-    KeptFolder(
-        folder, lambda _: has_state(last), "{other} is nothing of a run", _is_of_a_run, ConfigError
-    ).check_place()
+    _kept_folder(folder).check_place()
     if has_state(last):
         theirs = read_record(last)
         known = {name: theirs.get(name) for name in recipe}

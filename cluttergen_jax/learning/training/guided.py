@@ -114,7 +114,8 @@ def train_guided(
         config = replace(config, num_attempts=num_attempts // config.num_rounds)
     folder = Path(out or f"runs/guided-{seed}")
     show(f"run        {folder}")
-    return GuidedTraining(config, folder, show).run()
+    with checkpoint.hold_run(folder):
+        return GuidedTraining(config, folder, show).run()
 
 
 class GuidedTraining:

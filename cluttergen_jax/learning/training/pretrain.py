@@ -343,6 +343,10 @@ def _seeds(config: PretrainConfig, is_held_out: bool) -> list[int]:
     return [2 * (1000 * config.seed + k) + is_held_out for k in range(count)]
 
 
+_LONGEST_RUN = 7200.0
+"""Seconds for which the others wait for the process that pretrains."""
+
+
 def pretrain_for(network: NetworkConfig, folder: Path, show: Callable[[str], None]) -> None:
     """Pretrains the encoder of a policy's network into a folder, unless that is done.
 
@@ -355,7 +359,10 @@ def pretrain_for(network: NetworkConfig, folder: Path, show: Callable[[str], Non
     show(f"encoder    {folder}, pretrained first: the paper's method keeps it frozen; minutes on two cores")
     sizes = ("object_points", "num_centroids", "group_size", "object_features", "scene_features")
     values = {name: getattr(network, name) for name in sizes}
-    Pretraining(PretrainConfig(replace(small(network.scene_encoder), **values)), folder).run()
+    # Several processes that train one policy together come here at once: one of them pretrains.
+    with checkpoint.hold_run(folder, _LONGEST_RUN if jax.process_count() > 1 else 0.0):
+        if not is_pretrained(folder):
+            Pretraining(PretrainConfig(replace(small(network.scene_encoder), **values)), folder).run()
 
 
 def is_pretrained(folder: Path) -> bool:

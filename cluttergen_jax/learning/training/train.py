@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,8 +13,8 @@ from typing import TYPE_CHECKING, get_args
 
 from cluttergen_jax.assets.pool import find_pool, public_name
 from cluttergen_jax.config import EvalAction, Preset, stability_record
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.learning.ppo.checkpoint import check_folder
+from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
+from cluttergen_jax.learning.ppo.checkpoint import check_folder, hold_run
 from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.schema import Record
 
@@ -136,6 +137,39 @@ def run_training(
       settings: in place of `config.settings()`, for an experiment that changes more than an argument does.
       interrupt: who asks for a stop, in place of Ctrl-C alone.
     """
+    with _hold_run(config.folder):
+        return _run(config, settings, show, interrupt)
+
+
+@contextmanager
+def _hold_run(folder: Path) -> Iterator[None]:
+    """`hold_run` by the process that writes; where it cannot, all that train together are refused."""
+    import jax
+
+    with ExitStack() as stack:
+        refusal = None
+        try:
+            if jax.process_index() == 0:
+                stack.enter_context(hold_run(folder))
+        except ClutterGenError as error:
+            refusal = error
+        if jax.process_count() > 1:
+            from cluttergen_jax.learning.training.distributed import agree
+
+            is_refused = agree(refusal is not None).any()
+            if is_refused and refusal is None:
+                raise BankError(f"{folder} cannot be written by the first of the processes")
+        if refusal is not None:
+            raise refusal
+        yield
+
+
+def _run(
+    config: TrainConfig,
+    settings: Settings | None,
+    show: Callable[[str], None],
+    interrupt: Interrupt | None,
+) -> Path:
     # Brax takes seconds to import, and only who trains needs it.
     from cluttergen_jax.learning.training.distributed import is_writer
     from cluttergen_jax.learning.training.run import Evaluator, Run, RunConfig

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -131,8 +132,8 @@ class Session:
         buffer = io.BytesIO()
         image.save(buffer, format="PNG")
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = _new_file(self.folder, self.recording.title if self.recording else self.source.name)
-        path.write_bytes(buffer.getvalue())
+        title = self.recording.title if self.recording else self.source.name
+        path = _write_new(self.folder, title, buffer.getvalue())
         client.send_file_download(path.name, buffer.getvalue(), save_immediately=True)
         return path
 
@@ -321,9 +322,12 @@ def _has_proposals(recording: Replay | None) -> bool:
     return recording is not None and any(attempt.proposals is not None for attempt in recording.attempts)
 
 
-def _new_file(folder: Path, title: str) -> Path:
-    """A file that is not there yet: TITLE-001.png and so on."""
+def _write_new(folder: Path, title: str, data: bytes) -> Path:
+    """Writes a file that is not there yet, TITLE-001.png and so on, whoever else writes there."""
     name = "".join(c if c.isalnum() or c in "-_" else "-" for c in title).replace("--", "-")
-    return next(
-        path for number in range(1, 100_000) if not (path := folder / f"{name}-{number:03d}.png").exists()
-    )
+    for number in itertools.count(1):
+        path = folder / f"{name}-{number:03d}.png"
+        with suppress(FileExistsError), path.open("xb") as file:
+            file.write(data)
+            return path
+    raise AssertionError("numbers do not end")

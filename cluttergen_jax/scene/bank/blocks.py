@@ -13,12 +13,12 @@ import io
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from itertools import groupby
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -37,9 +37,12 @@ SHARD_BLOCKS = 768
 """Blocks of a full shard: of ten-object scenes, about 100 MB. Shard s begins with block 768 s."""
 _AT_ONCE = 32
 """Blocks that are read together: a few megabytes of rows."""
+_TRIES = 100
+"""So often a folder is listed again that changes while it is read."""
 _FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
 _SLOT = re.compile(rf"{NAME_PATTERN.pattern}(#\d+)?")
 _METADATA = b"cluttergen"
+_T = TypeVar("_T")
 
 
 def block_path(path: Path, block: int) -> Path:
@@ -85,7 +88,7 @@ class StoredBlocks:
         Raises:
           BankError: there is none, the file cannot be read, is damaged, or does not hold what its name says.
         """
-        return self._read([block])
+        return self._use([block], partial(_rows_of, block, None))[1]
 
     def tables(
         self, columns: Sequence[str] | None = None, blocks: Iterable[int] | None = None
@@ -100,39 +103,69 @@ class StoredBlocks:
           BankError: likewise.
         """
 
-        def file_and_run(ranked: tuple[int, int]) -> tuple[str, int, int]:
-            rank, block = ranked
-            name, row_group = self.places[block]
-            # Blocks that follow one another have the same difference.
-            return name, row_group // _AT_ONCE, block - rank
+        rest = list(self.places) if blocks is None else sorted(set(blocks).intersection(self.places))
+        while rest:
+            number, table = self._use(rest, partial(_rows_of, rest[0], columns))
+            rest = rest[number:]
+            yield table
 
-        wanted = self.places if blocks is None else sorted(set(blocks).intersection(self.places))
-        for _, run in groupby(enumerate(wanted), file_and_run):
-            yield self._read([block for _, block in run], columns)
+    def _use(self, blocks: Sequence[int], use: Callable[[pq.ParquetFile, list[int]], _T]) -> tuple[int, _T]:
+        """What `use` makes of the first ones of some blocks, those that lie together; and how many these are.
 
-    def _read(self, blocks: Sequence[int], columns: Sequence[str] | None = None) -> pa.Table:
-        """Blocks that follow one another in one file."""
-        name = (
-            self.places[blocks[0]][0] if blocks[0] in self.places else block_path(self.path, blocks[0]).name
-        )
-        try:
-            table = self._file(name).read_row_groups([self.places[block][1] for block in blocks], columns)
-            table = with_added(table) if columns is None else table.select(columns)
-            table.validate(full=True)
-            _check_rows(table, blocks[0], columns)
-        except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-            raise BankError(f"{self.path / name} is damaged ({error})", hint=AGAIN) from error
-        return table
+        A writer may put blocks into another file after they were listed: listing and reading are one step,
+        which is done again. Damaged is what was read, and is not what was written.
+
+        Args:
+          use: given a file, and row groups of it.
+        """
+        for _ in range(_TRIES):
+            if blocks[0] not in self.places:
+                break
+            name, row_groups = self._together(blocks)
+            try:
+                return len(row_groups), use(self._file(name), row_groups)
+            except _GoneError:
+                self.places.clear()
+                self.places.update(StoredBlocks.of(self.path).places)
+            except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
+                raise BankError(f"{self.path / name} is damaged ({error})", hint=AGAIN) from error
+        raise BankError(f"{block_path(self.path, blocks[0])} is missing", hint=AGAIN)
+
+    def _together(self, blocks: Sequence[int]) -> tuple[str, list[int]]:
+        """The file of the first block, and the row groups of it and of those that follow it there."""
+        name, row_group = self.places[blocks[0]]
+        row_groups = [row_group]
+        for block in blocks[1:]:
+            row_group += 1
+            is_next = block == blocks[0] + len(row_groups) and row_group % _AT_ONCE
+            if not is_next or self.places.get(block) != (name, row_group):
+                break
+            row_groups.append(row_group)
+        return name, row_groups
 
     def _file(self, name: str) -> pq.ParquetFile:
         if name not in self._open:
             # One at a time: blocks are read in order, and each open file costs memory.
             self._open.clear()
-            # pyarrow takes a relative path with a colon in it for a URL.
-            path = (self.path / name).absolute()
-            source = path if self.remote is None or path.exists() else self.remote.open(name)
-            self._open[name] = pq.ParquetFile(source, page_checksum_verification=True)
+            self._open[name] = pq.ParquetFile(self._opened(name), page_checksum_verification=True)
         return self._open[name]
+
+    def _opened(self, name: str) -> pa.NativeFile:
+        # pyarrow takes a relative path with a colon in it for a URL.
+        path = (self.path / name).absolute()
+        try:
+            if self.remote is None or path.exists():
+                return pa.OSFile(os.fspath(path))
+            return self.remote.open(name)
+        except FileNotFoundError as error:
+            raise _GoneError from error
+        except OSError as error:
+            given = f"{self.path / name} cannot be read ({error.strerror or error})"
+            raise BankError(given, hint=AGAIN) from error
+        except BankError as error:
+            if isinstance(error.__cause__, FileNotFoundError):
+                raise _GoneError from error
+            raise
 
     @property
     def file_names(self) -> list[str]:
@@ -141,9 +174,8 @@ class StoredBlocks:
 
     def digest(self, name: str) -> str | None:
         """The digest of a file of rows as it is now, here or elsewhere; None if there is none."""
-        path = self.path / name
-        if path.is_file():
-            return digest_of_file(path)
+        with suppress(FileNotFoundError, IsADirectoryError):
+            return digest_of_file(self.path / name)
         if self.remote is None or name not in self.remote.sizes():
             return None
         with self.remote.open(name) as file:
@@ -155,13 +187,24 @@ class StoredBlocks:
         Raises:
           BankError: the file cannot be read.
         """
-        name, row_group = self.places[block]
-        if self.remote is None or (self.path / name).exists():
+        if self.remote is None or (self.path / self.places[block][0]).exists():
             return self.read(block).num_rows
-        try:
-            return int(self._file(name).metadata.row_group(row_group).num_rows)
-        except (pa.ArrowException, OSError, ValueError) as error:
-            raise BankError(f"{self.remote.url}/{name} is damaged ({error})", hint=AGAIN) from error
+        return self._use([block], lambda file, groups: int(file.metadata.row_group(groups[0]).num_rows))[1]
+
+
+class _GoneError(Exception):
+    """A file that was listed is not there any more."""
+
+
+def _rows_of(
+    block: int, columns: Sequence[str] | None, file: pq.ParquetFile, row_groups: list[int]
+) -> pa.Table:
+    """Row groups of a file, the first of which is that of a block, every value looked at."""
+    table = file.read_row_groups(row_groups, columns)
+    table = with_added(table) if columns is None else table.select(columns)
+    table.validate(full=True)
+    _check_rows(table, block, columns)
+    return table
 
 
 def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> None:
@@ -227,7 +270,15 @@ def record_in(table: pa.Table) -> Any:
 
 def block_files(path: Path) -> dict[str, range]:
     """The files of blocks and shards in a folder, and which blocks each is of."""
-    return _block_files(each.name for each in path.iterdir()) if path.is_dir() else {}
+    if not path.is_dir():
+        return {}
+    # A listing that is made while files are exchanged may have neither the old ones nor the new one.
+    found = _block_files(os.listdir(path))
+    for _ in range(_TRIES):
+        before, found = found, _block_files(os.listdir(path))
+        if found == before:
+            break
+    return found
 
 
 def _block_files(names: Iterable[str]) -> dict[str, range]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -19,7 +20,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, digest_of_file, file_blocks
 from cluttergen_jax.scene.bank.record import READER
 from cluttergen_jax.scene.bank.table import BankRow
@@ -62,9 +63,18 @@ def without_digests(bank: Bank) -> str:
 def changes_of(bank: Bank) -> list[Change] | None:
     """The files of a bank that are not what was written; None if the bank is older than digests.
 
+    Where another process has changed `bank.json` meanwhile, files are held against what it says now.
+
     Raises:
       UnsafePathError: `bank.json` names a path outside of the bank.
     """
+    with suppress(BankError):
+        while (found := _changes_of(bank)) and (now := read_bank(bank.path)).record != bank.record:
+            bank = now
+    return found
+
+
+def _changes_of(bank: Bank) -> list[Change] | None:
     known = bank.files
     if known is None:
         return None

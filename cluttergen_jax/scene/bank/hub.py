@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import ExitStack
 from pathlib import Path
 
 import pyarrow.compute as pc
@@ -11,7 +12,7 @@ import pyarrow.compute as pc
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, ClutterGenError, UnsafePathError
 from cluttergen_jax.files import inside, remove, resumable_folder, swap_in, writing
-from cluttergen_jax.kept_folder import FolderLock
+from cluttergen_jax.kept_folder import hold_folder, lock_beside
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.card import write_card
@@ -34,9 +35,9 @@ def push(path: str | Path, name: str, hub: str | None, is_private: bool, allow_o
     place = hub_of(hub)
     bank = read_bank(path)
     check_is_here(bank.path)
-    with writing(bank.path):
-        lock = FolderLock(bank.path)
-    with lock:
+    with hold_folder(bank.path):
+        # As it is now: another process may have written it since.
+        bank = read_bank(bank.path)
         check_whole(bank)
         if not allow_outside:
             _check_outside(bank)
@@ -63,9 +64,13 @@ def pull(
     _check_name(name)
     place = hub_of(hub)
     out = pulled_path(name, hub, revision) if out is None else Path(out)
-    _check_place(out, overwrite)
     was_there = (out / INDEX).is_file()
-    with writing(out), resumable_folder(out) as scratch:
+    with ExitStack() as stack:
+        stack.enter_context(writing(out))
+        if not is_shared:
+            stack.enter_context(lock_beside(out))
+        _check_place(out, overwrite)
+        scratch = stack.enter_context(resumable_folder(out))
         fresh = scratch / out.name
         fresh.mkdir(exist_ok=True)
         _fetch(place, name, revision, fresh, allow_unchecked)

@@ -20,6 +20,7 @@ import pyarrow.fs as pafs
 from cluttergen_jax.assets.pool import user_root
 from cluttergen_jax.errors import BankError, MissingExtraError
 from cluttergen_jax.files import inside, is_partial, write_atomically
+from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.scene.bank.record import INDEX, READER
 from cluttergen_jax.schema import digest_of
 
@@ -28,6 +29,8 @@ MARK = ".url"
 _SMALL = (INDEX, READER, "README.md", "assets/")
 _NOT_OF_THE_BANK = (".lock", MARK)
 _BUFFER = 8 * 2**20
+FETCHING = 5.0
+"""Seconds for which a reader's fetching of a mirror is waited for."""
 
 
 def is_url(path: object) -> bool:
@@ -135,14 +138,34 @@ def remote_of(path: Path) -> RemoteFolder | None:
     return None if url is None else RemoteFolder.of(url)
 
 
-def fetch_mirror(url: str) -> Path:
+def fetch_mirror(url: str, is_held: bool = False) -> Path:
     """The mirror of a bank, with all that is small in it as it is now: the index, the card, the assets.
+
+    One that a process of this machine writes is newer than what it stands for, and is left as it is.
+
+    Args:
+      is_held: by this process, which is about to write.
 
     Raises:
       BankError: it cannot be reached.
       UnsafePathError: it has a file of a name that leads elsewhere.
     """
     folder, remote = mirror_of(url), RemoteFolder.of(url)
+    if is_held:
+        _fetch(folder, remote)
+        return folder
+    try:
+        lock = FolderLock(folder, patience=FETCHING)
+    except BankError:
+        if (folder / INDEX).is_file():
+            return folder
+        raise
+    with lock:
+        _fetch(folder, remote)
+    return folder
+
+
+def _fetch(folder: Path, remote: RemoteFolder) -> None:
     names = remote.sizes()
     if INDEX not in names:
         # Of a bank that was removed there.
@@ -158,7 +181,6 @@ def fetch_mirror(url: str) -> Path:
         file = inside(folder, name)
         if not (file.is_file() and digest_of(file.read_bytes()) == listed.get(name)):
             remote.fetch(name, folder)
-    return folder
 
 
 def _digests(folder: Path) -> dict[str, str]:

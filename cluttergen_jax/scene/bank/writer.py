@@ -18,7 +18,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.files import check_utf8, folder_whole, inside, remove, remove_partial, writing
-from cluttergen_jax.kept_folder import KeptFolder, check_recipe, check_unlocked
+from cluttergen_jax.kept_folder import FolderLock, KeptFolder, check_recipe
 from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.world import base_name
@@ -44,7 +44,15 @@ from cluttergen_jax.scene.bank.record import (
     Record,
     check_bits,
 )
-from cluttergen_jax.scene.bank.remote import MARK, bank_folder, publish_all, remote_of
+from cluttergen_jax.scene.bank.remote import (
+    FETCHING,
+    MARK,
+    fetch_mirror,
+    is_url,
+    mirror_of,
+    publish_all,
+    remote_of,
+)
 from cluttergen_jax.scene.bank.table import with_columns_of
 
 Objects = Mapping[str, ObjectAsset] | Callable[[str], ObjectAsset]
@@ -86,7 +94,7 @@ class BankWriter:
         bits: Bits | None = None,
         allow_other_bits: bool = False,
     ) -> None:
-        self.path = bank_folder(path)
+        self.path = mirror_of(str(path)) if is_url(path) else Path(path)
         check_utf8(self.path)
         self._shard_blocks, self._bits, self._allows_other_bits = shard_blocks, bits, allow_other_bits
         self._find = objects if callable(objects) else None
@@ -97,7 +105,7 @@ class BankWriter:
         }
         self._record: Record = json.loads(json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes}))
         with writing(self.path):
-            self._lock = self._free_folder().lock()
+            self._lock = self._hold(path)
         try:
             with writing(self.path):
                 self._begin(num_scenes, overwrite)
@@ -192,18 +200,22 @@ class BankWriter:
         """Enters the digests of scene files, by path within the bank, into `bank.json` (BankError)."""
         self._index.add(files)
 
-    def _free_folder(self) -> KeptFolder:
-        """The bank's folder; where it is not free, nobody has just begun another bank there."""
-        remote = remote_of(self.path)
-        if remote is not None and not is_bank(self.path) and remote.sizes():
-            raise BankError(f"{remote.url} holds something that is no bank", "a new place", "another `out`")
+    def _hold(self, path: str | Path) -> FolderLock:
+        """The lock of the bank's folder, which is looked at once it is held; a mirror is fetched then."""
         folder = KeptFolder(
             self.path, is_bank, "{path} exists and is not a bank", lambda path: path.name == MARK
         )
-        if not folder.is_free:
-            # Between two looks at it another process may have begun one here, or have made it whole.
-            check_unlocked(self.path)
-        return folder
+        if not is_url(path):
+            return folder.lock()
+
+        def check() -> None:
+            remote = remote_of(fetch_mirror(str(path), is_held=True))
+            if remote is not None and not is_bank(self.path) and remote.sizes():
+                given = f"{remote.url} holds something that is no bank"
+                raise BankError(given, "a new place", "another `out`")
+            folder.check_place()
+
+        return FolderLock(self.path, check=check, patience=FETCHING)
 
     def _begin(self, num_scenes: int, overwrite: bool) -> None:
         remove_partial(self.path)
