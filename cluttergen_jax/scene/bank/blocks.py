@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object_files import NAME_PATTERN
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.files import file_whole, write_atomically, writing
+from cluttergen_jax.files import check_regular, file_whole, inside, write_atomically, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.record import AGAIN, Record, block_record
 from cluttergen_jax.scene.bank.remote import RemoteFolder, publish, remote_of
@@ -37,6 +37,12 @@ SHARD_BLOCKS = 768
 """Blocks of a full shard: of ten-object scenes, about 100 MB. Shard s begins with block 768 s."""
 _AT_ONCE = 32
 """Blocks that are read together: a few megabytes of rows."""
+_MOST_BYTES = 2**34
+"""Of a file of rows."""
+_MOST_VALUES = 2**24
+"""Values of a column in one block: 9,000 objects in each of its scenes."""
+_FAR = 1000.0
+"""Metres beyond which no object of a scene that succeeded is."""
 _FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
 _SLOT = re.compile(rf"{NAME_PATTERN.pattern}(#\d+)?")
 _METADATA = b"cluttergen"
@@ -75,6 +81,13 @@ class StoredBlocks:
         files, remote = block_files(path), remote_of(path)
         if remote is not None:
             files |= _block_files(remote.sizes())
+        for name, blocks in files.items():
+            if len(blocks) > SHARD_BLOCKS:
+                raise BankError(
+                    f"{path / name} is damaged: its name says {len(blocks)} blocks",
+                    f"1 to {SHARD_BLOCKS} in a file",
+                    AGAIN,
+                )
         for name in sorted(files, key=lambda name: (not is_shard(files[name]), files[name][-1])):
             places.update({block: (name, row_group) for row_group, block in enumerate(files[name])})
         return cls(path, dict(sorted(places.items())), remote)
@@ -116,7 +129,10 @@ class StoredBlocks:
             self.places[blocks[0]][0] if blocks[0] in self.places else block_path(self.path, blocks[0]).name
         )
         try:
-            table = self._file(name).read_row_groups([self.places[block][1] for block in blocks], columns)
+            groups = [self.places[block][1] for block in blocks]
+            file = self._file(name)
+            _check_sizes(file.metadata, name, groups)
+            table = file.read_row_groups(groups, columns)
             table = with_added(table) if columns is None else table.select(columns)
             table.validate(full=True)
             _check_rows(table, blocks[0], columns)
@@ -130,7 +146,10 @@ class StoredBlocks:
             self._open.clear()
             # pyarrow takes a relative path with a colon in it for a URL.
             path = (self.path / name).absolute()
-            source = path if self.remote is None or path.exists() else self.remote.open(name)
+            is_here = self.remote is None or path.exists()
+            if is_here:
+                check_regular(inside(self.path, name), _MOST_BYTES)
+            source = path if is_here else self.remote.open(name)
             self._open[name] = pq.ParquetFile(source, page_checksum_verification=True)
         return self._open[name]
 
@@ -164,6 +183,17 @@ class StoredBlocks:
             raise BankError(f"{self.remote.url}/{name} is damaged ({error})", hint=AGAIN) from error
 
 
+def _check_sizes(metadata: pq.FileMetaData, name: str, groups: Iterable[int]) -> None:
+    """ValueError if a file states more than its name allows, before memory is taken for it."""
+    if metadata.num_row_groups != len(file_blocks(name)):
+        blocks = len(file_blocks(name))
+        raise ValueError(f"its name says {blocks} blocks, and it holds {metadata.num_row_groups}")
+    for group in map(metadata.row_group, groups):
+        most = max(group.column(number).num_values for number in range(group.num_columns))
+        if not 0 < group.num_rows <= BLOCK_SIZE or most > _MOST_VALUES:
+            raise ValueError(f"a block has {group.num_rows} scenes, up to {most} values in a column")
+
+
 def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> None:
     """ValueError if these are not rows of blocks from number `block` on, as far as their columns tell."""
     for each in [*SCHEMA, *CLUTTER]:
@@ -190,11 +220,23 @@ def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> N
         known = pc.unique(pc.list_flatten(table["objects"])).to_pylist()
         if strange := [name for name in known if not _SLOT.fullmatch(name)]:
             raise ValueError(f"it names an object {strange[0]!r}")
+    if "verdict" in names:
+        verdicts = pc.unique(table["verdict"]).to_pylist()
+        if strange := [text for text in verdicts if not text.isprintable()]:
+            raise ValueError(f"it has a verdict {strange[0]!r}")
     if {"poses", "is_placed"} <= names:
         # Poses are lists in lists: slots, and seven numbers each.
         poses = np.array(pc.list_flatten(pc.list_flatten(table["poses"]))).reshape(-1, 7)
-        if not np.isfinite(poses[np.array(pc.list_flatten(table["is_placed"]))]).all():
+        placed = np.array(pc.list_flatten(table["is_placed"]), bool)
+        if not np.isfinite(poses[placed]).all():
             raise ValueError("an object that was placed has a pose that is not finite")
+        if (np.abs(np.linalg.norm(poses[placed, 3:], axis=1) - 1) > 1e-3).any():
+            raise ValueError("an object that was placed has a quaternion that is not of length 1")
+        if "is_success" in names:
+            number = pc.list_value_length(table["is_placed"])
+            placed &= np.repeat(np.array(table["is_success"], bool), np.array(number))
+            if (np.abs(poses[placed, :3]) > _FAR).any():
+                raise ValueError(f"an object of a scene that succeeded is farther away than {_FAR:g} m")
 
 
 def with_record(table: pa.Table, record: Record) -> pa.Table:
