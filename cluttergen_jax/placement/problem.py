@@ -27,6 +27,7 @@ from cluttergen_jax.placement.hollows import check_contained, find_hollows, with
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, relate_objects
+from cluttergen_jax.placement.room import check_room
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.support_map import make_support_map
 from cluttergen_jax.placement.surface_set import SurfaceSet, check_surface
@@ -125,6 +126,7 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
     check_surface(chosen, support, config.placement, config.contact, config.region is not None)
+    check_room(chosen, support, region, config.placement, config.is_piled)
     check_crowding(chosen, config, support)
     return compose(chosen, support, config, standing)
 
