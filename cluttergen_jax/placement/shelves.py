@@ -158,6 +158,14 @@ class ShelfWorlds:
         return cast(BatchEngine, engine)
 
 
+def _smaller_shelf(num_objects: int, most: int) -> str:
+    """A hint: a shelf of fewer than all `most` objects that drawing can choose, with objects enough."""
+    half = max(most // 2, 1)
+    if num_objects < most:
+        return f"shelf={max(num_objects, half)}"
+    return f"num_objects={half}, shelf={half}"
+
+
 class Shelves:
     """Problems of objects that are drawn from a pool.
 
@@ -192,7 +200,7 @@ class Shelves:
             raise ConfigError(
                 f"`weights` or `balance` with a shelf of all {most} objects, which no draw changes",
                 f"a shelf of 1 to {most - 1}",
-                f"shelf={max(config.placement.num_objects, most // 2)}",
+                _smaller_shelf(config.placement.num_objects, most),
             )
         region = config.region or support.region
         check_region(region, support)

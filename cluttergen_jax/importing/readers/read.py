@@ -154,20 +154,25 @@ def _check_size(shape: Shape, path: Path, largest: float) -> None:
         raise AssetError(
             f"{path}: {shape.label!r} is {size:.3g} m across",
             f"a largest side between {MIN_SIZE * 1000:g} mm and {largest:g} m",
-            _likely_cause(size),
+            _likely_cause(size, path),
         )
 
 
-def _likely_cause(size: float) -> str:
-    """Which unit would make this an object of 2 cm to 60 cm, in words that name the option."""
+def _likely_cause(size: float, path: Path) -> str:
+    """Which unit would make this an object of 2 cm to 60 cm, and how to say so of all files or of one."""
     if size < MIN_SIZE:
         return "`scale` with the factor to metres; a scale may have been applied twice"
     fitting = [
-        f"scale={factor:g} if the file is in {unit} ({size * factor:.2g} m across)"
+        (factor, f"scale={factor:g} if all files are in {unit} ({size * factor:.2g} m across)")
         for unit, factor in _UNITS.items()
         if 0.02 <= size * factor <= 0.6
     ]
-    return " or ".join(fitting) or "`scale` with the factor from the file's unit to metres"
+    if not fitting:
+        return "`scale` with the factor from the file's unit to metres"
+    # A dotted key of TOML: one line, which stands before any table.
+    alone = f'"{path.name}".scale = {fitting[0][0]:g}'
+    every = " or ".join(text for _, text in fitting)
+    return f"{every}; for this file alone, a first line in objects.toml, in the imported folder: {alone}"
 
 
 def with_kept_parts(model: Model, files: Sequence[Path]) -> Model:
