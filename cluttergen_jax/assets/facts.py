@@ -127,7 +127,7 @@ def _parse_term(term: str) -> Test:
 
 def _no_term(term: str, field: str = "", meant: str = "") -> ConfigError:
     allowed = f"a name, a pattern such as mug*, or a comparison of {', '.join([*_TEXTS, *_NUMBERS])}"
-    given = f"{field!r} in {term!r}, a choice of objects" if field else f"{term!r} in a choice of objects"
+    given = f"{f"{field!r} of " if field else ""}{term!r} in a choice of objects"
     return ConfigError(given, allowed, _HINT, meant)
 
 

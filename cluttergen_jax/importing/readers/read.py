@@ -169,10 +169,10 @@ def _likely_cause(size: float, path: Path) -> str:
     ]
     if not fitting:
         return "`scale` with the factor from the file's unit to metres"
-    # A dotted key of TOML: one line, which stands before any table.
+    # A dotted key of TOML: one line, which comes before any table.
     alone = f'"{path.name}".scale = {fitting[0][0]:g}'
     every = " or ".join(text for _, text in fitting)
-    return f"{every}; for this file alone, a first line in objects.toml, in the imported folder: {alone}"
+    return f"{every}; for this file alone, the line {alone} at the top of objects.toml in the imported folder"
 
 
 def with_kept_parts(model: Model, files: Sequence[Path]) -> Model:
