@@ -127,7 +127,8 @@ def _parse_term(term: str) -> Test:
 
 def _no_term(term: str, field: str = "", meant: str = "") -> ConfigError:
     allowed = f"a name, a pattern such as mug*, or a comparison of {', '.join([*_TEXTS, *_NUMBERS])}"
-    given = f"{f"{field!r} of " if field else ""}{term!r} in a choice of objects"
+    given = f"{term!r} in a choice of objects"
+    given = f"{field!r} of {given}" if field else given
     return ConfigError(given, allowed, _HINT, meant)
 
 
