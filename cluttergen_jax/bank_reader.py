@@ -22,6 +22,7 @@ import json
 import math
 import os
 import re
+import stat
 import sys
 from collections import Counter
 from contextlib import contextmanager
@@ -47,10 +48,30 @@ _BLOCK_SIZE, _AT_ONCE = 256, 32
 """Scenes of a row group; row groups that are read together."""
 _TRIES = 100
 """So often a folder is listed again that changes while it is read."""
+_MOST_BLOCKS = 768
+"""Row groups of a file of rows."""
+_MOST_UNPACKED = 2**30
+"""Bytes of a row group once it is unpacked: four megabytes for each of its scenes."""
+_MOST_BYTES = {".json": 2**28, ".parquet": 2**34}
+"""Of a file, by its ending; a mesh or an image has at most `_MOST_MESH`."""
+_MOST_MESH = 2**30
+_FAR = 1000.0
+"""Metres beyond which nothing of a bank is."""
+_TINY, _HEAVY = 1e-12, 1e9
+"""What is above zero (kilograms, metres, kg m^2, coefficients of friction) is between these."""
 _FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
 _NAME, _IMAGE = re.compile(r"[a-z0-9_-]+(#\d+)?"), re.compile(r"[a-z0-9_-]+\.png")
 _LISTS = ("objects", "is_placed", "poses")
 _COLUMNS = ("index", "is_success", "verdict", *_LISTS)
+_KINDS: dict[str, Callable[[Any], bool]] = {
+    "index": pa.types.is_integer,
+    "is_success": pa.types.is_boolean,
+    "verdict": pa.types.is_string,
+    "objects": pa.types.is_string,
+    "is_placed": pa.types.is_boolean,
+    "poses": pa.types.is_floating,
+}
+"""Of the values in a column."""
 _AGAIN = "the same `cluttergen generate` again, which mends a bank, or a copy that is whole"
 _WAIT = (50.0, 10.0, 0.1)
 """Metres: from which x on and at which z objects wait that a scene lacks, and the gap between two."""
@@ -79,15 +100,25 @@ specular="0.15 0.15 0.15"/><geom name="floor" type="plane" size="0 0 0.1" rgba="
 """
 
 
+def _printable(text: str) -> str:
+    """A text of a file with its control characters as escapes, so that a terminal does not obey them."""
+    return "".join(
+        each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text
+    )
+
+
 class BankError(Exception):
     """A bank cannot be read.
 
     Args:
-      given: what was given; allowed: what is allowed; hint: what to try.
+      given: what was given; allowed: what is allowed; hint: what to try. Control characters are escaped.
     """
 
     def __init__(self, given: str, allowed: str = "", hint: str = "") -> None:
-        self.given, self.allowed, self.hint = given, allowed, hint
+        given, allowed, hint = map(_printable, (given, allowed, hint))
+        self.given = given
+        self.allowed = allowed
+        self.hint = hint
         parts = (given, allowed and f"Allowed: {allowed}", hint and f"Try: {hint}")
         super().__init__(" ".join(f"{part}." for part in parts if part))
 
@@ -179,6 +210,10 @@ class _Rows(NamedTuple):
 class Bank:
     """A bank in a folder. Opening it reads `bank.json` alone; what is read later is kept.
 
+    Whatever is read is checked: files are regular ones within the folder and not too large, they have the
+    digests that `bank.json` states (each file of rows is hashed once, when it is first read), and numbers are
+    finite and in range.
+
     Attributes:
       path: the folder.
       record: what `bank.json` holds.
@@ -196,6 +231,7 @@ class Bank:
         self.num_asked: int = self.record["num_scenes"]
         self._assets: dict[str, Asset] = {}
         self._latest: tuple[str, Any] = ("", None)
+        self._sound: set[str] = set()
 
     def __repr__(self) -> str:
         return f"Bank({str(self.path)!r}, {len(self)} of {self.num_asked} scenes)"
@@ -230,7 +266,9 @@ class Bank:
         """The objects that `object_index` numbers; not every one of them is in a scene."""
         found = self._read(lambda rows: pc.unique(pc.list_flatten(rows["objects"])).to_pylist(), ("objects",))
         names = self.recipe.get("names") or [name for each in found for name in each]
-        if not all(isinstance(name, str) and _NAME.fullmatch(name) for name in names):
+        if not isinstance(names, list) or not all(
+            isinstance(name, str) and _NAME.fullmatch(name) for name in names
+        ):
             raise BankError(f"{self.path / 'bank.json'} names objects that cannot be", "a-z, 0-9, _ and -")
         return tuple(dict.fromkeys(names))
 
@@ -244,6 +282,7 @@ class Bank:
         """Where objects were put on the top: `center`, `half_extents` (metres) and `yaw` (radians)."""
         with _reading(self.path):
             region = self.recipe.get("region") or self.support.record["region"]
+            _check_region(region)
             sides = {name: tuple(map(float, region[name])) for name in ("center", "half_extents")}
             return {**sides, "yaw": float(region["yaw"])}
 
@@ -426,7 +465,7 @@ class Bank:
             "region": f"{2 * half[0]:g} x {2 * half[1]:g} m",
         }
         lines["scenes"] += rest if len(self) < self.num_asked else ""
-        return "".join(f"{name:10} {text}\n" for name, text in lines.items())
+        return "".join(f"{name:10} {_printable(text)}\n" for name, text in lines.items())
 
     @cached_property
     def _places(self) -> dict[int, tuple[str, int]]:
@@ -437,8 +476,11 @@ class Bank:
             before, names = names, sorted(filter(_FILE.fullmatch, os.listdir(self.path)))
             if names == before:
                 break
-        found = filter(None, map(_FILE.fullmatch, names or ()))
-        blocks = {match[0]: range(int(match[1]), int(match[2] or match[1]) + 1) for match in found}
+        blocks = {name: _blocks_of(name) for name in names or ()}
+        for name, held in blocks.items():
+            if not 1 <= len(held) <= _MOST_BLOCKS:
+                with _reading(self.path / name):
+                    raise ValueError(f"its name says {len(held)} blocks; a file has 1 to {_MOST_BLOCKS}")
         places: dict[int, tuple[str, int]] = {}
         # A file of one block was written after one of many that holds it too.
         for name in sorted(blocks, key=lambda name: (len(blocks[name]) == 1, blocks[name][-1])):
@@ -448,13 +490,19 @@ class Bank:
     def _open(self, name: str) -> Any:
         if self._latest[0] != name:
             try:
-                file = pa.OSFile(str((self.path / name).absolute()))
+                path = _regular_file(self.path, name)
+                self._check_digest(name, path)
+                file = pa.OSFile(str(path.absolute()))
             except FileNotFoundError as error:
                 raise _GoneError from error
             except OSError as error:
                 given = f"{self.path / name} cannot be read ({_line(error)})"
                 raise BankError(given, "", _AGAIN) from error
-            self._latest = name, pq.ParquetFile(file, page_checksum_verification=True)
+            rows = pq.ParquetFile(file, page_checksum_verification=True)
+            number, held = rows.metadata.num_row_groups, len(_blocks_of(name))
+            if number != held:
+                raise ValueError(f"its name says {held} blocks, and it holds {number}")
+            self._latest = name, rows
         return self._latest[1]
 
     def _of_block(self, block: int, use: Callable[[str], Any]) -> Any:
@@ -474,11 +522,28 @@ class Bank:
                 self.__dict__.pop("_places", None)
         raise BankError(f"{self.path / f'scenes-{block:06d}.parquet'} is missing", "", _AGAIN)
 
-    def _indices_of(self, block: int) -> np.ndarray:
-        def count(name: str) -> Any:
-            return self._open(name).metadata.row_group(self._places[block][1]).num_rows
+    def _check_digest(self, name: str, path: Path) -> None:
+        """ValueError if a file of rows, read for the first time, is not what was written."""
+        known = self.record["files"]
+        for _ in range(_REWRITES):
+            digest = _digest_of(path)
+            if name in self._sound or known.get(name, digest) == digest:
+                self._sound.add(name)
+                return
+            # It may have been written again since the bank was opened.
+            known = _read_record(self.path)["files"]
+        raise ValueError("it is not what was written")
 
-        return block * _BLOCK_SIZE + np.arange(self._of_block(block, count))
+    def _indices_of(self, block: int) -> np.ndarray:
+        return self._of_block(block, lambda name: self._numbers_in(name, block))
+
+    def _numbers_in(self, name: str, block: int) -> np.ndarray:
+        """The numbers of a block's scenes, as its file states them (ValueError: more than there can be)."""
+        group = self._open(name).metadata.row_group(self._places[block][1])
+        # What it states of its columns is not asked: Arrow ends the process where that is damaged.
+        if not (0 < group.num_rows <= _BLOCK_SIZE and 0 <= group.total_byte_size <= _MOST_UNPACKED):
+            raise ValueError(f"block {block} has {group.num_rows} scenes, {group.total_byte_size} bytes")
+        return block * _BLOCK_SIZE + np.arange(group.num_rows)
 
     def _read(
         self, convert: Callable[[pa.Table], Any], columns: Sequence[str], blocks: Iterable[int] | None = None
@@ -494,9 +559,11 @@ class Bank:
         def read(name: str) -> Any:
             numbers = together(name)
             groups = [self._places[block][1] for block in numbers]
+            # Before anything is allocated: it checks the sizes that the file states.
+            indices = np.concatenate([self._numbers_in(name, block) for block in numbers])
             rows = self._open(name).read_row_groups(groups, list({"index": 0, **dict.fromkeys(columns)}))
             rows.validate(full=True)
-            if not np.array_equal(rows["index"], np.concatenate([*map(self._indices_of, numbers)])):
+            if not np.array_equal(rows["index"], indices):
                 raise ValueError("its scenes are not those that its name says")
             return numbers, convert(rows)
 
@@ -510,6 +577,10 @@ class Bank:
         columns = {name: table[name].combine_chunks() for name in _COLUMNS}
         objects, is_placed, poses = (pc.list_flatten(columns[name]) for name in _LISTS)
         numbers = pc.list_flatten(poses)
+        flat = {**columns, "objects": objects, "is_placed": is_placed, "poses": numbers}
+        strange = [name for name, is_kind in _KINDS.items() if not is_kind(flat[name].type)]
+        if strange:
+            raise ValueError(f"its column {strange[0]!r} is of another type")
         if any(each.null_count for each in (*columns.values(), objects, is_placed, poses, numbers)):
             raise ValueError("it has gaps")
         num_slots = np.stack([np.array(pc.list_value_length(columns[name]), np.int64) for name in _LISTS])
@@ -524,6 +595,9 @@ class Bank:
         if (object_index < 0).any():
             raise ValueError("it names an object that bank.json does not name")
         index, is_success = np.array(columns["index"], np.int64), np.array(columns["is_success"], bool)
+        is_sure = is_there & np.repeat(is_success, num_slots[0])
+        if (np.abs(places[is_sure, :3]) > _FAR).any():
+            raise ValueError(f"an object of a scene that succeeded is farther away than {_FAR:g} m")
         verdict = np.array(columns["verdict"].to_pylist(), object)
         object_index = object_index[np.array(coded.indices)]
         return _Rows(index, is_success, verdict, num_slots[0], object_index, is_there, places)
@@ -546,9 +620,10 @@ class Bank:
     def _read_asset(self, name: str, folder: str, file: str, images: str) -> Asset:
         path = self._file(f"{folder}/{file}")
         with _reading(path):
-            record = json.loads(path.read_bytes())
+            record = _parse(path.read_bytes())
             if record["format"] not in _FORMATS:
-                raise ValueError(f"its format is {record['format']}, which this file does not know")
+                raise ValueError(f"its format is {record['format']!r}, which this file does not know")
+            (_check_support if file == "support.json" else _check_object)(record)
             # A support has its pieces as a list of records, an object as a list of each of their fields.
             pieces = record.get("pieces") or [{"rgba": rgba} for rgba in record.get("rgba", [])]
             digests = [piece.get("texture") for piece in pieces]
@@ -565,7 +640,7 @@ class Bank:
         """A file of the bank that is what was written, as far as `bank.json` knows."""
         path, digest = self.path / name, self.record["files"].get(name)
         with _reading(path):
-            if digest not in (None, hashlib.sha256(path.read_bytes()).hexdigest()):
+            if digest not in (None, _digest_of(_regular_file(self.path, name))):
                 raise ValueError("it is not what was written")
         return path
 
@@ -585,6 +660,7 @@ def _mjcf(
     What stands `alone` comes without floor, light and keyframe.
     """
     stability, contact = bank.recipe["stability"], bank.recipe["contact"]
+    _check_rules(stability, contact)
     both = stability.get("both_detectors", False)
     # Flat surfaces need the word since MuJoCo 3.3, which those before refuse.
     shell = ' inertia="shell"' if version >= (3, 3) else ""
@@ -645,8 +721,11 @@ def _mjcf(
 
 
 def _words(**numbers: Any) -> str:
-    """Attributes of XML."""
+    """Attributes of XML (ValueError: a number is not finite)."""
     texts = {name: np.asarray(values, np.float64).ravel().tolist() for name, values in numbers.items()}
+    strange = [name for name, values in texts.items() if not all(map(math.isfinite, values))]
+    if strange:
+        raise ValueError(f"its {strange[0]} is not finite")
     return " ".join(f'{name}="{" ".join(f"{x:.9g}" for x in values)}"' for name, values in texts.items())
 
 
@@ -662,6 +741,110 @@ def _line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
+def _blocks_of(name: str) -> range:
+    """The blocks of a file of rows, by its name."""
+    match = _FILE.fullmatch(name)
+    return range(int(match[1]), int(match[2] or match[1]) + 1) if match else range(0)
+
+
+def _regular_file(folder: Path, name: str) -> Path:
+    """The path of a file within a folder that can be read (ValueError, OSError: it is none, or too large)."""
+    path, root = folder / name, os.path.realpath(folder)
+    found = path.stat()
+    if os.path.commonpath([root, os.path.realpath(path)]) != root:
+        raise ValueError("it is a link that leads out of the bank; cp -rL makes a copy without links")
+    if not stat.S_ISREG(found.st_mode):
+        raise ValueError("it is not a regular file")
+    most = _MOST_BYTES.get(path.suffix, _MOST_MESH)
+    if found.st_size > most:
+        raise ValueError(f"it has {found.st_size} bytes, and at most {most} are read")
+    return path
+
+
+def _digest_of(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        for data in iter(lambda: file.read(2**20), b""):
+            digest.update(data)
+    return digest.hexdigest()
+
+
+def _parse(data: bytes) -> Any:
+    """What JSON says, all numbers finite (ValueError)."""
+
+    def refuse(text: str) -> float:
+        raise ValueError(f"it holds the number {text}")
+
+    def finite(text: str) -> float:
+        number = float(text)
+        return number if math.isfinite(number) else refuse(text)
+
+    return json.loads(data, parse_constant=refuse, parse_float=finite)
+
+
+def _check(name: str, value: Any, shape: tuple[int, ...], low: float = -_FAR, high: float = _FAR) -> None:
+    """ValueError if a value of JSON is not numbers of a shape (-1: one or more) within a range."""
+    numbers = np.array(value)
+    is_shaped = len(numbers.shape) == len(shape) and all(
+        length == wanted or (wanted == -1 and length) for length, wanted in zip(numbers.shape, shape)
+    )
+    if numbers.dtype.kind not in "iuf" or not is_shaped or not ((low <= numbers) & (numbers <= high)).all():
+        raise ValueError(f"its {name} is not what it can be")
+
+
+def _check_object(record: dict[str, Any]) -> None:
+    """ValueError (TypeError, LookupError) if the numbers of an object are none of a body."""
+    _check("mass", record["mass"], (), _TINY, _HEAVY)
+    _check("center_of_mass", record["center_of_mass"], (3,))
+    _check("inertia", record["inertia"], (3, 3), -_HEAVY, _HEAVY)
+    _check("inertia", np.diag(np.array(record["inertia"])), (3,), 0, _HEAVY)
+    for part in record["parts"]:
+        _check("parts", part, (-1, 3))
+    for rgba in record["rgba"]:
+        _check("rgba", rgba, (4,))
+    if record.get("friction") is not None:
+        _check("friction", record["friction"], (), _TINY, _HEAVY)
+    for pose in record.get("resting", []):
+        _check("resting poses", pose["quaternion"], (4,), -1.001, 1.001)
+        _check("resting poses", np.linalg.norm(pose["quaternion"]), (), 0.999, 1.001)
+        _check("resting poses", [pose["height"], pose["likelihood"]], (2,))
+
+
+def _check_support(record: dict[str, Any]) -> None:
+    """The same of a support."""
+    _check("top", record["top"], ())
+    _check_region(record["region"])
+    for box in record["boxes"]:
+        _check("boxes", [*box["center"], box["yaw"]], (4,))
+        _check("boxes", box["half_extents"], (3,), _TINY)
+        _check("boxes", box["rgba"], (4,))
+    for part in record.get("parts", []):
+        _check("parts", part, (-1, 3))
+    for piece in record.get("pieces", []):
+        _check("pieces", piece["rgba"], (4,))
+
+
+def _check_region(region: dict[str, Any]) -> None:
+    _check("region", region["center"], (2,))
+    _check("region", region["half_extents"], (2,), _TINY)
+    _check("region", region["yaw"], ())
+
+
+def _check_rules(stability: dict[str, Any], contact: dict[str, Any]) -> None:
+    """ValueError if the rules of a recipe are none that a simulation can have."""
+    _check("timestep", stability["timestep"], (), _TINY, 1)
+    _check("gravity", contact["gravity"], (), 0)
+    _check("friction", contact["friction"], (3,), 0, _HEAVY)
+    _check("solref", contact["solref"], (2,), -_HEAVY, _HEAVY)
+    _check("solimp", contact["solimp"], (5,), 0, _HEAVY)
+    for name in ("condim", *_SOLVER):
+        _check(name, contact[name], (), 0, _HEAVY)
+    if contact["cone"] not in ("elliptic", "pyramidal"):
+        raise ValueError(f"its cone is {contact['cone']!r}")
+
+
+_REWRITES = 5
+"""Times that a file which is being written again is looked at."""
 _CAUSES = (
     pa.ArrowException,
     ArithmeticError,
@@ -688,10 +871,10 @@ def _reading(path: Path) -> Iterator[None]:
 def _read_record(path: Path) -> dict[str, Any]:
     """What the `bank.json` of a folder holds (BankError)."""
     index = path / "bank.json"
-    if not index.is_file():
+    if not index.exists():
         raise BankError(f"{path} is not a bank: it has no bank.json", "a folder of `cluttergen generate`")
     with _reading(index):
-        record = json.loads(index.read_bytes())
+        record = _parse(_regular_file(path, "bank.json").read_bytes())
         number = record["format"]
         if isinstance(number, int) and number > FORMAT:
             given = f"{path} was made by a newer version (format {number}; this file reads {FORMAT})"
@@ -704,7 +887,10 @@ def _read_record(path: Path) -> dict[str, Any]:
         if (
             number != FORMAT
             or not all(isinstance(each, dict) for each in parts)
+            or not all(isinstance(digest, str) for digest in record["files"].values())
+            or isinstance(asked, bool)
             or not isinstance(asked, int)
+            or asked < 1
         ):
             raise ValueError(f"it is not the record of a bank of format {FORMAT}")
     return record
@@ -716,6 +902,9 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", nargs="?", default=Path(__file__).parent, help="default: this file's own")
     parser.add_argument("--xml", type=int, metavar="INDEX", help="print this scene, for the MuJoCo here")
     given = parser.parse_args(words)
+    if hasattr(sys.stdout, "reconfigure"):
+        # A terminal that cannot show a letter gets its code.
+        sys.stdout.reconfigure(errors="backslashreplace" if given.xml is None else "xmlcharrefreplace")
     try:
         bank = Bank(given.folder)
         print(bank.summary() if given.xml is None else bank.xml(given.xml), end="", flush=True)

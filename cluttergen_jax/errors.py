@@ -12,6 +12,14 @@ def closest(given: object, known: Iterable[str]) -> str:
     return next(iter(difflib.get_close_matches(str(given), list(known), n=1)), "")
 
 
+def printable(text: str) -> str:
+    """A text with its control characters as escapes, so that a terminal does not obey them; lines stay."""
+    return "".join(
+        each if each.isprintable() or each in "\n\t" else each.encode("unicode_escape").decode("ascii")
+        for each in text
+    )
+
+
 class ClutterGenError(Exception):
     """Base of every error that this package raises on purpose.
 

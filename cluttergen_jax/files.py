@@ -130,6 +130,29 @@ def is_regular_file(path: str | os.PathLike[str]) -> bool:
 _STRANGER = "not using it if you do not know where it is from; a copy without links (cp -rL) if you do"
 
 
+MOST_BYTES = 2**30
+"""Of a file that is read as a whole: a record, a mesh, an image."""
+
+
+def check_regular(path: Path, most: int = MOST_BYTES) -> None:
+    """Refuses what cannot be read as a whole: a pipe, which never ends, a device, a folder, a huge file.
+
+    Raises:
+      OSError: it is none, or has more than `most` bytes.
+    """
+    found = path.stat()
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
+    if found.st_size > most:
+        raise OSError(errno.EFBIG, f"it has {found.st_size} bytes, and at most {most} are read", str(path))
+
+
+def read_regular(path: Path) -> bytes:
+    """What a regular file holds (OSError: see `check_regular`)."""
+    check_regular(path)
+    return path.read_bytes()
+
+
 @contextmanager
 def file_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A path of the same name, to be written in the block; then it takes `path`'s place.

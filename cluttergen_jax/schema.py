@@ -212,6 +212,16 @@ def convert(value: Any, kind: type[T]) -> T:
         raise SchemaError(str(error)) from error
 
 
+_CONTROL = re.compile(r"\x7f|(?<!\\)(?:\\\\)*\\u00(?:[01]|7f|[89])")
+"""As `json.dumps` writes control characters other than the ends of lines and tabs."""
+
+
+def refuse_control_characters(record: Any) -> None:
+    """Refuses a value of JSON with texts that a terminal obeys instead of showing them (SchemaError)."""
+    if _CONTROL.search(json.dumps(record)):
+        raise SchemaError("a text in it has control characters")
+
+
 def digest_of(data: bytes) -> str:
     """Hex digest of bytes."""
     return hashlib.sha256(data).hexdigest()
@@ -237,6 +247,7 @@ def checked_record(data: bytes, allow_nan: bool = False) -> Record:
         raise SchemaError(f"not a record but {type(record).__name__}")
     if CHECKSUM in record and record.pop(CHECKSUM) != _digest(record):
         raise SchemaError(f"it does not match its checksum (its entry {CHECKSUM!r}; without one it is read)")
+    refuse_control_characters(record)
     return record
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -205,6 +206,7 @@ class SceneSpec:
         others; contained, number of objects inside of hollow others, such as bowls and pots; depth, sum over
         objects of those below; contacts, touching pairs; near, mean distance to the nearest object (m);
         occlusion, mean hidden share of an object. As text "stack=3,near=0.02"; in Python also a mapping.
+        Method "packed" takes stack alone: at most so many objects on others, where the top has no room.
       natural: prefer wide, flat objects below and small ones on top (methods "guided", "spread").
       tidy: keep room instead of spreading objects out: more objects fit, but scenes are less diverse (methods
         "guided", "spread").
@@ -222,9 +224,9 @@ class SceneSpec:
         if not given.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
         the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
-        embedded; "packed": upright, shoulder to shoulder; or "pile": all objects fall into a heap, in any
-        orientation, as in a bin. If not given: the checkpoint's own, else "guided" ("spread" where no
-        checkpoint of it is embedded).
+        embedded; "packed": upright, side by side, on others only as many as `clutter` allows by stack; or
+        "pile": all objects fall into a heap, in any orientation, as in a bin. If not given: the checkpoint's
+        own, else "guided" ("spread" where no checkpoint of it is embedded).
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       engine: "auto", "native", "warp" or "jax".
       num_threads: simulation threads of the native engine; 0 takes every core.
@@ -432,6 +434,13 @@ class SceneSpec:
         wanted = [
             name for name in ("clutter", "natural", "tidy", "relations", "roles") if getattr(self, name)
         ]
+        if method == PACKED and self.clutter is not None:
+            targets = Clutter.of(self.clutter).targets
+            if others := [name for name in targets if name != "stack"]:
+                given = f"clutter {others[0]}={targets[others[0]]:g} with method {PACKED!r}"
+                allowed = "stack, the most objects that may rest on others; or with guided or spread"
+                raise ConfigError(given, allowed, f"method={TRUSTED_METHODS[0]!r}")
+            wanted.remove("clutter")
         if wanted and method not in TRUSTED_METHODS:
             given = f"`{wanted[0]}` with method {method!r}"
             raise ConfigError(given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}")
@@ -538,6 +547,10 @@ class SceneSpec:
         if self.poses == "any":
             # What is let go in any orientation falls over, and rolls, before it comes to rest.
             stability = replace(stability, settle_steps=stability.max_steps - stability.quiet_steps)
+        placement = self.with_rules(method)._placement(num_objects)
+        if method == PACKED:
+            stacked = placement.clutter.stack if placement.clutter is not None else None
+            placement = replace(placement, most_stacked=math.ceil(stacked or 0))
         engine: Engine = "native" if is_piled else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
         return ProblemConfig(
@@ -554,7 +567,7 @@ class SceneSpec:
             is_piled=is_piled,
             engine=engine,
             num_threads=self.num_threads,
-            placement=self.with_rules(method)._placement(num_objects),
+            placement=placement,
             stability=replace(stability, both_detectors=has_two_detectors and self.setting != "paper"),
             contact=ContactConfig(noslip_iterations=PILE_NOSLIP if is_piled else 0),
         )

@@ -151,7 +151,7 @@ def _parse_term(term: str) -> Test:
         pattern = value.lower()
         return lambda each: fnmatchcase(_TEXTS[field](each).lower(), pattern)
     if field not in _NUMBERS:
-        raise _no_term(term, closest(field, [*_TEXTS, *_NUMBERS]))
+        raise _no_term(term, field, closest(field, [*_TEXTS, *_NUMBERS]))
     try:
         number = float(value)
     except ValueError:
@@ -159,9 +159,11 @@ def _parse_term(term: str) -> Test:
     return lambda each: _SIGNS[sign](_NUMBERS[field](each), number)
 
 
-def _no_term(term: str, meant: str = "") -> ConfigError:
+def _no_term(term: str, field: str = "", meant: str = "") -> ConfigError:
     allowed = f"a name, a pattern such as mug*, or a comparison of {', '.join([*_TEXTS, *_NUMBERS])}"
-    return ConfigError(f"{term!r} in a choice of objects", allowed, _HINT, meant)
+    given = f"{term!r} in a choice of objects"
+    given = f"{field!r} of {given}" if field else given
+    return ConfigError(given, allowed, _HINT, meant)
 
 
 def is_plain_name(text: str) -> bool:
@@ -186,12 +188,21 @@ def chosen_names(facts: Sequence[ObjectFacts], chosen: Iterable[str], pool: str)
         test = parse_condition(text)
         found = [each.name for each in facts if test(each)]
         if not found:
-            raise ConfigError(f"{text!r} chooses no object of pool {pool!r}", f"one of {len(facts)}", _HINT)
+            raise _no_choice(f"{text!r} chooses no object of pool {pool!r}", text, facts)
         names |= dict.fromkeys(found)
     return tuple(names)
 
 
-_WEIGHTS = "'mug*=3', or 'height>=0.1=2'"
+def _no_choice(given: str, text: str, facts: Sequence[ObjectFacts]) -> ConfigError:
+    """The error for a condition that no object fulfils: it names some, and the most similar one."""
+    names = [each.name for each in facts]
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    allowed = f"what one of its objects fulfils: {', '.join(names[:_MOST_NAMED])}{more}"
+    return ConfigError(given, allowed, f"'{names[0]}', or 'height>0'", closest(text.strip("*?"), names))
+
+
+_MOST_NAMED = 12
+_WEIGHTS = "weights='*=3', or 'height>=0.1=2'"
 
 
 def parse_weights(text: str) -> tuple[tuple[str, float], ...]:
@@ -222,8 +233,6 @@ def weights_of(facts: Sequence[ObjectFacts], weights: Sequence[tuple[str, float]
         test = parse_condition(condition)
         is_meant = np.array([test(each) for each in facts])
         if not is_meant.any():
-            raise ConfigError(
-                f"weight of {condition!r}, which no object fulfils", f"one of {len(facts)}", _HINT
-            )
+            raise _no_choice(f"weight of {condition!r}, which no object fulfils", condition, facts)
         result[is_meant] *= weight
     return result

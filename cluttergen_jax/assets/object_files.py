@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
@@ -33,8 +34,15 @@ from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, Resti
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError, PoolError
-from cluttergen_jax.files import inside, write_atomically
-from cluttergen_jax.schema import Numbers, SchemaError, check_numbers, convert, parse_json
+from cluttergen_jax.files import inside, read_regular, write_atomically
+from cluttergen_jax.schema import (
+    Numbers,
+    SchemaError,
+    check_numbers,
+    convert,
+    parse_json,
+    refuse_control_characters,
+)
 
 FORMAT = 1
 NAME_PATTERN = re.compile(r"[a-z0-9_-]+")
@@ -133,7 +141,7 @@ def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:
         names it.
       UnsafePathError: a file is a link that leads out of the folder.
     """
-    record = _read_record(folder / _RECORD)
+    record = _read_record(inside(folder, _RECORD))
     if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(
             f"{folder / _RECORD}: an object called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'"
@@ -203,7 +211,10 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
     )
 
 
-_Positive = Annotated[float, msgspec.Meta(gt=0)]
+_Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
+_Length = Annotated[float, msgspec.Meta(ge=-1000, le=1000)]
+"""Metres."""
+_Point = tuple[_Length, _Length, _Length]
 
 
 class _Stored(msgspec.Struct):
@@ -212,10 +223,10 @@ class _Stored(msgspec.Struct):
     name: str
     label: str
     tier: str
-    mass: float
-    center_of_mass: tuple[float, float, float]
+    mass: _Positive
+    center_of_mass: _Point
     inertia: list[tuple[float, float, float]]
-    parts: list[list[tuple[float, float, float]]]
+    parts: list[list[_Point]]
     rgba: list[tuple[float, float, float, float]]
     resting: list[RestingPose]
     provenance: Provenance
@@ -230,6 +241,11 @@ class _Stored(msgspec.Struct):
 
 
 def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
+    turns = [math.hypot(*pose.quaternion) for pose in stored.resting]
+    if any(abs(turn - 1) > 1e-3 for turn in turns):
+        raise ValueError("a resting pose has a quaternion that is not of length 1")
+    if len(stored.inertia) != 3 or min(row[axis] for axis, row in enumerate(stored.inertia)) < 0:
+        raise ValueError("an inertia that no body has")
     files = stored.textures or [None] * len(stored.rgba)
     textures = {name: Texture(blobs[name]) for name in files if name is not None}
     pieces = []
@@ -262,7 +278,7 @@ def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
 def read_bytes(path: Path, hint: str = _REWRITE) -> bytes:
     """What a file holds; PoolError if it cannot be read."""
     try:
-        return path.read_bytes()
+        return read_regular(path)
     except OSError as error:
         raise PoolError(f"{path} cannot be read ({error.strerror})", hint=hint) from error
 
@@ -270,6 +286,7 @@ def read_bytes(path: Path, hint: str = _REWRITE) -> bytes:
 def _read_record(path: Path) -> dict[str, Any]:
     try:
         record = parse_json(read_bytes(path))
+        refuse_control_characters(record)
     except SchemaError as error:
         raise PoolError(f"{path} is {error}", hint=_REWRITE) from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:

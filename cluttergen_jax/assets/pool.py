@@ -27,7 +27,7 @@ from cluttergen_jax.assets.facts import FACTS_FORMAT, ObjectFacts, chosen_names,
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
-from cluttergen_jax.files import folder_whole, inside, scratch_folder, writing
+from cluttergen_jax.files import folder_whole, inside, read_regular, scratch_folder, writing
 from cluttergen_jax.kept_folder import PATIENCE, hold, lock_beside
 from cluttergen_jax.schema import SchemaError, checked_record, convert, with_checksum
 
@@ -229,9 +229,9 @@ def read_pool(path: str | Path, names: Sequence[str] = ()) -> Pool:
       PoolError: there is no pool, or one of its files is missing or damaged; the message names the file.
       UnsafePathError: one of its files is a link that leads out of its folder.
     """
-    index_path = Path(path) / _INDEX
+    index_path = inside(path, _INDEX)
     try:
-        record = checked_record(index_path.read_bytes())
+        record = checked_record(read_regular(index_path))
         if record.get("format") != FORMAT:
             raise SchemaError(f"not a pool of format {FORMAT}")
         index = convert(record, _Index)

@@ -225,6 +225,7 @@ def parse_surfaces(
     if not text:
         return ((surfaces[0], 0),)
     found = {each.name: each for each in surfaces}
+    example = ",".join(f"{name}:{number}" for number, name in enumerate(list(found)[:2], 3))
     words = list(found) if text == "all" else [word.strip() for word in text.split(",")]
     asked: dict[str, int] = {}
     for word in words:
@@ -238,11 +239,16 @@ def parse_surfaces(
             )
         if name in asked or (colon and not (number.isdecimal() and int(number) > 0)):
             allowed = "each once, with a whole number above 0"
-            raise ConfigError(f"surfaces {text!r}", allowed, "top:3,shelf_1:4")
+            raise ConfigError(f"surfaces {text!r}", allowed, f"surface={example!r}")
         asked[name] = int(number) if colon else 0
     if 0 in asked.values() and any(asked.values()):
-        raise ConfigError(f"surfaces {text!r}", "a number for each of them, or for none", "top:3,shelf_1:4")
+        allowed = "a number for each of them, or for none"
+        raise ConfigError(f"surfaces {text!r}", allowed, f"surface={example!r}")
     return tuple((found[name], number) for name, number in asked.items())
+
+
+MOST_SIDE = 10.0
+"""Metres: of a table that is asked for by its size."""
 
 
 def cuboid_table(width: float = 0.60, depth: float = 0.70, height: float = 0.70) -> SupportAsset:
@@ -255,10 +261,10 @@ def cuboid_table(width: float = 0.60, depth: float = 0.70, height: float = 0.70)
       ConfigError: a size is out of range or not a number.
     """
     size = np.array([width, depth, height], np.float64)
-    if not np.all(np.isfinite(size)) or size.min() < 0.02 or size.max() > 10.0:
+    if not np.all(np.isfinite(size)) or size.min() < 0.02 or size.max() > MOST_SIDE:
         raise ConfigError(
             f"a table of {width} x {depth} x {height} m",
-            "each side between 0.02 and 10 m",
+            f"each side between 0.02 and {MOST_SIDE:g} m",
             "sizes in metres, such as 0.60 x 0.70",
         )
     half = tuple(float(side) / 2 for side in size)

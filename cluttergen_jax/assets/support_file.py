@@ -26,7 +26,7 @@ from cluttergen_jax.assets.shape import Joint, Piece, Provenance
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface, cuboid_table, parse_surfaces
 from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import ConfigError, PoolError, closest
-from cluttergen_jax.files import folder_whole, inside
+from cluttergen_jax.files import folder_whole, inside, read_regular
 from cluttergen_jax.schema import (
     SchemaError,
     checked_record,
@@ -82,7 +82,7 @@ def read_support(folder: str | Path) -> SupportAsset:
         names it.
       UnsafePathError: it names a file outside of its folder.
     """
-    path = Path(folder) / _RECORD
+    path = inside(folder, _RECORD)
     data = read_bytes(path, _REWRITE)
     try:
         record = parse_json(data)
@@ -97,7 +97,7 @@ def read_support(folder: str | Path) -> SupportAsset:
         support = _support(convert(record, _Stored), Path(folder))
         checked_record(data)
         for name, digest in convert(record.get("files", {}), dict[str, str]).items():
-            if digest_of(inside(folder, name).read_bytes()) != digest:
+            if digest_of(read_regular(inside(folder, name))) != digest:
                 raise SchemaError(f"{name} is not what it was")
         return support
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -338,11 +338,11 @@ def _faults_of_surfaces(surfaces: list[Surface], chosen: str) -> list[str]:
 
 
 def _piece(record: _StoredPiece, folder: Path) -> Piece:
-    mesh, uv = parse_surface(inside(folder, record.file).read_text(encoding="ascii"))
+    mesh, uv = parse_surface(read_regular(inside(folder, record.file)).decode("ascii"))
     texture = None
     if record.texture:
         name = texture_name(record.texture)
-        texture = Texture(inside(folder, name).read_bytes())
+        texture = Texture(read_regular(inside(folder, name)))
         if texture.digest != record.texture:
             raise SchemaError(f"{name} is not the image that it was")
     return Piece(mesh, record.rgba, uv, texture)

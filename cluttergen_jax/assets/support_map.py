@@ -11,7 +11,7 @@ from scipy.ndimage import grey_closing
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shading import collision_pieces
-from cluttergen_jax.assets.support import LEVEL, Rectangle, SupportAsset, Surface
+from cluttergen_jax.assets.support import LEVEL, MOST_SIDE, Rectangle, SupportAsset, Surface
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rectangle_corners, rotate_in_plane
 
@@ -151,10 +151,27 @@ def check_region(region: Rectangle, support: SupportAsset) -> None:
     corners = region.corners @ reach.axes
     if (corners < reach.lower).any() or (corners > reach.upper).any():
         raise ConfigError(
-            f"a region of {region} reaches beyond support {support.name!r}",
-            f"a rectangle on its {support.surface or 'top'}, by default {support.region}",
-            "a smaller region, or a larger table such as support='table-1.40x1.40'",
+            f"a region of {_rectangle_text(region)} reaches beyond support {support.name!r}",
+            f"a rectangle on its {support.surface or 'top'}, by default {_rectangle_text(support.region)}",
+            _hint_for(region, support),
         )
+
+
+def _rectangle_text(region: Rectangle) -> str:
+    (x, y), (half_x, half_y) = region.center, region.half_extents
+    turned = f", turned by {np.degrees(region.yaw):g} degrees" if region.yaw else ""
+    return f"{2 * half_x:g} x {2 * half_y:g} m about ({x:g}, {y:g}){turned}"
+
+
+def _hint_for(region: Rectangle, support: SupportAsset) -> str:
+    """A region of this support's, or the smallest table that the region lies on."""
+    width, depth = 2 * np.array(support.region.half_extents)
+    smaller = f"region='{width:g}x{depth:g}'"
+    reach = np.abs(region.corners).max(0)
+    sides = np.ceil(2 * reach * 100 - 1e-6) / 100
+    if sides.max() > MOST_SIDE:
+        return smaller
+    return f"{smaller}, or support='table-{sides[0]:.2f}x{sides[1]:.2f}'"
 
 
 def check_keep_out(boxes: Sequence[Rectangle], region: Rectangle) -> None:

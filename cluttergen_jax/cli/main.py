@@ -15,7 +15,7 @@ from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
 from cluttergen_jax.cli.flags import with_flags
-from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
+from cluttergen_jax.errors import ClutterGenError, ConfigError, closest, printable
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
 from cluttergen_jax.numerics import OF_THIS_PACKAGE, program_folder
 from cluttergen_jax.progress import stop_asked
@@ -129,12 +129,12 @@ def run(command: Any) -> int:
     except ClutterGenError as error:
         chosen = getattr(command, "action", command)
         kind = type(chosen if is_dataclass(chosen) else command)
-        print(f"error: {with_flags(str(error), kind)}", file=sys.stderr)
+        print(f"error: {printable(with_flags(str(error), kind))}", file=sys.stderr)
         return 2
     except BrokenPipeError:
         return _unread()
     except OSError as error:
-        print(f"error: {_os_error_text(error)}", file=sys.stderr)
+        print(f"error: {printable(_os_error_text(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         resumes = getattr(command, "resumes", True)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 
-from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.assets.pool import embedded_root, find_pool
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.files import is_regular_file
 from cluttergen_jax.placement.relations import conditions_of, parse_relations
@@ -47,8 +48,9 @@ def read_layout(layout: str | Path) -> SceneSpec:
         cluttergen_jax.generate("out", cluttergen_jax.read_layout("breakfast_for_two"))
 
     A file has `objects`, names of your own and which objects of the pool each may stand for; `relations`
-    between them; and, if wanted, `title`, `pool`, `support`, `region` and `others`, the number of further
-    objects of the pool. Where the pool has too few objects for the names, they come more than once.
+    between them and other objects of the pool; and, if wanted, `title`, `pool`, `support`, `region` and
+    `others`, the number of further objects of the pool. Where the pool has too few objects for the names,
+    they come more than once.
 
     Raises:
       ConfigError: there is no such layout, it is no YAML, or something in it is not understood.
@@ -56,12 +58,7 @@ def read_layout(layout: str | Path) -> SceneSpec:
     given = _read(layout)
     relations = parse_relations(tuple(given.relations))
     conditions = conditions_of(tuple(given.objects.items()), relations)
-    unknown = [name for name in conditions if name not in given.objects]
-    if unknown:
-        meant = closest(unknown[0], tuple(given.objects))
-        raise ConfigError(
-            f"{unknown[0]!r} in a relation of layout {str(layout)!r}", ", ".join(given.objects), meant=meant
-        )
+    _check_names([name for name in conditions if name not in given.objects], given, layout)
     if given.others < 0:
         raise ConfigError(f"others = {given.others} in layout {str(layout)!r}", "0 or more")
     # Only what may be placed is compiled into the world.
@@ -76,6 +73,20 @@ def read_layout(layout: str | Path) -> SceneSpec:
         relations=tuple(given.relations),
         roles=given.objects,
     )
+
+
+def _check_names(names: Sequence[str], given: _File, layout: str | Path) -> None:
+    """Refuses names in relations that are neither the layout's own nor objects of its pool (ConfigError)."""
+    if not names:
+        return
+    pool = find_pool(given.pool).names
+    for name in names:
+        if name not in ("any", *pool):
+            raise ConfigError(
+                f"{name!r} in a relation of layout {str(layout)!r}",
+                f"{', '.join(given.objects)}, or an object of pool {given.pool!r}: {', '.join(pool)}",
+                meant=closest(name, [*given.objects, *pool]),
+            )
 
 
 def _read(layout: str | Path) -> _File:

@@ -70,6 +70,11 @@ class Acceptance:
         if self.config.overhang != "any":
             inside &= ~self._is_beyond(episode, focus, settling)
         verdict = jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
+        if self.config.most_stacked is not None:
+            is_stacked = jnp.any(settling.bears & episode.is_placed)
+            num_stacked = jnp.sum(episode.is_placed & (episode.support_graph.level > 0))
+            is_one_more = is_stacked & (num_stacked >= self.config.most_stacked)
+            verdict = jnp.where((verdict == Verdict.STABLE) & is_one_more, int(Verdict.UNRELATED), verdict)
         if self.related is None:
             return verdict
         is_related = self._is_related(self.related, episode, focus, settling)

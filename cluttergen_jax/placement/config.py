@@ -74,6 +74,8 @@ class PlacementConfig:
         placed first.
       roles: names in these, each with the condition of the objects that it may stand for.
       clearance: metres between the boxes of what `packed` places side by side.
+      most_stacked: objects that may rest on others at most; None for any number. `packed` allows as many as
+        `clutter` asks for by `stack`, unasked none.
       retry_last: a scene that moves in its last check is not over while attempts are left: what moved is
         taken away, with all that leans on it, and comes again.
     """
@@ -99,6 +101,7 @@ class PlacementConfig:
     roles: tuple[tuple[str, str], ...] = ()
     clearance: float = CLEARANCE
     retry_last: bool = False
+    most_stacked: int | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:

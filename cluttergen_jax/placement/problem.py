@@ -27,6 +27,7 @@ from cluttergen_jax.placement.hollows import check_contained, find_hollows, with
 from cluttergen_jax.placement.orientations import make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, relate_objects
+from cluttergen_jax.placement.room import check_room
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.support_map import make_support_map
 from cluttergen_jax.placement.surface_set import SurfaceSet, check_surface
@@ -125,6 +126,7 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
     check_surface(chosen, support, config.placement, config.contact, config.region is not None)
+    check_room(chosen, support, region, config.placement, config.is_piled)
     check_crowding(chosen, config, support)
     return compose(chosen, support, config, standing)
 
@@ -163,11 +165,14 @@ def check_crowding(objects: Sequence[ObjectAsset], config: ProblemConfig, suppor
         _check_volume(objects, num_objects, region, depth)
     elif (crowded := crowding(objects, num_objects, region, area_asked(config, support))) > MOST_CROWDED:
         x, y = region.half_extents
+        area = area_asked(config, support)
+        numbers = range(num_objects - 1, 0, -1)
+        most = next((n for n in numbers if crowding(objects, n, region, area) <= MOST_CROWDED), 0)
         raise ConfigError(
             f"{num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
             f"smallest ones' footprints cover {crowded:.1f} times its area",
             f"{MOST_CROWDED:g} times at most; beyond about once, scenes begin to fail",
-            "fewer objects or a larger region",
+            f"num_objects={most}, or a larger region" if most else "smaller objects or a larger region",
         )
 
 
@@ -178,11 +183,13 @@ def _check_volume(objects: Sequence[ObjectAsset], num_objects: int, region: Rect
     room = 4 * float(np.prod(region.half_extents)) * depth * MOST_FULL
     filled = np.cumsum(sizes[:num_objects])
     if filled[-1] > room:
+        most = int((filled <= room).sum())
+        fewer = f"num_objects={most}" if most else "smaller objects"
         raise ConfigError(
             f"a pile of {num_objects} objects, of which even the smallest fill "
             f"{1000 * filled[-1]:.1f} litres, in {1000 * room / MOST_FULL:.1f} litres",
-            f"up to {int((filled <= room).sum())} of these objects",
-            "fewer or smaller objects, or a larger support, such as tote or bin-0.60x0.40x0.25",
+            f"up to {most} of these objects",
+            f"{fewer}, or a larger support, such as tote or bin-0.60x0.40x0.25",
         )
 
 
@@ -278,7 +285,7 @@ def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -
         raise ConfigError(
             f"{wanted} objects asked for, {available} chosen of pool {pool!r}",
             f"1 to {available}, or more (up to {MAX_SLOTS}) where objects may stand there more than once",
-            "fewer objects, the pool 'all' with its 50, or repeat=True (of generate and evaluate)",
+            f"num_objects={available}, or repeat=True (of generate and evaluate)",
         )
 
 

@@ -155,6 +155,18 @@ def conditions_of(roles: Sequence[tuple[str, str]], relations: Sequence[Relation
     return conditions
 
 
+def _no_candidate(name: str, condition: str, known: Sequence[str]) -> ConfigError:
+    """The error for a role that no object can take."""
+    names = [each for each in known if each not in (name, "any")]
+    if name == condition:
+        given, allowed = f"no object is called {name!r}", ", ".join(dict.fromkeys(names))
+        return ConfigError(given, allowed, meant=closest(name, names))
+    given = f"role {name!r} stands for {condition!r}, and no object is that"
+    allowed = "a name, a pattern or a condition that one of the objects fulfils"
+    meant = closest(condition.strip("*?"), names)
+    return ConfigError(given, allowed, f"roles='{name}={meant or '*'}'")
+
+
 def candidates_of(conditions: Mapping[str, str], facts: Sequence[ObjectFacts]) -> np.ndarray:
     """bool[Q, K]: which of K objects can take which role.
 
@@ -170,13 +182,8 @@ def candidates_of(conditions: Mapping[str, str], facts: Sequence[ObjectFacts]) -
         test = parse_condition(condition)
         row = np.array([test(each) for each in facts])
         if not row.any():
-            names = [each.name for each in facts]
-            raise ConfigError(
-                f"{condition!r} of role {name!r}, which no object fulfils",
-                "a name, a pattern or a condition that one of the objects fulfils",
-                _HINT,
-                closest(condition, names),
-            )
+            roles = [each for each, asked in conditions.items() if asked != each]
+            raise _no_candidate(name, condition, [*roles, *(each.name for each in facts)])
         rows.append(row)
     return np.array(rows)
 

@@ -151,7 +151,7 @@ class Rules(struct.PyTreeNode, eq=False):
     @property
     def _num_counted(self) -> int:
         # What is not asked for is not counted, and stored states have the shapes they had.
-        if self.related is not None:
+        if self.related is not None or self.config.most_stacked is not None:
             return int(Verdict.UNRELATED) + 1
         if self.physics.config.robust_tilt:
             return int(Verdict.FRAGILE) + 1

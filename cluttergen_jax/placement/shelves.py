@@ -6,6 +6,7 @@ the others.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -38,7 +39,9 @@ from cluttergen_jax.placement.problem import (
     keep_out_of,
 )
 from cluttergen_jax.placement.region import KeepOut
+from cluttergen_jax.placement.room import check_room
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.placement.surface_set import ROOM, check_surface
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import World, columns_of
 from cluttergen_jax.types import Array
@@ -155,6 +158,14 @@ class ShelfWorlds:
         return cast(BatchEngine, engine)
 
 
+def _smaller_shelf(num_objects: int, most: int) -> str:
+    """A hint: a shelf of fewer than all `most` objects that drawing can choose, with objects enough."""
+    half = max(most // 2, 1)
+    if num_objects < most:
+        return f"shelf={max(num_objects, half)}"
+    return f"num_objects={half}, shelf={half}"
+
+
 class Shelves:
     """Problems of objects that are drawn from a pool.
 
@@ -189,17 +200,32 @@ class Shelves:
             raise ConfigError(
                 f"`weights` or `balance` with a shelf of all {most} objects, which no draw changes",
                 f"a shelf of 1 to {most - 1}",
-                f"shelf={max(config.placement.num_objects, most // 2)}",
+                _smaller_shelf(config.placement.num_objects, most),
             )
         region = config.region or support.region
         check_region(region, support)
         check_keep_out(keep_out, region)
         check_number(config.placement.num_objects, config.shelf, config.pool)
+        self._check_sizes(support, region)
         sides = 2 if config.placement.poses == "upright" else 3
         sizes = [0.5 * float(np.linalg.norm(each.size[:sides])) for each in pool.facts]
         self._worlds = ShelfWorlds(config, support, max(sizes), keep_out_of(keep_out), pool.__getitem__)
         self._numbers = {name: number for number, name in enumerate(pool.names)}
         self._latest: tuple[tuple[str, ...], Setup] | None = None
+
+    def _check_sizes(self, support: SupportAsset, region: Rectangle) -> None:
+        """Refuses objects that no draw can place: too large for the region, too tall for what hangs over it.
+
+        Only those whose box looks too large are read (ConfigError).
+        """
+        config = self.config
+        drawn = [each for each, weight in zip(self.pool.facts, self._weights, strict=True) if weight > 0]
+        free = max((surface.free_height for surface, _ in support.asked), default=math.inf)
+        short = 2 * min(region.half_extents)
+        large = [each.name for each in drawn if math.hypot(*each.size) > short or each.size[2] + ROOM > free]
+        objects = [self.pool[name] for name in large]
+        check_surface(objects, support, config.placement, config.contact, config.region is not None)
+        check_room(objects, support, region, config.placement, config.is_piled)
 
     @classmethod
     def of(cls, config: ProblemConfig, keep_out: Sequence[Rectangle] = ()) -> Shelves:

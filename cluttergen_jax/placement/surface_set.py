@@ -150,7 +150,8 @@ def check_surface(
         return
     surfaces = [surface for surface, _ in support.asked]
     if len(surfaces) > 1 and has_region:
-        raise ConfigError("a region with several surfaces", "the surfaces' own regions", "one `surface`")
+        hint = f"surface={surfaces[0].name!r}, or no region"
+        raise ConfigError("a region with several surfaces", "the surfaces' own regions", hint)
     if placement.poses != "upright":
         return
     friction, slope = contact.friction[0], min(surface.tilt for surface in surfaces)

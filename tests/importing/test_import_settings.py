@@ -1,11 +1,13 @@
 """Settings per object: what the command line and `objects.toml` say, where it ends up, slips of the pen."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
 
 from cluttergen_jax.assets.mesh import join_meshes
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
@@ -153,3 +155,16 @@ def test_slips_of_a_table(folder, tmp_path, text, message):
     table.write_text(text)
     with pytest.raises(ConfigError, match=message):
         planned(folder, settings=table)
+
+
+def test_the_unit_of_one_file_among_others_is_stated_as_its_advice_says(folder):
+    trimesh.creation.box((100, 80, 60)).export(folder / "rack.stl")
+    with pytest.raises(AssetError, match="'rack' is 100 m across") as found:
+        read_shape(planned(folder)["rack"].source)
+    assert found.value.hint.startswith("scale=0.001 if all files are in millimetres")
+    line = re.search(r"the line (.*) at the top of objects\.toml", found.value.hint)
+    sizes = {
+        name: size_of(plan) for name, plan in planned(folder, f'{line[1]}\n[default]\nup = "z"\n').items()
+    }
+    assert sizes.pop("rack") == [0.1, 0.08, 0.06]
+    assert all(size == list(SIZE) for size in sizes.values())

@@ -19,10 +19,13 @@ from cluttergen_jax.generation.sampler import set_up_bank
 from cluttergen_jax.generation.sources.replay import replay, replay_context_of
 from cluttergen_jax.learning.methods import sampler_of
 from cluttergen_jax.placement.boxes import Boxes, gaps
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, check_crowding
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.placement.rollout import Rollout
+from cluttergen_jax.placement.room import check_room
 from cluttergen_jax.scene.bank import read_bank
+from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import box, prism
 
 
@@ -78,6 +81,63 @@ def test_an_overfull_bin_is_refused_with_the_number_that_fits():
     # 18 litres hold 18 cubes of nearly a litre.
     with pytest.raises(ConfigError, match="up to 18 "):
         check_crowding(cubes, crowded, support)
+
+
+def test_what_cannot_lie_inside_a_container_is_refused_by_name_and_size():
+    support = find_support("bin-0.20x0.16x0.10")
+    objects = [
+        box("cube", (0.04, 0.04, 0.04)),
+        box("board", (0.12, 0.1, 0.01)),
+        box("rod", (0.17, 0.01, 0.01)),
+    ]
+    # On its narrow side, diagonally: as long as the room's diagonal, and low enough.
+    objects.append(box("plate", (0.12, 0.09, 0.005)))
+    rules = PlacementConfig(num_objects=1)
+    with pytest.raises(ConfigError) as told:
+        check_room(objects, support, support.region, rules, is_piled=True)
+    assert "support 'bin', 0.20 x 0.16 x 0.10 m inside its walls" in told.value.given
+    assert "board (0.24 x 0.20 x 0.02 m), rod (0.34 x 0.02 x 0.02 m)" in told.value.given
+    # The advice works.
+    assert told.value.hint == "exclude=('board', 'rod')"
+    check_room([objects[0], objects[3]], support, support.region, rules, is_piled=True)
+    # Upright, a plate has to lie flat; a rod that stands is no longer one that lies.
+    with pytest.raises(ConfigError, match=r"as they stand: board .*, rod .*, plate "):
+        check_room(objects, support, support.region, rules)
+    check_room([box("pole", (0.01, 0.01, 0.17))], support, support.region, rules)
+    # On an open table an object may reach over the region's sides, unless its whole footprint counts.
+    table = find_support("table")
+    check_room(objects, table, Rectangle(half_extents=(0.1, 0.08)), rules)
+    whole = replace(rules, containment="footprint")
+    with pytest.raises(ConfigError, match=r"a region of 0.20 x 0.16 m, as they stand: board"):
+        check_room(objects, table, Rectangle(half_extents=(0.1, 0.08)), whole)
+
+
+@pytest.mark.parametrize("options", [{}, {"shelf": 2, "method": "random"}])
+def test_objects_that_are_too_large_are_refused_before_anything_is_placed(tmp_path, options):
+    objects = [
+        box("cube", (0.02, 0.02, 0.02)),
+        box("ball", (0.03, 0.02, 0.02)),
+        box("slab", (0.2, 0.2, 0.01)),
+    ]
+    blocks = write_pool(tmp_path / "blocks", Pool("blocks", tuple(objects)))
+    asked = {"pool": blocks, "support": "bin-0.20x0.16x0.10", "method": "pile", "num_objects": 2} | options
+    with pytest.raises(ConfigError, match=r"slab \(0.40 x 0.40 x 0.02 m\).*Try: exclude=\('slab',\)"):
+        cg.make_sampler(**asked)
+    high = write_pool(tmp_path / "high", Pool("high", (*objects[:2], box("pole", (0.02, 0.02, 0.4)))))
+    on_shelf = {"pool": high, "support": "rack", "surface": "shelf_1", "method": "random"}
+    with pytest.raises(ConfigError, match="too tall for shelf_1"):
+        cg.make_sampler(**asked | on_shelf)
+
+
+def test_packed_takes_the_target_stack_alone():
+    spec = cg.SceneSpec(method="packed", clutter="stack=2")
+    spec.check_method("packed")
+    assert spec.problem_config("packed").placement.most_stacked == 2
+    assert cg.SceneSpec(method="packed").problem_config("packed").placement.most_stacked == 0
+    assert cg.SceneSpec().problem_config("guided").placement.most_stacked is None
+    for clutter in ("near=0.02", "stack=2,contained=1"):
+        with pytest.raises(ConfigError, match=r"with method 'packed'. Allowed: stack, the most"):
+            cg.SceneSpec(method="packed", clutter=clutter).check_method("packed")
 
 
 @pytest.fixture(scope="module")
@@ -151,3 +211,27 @@ def test_packed_objects_are_a_clearance_apart_and_in_the_region(pool):
         assert wall.min() > 0.004
         assert np.minimum(gap.min(1), wall).max() < 0.007
         assert np.allclose(poses[:, 2], 0.708 + half[index, 2], atol=1e-3)
+
+
+def carried(scenes):
+    """How many objects of each scene lie on others."""
+    return np.asarray((scenes.level > 0) & scenes.is_placed).sum(1)
+
+
+@pytest.mark.slow
+def test_packed_objects_lie_on_others_only_where_that_is_asked_for(pool):
+    # Of eight, a region that holds about five side by side.
+    crowded = {
+        "num_objects": 8,
+        "method": "packed",
+        "support": "table",
+        "region": "0.14x0.12",
+        "repeat": True,
+    }
+    keys = jax.random.split(jax.random.key(3), 8)
+    scenes = jax.jit(jax.vmap(cg.make_sampler(pile_of(pool, **crowded))))(keys)
+    assert carried(scenes).max() == 0
+    assert scenes.counts.verdicts[:, Verdict.UNRELATED].sum() > 0
+    stacked = jax.jit(jax.vmap(cg.make_sampler(pile_of(pool, **crowded, clutter="stack=3"))))(keys)
+    assert 0 < carried(stacked).max() <= 3
+    assert stacked.is_success.sum() > scenes.is_success.sum()

@@ -154,6 +154,31 @@ def test_a_layout_with_a_mistake_is_refused(tmp_path, text, words):
         read_layout(path)
 
 
+def test_relations_of_a_layout_take_objects_of_the_pool(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("objects: {mine: dinner_plate}\nrelations: [fork left_of mine, any behind mine]\n")
+    spec = read_layout(path)
+    assert (spec.num_objects, spec.objects) == (3, ("dinner_plate", "fork", "*"))
+    asked = SceneSpec(relations=spec.relations, roles=spec.roles, num_objects=3).problem_config("guided")
+    assert asked.placement.relations == spec.problem_config("guided").placement.relations
+    for wrong, meant in (("frok left_of mine", "fork"), ("fork left_of mime", "mine")):
+        path.write_text(f"objects: {{mine: dinner_plate}}\nrelations: [{wrong}]\n")
+        with pytest.raises(ConfigError, match=f"in a relation of layout .*Did you mean '{meant}'"):
+            read_layout(path)
+
+
+def test_a_misspelt_object_of_a_relation_is_named_with_what_was_meant():
+    with pytest.raises(ConfigError, match=r"^no object is called 'papreback'. Did you mean 'paperback'\?"):
+        RelatedObjects.of([Relation.parse("papreback on book")], (), facts("paperback", "book"))
+    # Another misspelt name is not what was meant.
+    with pytest.raises(ConfigError, match="Did you mean 'paperback'"):
+        RelatedObjects.of([Relation.parse("papreback on papreback2")], (), facts("paperback", "book"))
+    with pytest.raises(ConfigError, match=r"role 'low' stands for 'boko\*', .* Try: roles='low=book'"):
+        RelatedObjects.of(
+            [Relation.parse("paperback on low")], [("low", "boko*")], facts("paperback", "book")
+        )
+
+
 def corners(scene, index) -> np.ndarray:
     asset, pose = scene.objects[index], scene.poses[index]
     vertices = np.concatenate([part.vertices for part in asset.parts])

@@ -46,7 +46,7 @@ def open_container(kind: str, size: tuple[float, ...] | None = None, rng: Rng = 
         raise ConfigError(
             f"a {kind} of {width} x {depth} x {height} m inside",
             f"each side between {LEAST:g} and {MOST:g} m",
-            f"{kind}-{'x'.join(f'{side:.2f}' for side in SIZES[kind])}",
+            f"support='{kind}-{'x'.join(f'{side:.2f}' for side in SIZES[kind])}'",
         )
     width, depth, height = (vary(rng, float(side), 0.1) for side in given)
     outer, top = (width + 2 * WALL, depth + 2 * WALL), _HEIGHT + WALL

@@ -168,21 +168,26 @@ def _check_size(shape: Shape, path: Path, smallest: float, largest: float) -> No
         raise AssetError(
             f"{path}: {shape.label!r} is {size:.3g} m across",
             f"a largest side between {smallest * 1000:g} mm and {largest:g} m",
-            _likely_cause(size, smallest),
+            _likely_cause(size, smallest, path),
         )
 
 
-def _likely_cause(size: float, smallest: float) -> str:
-    """Which unit would make this an object of 2 cm to 60 cm, or furniture, in words that name the option."""
+def _likely_cause(size: float, smallest: float, path: Path) -> str:
+    """Which unit would make this an object of 2 cm to 60 cm, or furniture; how to say so of all or of one."""
     usual = (0.02, 0.6) if smallest < MIN_FURNITURE else (0.15, MAX_UNSTATED)
     if size < smallest:
         return "`scale` with the factor to metres; a scale may have been applied twice"
     fitting = [
-        f"scale={factor:g} if the file is in {unit} ({size * factor:.2g} m across)"
+        (factor, f"scale={factor:g} if all files are in {unit} ({size * factor:.2g} m across)")
         for unit, factor in _UNITS.items()
         if usual[0] <= size * factor <= usual[1]
     ]
-    return " or ".join(fitting) or "`scale` with the factor from the file's unit to metres"
+    if not fitting:
+        return "`scale` with the factor from the file's unit to metres"
+    # A dotted key of TOML: one line, which comes before any table.
+    alone = f'"{path.name}".scale = {fitting[0][0]:g}'
+    every = " or ".join(text for _, text in fitting)
+    return f"{every}; for this file alone, the line {alone} at the top of objects.toml in the imported folder"
 
 
 def with_kept_parts(model: Model, files: Sequence[Path]) -> Model:

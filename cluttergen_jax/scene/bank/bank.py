@@ -23,13 +23,14 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.errors import BankError, PoolError
-from cluttergen_jax.files import check_utf8, inside
+from cluttergen_jax.files import check_utf8, inside, read_regular
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, record_in
 from cluttergen_jax.scene.bank.record import (
@@ -109,7 +110,19 @@ class Bank:
         if not stored.places:
             raise BankError(f"{self.path} holds no scenes yet", hint=AGAIN)
         blocks = None if indices is None else np.unique(indices // BLOCK_SIZE).tolist()
-        return stored.tables(columns, blocks)
+        return map(self._check_objects, stored.tables(columns, blocks))
+
+    def _check_objects(self, rows: pa.Table) -> pa.Table:
+        """The rows, if `bank.json` names every object that they number (BankError)."""
+        names = self.recipe.get("names")
+        if isinstance(names, list) and "object_index" in rows.schema.names:
+            numbers = pc.unique(pc.list_flatten(rows["object_index"])).to_pylist()
+            if strange := [number for number in numbers if not 0 <= number < len(names)]:
+                raise BankError(
+                    f"{self.path} is damaged: a scene has object number {strange[0]} of {len(names)}",
+                    hint=AGAIN,
+                )
+        return rows
 
     @property
     def files(self) -> dict[str, str] | None:
@@ -130,7 +143,7 @@ class Bank:
         stored, found = StoredBlocks.of(self.path), {}
         for block, wanted in groupby(sorted(set(indices)), lambda index: index // BLOCK_SIZE):
             if block in stored.places:
-                table = stored.read(block)
+                table = self._check_objects(stored.read(block))
                 places = [index % BLOCK_SIZE for index in wanted]
                 held = [place for place in places if place < table.num_rows]
                 kept = table.take(pa.array(held, pa.int64()))
@@ -211,7 +224,7 @@ def read_bank(path: str | Path) -> Bank:
     check_utf8(path)
     index = path / INDEX
     try:
-        data = index.read_bytes()
+        data = read_regular(inside(path, INDEX))
     except (FileNotFoundError, NotADirectoryError) as error:
         raise BankError(
             f"{path} is not a bank: it has no {INDEX}", "a folder that `generate` made"

@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object_files import NAME_PATTERN
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.files import file_whole, write_atomically, writing
+from cluttergen_jax.files import check_regular, file_whole, inside, write_atomically, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.record import AGAIN, Record, block_record
 from cluttergen_jax.scene.bank.remote import RemoteFolder, publish, remote_of
@@ -39,6 +39,12 @@ _AT_ONCE = 32
 """Blocks that are read together: a few megabytes of rows."""
 _TRIES = 100
 """So often a folder is listed again that changes while it is read."""
+_MOST_BYTES = 2**34
+"""Of a file of rows."""
+_MOST_UNPACKED = 2**30
+"""Bytes of a block once it is unpacked."""
+_FAR = 1000.0
+"""Metres beyond which no object of a scene that succeeded is."""
 _FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
 _SLOT = re.compile(rf"{NAME_PATTERN.pattern}(#\d+)?")
 _METADATA = b"cluttergen"
@@ -78,6 +84,13 @@ class StoredBlocks:
         files, remote = block_files(path), remote_of(path)
         if remote is not None:
             files |= _block_files(remote.sizes())
+        for name, blocks in files.items():
+            if len(blocks) > SHARD_BLOCKS:
+                raise BankError(
+                    f"{path / name} is damaged: its name says {len(blocks)} blocks",
+                    f"1 to {SHARD_BLOCKS} in a file",
+                    AGAIN,
+                )
         for name in sorted(files, key=lambda name: (not is_shard(files[name]), files[name][-1])):
             places.update({block: (name, row_group) for row_group, block in enumerate(files[name])})
         return cls(path, dict(sorted(places.items())), remote)
@@ -123,7 +136,9 @@ class StoredBlocks:
                 break
             name, row_groups = self._together(blocks)
             try:
-                return len(row_groups), use(self._file(name), row_groups)
+                file = self._file(name)
+                _check_sizes(file.metadata, name, row_groups)
+                return len(row_groups), use(file, row_groups)
             except _GoneError:
                 self.places.clear()
                 self.places.update(StoredBlocks.of(self.path).places)
@@ -155,6 +170,7 @@ class StoredBlocks:
         path = (self.path / name).absolute()
         try:
             if self.remote is None or path.exists():
+                check_regular(inside(self.path, name), _MOST_BYTES)
                 return pa.OSFile(os.fspath(path))
             return self.remote.open(name)
         except FileNotFoundError as error:
@@ -207,6 +223,17 @@ def _rows_of(
     return table
 
 
+def _check_sizes(metadata: pq.FileMetaData, name: str, groups: Iterable[int]) -> None:
+    """ValueError if a file states more than its name allows, before memory is taken for it."""
+    if metadata.num_row_groups != len(file_blocks(name)):
+        blocks = len(file_blocks(name))
+        raise ValueError(f"its name says {blocks} blocks, and it holds {metadata.num_row_groups}")
+    for group in map(metadata.row_group, groups):
+        # What it states of its columns is not asked: Arrow ends the process where that is damaged.
+        if not (0 < group.num_rows <= BLOCK_SIZE and 0 <= group.total_byte_size <= _MOST_UNPACKED):
+            raise ValueError(f"a block has {group.num_rows} scenes, {group.total_byte_size} bytes")
+
+
 def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> None:
     """ValueError if these are not rows of blocks from number `block` on, as far as their columns tell."""
     for each in [*SCHEMA, *CLUTTER]:
@@ -233,11 +260,23 @@ def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> N
         known = pc.unique(pc.list_flatten(table["objects"])).to_pylist()
         if strange := [name for name in known if not _SLOT.fullmatch(name)]:
             raise ValueError(f"it names an object {strange[0]!r}")
+    if "verdict" in names:
+        verdicts = pc.unique(table["verdict"]).to_pylist()
+        if strange := [text for text in verdicts if not text.isprintable()]:
+            raise ValueError(f"it has a verdict {strange[0]!r}")
     if {"poses", "is_placed"} <= names:
         # Poses are lists in lists: slots, and seven numbers each.
         poses = np.array(pc.list_flatten(pc.list_flatten(table["poses"]))).reshape(-1, 7)
-        if not np.isfinite(poses[np.array(pc.list_flatten(table["is_placed"]))]).all():
+        placed = np.array(pc.list_flatten(table["is_placed"]), bool)
+        if not np.isfinite(poses[placed]).all():
             raise ValueError("an object that was placed has a pose that is not finite")
+        if (np.abs(np.linalg.norm(poses[placed, 3:], axis=1) - 1) > 1e-3).any():
+            raise ValueError("an object that was placed has a quaternion that is not of length 1")
+        if "is_success" in names:
+            number = pc.list_value_length(table["is_placed"])
+            placed &= np.repeat(np.array(table["is_success"], bool), np.array(number))
+            if (np.abs(poses[placed, :3]) > _FAR).any():
+                raise ValueError(f"an object of a scene that succeeded is farther away than {_FAR:g} m")
 
 
 def with_record(table: pa.Table, record: Record) -> pa.Table:

@@ -14,7 +14,7 @@ from typing import Any, TypedDict
 
 from cluttergen_jax.assets.object_files import NAME_PATTERN
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.schema import digest_of
+from cluttergen_jax.schema import SchemaError, digest_of, refuse_control_characters
 
 FORMAT = 1
 INDEX, READER = "bank.json", "bank_reader.py"
@@ -108,6 +108,10 @@ def parse_record(path: Path, data: bytes) -> Record:
         raise BankError(f"{index} is not the record of a bank of format {FORMAT}", hint=AGAIN)
     digest = record.pop("hash", None)
     fault = fault_of(record) if digest in (None, _digest(record)) else "it does not match its own digest"
+    try:
+        refuse_control_characters(record)
+    except SchemaError as error:
+        fault = str(error)
     if fault is not None:
         raise BankError(f"{index} is damaged: {fault}", hint=AGAIN)
     return record  # type: ignore[return-value]
