@@ -14,7 +14,7 @@ from types import FrameType
 from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
-from cluttergen_jax.cli.flags import with_flags
+from cluttergen_jax.cli.flags import error_with_flags
 from cluttergen_jax.cli.streams import Streams, output_error_text
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
@@ -129,8 +129,8 @@ def run(command: Any) -> int:
         return command.run()
     except ClutterGenError as error:
         chosen = getattr(command, "action", command)
-        kind = type(chosen if is_dataclass(chosen) else command)
-        print(f"error: {with_flags(str(error), kind)}", file=sys.stderr)
+        text = error_with_flags(error, chosen if is_dataclass(chosen) else command)
+        print(f"error: {text}", file=sys.stderr)
         return 2
     except OSError as error:
         print(f"error: {_os_error_text(error)}", file=sys.stderr)

@@ -14,7 +14,7 @@ _STDIN, _STDOUT, _STDERR = range(3)
 
 
 class _Output(io.FileIO):
-    """A stream of bytes that is written as long as it can be; the first error is kept, and raised by no call."""
+    """Bytes that are written as long as they can be; the first error is kept, and raised by no call."""
 
     error: OSError | None = None
 
@@ -37,7 +37,7 @@ class Streams:
     def __init__(self) -> None:
         _open_closed()
         self._stdout = _Output(_STDOUT, "w", closefd=False)
-        sys.stdin = sys.stdin or open(os.devnull, encoding="utf-8")
+        sys.stdin = sys.stdin or open(_STDIN, encoding="utf-8", closefd=False)  # noqa: SIM115, for the process
         sys.stdout = _text(self._stdout, sys.stdout, "strict")
         sys.stderr = _text(_Output(_STDERR, "w", closefd=False), sys.stderr, "backslashreplace")
 
@@ -78,9 +78,6 @@ def _text(raw: _Output, usual: TextIO | None, errors: str) -> io.TextIOWrapper:
 
 def output_error_text(error: OSError) -> str:
     """What is said where the output could not be written."""
-    return str(
-        ClutterGenError(
-            f"the output (stdout) cannot be written: {error.strerror or error}. What the command made is kept",
-            hint="another place for the output: a terminal, a pipe, or a file on a disk with room",
-        )
-    )
+    given = f"the output (stdout) cannot be written: {error.strerror or error}. What the command made is kept"
+    hint = "another place for the output: a terminal, a pipe, or a file on a disk with room"
+    return str(ClutterGenError(given, hint=hint))

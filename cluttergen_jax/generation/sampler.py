@@ -16,7 +16,7 @@ from flax import struct
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import check_range, check_whole
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.generation.arguments import (
     check_call,
     check_key,
@@ -233,7 +233,8 @@ class Sampler:
         """
         shape = np.shape(sampled.is_success)
         if len(shape) > 1 or not 0 <= index < (shape[0] if shape else 1):
-            allowed = f"0 to {shape[0] - 1}" if len(shape) == 1 else "0" if not shape else "one leading axis"
+            nothing = "scenes, of which these are none"
+            allowed = range_text(0, (*shape, 1)[0] - 1, nothing) if len(shape) < 2 else "one leading axis"
             raise ConfigError(f"scene {index} of scenes of shape {shape}", allowed)
         if shape:
             sampled = jax.tree.map(lambda leaf: leaf[index], sampled)
