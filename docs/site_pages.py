@@ -49,8 +49,8 @@ _PUBLIC = ("assets", "physics", "placement", "importing", "sensing", "learning",
 
 
 _CODE = re.compile(r"(?P<ticks>`+)(?!`).+?(?<!`)(?P=ticks)(?!`)", re.DOTALL)
-_SPECIAL = re.compile(r"[\\`*{}#|]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[])|[<>]|&(?=#?\w+;)")
-_ENTITIES = {"<": "&lt;", ">": "&gt;", "&": "&amp;"}
+_SPECIAL = re.compile(r"(?m:^[:!])|[\\`*{}#|]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[])|[<>]|&(?=#?\w+;)")
+_ENTITIES = {"<": "&lt;", ">": "&gt;", "&": "&amp;", ":": "&#58;"}
 
 
 def escaped(text: str) -> str:
