@@ -29,7 +29,9 @@ def proportion(is_good: np.ndarray) -> dict[str, float]:
     return share_row(int(is_good.sum()), len(is_good))
 
 
-def whole_shares(total: int, shares: Sequence[float], least: Sequence[int] | None = None) -> np.ndarray:
+def whole_shares(
+    total: int, shares: Sequence[float], least: Sequence[int] | np.ndarray | None = None
+) -> np.ndarray:
     """i64[K]: how many of `total` items each of K shares gets, all of them together: the largest remainders.
 
     Each is within 1 of its exact part. Where `least` are handed out already, what is nearest to that.
@@ -49,7 +51,10 @@ def whole_shares(total: int, shares: Sequence[float], least: Sequence[int] | Non
 
 
 def share_out(
-    number: int, shares: Sequence[float], rng: np.random.Generator, before: Sequence[int] | None = None
+    number: int,
+    shares: Sequence[float],
+    rng: np.random.Generator,
+    before: Sequence[int] | np.ndarray | None = None,
 ) -> np.ndarray:
     """i64[number]: to which share each item goes: exact counts (`whole_shares`), permuted by `rng`.
 

@@ -134,7 +134,8 @@ def without_spaces(text):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_site_has_every_character_of_the_help(site):
+def test_the_site_has_every_character_of_the_help(site, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
     page = Shown(site / "reference" / "commands" / "index.html").text
     hook = runpy.run_path(str(DOCS / "site_pages.py"))
     for name in COMMANDS:
