@@ -58,7 +58,7 @@ def test_facts_tell_files_that_differ(tmp_path):
     one, two = (facts_of(tmp_path / folder) for folder in ("one", "two"))
     assert {key for key in one | two if one.get(key) != two.get(key)} == {
         "log.csv:seconds",
-        "a.json:.x.y",
+        "a.json:.x.y.1",
         "link",
         "link:",
     }

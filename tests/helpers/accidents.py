@@ -71,10 +71,10 @@ COMMANDS = {
     "render": Command("render {bank} --bop --no-picture --views 1 --size 64x48 --out out", needs_gl=True),
     "import": Command("import {meshes} --pool mine --jobs 1 --trials 16", home=True),
     "evaluate": Command(
-        "evaluate --methods random clear --pools {pool} --num-objects 2 --trials 8 --out out/report.md"
+        "evaluate --methods random clear --pools {pool} --num-objects 2 --trials 8 --out out"
     ),
     "train": Command(
-        "train --pool {pool} --num-objects 2 --num-envs 8 --num-attempts 4096 --eval-every 1024 "
+        "train --pool {pool} --num-objects 2 --num-envs 8 --num-attempts 1536 --eval-every 512 "
         "--eval-episodes 4 --out out"
     ),
     "pretrain": Command(
@@ -145,8 +145,8 @@ def facts_of(folder: Path) -> dict[str, object]:
 
 
 def _leaves(value: object, key: str = "") -> Iterator[tuple[str, object]]:
-    if isinstance(value, dict):
-        for name, inner in value.items():
+    if isinstance(value, dict | list):
+        for name, inner in value.items() if isinstance(value, dict) else enumerate(value):
             yield from _leaves(inner, f"{key}.{name}")
     else:
         yield key, value
@@ -199,12 +199,10 @@ class Bench:
     def start(self, place: Path, redirection: str = "") -> subprocess.Popen[str]:
         """The command as a process, in a session of its own."""
         home = place / "out" if self.command.home else self.folder / "home"
-        command = (
-            ["bash", "-c", f'"$@" {redirection}; exit "${{PIPESTATUS[0]}}"', "bash"] if redirection else []
-        )
-        log = (place / "log").open("a")
+        shell = ["bash", "-c", f'"$@" {redirection}; exit "${{PIPESTATUS[0]}}"', "bash"]
+        log = _log(place).open("a")
         return subprocess.Popen(
-            [*(command if redirection else ()), sys.executable, "-c", _HEARD, *self.words],
+            [*(shell if redirection else ()), sys.executable, "-c", _HEARD, *self.words],
             cwd=place,
             env=_environment() | {"CLUTTERGEN_HOME": str(home)},
             stdin=subprocess.DEVNULL,
