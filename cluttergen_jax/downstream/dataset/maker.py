@@ -200,7 +200,8 @@ def _runs_of(numbers: np.ndarray) -> Runs:
 def _is_within(numbers: np.ndarray, rounds: Sequence[Runs]) -> np.ndarray:
     """bool[N]: which numbers lie in a run of some round."""
     runs = [run for each in rounds for run in each]
-    return np.isin(numbers, np.concatenate([np.arange(first, last + 1) for first, last in runs] or [[]]))
+    within = [np.arange(first, last + 1) for first, last in runs]
+    return np.isin(numbers, np.concatenate(within) if within else ())
 
 
 @dataclass(frozen=True)
