@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -130,7 +131,8 @@ def facts_of(folder: Path) -> dict[str, object]:
     """What a folder holds: a value for each leaf of a JSON file and column of a CSV file, else a digest."""
     found: dict[str, object] = {}
     for path in sorted(each for each in folder.rglob("*") if each.is_file() or each.is_symlink()):
-        name = str(path.relative_to(folder))
+        # Logs for TensorBoard have the moment in their names.
+        name = re.sub(r"\.tfevents\..*", ".tfevents", str(path.relative_to(folder)))
         found[name] = "a file"
         if path.suffix == ".json":
             found |= {f"{name}:{key}": value for key, value in _leaves(json.loads(path.read_bytes()))}
