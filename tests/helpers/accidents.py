@@ -29,6 +29,8 @@ from cluttergen_jax.assets.pool import Pool, write_pool
 from tests.helpers import banks
 from tests.helpers.placing import seen_trio, write_bank
 
+_OF_THE_MOMENT = re.compile(r"(\.tfevents|(?:^|/)last/state)[./].*")
+"""Names that differ each time: of logs for TensorBoard, and of the arrays of a training that can go on."""
 REDIRECTIONS = ("<&-", ">&-", "2>&-", "<&- >&- 2>&-", "2>/dev/full", "2>&1 | head -c 0")
 SIGNALS = (signal.SIGKILL, signal.SIGINT)
 _HEARD = """
@@ -133,8 +135,7 @@ def facts_of(folder: Path) -> dict[str, object]:
     """What a folder holds: a value for each leaf of a JSON file and column of a CSV file, else a digest."""
     found: dict[str, object] = {}
     for path in sorted(each for each in folder.rglob("*") if each.is_file() or each.is_symlink()):
-        # Logs for TensorBoard have the moment in their names.
-        name = re.sub(r"\.tfevents\..*", ".tfevents", str(path.relative_to(folder)))
+        name = _OF_THE_MOMENT.sub(r"\1", str(path.relative_to(folder)))
         found[name] = "a file"
         if path.suffix == ".json":
             found |= {f"{name}:{key}": value for key, value in _leaves(json.loads(path.read_bytes()))}
