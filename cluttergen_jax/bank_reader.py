@@ -914,6 +914,10 @@ def main(words: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         # Whoever read it has seen enough, `head` for instance.
         os._exit(1)
+    except OSError as error:
+        said = f"error: the output (stdout) cannot be written: {error.strerror or error}"
+        print(said, file=sys.stderr, flush=True)
+        os._exit(2)
     return 0
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Literal, get_args
 
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.errors import ConfigError, closest, range_text
 
 if TYPE_CHECKING:
     from cluttergen_jax.schema import Record
@@ -139,7 +139,7 @@ def check_range(name: str, value: int, least: int, most: int, example: int) -> N
     """Refuses what is no whole number from `least` to `most` (ConfigError)."""
     check_whole(**{name: value})
     if not least <= value <= most:
-        raise ConfigError(f"{name} = {value}", f"{least} to {most}", f"{name}={example}")
+        raise ConfigError(f"{name} = {value}", range_text(least, most), f"{name}={example}")
 
 
 def check_whole(**numbers: object) -> None:

@@ -20,6 +20,13 @@ def printable(text: str) -> str:
     )
 
 
+def range_text(least: int, most: int, nothing: str = "none") -> str:
+    """The whole numbers from `least` to `most` as text for an error; `nothing` where there is none."""
+    if most < least:
+        return nothing
+    return f"{least} to {most}" if least < most else f"{least}"
+
+
 class ClutterGenError(Exception):
     """Base of every error that this package raises on purpose.
 

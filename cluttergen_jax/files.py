@@ -407,7 +407,7 @@ def advice_on(error: OSError) -> str:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Inside, an OSError becomes a BankError that says what to do.
+    """Inside, an OSError becomes a BankError that says what to do, and names what was refused.
 
     Raises:
       BankError: the disk is full, or `path` cannot be written for another reason.
@@ -415,8 +415,11 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        reason = f"{path} cannot be written: {error.strerror or error}"
+        if error.filename and not Path(os.fsdecode(error.filename)).is_relative_to(path.parent):
+            reason = f"{error.filename}: {error.strerror}, while {path} was being written"
         raise BankError(
-            f"{path} cannot be written: {error.strerror or error}. What was finished before is kept whole",
+            f"{reason}. What was finished before is kept whole",
             hint=f"{advice_on(error)}, then the same command: it goes on where it stopped",
         ) from error
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, wait
+from functools import cache
 from types import TracebackType
 from typing import Any, TextIO, TypeVar
 
@@ -29,7 +31,7 @@ class Progress:
     Args:
       title: what is done, as in "drawing".
       total: how much there is to do, in `unit`s; kept: how much of that was done before.
-      file: where it is shown, stderr if not given.
+      file: where it is shown, stderr if not given; nowhere in a process without one.
       clock: seconds.
     """
 
@@ -43,7 +45,7 @@ class Progress:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.title, self.total, self.unit, self.kept, self.done = title, total, unit, kept, kept
-        self._file, self._clock = file or sys.stderr, clock
+        self._file, self._clock = file or sys.stderr or _nowhere(), clock
         self._is_log = not self._file.isatty()
         self._bar = tqdm(
             total=total,
@@ -115,6 +117,11 @@ class Progress:
             print(text, file=self._file, flush=True)
         else:
             self._bar.write(text, file=self._file)
+
+
+@cache
+def _nowhere() -> TextIO:
+    return open(os.devnull, "w", encoding="utf-8")
 
 
 def track(items: Iterable[T], title: str, total: int, unit: str) -> Iterator[T]:

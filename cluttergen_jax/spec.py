@@ -37,7 +37,7 @@ from cluttergen_jax.config import (
     check_workers,
     no_such,
 )
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.errors import ConfigError, closest, range_text
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import (
     CLEARANCE,
@@ -505,17 +505,27 @@ class SceneSpec:
                 names = set(chosen) or {each.name for each in facts}
                 kept = [each for each in facts if each.name in names]
                 available = int((weights_of(kept, weights) > 0).sum())
+                if not available:
+                    given = f"weights = {str(self.weights)!r}, by which no object of pool {pool!r} is drawn"
+                    raise ConfigError(
+                        given, "a weight above 0 for one object or more", "leaving out weights of 0"
+                    )
             asked = self.num_objects or 0
             usual = min(SHELF if asked <= SHELF else 2 * asked, available, MOST_ON_SHELF)
             shelf = usual if self.shelf is None else self.shelf
             if not 1 <= shelf <= min(available, MOST_ON_SHELF):
-                allowed = f"1 to {min(available, MOST_ON_SHELF)} of the {available} objects of pool {pool!r}"
+                most = range_text(1, min(available, MOST_ON_SHELF))
+                allowed = f"{most} of the {available} objects of pool {pool!r}"
                 raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={usual}")
-            available = shelf
+            drawn, available = min(available, MOST_ON_SHELF), shelf
             if asked > shelf:
-                most = min(len(chosen) or len(find_pool(pool)), MOST_ON_SHELF)
-                given = f"{asked} objects of a shelf of {shelf}"
-                raise ConfigError(given, f"1 to {shelf}", f"shelf={min(most, 2 * asked)}")
+                given, hint = f"{asked} objects of a shelf of {shelf}", "fewer objects"
+                if drawn < asked and weights:
+                    given = f"{asked} objects of {drawn} with a weight above 0"
+                    hint = "fewer objects, or weights above 0 for more"
+                elif drawn >= asked:
+                    hint = f"shelf={min(drawn, 2 * asked)}"
+                raise ConfigError(given, range_text(1, shelf), hint)
             if self.relations or self.roles:
                 given = "`relations` with a shelf of objects that each block draws"
                 raise ConfigError(given, "one or the other", "fewer `objects` and no `shelf`")

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import html
 import io
 import os
 import posixpath
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
+import griffe
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -44,6 +46,42 @@ _WIDE = "300"
 _PUBLIC = ("assets", "physics", "placement", "importing", "sensing", "learning", "scene", "rendering",
            "generation", "evaluation", "downstream")  # fmt: skip
 """The packages whose modules are in the reference of Python."""
+
+
+_CODE = re.compile(r"(?P<ticks>`+)(?!`).+?(?<!`)(?P=ticks)(?!`)", re.DOTALL)
+_SPECIAL = re.compile(r"(?m:^[:!])|[\\`*{}#|]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[])|[<>]|&(?=#?\w+;)")
+_ENTITIES = {"<": "&lt;", ">": "&gt;", "&": "&amp;", ":": "&#58;"}
+
+
+def escaped(text: str) -> str:
+    """Text as Markdown that shows each of its characters; code in backticks and indented code stay code."""
+    blocks = re.split(r"(\n[ \t]*\n)", text)
+    return "".join(block if _is_code(block) else _escaped_block(block) for block in blocks)
+
+
+def _is_code(block: str) -> bool:
+    return all(line.startswith("    ") or not line.strip() for line in block.split("\n"))
+
+
+def _escaped_block(text: str) -> str:
+    parts, end = [], 0
+    for code in _CODE.finditer(text):
+        parts += [_SPECIAL.sub(_escape, text[end : code.start()]), code[0]]
+        end = code.end()
+    return "".join(parts) + _SPECIAL.sub(_escape, text[end:])
+
+
+def _escape(found: re.Match[str]) -> str:
+    return _ENTITIES.get(found[0], f"\\{found[0]}")
+
+
+class EscapedDocstrings(griffe.Extension):
+    """Shows docstrings in the reference of Python as they are written (`extensions` of mkdocstrings)."""
+
+    def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
+        """Before the docstring is read: names of arguments have nothing to escape."""
+        if obj.docstring is not None:
+            obj.docstring.value = escaped(obj.docstring.value)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -109,7 +147,7 @@ def _commands() -> str:
     parts = ["# Command line", about]
     for name, summary in COMMANDS.items():
         actions = _actions(name)
-        parts += [f"## {name}", *([summary] if actions else [])]
+        parts += [f"## {name}", *([escaped(summary)] if actions else [])]
         for command in [f"{name} {action}" for action in actions] or [name]:
             parts += [f"### {command}"] if actions else []
             parts.append(_command(command, _help(command.split())))
@@ -120,7 +158,7 @@ def _command(name: str, text: str) -> str:
     """A command's help in Markdown: usage, what it does, and its arguments."""
     intro, *boxes = re.split(r"\n *[a-z][a-z ]*\n *-{10,} *\n", text)
     usage, _, about = intro.partition("\n\n")
-    parts = [f"```text\n{usage.removeprefix('usage: ').strip()}\n```", about.strip()]
+    parts = [f"```text\n{usage.removeprefix('usage: ').strip()}\n```", escaped(about.strip())]
     # An argument begins its line after two spaces; what is said of it may go on below, further in.
     for place, entry in enumerate(re.findall(r"^  \S.*(?:\n {3,}\S.*)*", "\n".join(boxes), re.MULTILINE), 1):
         written, *rest = re.split(r"(?<=\S) {2,}|\n", entry.strip(), maxsplit=1)
@@ -135,7 +173,8 @@ def _option(anchor: str, written: str, text: str) -> str:
     """One argument: how it is written, its default, and what it does."""
     default = re.search(r"\((default: .*|required|optional)\)$", text)
     about = text[: default.start()].strip() if default else text
-    return f'<a id="{anchor}"></a>`{written}` ({default[1] if default else "optional"})\n:   {about}'
+    usual = escaped(default[1]) if default else "optional"
+    return f'<a id="{anchor}"></a>`{written}` ({usual})\n:   {escaped(about)}'
 
 
 def _actions(name: str) -> list[str]:
@@ -156,13 +195,13 @@ def _help(words: list[str]) -> str:
 def _package_page(name: str) -> str:
     """The reference of a package: what its docstring says, and the public names of each of its modules."""
     folder = ROOT / "cluttergen_jax" / name
-    parts = [f"# cluttergen_jax.{name}", _docstring(folder / "__init__.py")]
+    parts = [f"# cluttergen_jax.{name}", escaped(_docstring(folder / "__init__.py"))]
     for path in sorted(folder.rglob("*.py")):
         module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
         names = _public_names(path)
         if not names or any(part.startswith("_") or part == "scripts" for part in path.parts[-4:]):
             continue
-        parts.append(f"## {module}\n\n{_docstring(path)}")
+        parts.append(f"## {module}\n\n{escaped(_docstring(path))}")
         parts += [f"::: {module}.{each}" for each in names]
     return "\n\n".join(parts) + "\n"
 
@@ -194,4 +233,4 @@ def _box(name: str) -> str:
     path = ROOT / "cluttergen_jax" / name
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     first = _docstring(path).splitlines()[0]
-    return f"<div><b>{name}</b><br>{first.replace('`', '')}</div>"
+    return f"<div><b>{name}</b><br>{html.escape(first.replace('`', ''))}</div>"

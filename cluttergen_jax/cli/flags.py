@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+from cluttergen_jax.errors import ClutterGenError
+
 FLAGS = {
     "max_attempts": "attempts",
     "num_threads": "threads",
@@ -27,6 +29,33 @@ def options_of(command: Any) -> Iterator[str]:
             yield field.name
 
 
+def error_with_flags(error: ClutterGenError, command: Any) -> str:
+    """The text of an error with the flags of a command that was run.
+
+    What is said to be given is said of the user's words: of an option that is at its default this is told.
+
+    Args:
+      command: an instance, with its options as they were given.
+    """
+    kind, text = type(command), str(error)
+    flags = {name: _flag_name(name) for name in options_of(kind)}
+    given = with_flags(error.given, kind)
+    for field in dataclasses.fields(command):
+        value, name = getattr(command, field.name), flags.get(field.name)
+        if name is None or field.default is dataclasses.MISSING or value != field.default:
+            continue
+
+        def noted(found: re.Match[str], default: object = value) -> str:
+            return f"{found[0]} ({'the default' if found[1] == str(default) else 'not given'})"
+
+        given = re.sub(rf"--{name} ([^\s,;:()-][^\s,;:()]*)(?![\w(])", noted, given)
+    return given + with_flags(text.removeprefix(error.given), kind)
+
+
+def _flag_name(argument: str) -> str:
+    return FLAGS.get(argument, argument).replace("_", "-")
+
+
 def with_flags(text: str, command: Any) -> str:
     """A text with the flags of `command` in place of the arguments that it names.
 
@@ -34,7 +63,7 @@ def with_flags(text: str, command: Any) -> str:
     (num_threads=0); a class before the name (View.azimuth = 500) is left out. Whatever the command has no
     option for stays as it is, and so does what is quoted of an XML file.
     """
-    flags = {name: FLAGS.get(name, name).replace("_", "-") for name in options_of(command)}
+    flags = {name: _flag_name(name) for name in options_of(command)}
     if not flags:
         return text
     names = "|".join(flags)

@@ -14,7 +14,8 @@ from types import FrameType
 from typing import Any
 
 from cluttergen_jax.cli.commands import COMMANDS, all_commands, load, overview
-from cluttergen_jax.cli.flags import with_flags
+from cluttergen_jax.cli.flags import error_with_flags
+from cluttergen_jax.cli.streams import Streams, output_error_text
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest, printable
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
 from cluttergen_jax.numerics import OF_THIS_PACKAGE, program_folder
@@ -29,6 +30,7 @@ _MOMENT = 0.05
 
 def program(args: Sequence[str] | None = None) -> None:
     """The console script: `main`, and an exit that waits for nothing once Ctrl-C was pressed."""
+    streams = Streams()
     signal.signal(signal.SIGINT, _on_interrupt)
     watch_signals(_on_interrupt)
     # Imports and traces make millions of objects that stay; looking for garbage among them took a sixth of a
@@ -41,11 +43,12 @@ def program(args: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         print("\nstopped; nothing was done yet", file=sys.stderr)
         status = INTERRUPTED
+    if (error := streams.flush()) is not None:
+        print(f"error: {output_error_text(error)}", file=sys.stderr, flush=True)
+        status = status or 2
     if status == INTERRUPTED:
         # What was computed is on disk. A compilation that is still at work in a thread would hold up an
         # orderly exit, or bring it down.
-        sys.stdout.flush()
-        sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
 
@@ -97,8 +100,6 @@ def main(args: Sequence[str] | None = None) -> int:
         if is_completion:
             return run(parse_words(all_commands(), "cluttergen", words))
         command = parse_words(load(name), f"cluttergen {name}", words[1:])
-    except BrokenPipeError:
-        return _unread()
     except SystemExit as ended:
         # tyro ends the process where it has said what is wrong, or has explained a command.
         return int(ended.code or 0)
@@ -128,11 +129,9 @@ def run(command: Any) -> int:
         return command.run()
     except ClutterGenError as error:
         chosen = getattr(command, "action", command)
-        kind = type(chosen if is_dataclass(chosen) else command)
-        print(f"error: {printable(with_flags(str(error), kind))}", file=sys.stderr)
+        text = error_with_flags(error, chosen if is_dataclass(chosen) else command)
+        print(f"error: {printable(text)}", file=sys.stderr)
         return 2
-    except BrokenPipeError:
-        return _unread()
     except OSError as error:
         print(f"error: {printable(_os_error_text(error))}", file=sys.stderr)
         return 2
@@ -148,12 +147,6 @@ def _keep_programs() -> None:
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(program_folder()))
     # By itself it keeps what took a second; a command has dozens that together take longer.
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-
-
-def _unread() -> int:
-    """Whoever read the output has seen enough; nothing more may be written to it, not even at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
 
 
 def _os_error_text(error: OSError) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.errors import ClutterGenError, ConfigError, range_text
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets import pool as pools
@@ -85,7 +85,7 @@ def _show(pool: pools.Pool, chosen: Sequence[str], page: int) -> None:
 
     pages = -(-len(chosen) // _PAGE)
     if not 1 <= page <= pages:
-        raise ConfigError(f"page = {page}", f"1 to {pages}", "page=1")
+        raise ConfigError(f"page = {page}", range_text(1, pages), "page=1")
     objects = [pool[name] for name in chosen[(page - 1) * _PAGE : page * _PAGE]]
     # Of very many objects the digest of all would have to be made by reading all.
     content = f", content {pool.hash[:12]}" if len(pool) <= MOST_READ else ""

@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.errors import BankError, ConfigError, closest
+from cluttergen_jax.errors import BankError, ConfigError, closest, range_text
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
 from cluttergen_jax.kept_folder import KeptFolder, hold
 from cluttergen_jax.scene.bank import Bank
@@ -292,7 +292,7 @@ class SampleSet:
         """
         total, kind = int(self.split(split)[self.form.number]), self.form.kind
         if asked is not None and not 1 <= asked <= total:
-            allowed = f"1 to {total}, the {kind} of {split!r} in {self.path}"
+            allowed = f"{range_text(1, total)}, the {kind} of {split!r} in {self.path}"
             raise ConfigError(f"num_{kind} = {asked}", allowed)
         return asked or total
 

@@ -119,7 +119,9 @@ def required_recipe(recipe: partial[T] | None, maker: str) -> partial[T]:
       TypeError: there is none: the object was not made by `maker`.
     """
     if recipe is None:
-        raise TypeError(f"it holds an engine, and is pickled as the call of {maker} that made it; none did")
+        raise TypeError(
+            f"it holds an engine, and is pickled as the call of {maker} that made it; none made it as it is"
+        )
     return recipe
 
 

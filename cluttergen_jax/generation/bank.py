@@ -14,7 +14,7 @@ import pyarrow as pa
 from flax import struct
 
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_range
-from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.errors import BankError, ConfigError, range_text
 from cluttergen_jax.generation.arguments import check_key, is_known
 from cluttergen_jax.generation.bank_world import BankAttachment, attach_bank
 from cluttergen_jax.numerics import with_own_settings
@@ -172,7 +172,7 @@ class BankArrays(struct.PyTreeNode):
           ConfigError: there is no such scene. A traced place is moved to the nearest.
         """
         if is_known(place) and not 0 <= int(place) < len(self):
-            raise ConfigError(f"scene {place} of those that stand", f"0 to {len(self) - 1}")
+            raise ConfigError(f"scene {place} of those that stand", range_text(0, len(self) - 1))
         return jax.tree.map(lambda leaf: leaf[place], self)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
@@ -16,7 +16,7 @@ from flax import struct
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import check_range, check_whole
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.generation.arguments import (
     check_call,
     check_key,
@@ -49,6 +49,15 @@ class _Drawing(struct.PyTreeNode):
     num_draws: Array
 
 
+class _Recipe(partial[Any]):
+    """The call that made a sampler, and the parts of which it made it; a plain call where it is pickled."""
+
+    parts: tuple[Any, ...] = ()
+
+    def __reduce__(self) -> Any:
+        return partial(self.func, *self.args, **self.keywords).__reduce__()
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Sampler:
     """Samples one scene from a key; see `make_sampler`. Map it with `jax.vmap`, compile it with `jax.jit`.
@@ -61,7 +70,9 @@ class Sampler:
         scenes = many(sample, keys)
 
     It is pickled as the arguments of `make_sampler`, which is called with them where it is read: pools,
-    supports, checkpoints and banks that they name have to be there. A copy is the sampler itself.
+    supports, checkpoints and banks that they name have to be there. A copy is the sampler itself. One that
+    `dataclasses.replace` made with another part was made by no such call: it has no recipe, is not pickled,
+    and draws no other shelf. `make_sampler` with other arguments makes one that can be.
 
     Attributes:
       problem: the compiled world, its rules and its queried region.
@@ -70,7 +81,7 @@ class Sampler:
       start: what stands there already, unless another is given in the call.
       max_retries: how often a scene that fails is drawn again.
       num_scene_points: points of the scene's cloud; 0 for none.
-      recipe: the call that made it; None if it was made by hand.
+      recipe: the call that made it, of these very parts; None if it was made by hand. Nobody gives it.
       shelves: what `reshelve` draws from, and by which method scenes are made; None where all objects of the
         pool are in one world.
     """
@@ -83,6 +94,24 @@ class Sampler:
     num_scene_points: int
     recipe: partial[Sampler] | None = None
     shelves: tuple[Shelves, Method] | None = None
+
+    def __post_init__(self) -> None:
+        if self.recipe is None:
+            return
+        if not isinstance(self.recipe, _Recipe):
+            given = f"recipe = {self.recipe!r} of a sampler that it did not make"
+            raise ConfigError(given, "None", "that call, which makes a sampler with its recipe")
+        if any(mine is not made for mine, made in zip(self._parts(), self.recipe.parts, strict=True)):
+            object.__setattr__(self, "recipe", None)
+
+    def _parts(self) -> tuple[Any, ...]:
+        return tuple(getattr(self, each.name) for each in fields(self) if each.name != "recipe")
+
+    def _made_by(self, make: Callable[..., Sampler], *args: Any, **keywords: Any) -> Sampler:
+        """The sampler with the call that made it."""
+        recipe = _Recipe(make, *args, **keywords)
+        recipe.parts = self._parts()
+        return replace(self, recipe=recipe)
 
     def reshelve(self, key: Array) -> Sampler:
         """The same sampler with other objects of its pool, drawn with a key. Nothing is compiled anew.
@@ -115,13 +144,16 @@ class Sampler:
                 "a sampler with a shelf",
                 "make_sampler(shelf=64)",
             )
+        if self.recipe is None:
+            raise ConfigError(
+                "another shelf of a sampler of which a part was replaced",
+                "a sampler as `make_sampler` made it",
+                "make_sampler(shelf=64, ...) with other arguments in place of other parts",
+            )
         shelves, method = self.shelves
         setup = draw(shelves)
-        names = setup.problem.world.names
-        recipe = None if self.recipe is None else partial(_put_on_shelf, self.recipe, names)
-        return replace(
-            self, problem=setup.problem, steps=sampler_of(setup, method), start=setup.start, recipe=recipe
-        )
+        drawn = replace(self, problem=setup.problem, steps=sampler_of(setup, method), start=setup.start)
+        return drawn._made_by(_put_on_shelf, self.recipe, setup.problem.world.names)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return required_recipe(self.recipe, "make_sampler"), ()
@@ -233,7 +265,8 @@ class Sampler:
         """
         shape = np.shape(sampled.is_success)
         if len(shape) > 1 or not 0 <= index < (shape[0] if shape else 1):
-            allowed = f"0 to {shape[0] - 1}" if len(shape) == 1 else "0" if not shape else "one leading axis"
+            nothing = "scenes, of which these are none"
+            allowed = range_text(0, (*shape, 1)[0] - 1, nothing) if len(shape) < 2 else "one leading axis"
             raise ConfigError(f"scene {index} of scenes of shape {shape}", allowed)
         if shape:
             sampled = jax.tree.map(lambda leaf: leaf[index], sampled)
@@ -335,13 +368,7 @@ def make_sampler(
         max_retries=max_retries,
         num_scene_points=num_scene_points,
         shelves=None if shelves is None else (shelves, method),
-        recipe=partial(
-            make_sampler,
-            **asked.overrides(),
-            max_retries=max_retries,
-            num_scene_points=num_scene_points,
-        ),
-    )
+    )._made_by(make_sampler, **asked.overrides(), max_retries=max_retries, num_scene_points=num_scene_points)
 
 
 def set_up_bank(spec: SceneSpec, seed: int) -> tuple[Method, Setup, Shelves | None]:

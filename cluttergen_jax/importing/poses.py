@@ -10,7 +10,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool, hold_pool, read_pool, user_pool_folder, write_pool
 from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.stances import stances
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.errors import PoolError, range_text
 from cluttergen_jax.importing.solo_stability import turned_object
 from cluttergen_jax.physics.log import silent_log
 
@@ -73,7 +73,9 @@ def set_pose(pool: str, name: str, pose: int) -> ObjectAsset:
         asset = old[name]
         poses = _poses(asset)
         if not 0 <= pose < len(poses):
-            raise PoolError(f"pose {pose} of {name!r}", f"0 to {len(poses) - 1}")
+            raise PoolError(
+                f"pose {pose} of {name!r}", range_text(0, len(poses) - 1, "an object that has poses")
+            )
         if pose == 0:
             return asset
         with silent_log():

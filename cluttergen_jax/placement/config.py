@@ -121,15 +121,15 @@ class PlacementConfig:
             raise ConfigError(f"clearance = {self.clearance!r}", allowed, f"clearance={CLEARANCE}")
         if not 0 <= self.ruin_after <= self.max_attempts:
             raise ConfigError(
-                f"ruin_after = {self.ruin_after} with max_attempts = {self.max_attempts}",
+                f"ruin_after = {self.ruin_after} of {self.max_attempts} attempts an object",
                 f"0 to {self.max_attempts}",
                 f"{min(RUIN_AFTER, self.max_attempts)}, or 0 to take nothing away",
             )
         is_whole = isinstance(self.budget, Integral)
         if self.budget is not None and not (is_whole and self.num_objects <= self.budget <= MAX_BUDGET):
             raise ConfigError(
-                f"budget = {self.budget!r} with num_objects = {self.num_objects}",
-                f"{self.num_objects} to {MAX_BUDGET} attempts a scene",
+                f"budget = {self.budget!r}",
+                f"{self.num_objects} to {MAX_BUDGET} attempts a scene, at least one for each object",
                 f"{self.max_attempts * self.num_objects}, {self.max_attempts} an object",
             )
         for name, value, allowed in (

@@ -18,7 +18,7 @@ from cluttergen_jax.assets.support import Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import check_keep_out, check_region, rim_height
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines
 from cluttergen_jax.physics.protocol import Physics
@@ -188,7 +188,7 @@ def _check_volume(objects: Sequence[ObjectAsset], num_objects: int, region: Rect
         raise ConfigError(
             f"a pile of {num_objects} objects, of which even the smallest fill "
             f"{1000 * filled[-1]:.1f} litres, in {1000 * room / MOST_FULL:.1f} litres",
-            f"up to {most} of these objects",
+            f"up to {most} of these objects" if most else "a larger support, or smaller objects",
             f"{fewer}, or a larger support, such as tote or bin-0.60x0.40x0.25",
         )
 
@@ -284,7 +284,7 @@ def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -
     if wanted > available and not repeat:
         raise ConfigError(
             f"{wanted} objects asked for, {available} chosen of pool {pool!r}",
-            f"1 to {available}, or more (up to {MAX_SLOTS}) where objects may stand there more than once",
+            f"{range_text(1, available)}, or more (up to {MAX_SLOTS}) where objects may stand there more than once",
             f"num_objects={available}, or repeat=True (of generate and evaluate)",
         )
 

@@ -24,7 +24,7 @@ from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import check_keep_out, check_region
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics import engine_of, make_physics
 from cluttergen_jax.physics.host import BatchEngine, NumberedEngines
@@ -76,7 +76,9 @@ def draw_shelf(
     allowed = np.flatnonzero(weights > 0)
     if size > len(allowed):
         raise ConfigError(
-            f"a shelf of {size} of {len(allowed)} objects", f"1 to {len(allowed)}", "a smaller one"
+            f"a shelf of {size} of {len(allowed)} objects",
+            range_text(1, len(allowed), "objects with weights above 0"),
+            "a smaller one",
         )
     noise = np.asarray(jax.random.gumbel(key, (len(weights),)), np.float64)
     with np.errstate(divide="ignore"):
@@ -193,13 +195,15 @@ class Shelves:
         most = int((self._weights > 0).sum())
         if not 1 <= config.shelf <= most:
             raise ConfigError(
-                f"shelf = {config.shelf} with {most} objects to draw", f"1 to {most}", "fewer weights of 0"
+                f"shelf = {config.shelf} with {most} objects to draw",
+                range_text(1, most, "objects with weights above 0"),
+                "fewer weights of 0",
             )
         is_uneven = len(np.unique(self._weights[self._weights > 0])) > 1 or self._groups is not None
         if config.shelf == most and is_uneven:
             raise ConfigError(
                 f"`weights` or `balance` with a shelf of all {most} objects, which no draw changes",
-                f"a shelf of 1 to {most - 1}",
+                f"a shelf of {range_text(1, most - 1, 'fewer objects than can be drawn')}",
                 _smaller_shelf(config.placement.num_objects, most),
             )
         region = config.region or support.region

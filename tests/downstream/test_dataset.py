@@ -3,16 +3,23 @@
 import io
 import json
 import tarfile
+from types import SimpleNamespace
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
 import cluttergen_jax as cg
+from cluttergen_jax.downstream.dataset import maker
 from cluttergen_jax.downstream.dataset.api import parse_splits
+from cluttergen_jax.downstream.dataset.files import INDEX, write_record
+from cluttergen_jax.downstream.dataset.views import ViewConfig
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.schema import checked_record
+from cluttergen_jax.sensing import parse_cameras
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import InstanceSensor
 from tests.helpers.drawing import needs_gl
@@ -104,20 +111,91 @@ def test_what_is_missing_is_made_and_nothing_else(bank, plain, tmp_path):
 
 
 def test_scenes_keep_their_split_and_none_is_in_two(bank, plain, tmp_path):
-    shares = "train=0.5, test=0.5"
-    part = cg.make_dataset(bank.path, tmp_path / "part", num_scenes=3, splits=shares, **PLAIN)
-    whole = cg.make_dataset(bank.path, tmp_path / "whole", splits=shares, **PLAIN)
-    by_split = [
-        {split: {row["scene"] for row in rows_of(each, split)} for split in ("train", "test")}
-        for each in (part, whole)
-    ]
-    assert by_split[1]["train"]
-    assert by_split[1]["test"]
-    assert by_split[1]["train"].isdisjoint(by_split[1]["test"])
-    for split in ("train", "test"):
-        assert by_split[0][split] == {scene for scene in by_split[1][split] if scene < 3}
+    grown = {"splits": "train=0.6, test=0.4", **PLAIN}
+
+    def scenes_of(dataset):
+        return {split: {row["scene"] for row in rows_of(dataset, split)} for split in ("train", "test")}
+
+    part = scenes_of(cg.make_dataset(bank.path, tmp_path / "set", num_scenes=3, **grown))
+    whole = cg.make_dataset(bank.path, tmp_path / "set", **grown)
+    now = scenes_of(whole)
+    assert [len(part[split]) for split in ("train", "test")] == [2, 1]
+    assert [len(now[split]) for split in ("train", "test")] == [3, 2]
+    assert now["train"].isdisjoint(now["test"])
+    assert all(part[split] <= now[split] for split in part)
     made = rows_of(whole) + rows_of(whole, "test")
     assert sorted(made, key=lambda row: row["scene"]) == rows_of(plain)
+    assert scenes_of(cg.make_dataset(bank.path, tmp_path / "set", num_scenes=1, **grown)) == now
+
+
+def plan_of(index, is_success, shares, seed=0, num_scenes=None, rounds=(), monkeypatch=None):
+    """The plan of a dataset of a bank of which only these numbers are known."""
+    table = pa.table({"index": index, "is_success": is_success})
+    monkeypatch.setattr(maker, "read_bank", lambda path: SimpleNamespace(tables=lambda columns: [table]))
+    config = ViewConfig(parse_cameras(["overhead"], None), seed)
+    return maker.DatasetPlan.of(["bank"], shares, num_scenes, config, (), rounds)
+
+
+def split_of(plan):
+    return {scene: split for shard in plan.shards for split, some in shard.scenes.items() for scene in some}
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("number", "shares", "counts"),
+    [
+        (7, {"train": 0.7, "test": 0.3}, (5, 2)),
+        (100, {"train": 0.8, "val": 0.1, "test": 0.1}, (80, 10, 10)),
+        (7, {"train": 0.8, "val": 0.1, "test": 0.1}, (5, 1, 1)),
+        (1, {"train": 0.5, "test": 0.5}, (1, 0)),
+    ],
+)
+def test_shares_of_scenes_are_exact(number, shares, counts, seed, monkeypatch):
+    plan = plan_of(np.arange(number), np.ones(number, bool), shares, seed, monkeypatch=monkeypatch)
+    assert tuple(plan.num_views().values()) == counts
+    again = plan_of(np.arange(number), np.ones(number, bool), shares, seed, monkeypatch=monkeypatch)
+    assert split_of(plan) == split_of(again)
+
+
+def test_a_seed_decides_which_scenes_are_where(monkeypatch):
+    def split(seed):
+        plan = plan_of(
+            np.arange(40), np.ones(40, bool), {"train": 0.5, "test": 0.5}, seed, monkeypatch=monkeypatch
+        )
+        return tuple(split_of(plan).items())
+
+    assert len({split(seed) for seed in range(8)}) == 8
+
+
+def test_no_scene_changes_its_split_when_blocks_come_between_or_after(monkeypatch):
+    shares = {"train": 0.75, "val": 0.15, "test": 0.1}
+    rng = np.random.default_rng(0)
+    good = rng.uniform(size=1000) < 0.6
+    rounds, before = (), {}
+    for index in (
+        np.arange(100, 200),
+        np.arange(400),
+        np.r_[700:1000, :400],
+        np.arange(1000),
+    ):
+        plan = plan_of(index, good[index], shares, rounds=rounds, monkeypatch=monkeypatch)
+        now, rounds = split_of(plan), plan.rounds
+        assert now.keys() == set(index[good[index]].tolist())
+        assert before.items() <= now.items()
+        for split, share in shares.items():
+            assert abs(plan.num_views()[split] - share * len(now)) < 1
+        before = now
+    assert rounds == plan_of(index, good[index], shares, rounds=rounds, monkeypatch=monkeypatch).rounds
+
+
+def test_a_dataset_with_shares_of_an_earlier_version_is_not_continued(bank, tmp_path):
+    asked = {"splits": "train=0.6, test=0.4", **PLAIN}
+    path = cg.make_dataset(bank.path, tmp_path / "set", num_scenes=2, **asked).path
+    record = checked_record((path / INDEX).read_bytes())
+    del record["recipe"]["shares_are"], record["rounds"]
+    write_record(path, record)
+    with pytest.raises(BankError, match="holds views made with another shares_are"):
+        cg.make_dataset(bank.path, path, **asked)
 
 
 def test_two_banks_are_two(bank, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
 from cluttergen_jax.downstream.perception.types import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.views import store as stored
-from cluttergen_jax.downstream.perception.views.maker import ViewConfig, write_views
+from cluttergen_jax.downstream.perception.views.maker import ViewConfig, ViewMaker, write_views
 from cluttergen_jax.downstream.perception.views.stage import (
     SIZE,
 )
@@ -39,6 +39,16 @@ def views(tmp_path_factory, bank):
 
 
 # What is drawn
+
+
+@pytest.mark.parametrize("num_banks", [1, 2, 3])
+def test_so_many_views_have_the_arm_as_were_asked_for(num_banks):
+    for seed in range(5):
+        maker = ViewMaker([None] * num_banks, None, ViewConfig(seed=seed, arm=0.3), "train", None, 3)
+        pairs = range(30 * num_banks)
+        assert sum(map(maker.has_arm, pairs)) == 9 * num_banks
+        assert sum(map(maker.is_robots, pairs)) == 18 * num_banks
+        assert abs(sum(map(maker.has_arm, pairs[:10])) - 3) <= 1
 
 
 # What is stored

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 import os
 import pickle
 import subprocess
@@ -17,7 +18,7 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.errors import BankError, ClutterGenError
+from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.placement.region import KeepOut, make_region
 from cluttergen_jax.scene.bank import read_bank
 
@@ -113,6 +114,38 @@ def test_a_sampler_is_pickled_as_the_call_that_made_it(sample, scenes, pool):
     assert repr(other) == f"Sampler(pool={pool!r}, num_objects=2, method='random', num_scene_points=60)"
     with pytest.raises(TypeError, match="make_sampler"):
         pickle.dumps(dataclasses.replace(sample, recipe=None))
+
+
+def test_a_sampler_with_another_part_has_no_recipe_of_another(sample, scenes, pool):
+    assert sample.recipe.func is cg.make_sampler
+    other = cg.make_sampler(pool, num_objects=2, method="clear", max_retries=1)
+    assert dataclasses.replace(sample).recipe is sample.recipe
+    for field in dataclasses.fields(sample):
+        part = getattr(other, field.name)
+        if field.name == "shelves":
+            part = (None, None)
+        if field.name == "num_scene_points":
+            part = 30
+        changed = dataclasses.replace(sample, **{field.name: part})
+        assert changed.recipe is None, field.name
+        assert repr(changed) == "Sampler(3 objects)"
+        with pytest.raises(TypeError, match="none made it as it is"):
+            pickle.dumps(changed)
+    with pytest.raises(ConfigError, match=r"recipe = .*make_sampler"):
+        dataclasses.replace(sample, recipe=functools.partial(cg.make_sampler, "office"))
+    # Changed twice, back to what it was, is not what the call made: nobody compares worlds.
+    back = dataclasses.replace(dataclasses.replace(sample, steps=other.steps), steps=sample.steps)
+    assert back.recipe is None
+    assert_same(jax.jit(jax.vmap(back))(KEYS), scenes)
+
+
+def test_a_shelf_is_drawn_of_samplers_that_were_made(pool):
+    shelved = cg.make_sampler(pool, num_objects=2, shelf=2, method="random")
+    drawn = shelved.reshelve(jax.random.key(0))
+    assert pickle.loads(pickle.dumps(drawn)).names == drawn.names
+    other = dataclasses.replace(shelved, steps=drawn.steps)
+    with pytest.raises(ConfigError, match="of which a part was replaced"):
+        other.reshelve(jax.random.key(0))
 
 
 @pytest.fixture(scope="module")

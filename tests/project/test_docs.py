@@ -1,22 +1,26 @@
 """The documentation: it has every public name and every page of its menu, and builds without a warning."""
 
 import ast
+import html
 import importlib
 import json
 import re
 import runpy
 import subprocess
 import sys
+from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
 import cluttergen_jax as cg
+from cluttergen_jax.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 GUIDES = [DOCS / "start.md", *sorted(DOCS.glob("guide/*.md")), *sorted(DOCS.glob("concepts/*.md"))]
 TEXTS = [ROOT / "README.md", ROOT / "AGENTS.md", *GUIDES]
+PACKAGES = re.findall(r"reference/python/(\w+)\.md", (ROOT / "mkdocs.yml").read_text())
 OPTIONS = json.loads((ROOT / "tests" / "cli" / "options.json").read_text())
 
 
@@ -93,17 +97,118 @@ def test_every_page_of_the_menu_exists():
     assert all((ROOT / source).is_file() for source in made if not source.startswith("reports/"))
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_the_site_builds_without_a_warning(tmp_path):
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The folder of the site, built with every warning an error."""
     pytest.importorskip("mkdocs", reason="needs the extra docs")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path / "site")]
+    folder = tmp_path_factory.mktemp("docs") / "site"
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
-    pages = {str(path.relative_to(tmp_path / "site")) for path in (tmp_path / "site").rglob("*.html")}
+    return folder
+
+
+class Shown(HTMLParser):
+    """The text of a page as readers see it, without spaces."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.text, self._hidden = "", 0
+        self.feed(page.read_text())
+        self.text = without_spaces(self.text)
+
+    def handle_starttag(self, tag, attrs):
+        self._hidden += tag in ("script", "style", "svg")
+
+    def handle_endtag(self, tag):
+        self._hidden -= tag in ("script", "style", "svg")
+
+    def handle_data(self, data):
+        self.text += "" if self._hidden else data
+
+
+def without_spaces(text):
+    """A text as it can be looked for in a page: without spaces, and without the backticks of code."""
+    return re.sub(r"[\s`]+", "", text)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_site_has_every_character_of_the_help(site, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    page = Shown(site / "reference" / "commands" / "index.html").text
+    hook = runpy.run_path(str(DOCS / "site_pages.py"))
+    for name in COMMANDS:
+        for command in [f"{name} {action}" for action in hook["_actions"](name)] or [name]:
+            # Titles of groups, what groups are for, and what `--help` says of itself are in no page.
+            _, _, said = hook["_help"](command.split()).partition("\n\n")
+            said = re.sub(r"^.*\n *-{10,} *$", "", said, flags=re.MULTILINE)
+            for line in said.splitlines():
+                for part in re.split(r"(?<=\S) {2,}(?=\S)", line):
+                    text = re.sub(r"\((default:.*|required\)|optional\))$", "", part.strip())
+                    is_of_help = "--help" in line or "show this help" in line
+                    assert is_of_help or without_spaces(text) in page, (command, line)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_site_has_every_character_of_the_docstrings(site, package):
+    page = Shown(site / "reference" / "python" / package / "index.html").text
+    for title, text in public_docstrings(ROOT / "cluttergen_jax" / package):
+        for line in text.splitlines():
+            # Titles of sections, and names of arguments, are laid out in tables; marks of lists are drawn.
+            part = re.sub(r"^\s*(- |[A-Z][a-z]+:$|[\w, ]+: )", "", line)
+            assert without_spaces(part) in page, (title, line)
+
+
+def public_docstrings(folder):
+    """Of the modules of a package, their functions and classes, and their methods."""
+    for path in sorted(folder.rglob("*.py")):
+        if any(part.startswith("_") or part == "scripts" for part in path.relative_to(ROOT).parts):
+            continue
+        tree = ast.parse(path.read_text())
+        kinds = (ast.FunctionDef, ast.ClassDef)
+        for node in (each for each in tree.body if isinstance(each, kinds)):
+            inner = node.body if isinstance(node, ast.ClassDef) else []
+            for each in [node, *(some for some in inner if isinstance(some, ast.FunctionDef))]:
+                if not (node.name.startswith("_") or each.name.startswith("_")):
+                    yield f"{path.name} {node.name} {each.name}", ast.get_docstring(each) or ""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'weights: "mug*=3; label=*book*=0.5"',
+        "x |y| \\* _z_ a_b_c f32[N](x) infos[i][j] <ph> &lt; &amp {.a} # **b** ~c~ ^d^ ![e](f) <!-- g -->",
+        "# a title\n: a definition\n!!! a note",
+        "a tick ` alone, and <https://x.y>",
+    ],
+)
+def test_markdown_of_a_text_shows_each_character(text):
+    markdown = pytest.importorskip("markdown", reason="needs the extra docs")
+    pytest.importorskip("mkdocs", reason="needs the extra docs")
+    escaped = runpy.run_path(str(DOCS / "site_pages.py"))["escaped"]
+    extensions = ["admonition", "attr_list", "def_list", "md_in_html", "tables"]
+    page = markdown.markdown(f"before {escaped(text)} after", extensions=extensions)
+    assert html.unescape(re.sub(r"<[^<>]*>", "", page)) == f"before {text} after"
+    assert set(re.findall(r"<(\w+)", page)) == {"p"}
+
+
+def test_code_in_a_text_stays_code():
+    pytest.importorskip("mkdocs", reason="needs the extra docs")
+    escaped = runpy.run_path(str(DOCS / "site_pages.py"))["escaped"]
+    text = "See `a*b` and ``c`*``.\n\n    many * <b>\n    more"
+    assert escaped(text) == text
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_site_has_its_pages(site):
+    pages = {str(path.relative_to(site)) for path in site.rglob("*.html")}
     assert {"index.html", "reference/api/index.html", "reference/commands/index.html"} <= pages
-    assert "make_sampler" in (tmp_path / "site" / "reference" / "api" / "index.html").read_text()
-    commands = (tmp_path / "site" / "reference" / "commands" / "index.html").read_text()
+    assert "make_sampler" in (site / "reference" / "api" / "index.html").read_text()
+    commands = (site / "reference" / "commands" / "index.html").read_text()
     assert all(
         f'id="{anchor}"' in commands for anchor in ("generate-pool", "robot-place-placer", "verify-jobs")
     )

@@ -49,7 +49,8 @@ def make_dataset(
       size: of all pictures, WIDTHxHEIGHT in pixels; 640x480, or a file's own, if not given. In Python also a
         pair.
       form: "parquet"; "webdataset", tar files; or "bop", a folder for each scene.
-      splits: "train", or shares of scenes such as "train=0.8, val=0.1, test=0.1".
+      splits: "train", or shares of each bank's scenes such as "train=0.8, val=0.1, test=0.1", to the nearest
+        scene. `seed` draws which; scenes of a dataset that grows stay where they are.
       num_scenes: the first so many of each bank; all if not given.
       vary: what is drawn anew for each view: "texture" of the table, from other ones for each split; "light";
         "colour" of objects and floor; nothing with "bop".

@@ -32,8 +32,11 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 from cluttergen_jax.schema import digest_of
+from cluttergen_jax.statistics import share_out
 
 _SPLIT_DRAW = 11
+Runs = list[list[int]]
+"""First and last of numbers without a gap, ascending."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,7 @@ class DatasetPlan:
     Attributes:
       banks: their folders; shares: by split; num_scenes: how many of each, the first that stand.
       shards: all of them.
+      rounds: of each bank, the scenes that each call added, as runs of numbers, first and last.
     """
 
     banks: tuple[Path, ...]
@@ -82,6 +86,7 @@ class DatasetPlan:
     num_scenes: tuple[int, ...]
     config: ViewConfig
     shards: tuple[Shard, ...]
+    rounds: tuple[list[Runs], ...]
 
     @classmethod
     def of(
@@ -91,36 +96,49 @@ class DatasetPlan:
         num_scenes: int | None,
         config: ViewConfig,
         least: Sequence[int] = (),
+        rounds: Sequence[list[Runs]] = (),
     ) -> DatasetPlan:
-        """Reads which scenes stand.
+        """Reads which scenes stand, and gives each a split. Scenes of a dataset that grows keep theirs.
 
         Args:
           num_scenes: the first so many of each bank; all if None.
           least: of each bank, how many are in the dataset already.
+          rounds: those, see the attribute.
 
         Raises:
           BankError: there is no bank, none of its scenes stands, or it has fewer than are in the dataset.
         """
         shards: list[Shard] = []
         numbers: list[int] = []
+        grown: list[list[Runs]] = []
         for place, path in enumerate(banks):
             bank = read_bank(path)
             rows = pa.concat_tables(bank.tables(["index", "is_success"]))
-            good = rows["index"].to_numpy()[rows["is_success"].to_numpy()]
+            index = np.sort(rows["index"].to_numpy())
+            good = np.sort(rows["index"].to_numpy()[rows["is_success"].to_numpy()])
             there = least[place] if least else 0
-            if not len(good) or len(good) < there:
+            known = list(rounds[place]) if rounds else []
+            is_old = _is_within(good, known)
+            kept = int(is_old.sum()) if known else len(good)
+            if not len(good) or kept < there:
                 given = f"{path}: {len(good)} of its scenes stand"
                 allowed = f"at least the {there} that the dataset has" if there else ""
                 raise BankError(given, allowed, "more scenes")
-            good = good[: None if num_scenes is None else max(num_scenes, there)]
+            # Records of earlier versions have no rounds.
+            most = len(good) if num_scenes is None else max(num_scenes, 0 if known else there)
+            good = good[is_old | (np.arange(len(good)) < most)]
+            fresh = index[(index <= good[-1]) & ~_is_within(index, known)]
+            if np.isin(fresh, good).any():
+                known.append(_runs_of(fresh))
             numbers.append(len(good))
-            names = _splits_of(good, place, shares, config.seed)
+            grown.append(known)
+            names = _splits_of(good, place, shares, config.seed, known)
             # By number, so that a bank that grew has its first scenes where they were.
             number = good // SCENES_PER_SHARD
             for each in np.unique(number):
                 own = {split: tuple(good[(number == each) & (names == split)].tolist()) for split in shares}
                 shards.append(Shard(place, int(each), {split: some for split, some in own.items() if some}))
-        return cls(tuple(banks), shares, tuple(numbers), config, tuple(shards))
+        return cls(tuple(banks), shares, tuple(numbers), config, tuple(shards), tuple(grown))
 
     def num_views(self) -> dict[str, int]:
         """Of each split."""
@@ -143,6 +161,8 @@ class DatasetPlan:
             "quality": config.quality,
             "colour": config.colour,
             "scenes_per_shard": SCENES_PER_SHARD,
+            # Versions before drew the split of each scene by itself, and shares came out by chance.
+            **({"shares_are": "exact"} if len(self.shares) > 1 else {}),
         }
 
 
@@ -158,11 +178,31 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name != "stored"}
 
 
-def _splits_of(scenes: np.ndarray, bank: int, shares: dict[str, float], seed: int) -> np.ndarray:
-    """The split of each scene: by its number, whatever others there are."""
-    names, edges = list(shares), np.cumsum(list(shares.values()))
-    drawn = [np.random.default_rng([seed, bank, scene, _SPLIT_DRAW]).uniform() for scene in scenes.tolist()]
-    return np.array(names)[np.minimum(np.searchsorted(edges, drawn, side="right"), len(names) - 1)]
+def _splits_of(
+    scenes: np.ndarray, bank: int, shares: dict[str, float], seed: int, rounds: Sequence[Runs]
+) -> np.ndarray:
+    """The split of each scene: exact shares of all, and those of earlier rounds stay where they are."""
+    which = np.full(len(scenes), -1)
+    for number, runs in enumerate(rounds):
+        is_new = _is_within(scenes, [runs]) & (which < 0)
+        before = np.bincount(which[which >= 0], minlength=len(shares))
+        rng = np.random.default_rng([seed, bank, number, _SPLIT_DRAW])
+        which[is_new] = share_out(int(is_new.sum()), list(shares.values()), rng, before)
+    return np.array(list(shares))[which]
+
+
+def _runs_of(numbers: np.ndarray) -> Runs:
+    """Sorted numbers as runs without a gap."""
+    starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 2) > 1)
+    ends = np.append(starts[1:], len(numbers)) - 1
+    return [[int(numbers[first]), int(numbers[last])] for first, last in zip(starts, ends, strict=True)]
+
+
+def _is_within(numbers: np.ndarray, rounds: Sequence[Runs]) -> np.ndarray:
+    """bool[N]: which numbers lie in a run of some round."""
+    runs = [run for each in rounds for run in each]
+    within = [np.arange(first, last + 1) for first, last in runs]
+    return np.isin(numbers, np.concatenate(within) if within else ())
 
 
 @dataclass(frozen=True)
@@ -209,15 +249,18 @@ def make(
     with hold(dataset_folder(out).lock()), writing(out):
         remove_partial(out)
         known = begin_record(out, recipe)
-        plan = DatasetPlan.of(banks, shares, num_scenes, config, known.get("num_scenes", ()))
-        told = {"recipe": recipe, "num_scenes": list(plan.num_scenes), "num_views": plan.num_views()}
-        if form == "bop":
-            write_record(out, told)
-        else:
-            shards = _make_shards(plan, out, form, cluster, known.get("shards", {}))
-            write_record(out, told | {"shards": shards})
+        there, rounds = known.get("num_scenes", ()), known.get("rounds", ())
+        plan = DatasetPlan.of(banks, shares, num_scenes, config, there, rounds)
+        record = {"recipe": recipe, "num_scenes": list(plan.num_scenes), "num_views": plan.num_views()}
+        record["rounds"] = list(plan.rounds)
+        # Before the first file: another call shares its scenes out as this one does.
+        digests = known.get("shards", {})
+        write_record(out, record if form == "bop" else record | {"shards": digests})
         if form == "bop":
             _make_bop(plan, out)
+        else:
+            shards = _make_shards(plan, out, form, cluster, digests)
+            write_record(out, record | {"shards": shards})
     return Dataset(out, form, plan.num_views())
 
 

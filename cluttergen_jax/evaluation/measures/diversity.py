@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.evaluation.measures.arrangement import check_scenes, region_positions
 
 CELL = 0.05
@@ -232,7 +232,7 @@ def at_equal_count(
       ConfigError: fewer scenes than are asked for.
     """
     if not 1 <= count <= num_scenes:
-        raise ConfigError(f"{count} scenes drawn from {num_scenes}", f"1 to {num_scenes}")
+        raise ConfigError(f"{count} scenes drawn from {num_scenes}", range_text(1, num_scenes))
     rng = np.random.default_rng(seed)
     draws = 1 if count == num_scenes else num_draws
     values = [measure(rng.choice(num_scenes, count, replace=False)) for _ in range(draws)]

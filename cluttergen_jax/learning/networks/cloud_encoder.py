@@ -145,7 +145,7 @@ class PointNet2(nn.Module):
     """The three levels of the classifier for clouds of 1,024 points: 512 groups, 128 groups, one.
 
     The centroids of the first level are given: clouds have an order whose prefixes are good samples, and
-    farthest-point sampling of 20,480 points would cost more than all the rest. For one object a prefix *is*
+    farthest-point sampling of 20,480 points would cost more than all the rest. For one object a prefix is
     the farthest-point sample. For a scene it is one sample for each object and one for the top, of equal
     size; over the whole scene they are denser on small objects than farthest-point sampling would be.
     The second level samples farthest points of the first level's centroids, wherever they lie.

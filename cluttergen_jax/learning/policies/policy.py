@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.learning.agents import Agent, make_agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, TrainedPlacement
@@ -100,7 +100,7 @@ def _check_history(trained: TrainedPlacement, rules: Rules) -> None:
     if rules.config.max_attempts > most:
         raise ConfigError(
             f"max_attempts = {rules.config.max_attempts} with a policy trained with {most}",
-            f"1 to {most}",
+            range_text(1, most),
             f"cluttergen train --attempts {rules.config.max_attempts}",
         )
     if rules.config.history_stride != stride:

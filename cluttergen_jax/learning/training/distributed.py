@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.learning.ppo.ppo import PPO, TrainState
 from cluttergen_jax.learning.ppo.sharding import state_sharding, with_keys, without_keys
 
@@ -33,7 +33,10 @@ def join(coordinator: str | None, num_processes: int | None, process_id: int | N
             "coordinator='HOST:PORT', num_processes=2, process_id=0, and the same with process_id=1",
         )
     if not 0 <= process_id < num_processes:
-        raise ConfigError(f"process_id = {process_id} of {num_processes}", f"0 to {num_processes - 1}")
+        raise ConfigError(
+            f"process_id = {process_id} of {num_processes}",
+            range_text(0, num_processes - 1, "num_processes of 1 or more"),
+        )
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     try:
         jax.distributed.initialize(coordinator, num_processes, process_id)

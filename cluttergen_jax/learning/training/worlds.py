@@ -12,7 +12,7 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine, SwappablePhysics
 from cluttergen_jax.placement.config import PlacementConfig
@@ -149,7 +149,7 @@ def object_sets(
     """
     if not 1 <= size <= len(objects):
         raise ConfigError(
-            f"sets of {size} of {len(objects)} objects", f"1 to {len(objects)}", "more variants"
+            f"sets of {size} of {len(objects)} objects", range_text(1, len(objects)), "more variants"
         )
     families: dict[str, list[ObjectAsset]] = defaultdict(list)
     for asset in objects:

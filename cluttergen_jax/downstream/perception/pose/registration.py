@@ -21,7 +21,7 @@ from cluttergen_jax.downstream.perception.pose.icp import (
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.types import Look, PoseEstimate
 from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of, rigid, shift_along
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.geometry import rotation_matrix
 
 FEWEST_PIXELS = 40
@@ -95,7 +95,7 @@ class RegistrationEstimator:
 
     def _load(self, index: int) -> tuple[ObjectModel, FreeRegistration]:
         if not 0 <= index < len(self._objects):
-            raise ConfigError(f"object {index}", f"0 to {len(self._objects) - 1}")
+            raise ConfigError(f"object {index}", range_text(0, len(self._objects) - 1))
         if index not in self._models:
             model = ObjectModel.of(self._objects[index])
             self._models[index] = model, FreeRegistration(model)

@@ -20,6 +20,7 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.variation import TEXTURES_OF, draw_light
 from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.sensing import Camera
+from cluttergen_jax.statistics import is_of_share
 
 _ROBOT = 0.6
 """Share of pairs of the robot's cameras."""
@@ -84,7 +85,9 @@ class ViewMaker:
         poses = np.zeros((self._num_objects, 7))
         poses[placed] = scenes.poses[row, : len(placed)]
         stage.place(poses, np.isin(np.arange(self._num_objects), placed))
-        is_robot, has_arm = rng.uniform() < _ROBOT, bool(rng.uniform() < self._config.arm)
+        # Not used since shares are exact; what is drawn after them stays as it was.
+        rng.uniform(size=2)
+        is_robot, has_arm = self.is_robots(pair), self.has_arm(pair)
         tool = stage.move_arm(support.top, rng if has_arm else None)
         kind = _ROBOTS[place] if is_robot else "free"
         rng = np.random.default_rng((self._config.seed, number, 4))
@@ -92,6 +95,20 @@ class ViewMaker:
         seen = stage.picture(self._camera(kind, poses[placed], tool, rng), yaw)
         stored = StoredView(number, seen, placed, poses[placed], scenes.method, has_arm)
         return row_of(stored, int(scenes.number[row]), texture)
+
+    def is_robots(self, pair: int) -> bool:
+        """Whether a pair of views is of the robot's cameras."""
+        return self._is_of_share(pair, _ROBOT, 0)
+
+    def has_arm(self, pair: int) -> bool:
+        """Whether a pair of views has the arm in it."""
+        return self._is_of_share(pair, self._config.arm, 1)
+
+    def _is_of_share(self, pair: int, share: float, which: int) -> bool:
+        """Exact shares of the pairs of each bank, and so of all, for any number of views."""
+        turn, bank = divmod(pair, len(self._scenes))
+        start = np.random.default_rng((self._config.seed, which, 5)).uniform()
+        return is_of_share(turn, share, (start + bank / len(self._scenes)) % 1)
 
     def _dress(self, rng: np.random.Generator) -> tuple[int, float]:
         """Draws colours, texture and light; the texture's number and the lamps' turn."""
@@ -130,6 +147,8 @@ def write_views(
     made = {
         "seed": config.seed,
         "arm": config.arm,
+        # Versions before drew for each pair by itself whether it has the arm, and shares came out by chance.
+        "shares_are": "exact",
         "block_size": VIEWS.block_size,
         "size": list(SIZE),
         "views_a_scene": VIEWS_A_SCENE,
