@@ -749,9 +749,13 @@ def _blocks_of(name: str) -> range:
 
 def _regular_file(folder: Path, name: str) -> Path:
     """The path of a file within a folder that can be read (ValueError, OSError: it is none, or too large)."""
-    path, root = folder / name, os.path.realpath(folder)
+    path, real = folder / name, os.path.realpath(folder / name)
+    roots = [os.path.realpath(folder)]
+    # The Hugging Face Hub's cache keeps the files of a snapshot beside it, and links to them.
+    snapshots = [each for each in folder.absolute().parents if each.name == "snapshots"]
+    roots += [os.path.realpath(each.parent / "blobs") for each in snapshots]
     found = path.stat()
-    if os.path.commonpath([root, os.path.realpath(path)]) != root:
+    if not any(os.path.commonpath([root, real]) == root for root in roots):
         raise ValueError("it is a link that leads out of the bank; cp -rL makes a copy without links")
     if not stat.S_ISREG(found.st_mode):
         raise ValueError("it is not a regular file")

@@ -284,7 +284,7 @@ def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -
     if wanted > available and not repeat:
         raise ConfigError(
             f"{wanted} objects asked for, {available} chosen of pool {pool!r}",
-            f"{range_text(1, available)}, or more (up to {MAX_SLOTS}) where objects may stand there more than once",
+            f"{range_text(1, available)}, or more (up to {MAX_SLOTS}) where objects may come more than once",
             f"num_objects={available}, or repeat=True (of generate and evaluate)",
         )
 
