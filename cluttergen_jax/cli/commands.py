@@ -10,7 +10,7 @@ from typing import Annotated, Any
 COMMANDS = {
     "generate": "Generate verified cluttered scenes and save them as a bank.",
     "verify": "Check that saved scenes are stable, in plain MuJoCo. Exit status 1 if one is not.",
-    "judge": "Judge anybody's scenes by one strict rule: MJCF, URDF or USD files, or arrays of starts.",
+    "judge": "Judge anybody's scenes by one strict rule: MJCF, URDF, SDF or USD files, or arrays of starts.",
     "repair": "Make broken layouts stable with little motion: noisy poses, JSON of a language model.",
     "export": "Write scenes of a bank as a self-contained folder for another program.",
     "certify": "Add a stability certificate to each successful scene of a bank, a column for each measure.",

@@ -64,6 +64,8 @@ def test_nothing_can_unpickle_a_file():
     faults = {str(path.relative_to(REPOSITORY)): faults_of(path.read_text()) for path in files}
     # Work travels between the processes of a Ray cluster, never through a file.
     assert faults.pop("cluttergen_jax/cluster.py") == ["ray.cloudpickle"]
+    # Questions to the process that reads strangers' files, and its answers, go through pipes.
+    assert set(faults.pop("cluttergen_jax/importing/limited.py")) == {"pickle"}
     # What a part of a user's own holds is written to take its hash, and never read.
     assert faults.pop("cluttergen_jax/downstream/parts.py") == ["pickle"]
     assert not any(faults.values()), faults

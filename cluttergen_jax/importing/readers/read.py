@@ -174,19 +174,23 @@ def _check_size(shape: Shape, path: Path, smallest: float, largest: float) -> No
 
 def _likely_cause(size: float, smallest: float, path: Path) -> str:
     """Which unit would make this an object of 2 cm to 60 cm, or furniture; how to say so of all or of one."""
-    usual = (0.02, 0.6) if smallest < MIN_FURNITURE else (0.15, MAX_UNSTATED)
+    is_furniture = smallest >= MIN_FURNITURE
+    usual = (0.15, MAX_UNSTATED) if is_furniture else (0.02, 0.6)
     if size < smallest:
         return "`scale` with the factor to metres; a scale may have been applied twice"
+    whose = "the file is" if is_furniture else "all files are"
     fitting = [
-        (factor, f"scale={factor:g} if all files are in {unit} ({size * factor:.2g} m across)")
+        (factor, f"scale={factor:g} if {whose} in {unit} ({size * factor:.2g} m across)")
         for unit, factor in _UNITS.items()
         if usual[0] <= size * factor <= usual[1]
     ]
     if not fitting:
         return "`scale` with the factor from the file's unit to metres"
+    every = " or ".join(text for _, text in fitting)
+    if is_furniture:
+        return every
     # A dotted key of TOML: one line, which comes before any table.
     alone = f'"{path.name}".scale = {fitting[0][0]:g}'
-    every = " or ".join(text for _, text in fitting)
     return f"{every}; for this file alone, the line {alone} at the top of objects.toml in the imported folder"
 
 
