@@ -39,22 +39,18 @@ def hint_for_positions(
     Args:
       is_in_metres: they are taken for metres although no unit is stated.
     """
-    top = f"z measured from its top? It counts from the floor: {support.top:g} m higher"
-    for height in (0.0, support.top):
-        for unit in UNITS if is_in_metres else ("m",):
-            meant = poses.copy()
-            meant[:, :3] *= UNITS[unit]
-            meant[:, 2] += height
-            if not _fit(objects, meant, support):
-                continue
-            if unit == "m":
-                return f"is {top} all would be on it" if height else ""
-            missing = f'is "unit": "{unit}" missing'
-            return (
-                f"{missing}, and {top}, in {unit}, all would be on it"
-                if height
-                else (f"in {unit} all positions would be on it: {missing}?")
-            )
+    if _fit(objects, poses, support):
+        return ""
+    for unit, factor in UNITS.items() if is_in_metres else ():
+        scaled = poses.copy()
+        scaled[:, :3] *= factor
+        if factor != 1.0 and _fit(objects, scaled, support):
+            return f'in {unit} all positions would be on it: is "unit": "{unit}" missing?'
+    lifted = poses.copy()
+    lifted[:, 2] += support.top
+    if _fit(objects, lifted, support):
+        height = f"{support.top:g} m"
+        return f"is z measured from its top? It counts from the floor: {height} higher all would be on it"
     return ""
 
 

@@ -217,11 +217,3 @@ def test_an_object_that_is_not_in_the_pool_is_named_with_its_file_and_its_asset(
     advised = json.loads("{" + re.search(r'"asset": "\w+"', str(caught.value))[0] + "}")
     write(path, {"name": given, "position": [0, 0, 0.75]} | advised)
     assert [asset.name for asset in read_layouts(path, None, None, None).layouts[0].objects] == ["mug"]
-
-
-def test_centimetres_from_the_top_are_recognised():
-    mug, table = find_pool("dining")["mug"], find_support("table")
-    hint = hint_for_positions([mug], np.array([[10.0, -20, 5, 1, 0, 0, 0]]), table, True)
-    assert '"unit": "cm"' in hint
-    assert "from its top" in hint
-    assert hint_for_positions([mug], np.array([[10.0, -20, 5, 1, 0, 0, 0]]), table, False) == ""
