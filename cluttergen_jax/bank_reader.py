@@ -793,7 +793,7 @@ def _check(name: str, value: Any, shape: tuple[int, ...], low: float = -_FAR, hi
         length == wanted or (wanted == -1 and length) for length, wanted in zip(numbers.shape, shape)
     )
     if numbers.dtype.kind not in "iuf" or not is_shaped or not ((low <= numbers) & (numbers <= high)).all():
-        raise ValueError(f"its {name} is not what it can be")
+        raise ValueError(f"its {name} is of another type or shape, or out of range")
 
 
 def _check_object(record: dict[str, Any]) -> None:

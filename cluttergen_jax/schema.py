@@ -58,7 +58,7 @@ def parse_written_json(data: bytes) -> Any:
     """What JSON that people write says: as `parse_json`, and a key that comes twice is refused.
 
     Raises:
-      SchemaError: it is none, has a key twice, or lies too deep within each other.
+      SchemaError: it is none, has a key twice, or is nested too deeply.
     """
     try:
         value = json.loads(data, object_pairs_hook=_unique, parse_constant=_no_number)
@@ -98,7 +98,7 @@ def parse_toml(text: str) -> Record:
     """What TOML says; the language itself allows no key twice.
 
     Raises:
-      SchemaError: it is none, or lies too deep within each other.
+      SchemaError: it is none, or is nested too deeply.
     """
     try:
         value = tomllib.loads(text)
@@ -112,7 +112,7 @@ def parse_yaml(data: bytes) -> Any:
     """What YAML says: one document whose keys are texts, each once, in UTF-8.
 
     Raises:
-      SchemaError: it is none, has a key twice or one that is no text, lies too deep within each other, or
+      SchemaError: it is none, has a key twice or one that is no text, is nested too deeply, or
         grows without bound by what it repeats.
     """
     try:

@@ -117,7 +117,7 @@ def pull_policies(
     with hold_folder(root):
         if there := [each for each in found if inside(root, each).exists() and not overwrite]:
             raise BankError(
-                f"{root / there[0]} exists", "checkpoints that are new", "`overwrite` to replace them"
+                f"{root / there[0]} exists", "names that do not exist yet", "`overwrite` to replace them"
             )
         with writing(root), scratch_folder(root / "fetched") as scratch:
             place.fetch(name, commit, scratch, _OF_POLICIES)

@@ -245,7 +245,7 @@ def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
     if any(abs(turn - 1) > 1e-3 for turn in turns):
         raise ValueError("a resting pose has a quaternion that is not of length 1")
     if len(stored.inertia) != 3 or min(row[axis] for axis, row in enumerate(stored.inertia)) < 0:
-        raise ValueError("an inertia that no body has")
+        raise ValueError("an inertia with a negative moment, or not of 3 x 3 numbers")
     files = stored.textures or [None] * len(stored.rgba)
     textures = {name: Texture(blobs[name]) for name in files if name is not None}
     pieces = []

@@ -120,7 +120,7 @@ def required_recipe(recipe: partial[T] | None, maker: str) -> partial[T]:
     """
     if recipe is None:
         raise TypeError(
-            f"it holds an engine, and is pickled as the call of {maker} that made it; none made it as it is"
+            f"it holds an engine, so the call of {maker} is pickled; it was made or changed otherwise"
         )
     return recipe
 

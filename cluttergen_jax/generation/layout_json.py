@@ -83,7 +83,10 @@ def read_layout_json(path: Path) -> LayoutFile:
     exported = _EXPORTED if "format" in record else ()
     _check_keys(record, (*_OF_FILE, *_REMARKS, *exported), f"{path}")
     if not isinstance(record.get("objects"), list):
-        raise ConfigError(f"{path} is no layout: it has no list of objects", f"JSON such as {FORM}")
+        given = (
+            f"objects = {_short(record['objects'])}" if "objects" in record else "there is no key 'objects'"
+        )
+        raise ConfigError(f"{path} is no layout: {given}", f"a list, in JSON such as {FORM}")
     if not record["objects"]:
         raise ConfigError(f"{path} holds no objects", "one or more")
     unit = _unit_of(record, f"{path}")
@@ -104,9 +107,20 @@ def _check_keys(record: Mapping[str, Any], known: tuple[str, ...], where: str) -
     """Refuses a key that nothing is known of (ConfigError)."""
     for key in record:
         if key not in known:
-            shown = [each for each in known if each not in (*_REMARKS, *_EXPORTED, *_RESULTS)]
-            meant = _MEANT.get(key.lower(), "") or closest(key, shown)
+            shown = [each for each in known if each not in (*_REMARKS, *_EXPORTED, *_RESULTS, "is_stable")]
+            meant = _MEANT.get(key.lower(), "")
+            if meant == _ANY_TURN:
+                meant = _turn_of(record[key])
+            elif meant not in known or meant in record:
+                meant = closest(key, shown)
             raise ConfigError(f"{where}: the key {key!r} is not known", ", ".join(shown), meant=meant)
+
+
+def _turn_of(value: Any) -> str:
+    """The key of an orientation that takes a value of this form; "" where none does."""
+    if isinstance(value, list):
+        return {3: "rpy_deg", 4: "quaternion_wxyz"}.get(len(value), "")
+    return "yaw_deg" if isinstance(value, int | float) else ""
 
 
 def _unit_of(record: Mapping[str, Any], where: str) -> str:
@@ -200,8 +214,8 @@ def _short(value: Any) -> str:
 def _numbers(value: Any, count: int, where: str) -> np.ndarray:
     """f64[count] of a list of finite numbers (ConfigError)."""
     is_list = isinstance(value, list) and len(value) == count
-    if not is_list or any(isinstance(each, bool) or not isinstance(each, int | float) for each in value):
-        raise ConfigError(f"{where} = {_short(value)}, so it is no layout", f"{count} numbers")
+    if not is_list or any(not _is_number(each) for each in value):
+        raise ConfigError(f"{where} = {_short(value)}, so it is no layout", f"a list of {count} numbers")
     try:
         numbers = np.array(value, np.float64)
     except OverflowError:
@@ -209,6 +223,10 @@ def _numbers(value: Any, count: int, where: str) -> np.ndarray:
     if not np.isfinite(numbers).all():
         raise ConfigError(f"{where} = {_short(value)}, which is not finite", f"{count} finite numbers")
     return numbers
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _wxyz(value: Any, where: str) -> np.ndarray:
@@ -223,6 +241,8 @@ def _angles(count: int, factor: float) -> Callable[[Any, str], np.ndarray]:
     """Reads a yaw, or roll, pitch and yaw, in radians or degrees."""
 
     def read(value: Any, where: str) -> np.ndarray:
+        if count == 1 and not _is_number(value):
+            raise ConfigError(f"{where} = {_short(value)}, so it is no layout", "one number")
         angles = _numbers(value if count == 3 else [value], count, where)
         if factor == 1.0 and np.abs(angles).max() > _FULL_TURN:
             key = where.rpartition(": ")[2]
@@ -267,10 +287,28 @@ _OTHER_ORDER = {
 }
 _RESULTS = ("is_placed", "shift", "turn")
 """Keys of what `repair` has written: of the layout that was."""
+_ANY_TURN = "an orientation"
 _MEANT = {
-    **dict.fromkeys(("quaternion", "quat", "orientation", "rotation", "rot"), "quaternion_wxyz"),
-    **dict.fromkeys(("euler", "euler_angles", "angles"), "euler_deg"),
-    **dict.fromkeys(("pos", "xyz", "location", "translation"), "position"),
+    **dict.fromkeys(("quaternion", "quat"), "quaternion_wxyz"),
+    **dict.fromkeys(("euler", "euler_angles"), "euler_deg"),
+    **dict.fromkeys(
+        (
+            "orientation",
+            "rotation",
+            "rot",
+            "rotation_deg",
+            "angle",
+            "angles",
+            "heading",
+            "heading_deg",
+            "theta",
+        ),
+        _ANY_TURN,
+    ),
+    **dict.fromkeys(("roll", "pitch", "roll_deg", "pitch_deg"), "rpy_deg"),
+    **dict.fromkeys(("pos", "xyz", "x", "y", "z", "location", "coordinates", "translation"), "position"),
+    **dict.fromkeys(("object", "object_name", "label", "id", "type"), "name"),
+    **dict.fromkeys(("category", "model", "class"), "asset"),
     **dict.fromkeys(("table", "surface", "furniture"), "support"),
     **dict.fromkeys(("items",), "objects"),
 }

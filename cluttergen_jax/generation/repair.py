@@ -16,15 +16,15 @@ import pyarrow as pa
 import pyarrow.csv
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import SupportAsset, recorded_ring
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import REPAIR, ContactConfig, StabilityConfig
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import file_whole, write_atomically, writing
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.generation.generate import recipe_of
-from cluttergen_jax.generation.layout_json import FORM, read_layout_json
+from cluttergen_jax.generation.layout_json import FORM, LayoutEntry, read_layout_json
 from cluttergen_jax.generation.layout_reasons import hint_for_positions, reason_without_place
 from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.learning.methods import Method
@@ -138,11 +138,24 @@ def _layouts_of_files(files: Sequence[Path], pool: str | None, support: str | No
             if np.abs(theirs - ours).max() > 1e-4:
                 given = f"{file}: a support with a region of {2 * theirs[0]:g} x {2 * theirs[1]:g} m"
                 raise ConfigError(given, f"{2 * ours[0]:g} x {2 * ours[1]:g} m, as {support!r}", "`support`")
-        objects = tuple(assets[entry.asset or base_name(entry.name)] for entry in each.entries)
+        objects = tuple(_asset_of(assets, entry, file) for entry in each.entries)
         names, poses = tuple(e.name for e in each.entries), np.array([e.pose for e in each.entries])
         layouts.append(BrokenLayout(file.name, names, objects, poses, each.is_in_metres))
     notes = tuple(note for each in read.values() for note in each.notes)
     return LayoutSet(tuple(layouts), table, ProblemConfig(pool=pool, support=support), notes)
+
+
+def _asset_of(pool: Pool, entry: LayoutEntry, file: Path) -> ObjectAsset:
+    """The object of a pool that an entry names (PoolError, with the file and what it calls the object)."""
+    wanted = entry.asset or base_name(entry.name)
+    try:
+        return pool[wanted]
+    except PoolError as error:
+        given = f"{file}: {entry.name!r}: {error.given.rstrip('.')}"
+        called = [each.name for each in pool.facts if each.label.lower() == wanted.lower()]
+        meant = error.meant or next(iter(called), "")
+        hint = f'"asset": "{meant or pool.names[0]}" in this object, beside its name'
+        raise PoolError(given, error.allowed, hint, meant) from error
 
 
 def _only(what: str, found: set[str]) -> str:

@@ -84,7 +84,7 @@ def _why_no_furniture(facts: BodyFacts) -> str:
     if facts.is_mocap:
         return "as a program moves them (mocap)"
     if facts.chain >= MIN_CHAIN:
-        return "as they have limbs as robots do"
+        return "as they have chains of joints, as robots have"
     return "as they move freely" if facts.is_free else ""
 
 

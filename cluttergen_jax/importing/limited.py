@@ -169,7 +169,7 @@ def serve() -> None:
         except MemoryError:
             os._exit(_NO_MEMORY)
         except RecursionError:
-            answer = (False, AssetError("what it holds lies too deep within each other"))
+            answer = (False, AssetError("what it holds is nested too deeply"))
         except Exception as error:
             answer = (False, error)
         _set_alarm(0)

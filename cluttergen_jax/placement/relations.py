@@ -161,7 +161,7 @@ def _no_candidate(name: str, condition: str, known: Sequence[str]) -> ConfigErro
     if name == condition:
         given, allowed = f"no object is called {name!r}", ", ".join(dict.fromkeys(names))
         return ConfigError(given, allowed, meant=closest(name, names))
-    given = f"role {name!r} stands for {condition!r}, and no object is that"
+    given = f"role {name!r} is {condition!r}, which no object fulfils"
     allowed = "a name, a pattern or a condition that one of the objects fulfils"
     meant = closest(condition.strip("*?"), names)
     return ConfigError(given, allowed, f"roles='{name}={meant or '*'}'")

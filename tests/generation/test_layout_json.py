@@ -13,9 +13,10 @@ import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.generation.layout_json import read_layout_json
 from cluttergen_jax.generation.layout_reasons import hint_for_positions, reason_without_place
+from cluttergen_jax.generation.repair import read_layouts
 from cluttergen_jax.geometry import rotation_matrix, yaw_quaternion
 
 CASES = Path(__file__).parents[1] / "cases" / "repair"
@@ -91,7 +92,12 @@ def test_an_orientation_is_read_by_its_key(tmp_path, key, value, expected):
         ({}, {"gravity": [0, 0, -9.8]}, "'gravity' is not known"),
         ({"quaternion_wxyz": [0, 0, 0, 0]}, {}, "no direction"),
         ({"quaternion_wxyz": ["1", 0, 0, 0]}, {}, "4 numbers"),
-        ({"yaw_deg": [90]}, {}, "1 numbers"),
+        ({"yaw_deg": [90]}, {}, r"yaw_deg = \[90\].*one number"),
+        ({"rotation": [0, 0, 90]}, {}, "Did you mean 'rpy_deg'"),
+        ({"rotation": [1, 0, 0, 0]}, {}, "Did you mean 'quaternion_wxyz'"),
+        ({"angle": 90}, {}, "Did you mean 'yaw_deg'"),
+        ({"orientation": {"yaw": 90}}, {}, r"'orientation' is not known\. Allowed"),
+        ({"id": 3}, {}, r"'id' is not known\. Allowed"),
         ({"position": [0, 0, True]}, {}, "3 numbers"),
         ({"name": ""}, {}, "name"),
         ({}, {"support": {"name": "table", "colour": "red"}}, "'colour' is not known"),
@@ -198,3 +204,16 @@ def test_other_units_are_asked_for_where_all_would_fit(factor, unit):
     assert hint_for_positions(objects, poses, table, False) == ""
     poses[0, 0] += factor
     assert hint_for_positions(objects, poses, table, True) == ""
+
+
+@pytest.mark.parametrize(
+    ("given", "more"),
+    [("coffee mug", {}), ("mug_1", {}), ("my cup", {"asset": "mugg"})],
+)
+def test_an_object_that_is_not_in_the_pool_is_named_with_its_file_and_its_asset(tmp_path, given, more):
+    path = write(tmp_path / "a.json", {"name": given, "position": [0, 0, 0.75]} | more)
+    with pytest.raises(PoolError, match=rf"a\.json: '{given}': .*Did you mean 'mug'") as caught:
+        read_layouts(path, None, None, None)
+    advised = json.loads("{" + re.search(r'"asset": "\w+"', str(caught.value))[0] + "}")
+    write(path, {"name": given, "position": [0, 0, 0.75]} | advised)
+    assert [asset.name for asset in read_layouts(path, None, None, None).layouts[0].objects] == ["mug"]

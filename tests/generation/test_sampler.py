@@ -129,7 +129,7 @@ def test_a_sampler_with_another_part_has_no_recipe_of_another(sample, scenes, po
         changed = dataclasses.replace(sample, **{field.name: part})
         assert changed.recipe is None, field.name
         assert repr(changed) == "Sampler(3 objects)"
-        with pytest.raises(TypeError, match="none made it as it is"):
+        with pytest.raises(TypeError, match="it was made or changed otherwise"):
             pickle.dumps(changed)
     with pytest.raises(ConfigError, match=r"recipe = .*make_sampler"):
         dataclasses.replace(sample, recipe=functools.partial(cg.make_sampler, "office"))

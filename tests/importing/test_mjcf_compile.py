@@ -153,3 +153,10 @@ def test_several_faults_of_one_file_are_all_mended_and_told(tmp_path):
     assert model.ngeom == 6
     assert len(notes) == 3
     assert "'m0', 'm1', 'm2', 'm3'" in " ".join(notes)
+
+
+def test_a_mesh_that_is_not_there_is_named_and_is_no_other_format(tmp_path):
+    path = write(tmp_path / "a.xml", free('<geom type="mesh" mesh="gone"/>'), '<mesh file="gone.obj"/>')
+    with pytest.raises(AssetError, match=r"gone\.obj.*Try: restoring the file") as caught:
+        compile_with_notes(path)
+    assert "Allowed" not in str(caught.value)

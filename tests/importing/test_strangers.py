@@ -191,7 +191,7 @@ def test_a_world_is_its_own_models_in_a_folder_and_all_where_it_is_given(tmp_pat
     [
         (include("a.sdf"), "includes itself: a.sdf -> a.sdf"),
         (include("model://nowhere"), "which is not there"),
-        (include("https://fuel.gazebosim.org/x"), "from the net"),
+        (include("https://fuel.gazebosim.org/x"), "from the internet"),
         ("<include merge='true'><uri>b.sdf</uri></include>", "merge"),
         (include("c.urdf"), "no SDF"),
         (include("d.sdf"), "holds no model"),

@@ -173,7 +173,7 @@ def test_a_misspelt_object_of_a_relation_is_named_with_what_was_meant():
     # Another misspelt name is not what was meant.
     with pytest.raises(ConfigError, match="Did you mean 'paperback'"):
         RelatedObjects.of([Relation.parse("papreback on papreback2")], (), facts("paperback", "book"))
-    with pytest.raises(ConfigError, match=r"role 'low' stands for 'boko\*', .* Try: roles='low=book'"):
+    with pytest.raises(ConfigError, match=r"role 'low' is 'boko\*', .* Try: roles='low=book'"):
         RelatedObjects.of(
             [Relation.parse("paperback on low")], [("low", "boko*")], facts("paperback", "book")
         )

@@ -206,7 +206,10 @@ def compile_with_notes(path: Path, is_simulated: bool = False) -> tuple[mujoco.M
         model.names.decode()
     except (ValueError, OSError, mujoco.FatalError) as error:
         message = " ".join(str(error).split())
-        raise AssetError(f"{path} cannot be compiled as MJCF: {message}", "an MJCF file") from error
+        is_missing = "opening file" in message
+        allowed = "" if is_missing else "an MJCF file"
+        hint = "restoring the file that it names" if is_missing else ""
+        raise AssetError(f"{path} cannot be compiled as MJCF: {message}", allowed, hint) from error
     return model, notes
 
 

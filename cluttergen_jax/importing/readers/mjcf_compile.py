@@ -204,7 +204,7 @@ class _Edits:
         body.explicitinertial = True
         body.fullinertia, body.inertia = np.full(6, np.nan), np.full(3, _NO_MOMENT)
         self.spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-        what = "no mass" if is_mass else "an inertia that no body has"
+        what = "no mass" if is_mass else "an impossible inertia"
         why = "nothing is simulated" if not self._is_simulated else "they do not move"
         return self._note(
             f"bodies with {what}, which does not matter as {why}", repr(body.name or f"#{number}")

@@ -138,7 +138,7 @@ def _included(path: Path, include: Element, above: tuple[Path, ...], tree: SdfTr
 def _file_of(path: Path, uri: str) -> Path:
     """The SDF file that a uri names: itself, or of a folder the one of the latest version."""
     if uri.startswith(_FROM_THE_NET):
-        raise AssetError(f"{path} includes {uri!r} from the net", "files on this machine", "fetching it")
+        raise AssetError(f"{path} includes {uri!r} from the internet", "files on this machine", "fetching it")
     if (file := mesh_place(path, uri) if uri else None) is not None:
         return file
     folder = folder_place(path, uri) if uri else None

@@ -71,7 +71,7 @@ def _axis(value: Any) -> str:
     if isinstance(value, str) and (named := _AXIS.fullmatch(value.strip().lower())):
         return named[1].replace("+", "") + named[2]
     if not isinstance(value, list) or len(value) != 3:
-        raise ValueError(f"it is none of {', '.join(AXES)}, and no direction")
+        raise ValueError(f"it is neither one of {', '.join(AXES)} nor a direction of 3 numbers")
     vector = np.array([_number(each) for each in value])
     length = float(np.linalg.norm(vector))
     main = int(np.abs(vector).argmax())

@@ -196,7 +196,7 @@ class Sidecars:
             try:
                 found, factors = scale_of(value) if name == "scale" else (VALUES[name](value), stretch)
                 if name == "mass" and source.body:
-                    raise ValueError("it is that of the whole file")
+                    raise ValueError("it is the mass of the whole file, and the object is one body of it")
                 if factors != (1.0, 1.0, 1.0) and source.kind != "mesh":
                     raise ValueError("a model has one factor for all axes")
                 if name == UNIT and "scale" in values and found != 1.0:

@@ -121,7 +121,7 @@ def _kept_folder(folder: Path) -> KeptFolder:
     return KeptFolder(
         folder,
         lambda _: has_state(folder / "last"),
-        "{other} is nothing of a run",
+        "{other} belongs to no run",
         _is_of_a_run,
         ConfigError,
     )
