@@ -126,6 +126,7 @@ def test_without_knowledge_of_sets_it_is_an_alarm():
         ("mug.json", {"units": "millimeters"}, '"mug.obj".scale = 0.001'),
         ("info.json", {"objects": [{"file": "mug.obj", "scale": 0.2}]}, '"mug.obj".scale = 0.2'),
         ("info.json", {"mug": {"scale": 0.2}}, '"mug.obj".scale = 0.2'),
+        ("info.json", [{"scale": 0.2}], '"mug.obj".scale = 0.2'),
         ("mug.json", {"metersPerUnit": 0.01}, '"mug.obj".scale = 0.01'),
         ("mug.json", '{"scale": NaN}', "scale NaN"),
         ("mug.json", {"scale": -1}, "scale -1"),
