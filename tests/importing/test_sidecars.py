@@ -1,5 +1,6 @@
 """JSON beside an object: what known sets state is used, and what others state is an alarm."""
 
+import gzip
 import json
 
 import numpy as np
@@ -246,3 +247,14 @@ def test_any_document_ends_in_a_sound_plan(tmp_path, document):
     for planned in plan(tmp_path).objects:
         assert np.isfinite(planned.options.scale)
         assert all(text.isprintable() for text in (*planned.alarms, *planned.source.decisions))
+
+
+def test_objaverse_in_its_own_folders(tmp_path):
+    save_box(tmp_path / "glbs" / "000-001" / "uid1.glb")
+    about = {"uid1": {"uid": "uid1", "name": "Red Cup", "license": "by-nc"}}
+    (tmp_path / "metadata").mkdir()
+    with gzip.open(tmp_path / "metadata" / "000-001.json.gz", "wt") as file:
+        json.dump(about, file)
+    planned = only(tmp_path)
+    assert planned.source.label == "Red Cup"
+    assert "licence by-nc" in planned.source.decisions[0]
