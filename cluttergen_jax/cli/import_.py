@@ -165,8 +165,16 @@ def left_out_text(left_out: Sequence[LeftOut]) -> str:
     lines = [f"{len(left_out)} left out, as no objects for a table:"]
     for reason in dict.fromkeys(each.reason for each in left_out):
         lines.append(f"  {reason}: {_names_text([each for each in left_out if each.reason == reason])}")
-    one = f"[{left_out[0].name!r}] take = true"
+    one = f"[{_one_of(left_out)!r}] take = true"
     return "\n".join([*lines, f"  (`take_all` takes them all; objects.toml takes one of them: {one})", ""])
+
+
+def _one_of(left_out: Sequence[LeftOut]) -> str:
+    """The name of one object, for an example: of what holds several only one of these."""
+    from cluttergen_jax.importing.table_top import SEVERAL
+
+    whole = next((each.name for each in left_out if each.reason != SEVERAL), "")
+    return whole or left_out[0].detail.split(", ")[0]
 
 
 def _names_text(group: Sequence[LeftOut]) -> str:

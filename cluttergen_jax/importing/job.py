@@ -15,7 +15,7 @@ from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_SIZE
 from cluttergen_jax.importing.readers.source import states_unit
 from cluttergen_jax.importing.readers.things import SeveralThings
 from cluttergen_jax.importing.solo_stability import measured_object
-from cluttergen_jax.importing.table_top import LeftOut, Limits
+from cluttergen_jax.importing.table_top import SEVERAL, LeftOut, Limits
 from cluttergen_jax.physics.log import silent_log
 
 _JITTER = 1e-5
@@ -75,11 +75,7 @@ def make_job(job: Job) -> ObjectAsset | LeftOut | str:
             lost = (f"{_WAYS[job.num_lost]}: before, {job.fault}",) if job.num_lost else ()
             return replace(asset, flags=(*job.source.notes, *lost, *asset.flags))
     except SeveralThings as error:
-        reason = (
-            "several things that do not touch, in one file: import one by its name behind '#', or say so in "
-            "objects.toml, ['FILE#NAME'] take = true"
-        )
-        return LeftOut(job.place, reason, ", ".join(error.places))
+        return LeftOut(job.place, SEVERAL, ", ".join(error.places))
     except ClutterGenError as error:
         return str(error)
     except MemoryError:

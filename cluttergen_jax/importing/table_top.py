@@ -18,6 +18,13 @@ _FURNITURE = 2.0
 """Metres."""
 
 
+SEVERAL = (
+    "several things that do not touch, in one file: import one by its name behind '#', or say so in "
+    "objects.toml, ['FILE#NAME'] take = true"
+)
+"""Why a file of several things is left out."""
+
+
 @dataclass(frozen=True)
 class LeftOut:
     """A body that could be read and is no object for a table."""

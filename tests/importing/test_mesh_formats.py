@@ -10,6 +10,7 @@ from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.materials import GREY
+from cluttergen_jax.importing.readers.mesh_text import material_lines
 from tests.helpers.cases import CASES
 
 DIE = (CASES / "03_dae_unit" / "inch_die.dae").read_text()
@@ -62,6 +63,12 @@ def test_a_material_that_is_nowhere_defined_is_told(tmp_path):
     shape = painted(tmp_path, "blue", "newmtl red\nKd 1 0 0\n")
     assert "a.obj names material 'blue', which is nowhere defined" in shape.notes
     assert shape.pieces[0].rgba == GREY
+
+
+def test_mtllib_counts_at_the_beginning_of_a_line_alone():
+    text = b"# mtllib no.mtl\n \tmtllib a.mtl\r\nxmtllib no\no mtllib b.mtl\n"
+    text += b"mtllib  two words.mtl # why\nmtllib a.mtl"
+    assert material_lines(text) == ["a.mtl", "two words.mtl"]
 
 
 def test_a_tab_behind_mtllib_is_a_space():

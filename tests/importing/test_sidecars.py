@@ -1,5 +1,6 @@
 """JSON beside an object: what known sets state is used, and what others state is an alarm."""
 
+import gzip
 import json
 
 import numpy as np
@@ -126,6 +127,7 @@ def test_without_knowledge_of_sets_it_is_an_alarm():
         ("mug.json", {"units": "millimeters"}, '"mug.obj".scale = 0.001'),
         ("info.json", {"objects": [{"file": "mug.obj", "scale": 0.2}]}, '"mug.obj".scale = 0.2'),
         ("info.json", {"mug": {"scale": 0.2}}, '"mug.obj".scale = 0.2'),
+        ("info.json", [{"scale": 0.2}], '"mug.obj".scale = 0.2'),
         ("mug.json", {"metersPerUnit": 0.01}, '"mug.obj".scale = 0.01'),
         ("mug.json", '{"scale": NaN}', "scale NaN"),
         ("mug.json", {"scale": -1}, "scale -1"),
@@ -245,3 +247,14 @@ def test_any_document_ends_in_a_sound_plan(tmp_path, document):
     for planned in plan(tmp_path).objects:
         assert np.isfinite(planned.options.scale)
         assert all(text.isprintable() for text in (*planned.alarms, *planned.source.decisions))
+
+
+def test_objaverse_in_its_own_folders(tmp_path):
+    save_box(tmp_path / "glbs" / "000-001" / "uid1.glb")
+    about = {"uid1": {"uid": "uid1", "name": "Red Cup", "license": "by-nc"}}
+    (tmp_path / "metadata").mkdir()
+    with gzip.open(tmp_path / "metadata" / "000-001.json.gz", "wt") as file:
+        json.dump(about, file)
+    planned = only(tmp_path)
+    assert planned.source.label == "Red Cup"
+    assert "licence by-nc" in planned.source.decisions[0]

@@ -6,13 +6,14 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.cli.import_ import left_out_text
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing.cache import cache_key
 from cluttergen_jax.importing.job import Job, ObjectConfig, make_job
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.readers.things import SeveralThings, read_thing
-from cluttergen_jax.importing.table_top import LeftOut, Limits
+from cluttergen_jax.importing.table_top import SEVERAL, LeftOut, Limits
 from tests.helpers.cases import CASES
 
 THREE = CASES / "25_several_in_one" / "three.glb"
@@ -86,6 +87,12 @@ def test_three_cubes_of_one_file_are_left_out_and_named():
     assert isinstance(made, LeftOut)
     assert made.detail == "three.glb#cube0, three.glb#cube1, three.glb#cube2"
     assert "by its name behind '#'" in made.reason
+
+
+def test_the_example_for_objects_toml_is_one_thing():
+    left_out = (LeftOut("a.glb", SEVERAL, "a.glb#fork, a.glb#spoon"),)
+    assert left_out_text(left_out).endswith("['a.glb#fork'] take = true)\n")
+    assert "['b.stl'] take" in left_out_text((*left_out, LeftOut("b.stl", "too large")))
 
 
 @pytest.mark.parametrize("node", ["cube0", "cube1", "cube2"])

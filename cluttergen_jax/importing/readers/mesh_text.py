@@ -30,7 +30,7 @@ _WORD_AND_TAB = re.compile(rb"^[ \t]*([a-z]+)[ ]*\t[ \t]*", re.MULTILINE)
 ALL_MATERIALS = "*.mtl"
 """What an OBJ file's text calls all its material files together: trimesh asks for one."""
 
-_MTLLIB = re.compile(rb"^[ \t]*+mtllib[ \t]++([^\n]++)$", re.MULTILINE)
+_MTLLIB = re.compile(rb"mtllib[ \t]++([^\n]++)$", re.MULTILINE)
 _REMARK = re.compile(rb"(?<=[ \t])#.*", re.DOTALL)
 
 
@@ -63,7 +63,12 @@ def mesh_input(path: Path) -> MeshInput:
 
 def material_lines(data: bytes) -> list[str]:
     """What the `mtllib` lines of an OBJ text name: each one file, or several with spaces between them."""
-    named = (_REMARK.sub(b"", line, count=1).strip(b" \t\r") for line in _MTLLIB.findall(data))
+    lines = [
+        found[1]
+        for found in _MTLLIB.finditer(data)
+        if not data[data.rfind(b"\n", 0, found.start()) + 1 : found.start()].strip(b" \t")
+    ]
+    named = (_REMARK.sub(b"", line, count=1).strip(b" \t\r") for line in lines)
     return [name.decode() for name in dict.fromkeys(named) if name]
 
 

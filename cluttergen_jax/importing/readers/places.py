@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -28,8 +28,8 @@ def find_named(folder: Path, name: str) -> Path | None:
     plain = unquote(OPTIONS.sub("", name.strip(), count=1).strip('"').removeprefix("file://"))
     plain = plain.replace("\\", "/")
     last = plain.rpartition("/")[2]
-    candidates = (folder / plain, *(folder / each / last for each in _FOLDERS))
-    return next((each for each in candidates if last and _is_file(each)), None)
+    places = (plain, *(f"{each}/{last}" for each in _FOLDERS))
+    return next((found for each in places if last and _is_file(found := folder / each)), None)
 
 
 def folder_place(model: Path, name: str) -> Path | None:
@@ -49,18 +49,23 @@ def mesh_place(model: Path, name: str, is_there: Callable[[Path], bool] | None =
     """
     if len(name) > _LONGEST:
         return None
-    roots = (model.parent, *list(model.resolve().parents)[1:5])
+    is_that = is_there or _is_file
+    return next((each for each in _candidates(model, name) if is_that(each)), None)
+
+
+def _candidates(model: Path, name: str) -> Iterator[Path]:
+    """Where `mesh_place` looks, one by one: most files lie where they are said to be."""
     for text in dict.fromkeys((name, unquote(name))):
         plain = _plain_path(text)
+        if plain:
+            yield model.parent / plain
         in_package = plain.partition("/")[2] if text.startswith(("package://", "model://")) else ""
         parts = [part for part in plain.split("/") if part not in ("", ".", "..")]
         shorter = ["/".join(parts[start:]) for start in range(1, len(parts) - 1)]
-        candidates = [root / tail for root in roots for tail in (plain, in_package) if tail]
-        candidates += [root / tail for tail in shorter for root in roots]
-        candidates += [model.parent / each / parts[-1] for each in _MESH_FOLDERS if parts]
-        if (found := next(filter(is_there or _is_file, candidates), None)) is not None:
-            return found
-    return None
+        roots = (model.parent, *list(model.resolve().parents)[1:5])
+        yield from (root / tail for root in roots for tail in (plain, in_package) if tail)
+        yield from (root / tail for tail in shorter for root in roots)
+        yield from (model.parent / each / parts[-1] for each in _MESH_FOLDERS if parts)
 
 
 def is_found_elsewhere(name: str, file: Path) -> bool:

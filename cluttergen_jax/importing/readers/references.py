@@ -81,7 +81,7 @@ def _urdf(path: Path) -> ModelFile:
     if root is None:
         return ModelFile(path, "urdf", _named_in_text(path), is_whole=False)
     named = [each.get("filename", "") for each in root.iter() if plain_tag(each) in ("mesh", "texture")]
-    files = {name: file for name in named if (file := mesh_place(path, name)) is not None}
+    files = {name: file for name in dict.fromkeys(named) if (file := mesh_place(path, name)) is not None}
     real = frozenset(file.resolve() for file in files.values())
     return ModelFile(path, "urdf", real, is_whole=len(files) == len(set(named)))
 

@@ -247,6 +247,8 @@ class Sidecars:
                 self.used.add(file.resolve())
                 continue
             entry = _named(document, source.path)
+            if isinstance(document, list) and len(document) == 1:
+                document = document[0]
             for name, key, value, suggested in physical_values(document if entry is None else entry):
                 if name == "up" and suggested == own_up(source.path, source.kind).axis:
                     continue
