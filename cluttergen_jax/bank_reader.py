@@ -594,12 +594,18 @@ class Bank:
         object_index = np.array([known.get(name, -1) for name in coded.dictionary.to_pylist()], np.int32)
         if (object_index < 0).any():
             raise ValueError("it names an object that bank.json does not name")
+        object_index = object_index[np.array(coded.indices)]
         index, is_success = np.array(columns["index"], np.int64), np.array(columns["is_success"], bool)
-        is_sure = is_there & np.repeat(is_success, num_slots[0])
+        row = np.repeat(np.arange(len(index)), num_slots[0])
+        pairs = np.stack([row, object_index])[:, is_there]
+        if np.unique(pairs, axis=1).shape != pairs.shape:
+            raise ValueError("it has an object twice in one scene")
+        is_sure = is_success[row]
+        if not is_there[is_sure].all():
+            raise ValueError("a scene that succeeded lacks an object")
         if (np.abs(places[is_sure, :3]) > _FAR).any():
             raise ValueError(f"an object of a scene that succeeded is farther away than {_FAR:g} m")
         verdict = np.array(columns["verdict"].to_pylist(), object)
-        object_index = object_index[np.array(coded.indices)]
         return _Rows(index, is_success, verdict, num_slots[0], object_index, is_there, places)
 
     def _scenes(self, rows: _Rows) -> Iterator[Scene]:

@@ -162,6 +162,14 @@ def named(rows):
     rows[0]["objects"][0] = "../../x"
 
 
+def twice(rows):
+    rows[0]["objects"][1] = rows[0]["objects"][0]
+
+
+def without_one(rows):
+    next(row for row in rows if row["is_success"])["is_placed"][0] = False
+
+
 @BOTH
 @pytest.mark.parametrize(
     ("change", "says"),
@@ -171,6 +179,8 @@ def named(rows):
         (pose([1e30]), "farther away than 1000 m"),
         (turned, "pose|quaternion"),
         (named, "names an object"),
+        (twice, "an object twice in one scene"),
+        (without_one, "a scene that succeeded lacks an object"),
     ],
 )
 def test_poses_and_names_of_rows_are_checked(bank, read, error, change, says):
