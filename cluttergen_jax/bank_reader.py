@@ -526,8 +526,8 @@ class Bank:
         """ValueError if a file of rows, read for the first time, is not what was written."""
         known = self.record["files"]
         for _ in range(_REWRITES):
-            digest = _digest_of(path)
-            if name in self._sound or known.get(name, digest) == digest:
+            # Of a file without a digest, which may be large, nothing is known that it could be held against.
+            if name in self._sound or name not in known or known[name] == _digest_of(path):
                 self._sound.add(name)
                 return
             # It may have been written again since the bank was opened.
@@ -759,7 +759,8 @@ def _regular_file(folder: Path, name: str) -> Path:
     roots = [os.path.realpath(folder)]
     # The Hugging Face Hub's cache keeps the files of a snapshot beside it, and links to them.
     snapshots = [each for each in folder.absolute().parents if each.name == "snapshots"]
-    roots += [os.path.realpath(each.parent / "blobs") for each in snapshots]
+    # Files there are not links themselves, and neither is their folder.
+    roots += [os.path.join(os.path.realpath(each.parent), "blobs") for each in snapshots]
     found = path.stat()
     if not any(os.path.commonpath([root, real]) == root for root in roots):
         raise ValueError("it is a link that leads out of the bank; cp -rL makes a copy without links")
@@ -780,7 +781,7 @@ def _digest_of(path: Path) -> str:
 
 
 def _parse(data: bytes) -> Any:
-    """What JSON says, all numbers finite (ValueError)."""
+    """What JSON says, all numbers finite and no key twice (ValueError)."""
 
     def refuse(text: str) -> float:
         raise ValueError(f"it holds the number {text}")
@@ -789,7 +790,15 @@ def _parse(data: bytes) -> Any:
         number = float(text)
         return number if math.isfinite(number) else refuse(text)
 
-    return json.loads(data, parse_constant=refuse, parse_float=finite)
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            raise ValueError(
+                f"it holds the key {Counter(key for key, _ in pairs).most_common(1)[0][0]!r} twice"
+            )
+        return found
+
+    return json.loads(data, parse_constant=refuse, parse_float=finite, object_pairs_hook=once)
 
 
 def _check(name: str, value: Any, shape: tuple[int, ...], low: float = -_FAR, high: float = _FAR) -> None:

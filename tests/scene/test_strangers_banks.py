@@ -264,6 +264,31 @@ def test_a_record_holds_finite_numbers(bank, text):
         read_alone(bank)
 
 
+@pytest.mark.parametrize("name", ["bank.json", OBJECT])
+def test_a_record_holds_no_key_twice(bank, name):
+    sign(bank)
+    file = bank / name
+    file.write_text('{"format": 1, ' + file.read_text().lstrip()[1:])
+    with pytest.raises(bank_reader.BankError, match="it holds the key 'format' twice"):
+        read_alone(bank)
+
+
+def test_a_link_in_place_of_a_cache_of_blobs_leads_nowhere(bank, tmp_path):
+    """The Hugging Face Hub's cache links from snapshots to blobs, which is a folder."""
+    outside, snapshot = tmp_path / "outside", tmp_path / "cache/snapshots/1"
+    snapshot.parent.mkdir(parents=True)
+    shutil.move(bank, snapshot)
+    outside.mkdir()
+    shutil.move(snapshot / ROWS, outside / "rows")
+    (snapshot / ROWS).symlink_to("../../blobs/rows")
+    outside.rename(tmp_path / "cache/blobs")
+    assert len(read_alone(snapshot)[3]) >= 6
+    (tmp_path / "cache/blobs").rename(outside)
+    (tmp_path / "cache/blobs").symlink_to(outside)
+    with pytest.raises(bank_reader.BankError, match="leads out"):
+        read_alone(snapshot)
+
+
 @pytest.mark.parametrize(
     ("part", "name", "value"),
     [
