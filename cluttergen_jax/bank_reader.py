@@ -526,8 +526,8 @@ class Bank:
         """ValueError if a file of rows, read for the first time, is not what was written."""
         known = self.record["files"]
         for _ in range(_REWRITES):
-            digest = _digest_of(path)
-            if name in self._sound or known.get(name, digest) == digest:
+            # Of a file without a digest, which may be large, nothing is known that it could be held against.
+            if name in self._sound or name not in known or known[name] == _digest_of(path):
                 self._sound.add(name)
                 return
             # It may have been written again since the bank was opened.
@@ -594,12 +594,18 @@ class Bank:
         object_index = np.array([known.get(name, -1) for name in coded.dictionary.to_pylist()], np.int32)
         if (object_index < 0).any():
             raise ValueError("it names an object that bank.json does not name")
+        object_index = object_index[np.array(coded.indices)]
         index, is_success = np.array(columns["index"], np.int64), np.array(columns["is_success"], bool)
-        is_sure = is_there & np.repeat(is_success, num_slots[0])
+        row = np.repeat(np.arange(len(index)), num_slots[0])
+        pairs = np.stack([row, object_index])[:, is_there]
+        if np.unique(pairs, axis=1).shape != pairs.shape:
+            raise ValueError("it has an object twice in one scene")
+        is_sure = is_success[row]
+        if not is_there[is_sure].all():
+            raise ValueError("a scene that succeeded lacks an object")
         if (np.abs(places[is_sure, :3]) > _FAR).any():
             raise ValueError(f"an object of a scene that succeeded is farther away than {_FAR:g} m")
         verdict = np.array(columns["verdict"].to_pylist(), object)
-        object_index = object_index[np.array(coded.indices)]
         return _Rows(index, is_success, verdict, num_slots[0], object_index, is_there, places)
 
     def _scenes(self, rows: _Rows) -> Iterator[Scene]:
@@ -753,7 +759,8 @@ def _regular_file(folder: Path, name: str) -> Path:
     roots = [os.path.realpath(folder)]
     # The Hugging Face Hub's cache keeps the files of a snapshot beside it, and links to them.
     snapshots = [each for each in folder.absolute().parents if each.name == "snapshots"]
-    roots += [os.path.realpath(each.parent / "blobs") for each in snapshots]
+    # Files there are not links themselves, and neither is their folder.
+    roots += [os.path.join(os.path.realpath(each.parent), "blobs") for each in snapshots]
     found = path.stat()
     if not any(os.path.commonpath([root, real]) == root for root in roots):
         raise ValueError("it is a link that leads out of the bank; cp -rL makes a copy without links")
@@ -774,7 +781,7 @@ def _digest_of(path: Path) -> str:
 
 
 def _parse(data: bytes) -> Any:
-    """What JSON says, all numbers finite (ValueError)."""
+    """What JSON says, all numbers finite and no key twice (ValueError)."""
 
     def refuse(text: str) -> float:
         raise ValueError(f"it holds the number {text}")
@@ -783,7 +790,15 @@ def _parse(data: bytes) -> Any:
         number = float(text)
         return number if math.isfinite(number) else refuse(text)
 
-    return json.loads(data, parse_constant=refuse, parse_float=finite)
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            raise ValueError(
+                f"it holds the key {Counter(key for key, _ in pairs).most_common(1)[0][0]!r} twice"
+            )
+        return found
+
+    return json.loads(data, parse_constant=refuse, parse_float=finite, object_pairs_hook=once)
 
 
 def _check(name: str, value: Any, shape: tuple[int, ...], low: float = -_FAR, high: float = _FAR) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.downstream.fitting import FitConfig
+from cluttergen_jax.downstream.placer import training
 from cluttergen_jax.downstream.placer.heads.checkpoint import load_placer, placer_folder
 from cluttergen_jax.downstream.placer.heads.features import (
     MIRRORED,
@@ -216,6 +217,20 @@ def test_a_run_leaves_a_placer_that_tells_chances(runs):
     placer = load_placer(placer_folder(runs("scored").parent))
     assert placer.config == HEADS["scored"].config
     assert float(placer.temperature) == pytest.approx(record["temperature"])
+
+
+def test_a_run_that_ends_while_its_picture_is_drawn_draws_it_when_it_goes_on(tmp_path, monkeypatch):
+    config = dataclasses.replace(CONFIG, num_epochs=1)
+
+    def killed(*args):
+        raise SystemExit
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "draw_calibration", killed)
+        with pytest.raises(SystemExit):
+            run(tmp_path / "run", "scored", config).run()
+    placer = run(tmp_path / "run", "scored", config).run()
+    assert {each.name for each in placer.iterdir()} == {"calibration.png", "record.json", "weights.npz"}
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import pytest
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.learning.ppo.checkpoint import read_record
+from cluttergen_jax.learning.training import metrics_log
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from tests.helpers.problems import made_up_rules
@@ -53,6 +54,24 @@ def test_a_run_that_was_killed_before_its_policy_was_stored_gets_one(trained, tm
     shutil.copytree(trained[0], folder)
     shutil.rmtree(folder / "policy")
     make_run(folder).train()
+    assert read_record(folder / "policy") == read_record(trained[0] / "policy")
+
+
+def test_a_run_that_was_killed_while_its_curve_was_drawn_draws_it(trained, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    shutil.copytree(trained[0], folder)
+    shutil.rmtree(folder / "policy")
+    (folder / "curve.png").unlink()
+
+    def killed(*args):
+        raise SystemExit
+
+    with monkeypatch.context() as patch:
+        patch.setattr(metrics_log, "draw_curve", killed)
+        with pytest.raises(SystemExit):
+            make_run(folder).train()
+    make_run(folder).train()
+    assert (folder / "curve.png").is_file()
     assert read_record(folder / "policy") == read_record(trained[0] / "policy")
 
 

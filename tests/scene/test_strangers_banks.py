@@ -162,6 +162,14 @@ def named(rows):
     rows[0]["objects"][0] = "../../x"
 
 
+def twice(rows):
+    rows[0]["objects"][1] = rows[0]["objects"][0]
+
+
+def without_one(rows):
+    next(row for row in rows if row["is_success"])["is_placed"][0] = False
+
+
 @BOTH
 @pytest.mark.parametrize(
     ("change", "says"),
@@ -171,6 +179,8 @@ def named(rows):
         (pose([1e30]), "farther away than 1000 m"),
         (turned, "pose|quaternion"),
         (named, "names an object"),
+        (twice, "an object twice in one scene"),
+        (without_one, "a scene that succeeded lacks an object"),
     ],
 )
 def test_poses_and_names_of_rows_are_checked(bank, read, error, change, says):
@@ -252,6 +262,31 @@ def test_a_record_holds_finite_numbers(bank, text):
     sign(bank)
     with pytest.raises(bank_reader.BankError, match=r"support\.json is damaged .it holds the number"):
         read_alone(bank)
+
+
+@pytest.mark.parametrize("name", ["bank.json", OBJECT])
+def test_a_record_holds_no_key_twice(bank, name):
+    sign(bank)
+    file = bank / name
+    file.write_text('{"format": 1, ' + file.read_text().lstrip()[1:])
+    with pytest.raises(bank_reader.BankError, match="it holds the key 'format' twice"):
+        read_alone(bank)
+
+
+def test_a_link_in_place_of_a_cache_of_blobs_leads_nowhere(bank, tmp_path):
+    """The Hugging Face Hub's cache links from snapshots to blobs, which is a folder."""
+    outside, snapshot = tmp_path / "outside", tmp_path / "cache/snapshots/1"
+    snapshot.parent.mkdir(parents=True)
+    shutil.move(bank, snapshot)
+    outside.mkdir()
+    shutil.move(snapshot / ROWS, outside / "rows")
+    (snapshot / ROWS).symlink_to("../../blobs/rows")
+    outside.rename(tmp_path / "cache/blobs")
+    assert len(read_alone(snapshot)[3]) >= 6
+    (tmp_path / "cache/blobs").rename(outside)
+    (tmp_path / "cache/blobs").symlink_to(outside)
+    with pytest.raises(bank_reader.BankError, match="leads out"):
+        read_alone(snapshot)
 
 
 @pytest.mark.parametrize(

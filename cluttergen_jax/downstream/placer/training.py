@@ -128,11 +128,13 @@ class PlacerTraining(FitRun):
     def save(self, state: FitState, held_out: Any) -> Path:
         temperature, found = self._calibrate(state.best, held_out)
         validation = {"calibration": None if found is None else asdict(found)}
-        folder = self.store(state, validation, temperature=temperature)
         if found is not None:
             self._show(f"validation {found}")
-            draw_calibration({"stands": found}, folder / "calibration.png", "poses of the validation split")
-        return folder
+            picture = self.folder / self.kind / "calibration.png"
+            picture.parent.mkdir(parents=True, exist_ok=True)
+            draw_calibration({"stands": found}, picture, "poses of the validation split")
+        # Last: a folder with a record is a run that is done.
+        return self.store(state, validation, temperature=temperature)
 
     def _calibrate(self, params: Any, held_out: Any) -> tuple[float, Calibration | None]:
         """The temperature of a head that tells chances, and how far they then hold."""

@@ -230,8 +230,10 @@ class GuidedTraining:
             "held_out": {"stands": asdict(found), "robust": asdict(robust)},
             "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
         }
-        checkpoint.save_policy(folder, params, record)
+        folder.mkdir(parents=True, exist_ok=True)
         draw_calibration({"stands": found, "stands under change": robust}, folder / "calibration.png")
+        # Last: a folder with a record is a run that is done.
+        checkpoint.save_policy(folder, params, record)
 
 
 class _Crowds:

@@ -148,8 +148,9 @@ class RunLogger:
         if not rows:
             return
         known = {"evaluation": self._beside(evaluation)} if evaluation else {}
-        self._save("policy", state, {"success": rows[-1]["success"], **known})
         metrics_log.draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
+        # Last: by the policy's record a run is known to be done.
+        self._save("policy", state, {"success": rows[-1]["success"], **known})
 
     @property
     def num_evaluated(self) -> int:

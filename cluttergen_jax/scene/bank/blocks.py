@@ -264,6 +264,15 @@ def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> N
         verdicts = pc.unique(table["verdict"]).to_pylist()
         if strange := [text for text in verdicts if not text.isprintable()]:
             raise ValueError(f"it has a verdict {strange[0]!r}")
+    if {"objects", "is_placed", "is_success"} <= names:
+        row = np.repeat(np.arange(table.num_rows), np.array(pc.list_value_length(table["is_placed"])))
+        placed = np.array(pc.list_flatten(table["is_placed"]), bool)
+        objects = pc.list_flatten(table["objects"]).combine_chunks().dictionary_encode().indices
+        pairs = np.stack([row, np.array(objects)])[:, placed]
+        if np.unique(pairs, axis=1).shape != pairs.shape:
+            raise ValueError("it has an object twice in one scene")
+        if not placed[np.array(table["is_success"], bool)[row]].all():
+            raise ValueError("a scene that succeeded lacks an object")
     if {"poses", "is_placed"} <= names:
         # Poses are lists in lists: slots, and seven numbers each.
         poses = np.array(pc.list_flatten(pc.list_flatten(table["poses"]))).reshape(-1, 7)
