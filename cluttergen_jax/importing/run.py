@@ -365,10 +365,8 @@ def _store_result(job: Job, outcome: Outcome) -> str:
         return outcome.result
     if isinstance(outcome.result, LeftOut):
         return ""
-    try:
+    with writing(cache.cache_root()):
         cache.store(job.key, outcome.result)
-    except OSError as error:
-        return f"{job.source.path}: {type(error).__name__}: {error}"
     return ""
 
 
