@@ -45,10 +45,10 @@ def error_with_flags(error: ClutterGenError, command: Any) -> str:
         if name is None or field.default is dataclasses.MISSING or value != field.default:
             continue
 
-        def noted(found: re.Match[str], default: object = value) -> str:
+        def with_note(found: re.Match[str], default: object = value) -> str:
             return f"{found[0]} ({'the default' if found[1] == str(default) else 'not given'})"
 
-        given = re.sub(rf"--{name} ([^\s,;:()-][^\s,;:()]*)(?![\w(])", noted, given)
+        given = re.sub(rf"--{name} ([^\s,;:()-][^\s,;:()]*)(?![\w(])", with_note, given)
     return given + with_flags(text.removeprefix(error.given), kind)
 
 

@@ -173,7 +173,7 @@ def serve() -> None:
         except Exception as error:
             answer = (False, error)
         _set_alarm(0)
-        _send(answers, _pickled(answer))
+        _send(answers, _pickle_answer(answer))
 
 
 def _set_alarm(seconds: float) -> None:
@@ -182,7 +182,7 @@ def _set_alarm(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
-def _pickled(answer: tuple[bool, Any]) -> bytes:
+def _pickle_answer(answer: tuple[bool, Any]) -> bytes:
     try:
         data = pickle.dumps(answer)
         if not answer[0]:

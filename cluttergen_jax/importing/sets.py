@@ -22,7 +22,7 @@ import msgspec
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.files import MOST_WORDS
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions
-from cluttergen_jax.importing.readers.opening import read_file, unpacked
+from cluttergen_jax.importing.readers.opening import gunzip, read_file
 from cluttergen_jax.importing.readers.source import label_of
 from cluttergen_jax.importing.settings import did_you_mean
 from cluttergen_jax.schema import convert, parse_yaml
@@ -183,6 +183,6 @@ def _json(path: Path, time: int) -> Any:
     """A JSON file's content as of a time; None if it cannot be read."""
     try:
         data = read_file(path, MOST_WORDS)
-        return json.loads(unpacked(data) if path.suffix == ".gz" else data)
+        return json.loads(gunzip(data) if path.suffix == ".gz" else data)
     except (AssetError, OSError, ValueError, EOFError, RecursionError, zlib.error):
         return None

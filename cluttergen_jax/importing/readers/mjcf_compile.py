@@ -85,13 +85,13 @@ def parse_mjcf(path: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     except ValueError as error:
         if "unrecognized attribute" not in str(error):
             raise
-        files, notes = _respelled(path)
+        files, notes = _read_old_spellings(path)
         if not notes:
             raise
     return mujoco.MjSpec.from_file(str(path), include=files), notes
 
 
-def _respelled(path: Path) -> tuple[dict[str, bytes], tuple[str, ...]]:
+def _read_old_spellings(path: Path) -> tuple[dict[str, bytes], tuple[str, ...]]:
     """The file and those that it includes with today's attributes, by name; and what was changed."""
     waiting, files, notes = [(str(path), path)], dict[str, bytes](), dict[str, None]()
     while waiting:

@@ -37,7 +37,7 @@ def read_file(path: Path, most: int = MOST_MESH) -> bytes:
     return path.read_bytes()
 
 
-def unpacked(data: bytes, most: int = MOST_WORDS) -> bytes:
+def gunzip(data: bytes, most: int = MOST_WORDS) -> bytes:
     """What a gzip file holds.
 
     Raises:

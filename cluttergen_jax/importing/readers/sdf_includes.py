@@ -98,7 +98,7 @@ def _expand(path: Path, holder: Element, above: tuple[Path, ...], tree: SdfTree)
     for index, child in enumerate(list(holder)):
         if child.tag == "include":
             try:
-                holder[index] = _included(path, child, above, tree)
+                holder[index] = _read_included(path, child, above, tree)
             except AssetError as error:
                 if holder.tag == "model" or len(above) > 1:
                     raise
@@ -111,7 +111,7 @@ def _expand(path: Path, holder: Element, above: tuple[Path, ...], tree: SdfTree)
             _expand(path, child, above, tree)
 
 
-def _included(path: Path, include: Element, above: tuple[Path, ...], tree: SdfTree) -> Element:
+def _read_included(path: Path, include: Element, above: tuple[Path, ...], tree: SdfTree) -> Element:
     uri = (include.findtext("uri") or "").strip()
     file = _file_of(path, uri)
     real = file.resolve()

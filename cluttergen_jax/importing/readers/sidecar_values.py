@@ -98,7 +98,7 @@ def is_same(value: Any, plain: Any) -> bool:
         return bool(value == plain)
 
 
-def shown(value: Any) -> str:
+def short_text(value: Any) -> str:
     text = value if isinstance(value, str) else json.dumps(value)
     text = "".join(each if each.isprintable() else "?" for each in text)
     return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."

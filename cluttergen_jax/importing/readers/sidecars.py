@@ -28,7 +28,7 @@ from cluttergen_jax.importing.readers.sidecar_values import (
     is_same,
     physical_values,
     scale_of,
-    shown,
+    short_text,
 )
 from cluttergen_jax.importing.readers.source import ObjectFile, own_up, says_something
 from cluttergen_jax.schema import convert
@@ -339,7 +339,7 @@ def _no_key_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
         twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
-        raise ValueError(f"key {shown(twice)} is there twice")
+        raise ValueError(f"key {short_text(twice)} is there twice")
     return found
 
 
@@ -413,7 +413,7 @@ def _alarm(
     file: Path, key: str, value: Any, reason: str, name: str, place: str, suggested: float | str | None
 ) -> str:
     """What is stated and not used, why, and how it is used."""
-    text = f"{file.name} states {shown(key)} {shown(value)}, which is not used: {reason}"
+    text = f"{file.name} states {short_text(key)} {short_text(value)}, which is not used: {reason}"
     if not place:
         return text
     quoted = json.dumps(place)
