@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import yaml
 
 from cluttergen_jax.importing.readers.sidecar_values import (
     UNIT,
@@ -31,7 +30,7 @@ from cluttergen_jax.importing.readers.sidecar_values import (
     short_text,
 )
 from cluttergen_jax.importing.readers.source import ObjectFile, own_up, says_something
-from cluttergen_jax.schema import convert
+from cluttergen_jax.schema import convert, parse_yaml
 
 _MAX_BYTES = 16 << 20
 """Larger files are no description of objects."""
@@ -83,7 +82,7 @@ class Stated:
 @cache
 def families() -> dict[str, Family]:
     """All families by name, in the order in which they are tried."""
-    document = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+    document = parse_yaml(Path(__file__).with_suffix(".yaml").read_bytes())
     return convert(document, dict[str, Family])
 
 
