@@ -27,6 +27,8 @@ SECONDS = 20
 _PATIENCE = 4
 """So many times as long may pass, whatever else the machine is busy with."""
 _HEAD = 8
+_SERVE = "import sys; sys.path[:] = {path!r}; from {module} import serve; serve()"
+"""What the process runs: modules come from where this one's do, not from the folder in which it stands."""
 
 
 def call_limited(path: Path, function: Callable[..., T], *arguments: Any, seconds: int = SECONDS) -> T:
@@ -101,7 +103,7 @@ class _Server:
             "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
         }
         self._process = subprocess.Popen(
-            [sys.executable, "-c", f"from {__name__} import serve; serve()"],
+            [sys.executable, "-c", _SERVE.format(path=sys.path, module=__name__)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | settings,

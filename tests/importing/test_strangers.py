@@ -3,8 +3,11 @@
 import os
 import signal
 import struct
+import subprocess
+import sys
 import zlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -383,3 +386,13 @@ def test_odd_paths_are_sentences(path):
 def test_a_message_has_an_end(tmp_path):
     (tmp_path / "a.urdf").write_text(GOOD.replace(BOX, f'<mesh filename="{"a" * 10**6}"/>'))
     assert len(said_of(tmp_path / "a.urdf")) < 3000
+
+
+def test_a_module_of_the_folder_one_stands_in_is_not_taken(tmp_path):
+    (tmp_path / "numpy.py").write_text("raise SystemExit('the wrong numpy')")
+    path = CASES / "24_mjcf_flat_visual" / "bracket_oldlabel.xml"
+    script = "import sys; from cluttergen_jax.importing.readers import read_source; read_source(sys.argv[1])"
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    words = [sys.executable, "-P", "-c", script, path]
+    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

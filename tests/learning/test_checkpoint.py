@@ -1,5 +1,6 @@
 """Stored weights: every array of the network is there, finite, of its shape and type, or its name is told."""
 
+import errno
 import zipfile
 
 import jax
@@ -7,7 +8,9 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
+from cluttergen_jax.learning.ppo import checkpoint
+from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_state, save_policy, save_state
+from tests.helpers.accidents import small_disk, why_no_disk
 
 KERNEL, BIAS = "params/actor/kernel", "params/actor/bias"
 LIKE = {
@@ -70,3 +73,37 @@ def test_a_bomb_is_not_unpacked(folder):
             file.write(bytes(1 << 20))
     with pytest.raises(PoolError, match="67108864 bytes"):
         read_policy(folder, LIKE)
+
+
+@pytest.mark.parametrize("kilobytes", [16, 700, 1800])
+def test_a_state_for_which_the_disk_is_too_small_is_told(tmp_path, kilobytes, capfd):
+    if (reason := why_no_disk()) is not None:
+        pytest.skip(f"nothing can be mounted here: {reason}")
+    state = {"weights": np.random.default_rng(0).random(100_000)}
+    with small_disk(tmp_path / "disk") as resize:
+        path = tmp_path / "disk" / "last"
+        resize(kilobytes << 10)
+        with pytest.raises(OSError, match=r"No space left on device.*last"):
+            save_state(path, state, {"pool": "none"})
+        assert not list(path.parent.iterdir())
+        assert "Traceback" not in capfd.readouterr().err
+        resize(10 << 20)
+        save_state(path, state, {"pool": "none"})
+        np.testing.assert_array_equal(read_state(path, state)["weights"], state["weights"])
+
+
+def test_what_orbax_made_of_a_refusal_is_an_os_error_again(tmp_path, monkeypatch):
+    class Refused:
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            raise RuntimeError("Event loop is closed")
+
+        def save(self, *_):
+            raise ValueError("RESOURCE_EXHAUSTED: Failed writing [os_error_code='28']")
+
+    monkeypatch.setattr(checkpoint, "_checkpointer", Refused)
+    with pytest.raises(OSError, match="No space left") as caught:
+        save_state(tmp_path / "last", {"x": np.ones(2)}, {})
+    assert caught.value.errno == errno.ENOSPC

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
+import os
+import re
+import shutil
 import zipfile
 import zlib
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +33,8 @@ _CRITIC = ("params/critic/", "params/value/")
 """What acting does not need; an attention layer has a `value` too, which it does."""
 _MOST_BYTES, _HEADER = 8, 4096
 """Of a number, and of what stands before the numbers in a file of NumPy's."""
+_BESIDE = 1 << 20
+"""Bytes for what Orbax stores beside a state's numbers."""
 _OF_A_RUN = (".csv", ".png", ".log", ".txt", ".out")
 """Endings of files in a run's folder before its state is stored first, what users keep there among them."""
 _SHOWN = 3
@@ -66,11 +72,40 @@ def _from_numbered_leaves(stored: dict[str, Array], like: Any) -> Any:
 
 
 def save_state(path: Path, state: Any, record: Record) -> None:
-    """Stores a pytree of arrays and a JSON record as one folder, whole or not at all."""
+    """Stores a pytree of arrays and a JSON record as one folder, whole or not at all.
+
+    Raises:
+      OSError: the disk is full, or the folder cannot be written for another reason.
+    """
+    leaves = _numbered_leaves(state)
     with folder_whole(path.absolute(), is_only_writer=True) as fresh:
-        with _checkpointer() as checkpointer:
-            checkpointer.save(fresh / "state", _numbered_leaves(state))
+        _check_room(path, sum(leaf.nbytes for leaf in leaves.values()))
+        with _as_os_error(path), _checkpointer() as checkpointer:
+            checkpointer.save(fresh / "state", leaves)
         (fresh / "record.json").write_bytes(_record_bytes(record))
+
+
+def _check_room(path: Path, num_bytes: int) -> None:
+    """Refuses a disk too full for a state: Orbax's threads print stack traces where they find no room."""
+    if shutil.disk_usage(path.absolute().parent).free < num_bytes + _BESIDE:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+@contextmanager
+def _as_os_error(path: Path) -> Iterator[None]:
+    """Inside, what the operating system refused is an OSError, whatever Orbax made of it."""
+    try:
+        yield
+    except Exception as error:
+        # TensorStore says the number of the error in its text alone, and Orbax may fail again on its way out.
+        each: BaseException | None = error
+        while each is not None:
+            if isinstance(each, OSError):
+                raise OSError(each.errno, each.strerror or str(each), str(path)) from error
+            if number := re.search(r"os_error_code='(\d+)'", str(each)):
+                raise OSError(int(number[1]), os.strerror(int(number[1])), str(path)) from error
+            each = each.__cause__ or each.__context__
+        raise
 
 
 def has_state(path: Path) -> bool:
