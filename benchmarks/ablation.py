@@ -50,11 +50,23 @@ ROWS = (
         "preset `cpu`: mixture of Betas over 20 x 20 cells and 8 turns that sees the room for the object",
     ),
     Row("blind", "it is told of heights alone", network={"room": False}),
-    Row("beta", "one Beta a coordinate (the paper's head), z about rest on the bare top", variant="beta"),
-    Row("normal", "one truncated normal a coordinate, z about rest on the bare top", variant="normal"),
+    Row(
+        "beta",
+        "one Beta a coordinate (the paper's head), z about rest on the bare top",
+        variant="beta",
+    ),
+    Row(
+        "normal",
+        "one truncated normal a coordinate, z about rest on the bare top",
+        variant="normal",
+    ),
     Row("open_loop", "no history", variant="open_loop"),
     Row("narrow", "a fifth of the entropy bonus", ppo={"entropy_cost": 0.002}),
-    Row("far", "it looks farther ahead: discount 0.99, GAE 0.95", ppo={"discount": 0.99, "gae_lambda": 0.95}),
+    Row(
+        "far",
+        "it looks farther ahead: discount 0.99, GAE 0.95",
+        ppo={"discount": 0.99, "gae_lambda": 0.95},
+    ),
     Row(
         "undersides",
         "what is lower than the object's underside is not in its way; 16 turns, opposite ones told apart",
@@ -114,7 +126,9 @@ def settings_of(
         ppo=replace(settings.ppo, **row.ppo),
         placement=replace(settings.placement, **row.placement),
     )
-    return replace(config, encoder_weights=None) if "scene_encoder" in row.network else config, settings
+    return replace(
+        config, encoder_weights=None
+    ) if "scene_encoder" in row.network else config, settings
 
 
 def is_finished(folder: Path) -> bool:
@@ -135,7 +149,12 @@ def cells(row: Row, out: Path) -> list[str]:
 
 
 def compare(
-    rows: Sequence[Row], name: str, title: str, pool: str, about: str | None, needs_encoder: bool = False
+    rows: Sequence[Row],
+    name: str,
+    title: str,
+    pool: str,
+    about: str | None,
+    needs_encoder: bool = False,
 ) -> None:
     """Trains what is missing of the rows and writes a section: the program that the command line runs."""
     parser = argparse.ArgumentParser(description=about)
@@ -143,10 +162,16 @@ def compare(
     parser.add_argument("--pool", default=pool)
     parser.add_argument("--num-attempts", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--encoder-weights", required=needs_encoder, help="of `cluttergen pretrain`")
+    parser.add_argument(
+        "--encoder-weights", required=needs_encoder, help="of `cluttergen pretrain`"
+    )
     names = [row.name for row in rows]
-    parser.add_argument("--rows", nargs="+", choices=names, help="these alone, such as with a larger budget")
-    parser.add_argument("--write", action="store_true", help="put the section into reports/benchmarks.md")
+    parser.add_argument(
+        "--rows", nargs="+", choices=names, help="these alone, such as with a larger budget"
+    )
+    parser.add_argument(
+        "--write", action="store_true", help="put the section into reports/benchmarks.md"
+    )
     args = parser.parse_args()
     if args.rows and args.write:
         parser.error("--write puts the whole section into the file: it takes no --rows")

@@ -58,7 +58,11 @@ class BankReading:
             "MB. Each row is a process of its own: seconds after imports, and the most memory that it held."
         )
         header = ("", "seconds", "MB resident", "scenes")
-        report("bank_reading", f"## Reading a big bank\n\n{text}\n\n{table(header, rows)}", write=self.write)
+        report(
+            "bank_reading",
+            f"## Reading a big bank\n\n{text}\n\n{table(header, rows)}",
+            write=self.write,
+        )
 
 
 def repeat(block: Bank, out: Path, num_scenes: int) -> None:

@@ -33,16 +33,23 @@ from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.progress import Progress
 
-_SPEED, _TURN_SPEED, _JOINT_SHARE = 0.25, 1.0, 0.5
-"""m/s and rad/s of the tool on its way to a key pose, and share of the joints' speed, on average."""
+# m/s and rad/s of the tool on its way to a key pose, and share of the joints' speed, on average.
+_SPEED = 0.25
+_TURN_SPEED = 1.0
+_JOINT_SHARE = 0.5
+
 _SLOWER = 0.5
 """By how much with something in the hand."""
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 """About the approach."""
-_NUM_SOLUTIONS, _NEAR = 6, 0.5
-"""Of inverse kinematics; radians between a way of joints and a straight one."""
-_GRIP_STEP, _WAIT = 0.12, 4
-"""Share of the gripper that changes in a step; steps of rest before the next look."""
+# Of inverse kinematics; radians between a way of joints and a straight one.
+_NUM_SOLUTIONS = 6
+_NEAR = 0.5
+
+# Share of the gripper that changes in a step; steps of rest before the next look.
+_GRIP_STEP = 0.12
+_WAIT = 4
+
 _FRESH = 1_000_000
 """Seeds of trials begin here."""
 
@@ -83,7 +90,9 @@ def make_env(args: BehaviourCloning, task: str, bank: Path) -> RobotEnv:
 def _bank(args: BehaviourCloning, name: str, seed: int, num_scenes: int) -> Path:
     path = args.out / name
     shape = {"num_objects": args.num_objects, "region": "0.5x0.5", "order": "random"}
-    cg.generate(path, pool=args.pool, num_scenes=num_scenes, seed=seed, render=False, max_files=0, **shape)
+    cg.generate(
+        path, pool=args.pool, num_scenes=num_scenes, seed=seed, render=False, max_files=0, **shape
+    )
     return path
 
 
@@ -91,11 +100,22 @@ def _make_episode(env: RobotEnv, seed: int, path: Path) -> None:
     """One scripted episode: what was seen, done and asked of the arm in each of T steps, and its end."""
     seen, _ = env.reset(seed=seed)
     assert env.start is not None
-    kept: dict[str, list[np.ndarray]] = {"agent_pos": [], "objects": [], "action": [], "set_point": []}
-    is_success, goal = False, env.start.goals[env.start.target]
+    kept: dict[str, list[np.ndarray]] = {
+        "agent_pos": [],
+        "objects": [],
+        "action": [],
+        "set_point": [],
+    }
+    is_success = False
+    goal = env.start.goals[env.start.target]
     for action in cg.scripted_actions(env):
         assert env.execution is not None
-        now = (seen["agent_pos"], seen["environment_state"].reshape(-1, 11), action, env.execution.set_point)
+        now = (
+            seen["agent_pos"],
+            seen["environment_state"].reshape(-1, 11),
+            action,
+            env.execution.set_point,
+        )
         for name, value in zip(kept, now, strict=True):
             kept[name].append(np.array(value))
         seen, _, terminated, truncated, info = env.step(action)
@@ -103,7 +123,9 @@ def _make_episode(env: RobotEnv, seed: int, path: Path) -> None:
             is_success = bool(info["is_success"])
             break
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, goal=goal, is_success=is_success, **{k: np.array(v) for k, v in kept.items()})
+    np.savez_compressed(
+        buffer, goal=goal, is_success=is_success, **{k: np.array(v) for k, v in kept.items()}
+    )
     write_atomically(path, buffer.getvalue())
 
 
@@ -113,7 +135,9 @@ def _work(args: BehaviourCloning, task: str, bank: Path, left: list[tuple[int, P
         _make_episode(env, seed, path)
 
 
-def collect(args: BehaviourCloning, task: str, bank: Path) -> tuple[list[dict[str, np.ndarray]], int]:
+def collect(
+    args: BehaviourCloning, task: str, bank: Path
+) -> tuple[list[dict[str, np.ndarray]], int]:
     """The successful episodes, and how many were made."""
     folder = args.out / f"{args.robot}-{task}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -150,16 +174,23 @@ def learn(args: BehaviourCloning, env: RobotEnv, episodes: list[dict[str, np.nda
     return fit(examples, args.num_updates, args.width)
 
 
-def cloned_actions(env: RobotEnv, policy: Policy, seen: dict[str, Any], key: Any) -> Iterator[np.ndarray]:
+def cloned_actions(
+    env: RobotEnv, policy: Policy, seen: dict[str, Any], key: Any
+) -> Iterator[np.ndarray]:
     """The actions that bring the tool straight to the next key pose, and then the gripper to its share."""
-    start, run = env.start, env.execution
+    start = env.start
+    run = env.execution
     assert start is not None
     assert run is not None
-    arm, grip = ArmKinematics(env.world.base, env.world.description), float(env.action_of(run.data.ctrl)[-1])
-    objects, goal = seen["environment_state"].reshape(1, -1, 11), start.goals[start.target]
+    arm = ArmKinematics(env.world.base, env.world.description)
+    grip = float(env.action_of(run.data.ctrl)[-1])
+    objects = seen["environment_state"].reshape(1, -1, 11)
+    goal = start.goals[start.target]
     state = state_of(seen["agent_pos"][None], objects, goal[None], np.array([grip]))
     wanted, wanted_grip = jax.device_get(policy.next_key(state, key))
-    for joints in _straight_path(arm, env, run.set_point.copy(), wanted.astype(np.float64), grip < 0):
+    for joints in _straight_path(
+        arm, env, run.set_point.copy(), wanted.astype(np.float64), grip < 0
+    ):
         ctrl = run.data.ctrl.copy()
         ctrl[env.world.robot.ctrl] = joints
         yield np.append(env.action_of(ctrl)[:-1], grip).astype(np.float32)
@@ -183,7 +214,8 @@ def _straight_path(
         return
     end, joints = min(found, key=lambda each: float(np.abs(each[1] - start).max()))
     now = arm.tool(start)
-    turn, away = Rotation.from_matrix(now[:3, :3].T @ end[:3, :3]).as_rotvec(), end[:3, 3] - now[:3, 3]
+    turn = Rotation.from_matrix(now[:3, :3].T @ end[:3, :3]).as_rotvec()
+    away = end[:3, 3] - now[:3, 3]
     longest = float((np.abs(joints - start) / np.array(env.world.description.arm.speed)).max())
     seconds = max(
         np.linalg.norm(away) / _SPEED, np.linalg.norm(turn) / _TURN_SPEED, longest / _JOINT_SHARE
@@ -203,13 +235,19 @@ def _solutions(arm: ArmKinematics, end: np.ndarray, start: np.ndarray) -> list[n
     return [*([] if near is None else [near]), *arm.solutions(end, _NUM_SOLUTIONS)]
 
 
-def judge(args: BehaviourCloning, env: RobotEnv, policy: Policy) -> tuple[Counter[str], Counter[str], int]:
+def judge(
+    args: BehaviourCloning, env: RobotEnv, policy: Policy
+) -> tuple[Counter[str], Counter[str], int]:
     """How trials end by the network and by the scripted policy, and in how many the network lifted."""
-    cloned, scripted, lifted = Counter[str](), Counter[str](), 0
+    cloned = Counter[str]()
+    scripted = Counter[str]()
+    lifted = 0
     with Progress("trials", args.num_trials, "trial") as progress:
         for trial in range(args.num_trials):
             seen, _ = env.reset(seed=_FRESH + trial)
-            start, gained, outcome = float(seen["environment_state"][2]), 0.0, ""
+            start = float(seen["environment_state"][2])
+            gained = 0.0
+            outcome = ""
             key = jax.random.key(trial)
             while not outcome:
                 key = jax.random.fold_in(key, 0)
@@ -244,7 +282,15 @@ def body_of(args: BehaviourCloning) -> str:
         share = [f"{each['success']} of {args.num_trials}" for each in (cloned, scripted)]
         steps = sum(len(each["action"]) for each in episodes)
         rows.append(
-            (task, f"{len(episodes)} of {made}", f"{steps:,}", share[0], str(lifted), causes or "-", share[1])
+            (
+                task,
+                f"{len(episodes)} of {made}",
+                f"{steps:,}",
+                share[0],
+                str(lifted),
+                causes or "-",
+                share[1],
+            )
         )
         print(*rows[-1], flush=True)
     head = ("task", "imitated", "steps", "cloned", "lifted", "its failures", "scripted")

@@ -82,7 +82,10 @@ class BigBank:
         bank = read_bank(self.out)
         size = sum(each.stat().st_size for each in self.out.glob("scenes-*.parquet"))
         report(
-            "big_bank", self.section(samples, size / bank.num_scenes), write=self.write, packages=_PACKAGES
+            "big_bank",
+            self.section(samples, size / bank.num_scenes),
+            write=self.write,
+            packages=_PACKAGES,
         )
 
     def command(self) -> list[str]:
@@ -106,7 +109,8 @@ class BigBank:
           size: bytes of a scene on disk.
         """
         fifths = fifths_of(samples)
-        first, last = fifths[0][0], fifths[-1][-1]
+        first = fifths[0][0]
+        last = fifths[-1][-1]
         rate = (last.scenes - first.scenes) / (last.seconds - first.seconds)
         own = (last.driver_seconds - first.driver_seconds) / (last.scenes - first.scenes)
         rows = [
@@ -149,7 +153,8 @@ class BigBank:
         Args:
           rate: scenes a second and core; own: seconds of the command for a scene; size: bytes of a scene.
         """
-        hours, gigabytes = scenes / rate / 3600, scenes * size / 1e9
+        hours = scenes / rate / 3600
+        gigabytes = scenes * size / 1e9
         return (
             f"{scenes:,}",
             f"{hours:,.0f}",
@@ -203,7 +208,9 @@ def look(process: int, seconds: float, scenes: int) -> Sample | None:
         for each in driver.children(recursive=True):
             if is_worker(each):
                 workers += each.memory_info().rss
-        return Sample(seconds, scenes, driver.memory_info().rss / 1e6, workers / 1e6, driver.cpu_times().user)
+        return Sample(
+            seconds, scenes, driver.memory_info().rss / 1e6, workers / 1e6, driver.cpu_times().user
+        )
     except psutil.Error:
         return None
 

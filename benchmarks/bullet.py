@@ -60,8 +60,12 @@ class BulletPhysics:
       tuned: see above.
     """
 
-    def __init__(self, world: World, config: StabilityConfig, contact: ContactConfig, tuned: bool) -> None:
-        self.config, self._contact, self._tuned = config, contact, tuned
+    def __init__(
+        self, world: World, config: StabilityConfig, contact: ContactConfig, tuned: bool
+    ) -> None:
+        self.config = config
+        self._contact = contact
+        self._tuned = tuned
         self._world = world
         self._frames = BodyFrames.of(world.objects)
         self._parked = np.tile(np.array([0, 0, 1, 1, 0, 0, 0], np.float32), (world.num_objects, 1))
@@ -85,10 +89,14 @@ class BulletPhysics:
         result = empty_settling(np, (len(poses),), self._world.num_objects, self.config)
         result.poses[:] = poses
         for row in np.flatnonzero(is_active).tolist():
-            self._settle(self._clients[row], poses[row], is_placed[row], int(focus[row]), result, row)
+            self._settle(
+                self._clients[row], poses[row], is_placed[row], int(focus[row]), result, row
+            )
         return result
 
-    def stand_batch(self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray) -> Standing:
+    def stand_batch(
+        self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray
+    ) -> Standing:
         """The staged last check, everything awake; movements are looked at where a stage ends."""
         self._make_room(len(poses))
         result = empty_standing(np, (len(poses),), self._world.num_objects)
@@ -113,7 +121,9 @@ class BulletPhysics:
             self._activate(client, neighbours, pybullet.ACTIVATION_STATE_WAKE_UP)
         self._activate(client, [focus], pybullet.ACTIVATION_STATE_WAKE_UP)
         watched = [] if self._tuned else [client.bodies[k] for k in neighbours]
-        num_steps, is_quiet, is_displaced = self._run_attempt(client.id, client.bodies[focus], watched)
+        num_steps, is_quiet, is_displaced = self._run_attempt(
+            client.id, client.bodies[focus], watched
+        )
         self._find(client, [focus, *neighbours])
         final = client.poses
         result.num_steps[row] = num_steps
@@ -122,7 +132,11 @@ class BulletPhysics:
         if is_quiet and self._overlap(client) > self.config.max_penetration:
             verdict = Verdict.PENETRATING
         shift, turn = displacement(np, final[neighbours], poses[neighbours])
-        if is_displaced or (shift > self.config.max_shift).any() or (turn > self.config.max_turn).any():
+        if (
+            is_displaced
+            or (shift > self.config.max_shift).any()
+            or (turn > self.config.max_turn).any()
+        ):
             verdict = Verdict.DISPLACED
         layout = self._world.layout
         if (below_top(np, final, layout.center_of_mass, layout.top) & is_placed).any():
@@ -136,9 +150,13 @@ class BulletPhysics:
         Returns:
           The number of steps, whether it came to rest in time, whether a watched body went too far.
         """
-        config, hold, is_displaced = self.config, 0, False
-        step, velocity_of = pybullet.stepSimulation, pybullet.getBaseVelocity
-        max_speed, max_spin = config.max_speed**2, config.max_angular_speed**2
+        config = self.config
+        hold = 0
+        is_displaced = False
+        step = pybullet.stepSimulation
+        velocity_of = pybullet.getBaseVelocity
+        max_speed = config.max_speed**2
+        max_spin = config.max_angular_speed**2
         max_change = (config.max_acceleration * config.timestep) ** 2
         max_spin_change = (config.max_angular_acceleration * config.timestep) ** 2
         start = _places(client, watched)
@@ -152,7 +170,12 @@ class BulletPhysics:
                 and (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 < max_change
                 and (a - a0) ** 2 + (b - b0) ** 2 + (c - c0) ** 2 < max_spin_change
             )
-            x0, y0, z0, a0, b0, c0 = x, y, z, a, b, c
+            x0 = x
+            y0 = y
+            z0 = z
+            a0 = a
+            b0 = b
+            c0 = c
             hold = hold + 1 if is_quiet else 0
             if watched:
                 is_displaced |= self._went_far(start, _places(client, watched))
@@ -162,8 +185,11 @@ class BulletPhysics:
 
     def _went_far(self, start: list[_Place], now: list[_Place]) -> bool:
         """Whether any of the watched bodies is too far from where it was, or turned too much."""
-        max_shift, min_along = self.config.max_shift**2, math.cos(self.config.max_turn / 2)
-        for ((x0, y0, z0), (a0, b0, c0, d0)), ((x, y, z), (a, b, c, d)) in zip(start, now, strict=True):
+        max_shift = self.config.max_shift**2
+        min_along = math.cos(self.config.max_turn / 2)
+        for ((x0, y0, z0), (a0, b0, c0, d0)), ((x, y, z), (a, b, c, d)) in zip(
+            start, now, strict=True
+        ):
             if (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 > max_shift:
                 return True
             if abs(a * a0 + b * b0 + c * c0 + d * d0) < min_along:
@@ -173,7 +199,8 @@ class BulletPhysics:
     def _stand(
         self, client: _Client, poses: np.ndarray, is_placed: np.ndarray, result: Standing, row: int
     ) -> None:
-        config, placed = self.config, np.flatnonzero(is_placed)
+        config = self.config
+        placed = np.flatnonzero(is_placed)
         self._arrange(client, poses, is_placed)
         self._activate(client, placed.tolist(), pybullet.ACTIVATION_STATE_WAKE_UP)
         for body in (client.bodies[k] for k in placed):
@@ -181,7 +208,12 @@ class BulletPhysics:
         verdict = Verdict.NONE
         for until, max_shift, max_turn, otherwise in (
             (config.stand_steps, config.stand_shift, config.stand_turn, Verdict.NONE),
-            (config.stand_full_steps, config.stand_full_shift, config.stand_full_turn, Verdict.CREPT),
+            (
+                config.stand_full_steps,
+                config.stand_full_shift,
+                config.stand_full_turn,
+                Verdict.CREPT,
+            ),
         ):
             for _ in range(until - int(result.num_steps[row])):
                 pybullet.stepSimulation(physicsClientId=client.id)
@@ -192,7 +224,9 @@ class BulletPhysics:
             verdict = Verdict.STABLE if stands else otherwise
             if verdict != Verdict.NONE:
                 break
-        result.verdict[row], result.shift[row, placed], result.turn[row, placed] = verdict, shift, turn
+        result.verdict[row] = verdict
+        result.shift[row, placed] = shift
+        result.turn[row, placed] = turn
 
     def _arrange(
         self, client: _Client, poses: np.ndarray, is_placed: np.ndarray, again: int | None = None
@@ -210,24 +244,30 @@ class BulletPhysics:
     def _put(self, client: _Client, objects: list[int], poses: np.ndarray) -> None:
         for k, pose in zip(objects, self._frames.body_poses(objects, poses).tolist(), strict=True):
             body = client.bodies[k]
-            pybullet.resetBasePositionAndOrientation(body, pose[:3], pose[3:], physicsClientId=client.id)
+            pybullet.resetBasePositionAndOrientation(
+                body, pose[:3], pose[3:], physicsClientId=client.id
+            )
             pybullet.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=client.id)
         client.poses[objects] = poses
 
     def _find(self, client: _Client, objects: list[int]) -> None:
         """Reads where some objects are now."""
-        place_of, bodies = pybullet.getBasePositionAndOrientation, client.bodies
+        place_of = pybullet.getBasePositionAndOrientation
+        bodies = client.bodies
         places = [sum(place_of(bodies[k], physicsClientId=client.id), ()) for k in objects]
         client.poses[objects] = self._frames.object_poses(objects, np.array(places))
 
     def _activate(self, client: _Client, objects: list[int], state: int) -> None:
         for k in objects:
-            pybullet.changeDynamics(client.bodies[k], -1, activationState=state, physicsClientId=client.id)
+            pybullet.changeDynamics(
+                client.bodies[k], -1, activationState=state, physicsClientId=client.id
+            )
 
     def _overlap(self, client: _Client) -> float:
         """The deepest overlap of any two bodies, metres (contact distance is the ninth entry)."""
         return max(
-            (-contact[8] for contact in pybullet.getContactPoints(physicsClientId=client.id)), default=0.0
+            (-contact[8] for contact in pybullet.getContactPoints(physicsClientId=client.id)),
+            default=0.0,
         )
 
     def _make_room(self, num_scenes: int) -> None:

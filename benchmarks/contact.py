@@ -112,7 +112,8 @@ def main(args: Contact) -> None:
 
 def measure(chosen: dict[str, ContactConfig], args: Contact) -> dict[str, Outcome]:
     """Every candidate, one after another, on the same placements and with the same keys."""
-    pools, support = [find_pool(name) for name in args.pool], find_support(args.support)
+    pools = [find_pool(name) for name in args.pool]
+    support = find_support(args.support)
     known = {asset.name: asset for pool in pools for asset in pool.objects}
     clear = SceneMaker(pools[0].objects, support, "clear")
     tight = SceneMaker(pools[0].objects, find_support(args.tight_support), "drop")
@@ -182,7 +183,14 @@ def _real_row(name: str, outcome: Outcome) -> list[str]:
 
 
 def _small_table(outcomes: dict[str, Outcome]) -> str:
-    header = ["", "five boxes: mm in 10 s", "overlap mm", "2 kg on 30 g", "overlap mm", "apple in bowl"]
+    header = [
+        "",
+        "five boxes: mm in 10 s",
+        "overlap mm",
+        "2 kg on 30 g",
+        "overlap mm",
+        "apple in bowl",
+    ]
     header += ["mug on book", "slope: mm/s", "slides at: degrees", "across", "should"]
     header += ["dropped: stable", "on Warp"]
     return table(header, [_small_row(*item) for item in outcomes.items()])

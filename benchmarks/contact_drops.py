@@ -28,14 +28,16 @@ def drops(contact: ContactConfig, engine: str) -> float:
         physics = make_physics(world.layout, StabilityConfig(), engine)
     except MissingExtraError:
         return math.nan
-    rng, rows = np.random.default_rng(0), np.arange(_NUM_DROPS)
+    rng = np.random.default_rng(0)
+    rows = np.arange(_NUM_DROPS)
     focus = (rows % len(objects)).astype(np.int32)
     height = np.array([asset.half_extents[2] for asset in objects])[focus]
     yaw = rng.uniform(0, 2 * np.pi, _NUM_DROPS)
     poses = np.zeros((_NUM_DROPS, len(objects), 7), np.float32)
     poses[..., 3] = 1.0
     poses[rows, focus, 2] = world.support.top + height + rng.uniform(0, _MAX_GAP, _NUM_DROPS)
-    poses[rows, focus, 3], poses[rows, focus, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+    poses[rows, focus, 3] = np.cos(yaw / 2)
+    poses[rows, focus, 6] = np.sin(yaw / 2)
     is_placed = np.arange(len(objects)) == focus[:, None]
     arrays = map(jnp.asarray, (poses, is_placed, focus, np.ones(_NUM_DROPS, bool)))
     verdict = jax.jit(jax.vmap(physics.settle))(*arrays).verdict

@@ -59,13 +59,17 @@ class Creep:
 def solo(world: World, trials: int) -> Solo:
     """Places every object alone (contract.md's rule), random yaw, 0 to 3 mm above the top."""
     engine = NativePhysics(world.layout, StabilityConfig(), num_threads=1, max_simulations=32)
-    rates, steps, depths = [], [], []
+    rates = []
+    steps = []
+    depths = []
     everywhere = np.ones(trials, bool)
     for index, asset in enumerate(world.objects):
         poses = np.zeros((trials, world.num_objects, 7), np.float32)
         poses[..., 3] = 1.0
         poses[:, index] = solo_poses(asset, world.support.top, trials, seed=index)[:, 0]
-        is_placed = np.broadcast_to(np.arange(world.num_objects) == index, (trials, world.num_objects))
+        is_placed = np.broadcast_to(
+            np.arange(world.num_objects) == index, (trials, world.num_objects)
+        )
         result = engine.settle_batch(poses, is_placed, np.full(trials, index, np.int32), everywhere)
         is_stable = result.verdict == Verdict.STABLE
         rates.append(float(is_stable.mean()))
@@ -83,8 +87,12 @@ def solo(world: World, trials: int) -> Solo:
 class SceneMaker:
     """Scenes of one method on one support, compiled once for all contact configurations."""
 
-    def __init__(self, objects: tuple[ObjectAsset, ...], support: SupportAsset, method: str) -> None:
-        self._objects, self._support, config = objects, support, StabilityConfig()
+    def __init__(
+        self, objects: tuple[ObjectAsset, ...], support: SupportAsset, method: str
+    ) -> None:
+        self._objects = objects
+        self._support = support
+        config = StabilityConfig()
         world = make_world(objects, support, config, ContactConfig())
         self._physics = TimedPhysics(world.num_objects, config)
         rules = Rules(
@@ -102,7 +110,9 @@ class SceneMaker:
         scenes = self._sample(num_scenes, 0)
         done = np.flatnonzero(scenes.is_filled)
         poses, is_placed = placed_poses(scenes, done, world.num_objects)
-        watch = replace(self._physics.config, stand_steps=_WATCH_STEPS, stand_full_steps=_WATCH_STEPS)
+        watch = replace(
+            self._physics.config, stand_steps=_WATCH_STEPS, stand_full_steps=_WATCH_STEPS
+        )
         engine = NativePhysics(world.layout, watch, num_threads=1)
         started = time.process_time()
         standing = engine.stand_batch(poses, is_placed, np.ones(len(done), bool))

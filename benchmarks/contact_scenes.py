@@ -58,13 +58,18 @@ class SmallScenes:
 def small_scenes(contact: ContactConfig, known: dict[str, ObjectAsset]) -> SmallScenes:
     """Runs them all; `known` are the pools' objects by name."""
     brick = [box(f"brick-{index}", (0.04, 0.04, 0.025), 0.2) for index in range(5)]
-    light, heavy = box("light", (0.04, 0.04, 0.02), 0.03), box("heavy", (0.04, 0.04, 0.05), 2.0)
-    bowl, book, mug = known.get("bowl"), known.get("hardback_book"), known.get("mug")
+    light = box("light", (0.04, 0.04, 0.02), 0.03)
+    heavy = box("heavy", (0.04, 0.04, 0.05), 2.0)
+    bowl = known.get("bowl")
+    book = known.get("hardback_book")
+    mug = known.get("mug")
     fruit = apple("apple", 0.035, 0.15)
     return SmallScenes(
         stack=_rest(contact, _piled(brick)),
         heavy=_rest(contact, _piled([light, heavy])),
-        bowl=_rest(contact, [(bowl, float(bowl.half_extents[2])), (fruit, 0.06)], 6.0) if bowl else None,
+        bowl=_rest(contact, [(bowl, float(bowl.half_extents[2])), (fruit, 0.06)], 6.0)
+        if bowl
+        else None,
         book=_rest(contact, _piled([book, mug])) if book and mug else None,
         slope_speed=_slope_speed(contact),
         slides_at=(_slides_at(contact, 0.0), _slides_at(contact, math.pi / 4)),
@@ -73,7 +78,8 @@ def small_scenes(contact: ContactConfig, known: dict[str, ObjectAsset]) -> Small
 
 def _piled(objects: Sequence[ObjectAsset]) -> Placed:
     """Each object on top of the one before, touching."""
-    height, placed = 0.0, []
+    height = 0.0
+    placed = []
     for asset in objects:
         half = float(asset.half_extents[2])
         placed.append((asset, height + half))
@@ -101,7 +107,8 @@ def _positions(data: mujoco.MjData) -> np.ndarray:
 def _rest(contact: ContactConfig, placed: Placed, settle_seconds: float = _SETTLE_SECONDS) -> Rest:
     model, data = _simulation(contact, placed)
     _run(model, data, settle_seconds)
-    start, creep = _positions(data), 0.0
+    start = _positions(data)
+    creep = 0.0
     for _ in range(20):
         _run(model, data, _WATCH_SECONDS / 20)
         creep = max(creep, float(np.linalg.norm(_positions(data) - start, axis=1).max()))
@@ -109,7 +116,9 @@ def _rest(contact: ContactConfig, placed: Placed, settle_seconds: float = _SETTL
     return Rest(creep, float(max(-data.contact.dist.min(), 0.0)) if data.ncon else 0.0)
 
 
-def _on_slope(contact: ContactConfig, degrees: float, across: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
+def _on_slope(
+    contact: ContactConfig, degrees: float, across: float
+) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """A flat box at rest on a table, gravity tilted as if the table were; `across` turns it about z."""
     model, data = _simulation(contact, _piled([box("brick", (0.04, 0.04, 0.01), 0.2)]))
     _run(model, data, _SETTLE_SECONDS)

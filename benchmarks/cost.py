@@ -21,7 +21,8 @@ from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, sav
 from cluttergen_jax.generation import Sampler, make_sampler
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of, sample_blocks
 
-_POOL, _SUPPORT = "all", "table-0.80x1.00"
+_POOL = "all"
+_SUPPORT = "table-0.80x1.00"
 _TEN = 10
 _MILLISECONDS = (20, 50, 100, 200, 500)
 """Ticks of the picture."""
@@ -57,8 +58,11 @@ class Point:
 
 def measured(sampler: Sampler, num_scenes: int, x: float) -> Point:
     """The cost of scenes after a block that is not counted."""
-    started, good = 0.0, 0
-    for block, _, scenes in sample_blocks(sampler.steps, blocks_of(BLOCK_SIZE + num_scenes), seed=0):
+    started = 0.0
+    good = 0
+    for block, _, scenes in sample_blocks(
+        sampler.steps, blocks_of(BLOCK_SIZE + num_scenes), seed=0
+    ):
         if block == 0:
             started = time.process_time()
         else:
@@ -68,8 +72,13 @@ def measured(sampler: Sampler, num_scenes: int, x: float) -> Point:
 
 def against_objects(method: str, numbers: Sequence[int]) -> list[Point]:
     """Scenes of so many objects of all pools on a wide table."""
-    made = (make_sampler(pool=_POOL, support=_SUPPORT, method=method, num_objects=each) for each in numbers)
-    return [measured(sampler, BLOCK_SIZE, each) for sampler, each in zip(made, numbers, strict=True)]
+    made = (
+        make_sampler(pool=_POOL, support=_SUPPORT, method=method, num_objects=each)
+        for each in numbers
+    )
+    return [
+        measured(sampler, BLOCK_SIZE, each) for sampler, each in zip(made, numbers, strict=True)
+    ]
 
 
 def against_scenes(method: str, numbers: Sequence[int]) -> list[Point]:
@@ -85,7 +94,10 @@ def against_parts(method: str, groups: int) -> list[Point]:
     for group in np.array_split(np.arange(len(ordered)), groups):
         chosen = [ordered[index] for index in group[:_TEN]]
         sampler = make_sampler(
-            pool=_POOL, objects=tuple(asset.name for asset in chosen), support=_SUPPORT, method=method
+            pool=_POOL,
+            objects=tuple(asset.name for asset in chosen),
+            support=_SUPPORT,
+            method=method,
         )
         points.append(measured(sampler, BLOCK_SIZE, sum(len(asset.parts) for asset in chosen)))
     return points
@@ -99,7 +111,11 @@ def slope(points: Sequence[Point]) -> float:
 
 def _section(title: str, about: str, of: str, found: dict[str, list[Point]]) -> str:
     points = next(iter(found.values()))
-    header = [of, *(f"{name}: CPU ms a scene" for name in found), *(f"{name}: stand" for name in found)]
+    header = [
+        of,
+        *(f"{name}: CPU ms a scene" for name in found),
+        *(f"{name}: stand" for name in found),
+    ]
     rows = [
         [
             f"{point.x:,.0f}",
@@ -120,7 +136,10 @@ def _draw(found: dict[str, dict[str, list[Point]]], stem: Path) -> None:
         prepare(axis, f"against {of}", of, "CPU ms a scene")
         for name, points in methods.items():
             axis.plot(
-                [each.x for each in points], [each.milliseconds for each in points], marker="o", label=name
+                [each.x for each in points],
+                [each.milliseconds for each in points],
+                marker="o",
+                label=name,
             )
         axis.set_xscale("log")
         axis.set_yscale("log")

@@ -67,8 +67,12 @@ class Contender:
             dist, value = agent.apply(params, kept)
             return jnp.sum(value**2) + jnp.sum(dist.log_prob(jnp.full((batch, 4), 0.4)))
 
-        forward, backward = jax.jit(lambda params: agent.apply(params, seen)), jax.jit(jax.grad(loss))
-        self._passes: tuple[Callable[[], Any], ...] = (lambda: forward(params), lambda: backward(params))
+        forward = jax.jit(lambda params: agent.apply(params, seen))
+        backward = jax.jit(jax.grad(loss))
+        self._passes: tuple[Callable[[], Any], ...] = (
+            lambda: forward(params),
+            lambda: backward(params),
+        )
         self.wall: tuple[list[float], list[float]] = ([], [])
         self.cpu: tuple[list[float], list[float]] = ([], [])
         started = time.monotonic()
@@ -79,7 +83,8 @@ class Contender:
     def turn(self) -> None:
         """Each pass once."""
         for number, each in enumerate(self._passes):
-            wall, cpu = time.monotonic(), time.process_time()
+            wall = time.monotonic()
+            cpu = time.process_time()
             jax.block_until_ready(each())
             self.wall[number].append(time.monotonic() - wall)
             self.cpu[number].append(time.process_time() - cpu)
@@ -146,12 +151,24 @@ def body_of(contenders: dict[tuple[str, int], Contender], args: Encoders) -> str
             name,
             batch,
             f"{each.num_weights:,}",
-            *(f"{1000 * np.median(seconds):,.1f}" for pair in (each.wall, each.cpu) for seconds in pair),
+            *(
+                f"{1000 * np.median(seconds):,.1f}"
+                for pair in (each.wall, each.cpu)
+                for seconds in pair
+            ),
             f"{each.compile:.0f}",
         ]
         for (name, batch), each in contenders.items()
     ]
-    header = ["", "scenes", "weights", "forward: ms", "backward: ms", "forward: CPU ms", "backward: CPU ms"]
+    header = [
+        "",
+        "scenes",
+        "weights",
+        "forward: ms",
+        "backward: ms",
+        "forward: CPU ms",
+        "backward: CPU ms",
+    ]
     text = prose(
         f"""Scenes with half of the objects of {args.pool} placed; the whole network with actor, critic and
         history; medians of {args.rounds} rounds in which the networks take turns. Backward is a loss and its

@@ -120,23 +120,31 @@ _PACKAGES = ("mujoco", "mujoco-mjx", "jax", "warp-lang", "pybullet")
 
 def make_contenders(world: World, rules: Rules, args: Engines) -> dict[str, Contender]:
     """Native with one thread comes first: the others are compared with it."""
-    stability, contact = rules.physics.config, ContactConfig()
+    stability = rules.physics.config
+    contact = ContactConfig()
     sample = make_block_sampler(rules, "clear", block_size=args.num_scenes)
     contenders = {
-        "native, 1 thread": Contender(NativePhysics(world.layout, stability, num_threads=1), sample),
+        "native, 1 thread": Contender(
+            NativePhysics(world.layout, stability, num_threads=1), sample
+        ),
         "native, all threads": Contender(NativePhysics(world.layout, stability), sample),
     }
     if bullet.pybullet is not None:
-        sample = make_block_sampler(rules, "clear", block_size=min(args.num_clients, args.num_scenes))
+        sample = make_block_sampler(
+            rules, "clear", block_size=min(args.num_clients, args.num_scenes)
+        )
         for tuned in (True, False):
             name = f"PyBullet, {'tuned' if tuned else 'plain'}"
-            contenders[name] = Contender(bullet.BulletPhysics(world, stability, contact, tuned), sample)
+            contenders[name] = Contender(
+                bullet.BulletPhysics(world, stability, contact, tuned), sample
+            )
     return contenders
 
 
 def compete(args: Engines) -> dict[str, Contender]:
     """The engines take turns at making scenes."""
-    stability, support = StabilityConfig(), find_support(args.support)
+    stability = StabilityConfig()
+    support = find_support(args.support)
     world = make_world(find_pool(args.pool).objects, support, stability, ContactConfig())
     physics = TimedPhysics(world.num_objects, stability)
     placement = PlacementConfig(num_objects=min(10, world.num_objects), history_stride=0)
@@ -174,7 +182,8 @@ def _awake_steps(contender: Contender, physics: TimedPhysics, args: Engines, wor
 
     The scenes are made by the engine itself, which compiles what is to be timed later.
     """
-    engine, config = contender.engine, physics.config
+    engine = contender.engine
+    config = physics.config
     physics.use(engine)
     scenes = contender.sample(args.num_scenes, 0)
     rows = np.flatnonzero(scenes.is_filled)[: args.num_awake]
@@ -192,11 +201,17 @@ def _awake_steps(contender: Contender, physics: TimedPhysics, args: Engines, wor
 
 def replay_all(args: Engines) -> list[Replay]:
     """Recorded attempts, first of three one-hull boxes, then of the pool, on every engine that runs them."""
-    stability, contact = StabilityConfig(), ContactConfig()
+    stability = StabilityConfig()
+    contact = ContactConfig()
     boxes, attempts = small_attempts(stability, contact, args.num_replayed)
-    replays = [replay("three boxes", boxes, engine, attempts) for engine in ("native", "warp", "jax")]
+    replays = [
+        replay("three boxes", boxes, engine, attempts) for engine in ("native", "warp", "jax")
+    ]
     world, attempts = record(args.pool, args.support, stability, contact, args.num_replayed)
-    replays += [replay(f"{args.pool}, ten objects", world, engine, attempts) for engine in ("native", "warp")]
+    replays += [
+        replay(f"{args.pool}, ten objects", world, engine, attempts)
+        for engine in ("native", "warp")
+    ]
     return replays
 
 

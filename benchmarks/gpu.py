@@ -129,7 +129,8 @@ def doctor(scale: gpu_engines.Scale, is_small: bool) -> Cases:
         }
 
     def room() -> Row:
-        objects, support = find_pool(scale.pool).objects, find_support(scale.support)
+        objects = find_pool(scale.pool).objects
+        support = find_support(scale.support)
         world = make_world(objects, support, StabilityConfig(), ContactConfig())
         contacts, rows = room_for(world.layout)
         return {"contacts": contacts, "constraint rows": rows, "objects": world.num_objects}
@@ -140,8 +141,13 @@ def doctor(scale: gpu_engines.Scale, is_small: bool) -> Cases:
 
 def parts_of(scales: Scales, rows: Rows, is_small: bool) -> dict[str, Cases]:
     """The cases of every part, none of them made yet."""
-    engines, training = scales.engines, scales.training
-    runs, left = rows.file.parent / "runs", lambda: rows.seconds_left
+    engines = scales.engines
+    training = scales.training
+    runs = rows.file.parent / "runs"
+
+    def left() -> float:
+        return rows.seconds_left
+
     return {
         "doctor": doctor(engines, is_small),
         "agreement": gpu_engines.agreement(engines),
@@ -160,7 +166,9 @@ def chosen(scale: gpu_engines.Scale, args: Gpu) -> gpu_engines.Scale:
             known = ", ".join(scale.engines)
             raise ConfigError(f"engine {engine!r}", known, meant=closest(engine, scale.engines))
     kept = {
-        name: tuple(each for each in getattr(scale, name) if not args.engines or each in args.engines)
+        name: tuple(
+            each for each in getattr(scale, name) if not args.engines or each in args.engines
+        )
         for name in ("engines", "compared")
     }
     return replace(scale, lanes=args.lanes or scale.lanes, **kept)
@@ -283,7 +291,9 @@ def _in_order(named: tuple[str, Row]) -> list[str | int]:
 def _flat(row: Row) -> Row:
     """A row with what is nested in it in words."""
     return {
-        name: ", ".join(f"{key}: {each}" for key, each in value.items()) if isinstance(value, dict) else value
+        name: ", ".join(f"{key}: {each}" for key, each in value.items())
+        if isinstance(value, dict)
+        else value
         for name, value in row.items()
     }
 

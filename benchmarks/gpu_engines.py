@@ -72,7 +72,12 @@ class Scale:
 def recorded(scale: Scale, method: str) -> tuple[World, Attempts]:
     """The world, and attempts of a method in it."""
     return record(
-        scale.pool, scale.support, StabilityConfig(), ContactConfig(), scale.num_attempts, method=method
+        scale.pool,
+        scale.support,
+        StabilityConfig(),
+        ContactConfig(),
+        scale.num_attempts,
+        method=method,
     )
 
 
@@ -88,7 +93,10 @@ def agreement(scale: Scale) -> Cases:
     for engine in scale.compared:
         for method in ("clear", "random") if engine != "native" else ():
             for first in range(0, scale.num_attempts, scale.block):
-                yield f"{engine}, {method} {first}", partial(_agreement, scale, method, engine, first)
+                yield (
+                    f"{engine}, {method} {first}",
+                    partial(_agreement, scale, method, engine, first),
+                )
 
 
 @cache
@@ -129,7 +137,9 @@ def timed(function: Callable[..., Any], *args: Any) -> tuple[Any, float, float, 
     compiled = jax.jit(function).lower(*args).compile()
     compile_seconds = time.monotonic() - started
     sizes = compiled.memory_analysis()
-    megabytes = 0.0 if sizes is None else (sizes.temp_size_in_bytes + sizes.output_size_in_bytes) / 1e6
+    megabytes = (
+        0.0 if sizes is None else (sizes.temp_size_in_bytes + sizes.output_size_in_bytes) / 1e6
+    )
     jax.block_until_ready(compiled(*args))
     started = time.monotonic()
     result = jax.block_until_ready(compiled(*args))
@@ -147,7 +157,9 @@ def _steps(scale: Scale, engine: str, lanes: int) -> Row:
     world, attempts = recorded(scale, "clear")
     chosen = np.resize(np.arange(len(attempts.focus)), lanes)
     everyone = np.ones(lanes, bool)
-    arrays = [jnp.asarray(each[chosen]) for each in (attempts.poses, attempts.is_placed, attempts.focus)]
+    arrays = [
+        jnp.asarray(each[chosen]) for each in (attempts.poses, attempts.is_placed, attempts.focus)
+    ]
     config = StabilityConfig()
     settle = jax.vmap(physics_of(engine, world, config).settle)
     settled, seconds, compiling, megabytes = timed(
@@ -163,7 +175,9 @@ def _steps(scale: Scale, engine: str, lanes: int) -> Row:
         "steps/s as used": float(settled[0].sum()) / seconds,
         "longest": int(settled[0].max()),
         "steps/s awake": float(stood.num_steps.sum()) / awake_seconds,
-        "overflow": int((settled[1] == Verdict.OVERFLOW).sum() + (stood.verdict == Verdict.OVERFLOW).sum()),
+        "overflow": int(
+            (settled[1] == Verdict.OVERFLOW).sum() + (stood.verdict == Verdict.OVERFLOW).sum()
+        ),
         "compile s": compiling,
         "MB": megabytes,
     }
@@ -190,7 +204,9 @@ def _whole_scenes(scale: Scale, lanes: int) -> tuple[np.ndarray, np.ndarray]:
     return poses[chosen], is_placed[chosen]
 
 
-def sampler_with(scale: Scale, method: str, engine: str, stability: StabilityConfig) -> BlockSampler:
+def sampler_with(
+    scale: Scale, method: str, engine: str, stability: StabilityConfig
+) -> BlockSampler:
     """Episodes as `generate` makes them, on an engine of `Scale.engines`."""
     made = make_sampler(
         pool=scale.pool,
@@ -221,7 +237,8 @@ def scenes(scale: Scale) -> Cases:
 
 def _scenes(scale: Scale, engine: str, method: str, check: str, lanes: int) -> Row:
     sampler = sampler_with(scale, method, engine, CHECKS[check])
-    rollout, key = Rollout(), jax.random.key(0)
+    rollout = Rollout()
+    key = jax.random.key(0)
     started = time.monotonic()
     rollout.compile(sampler, key, np.arange(lanes))
     compiled = time.monotonic()

@@ -73,7 +73,9 @@ SWEEP = (
     _run("rate-2e-3", learning_rate=2e-3),
     _run("rate-5e-4", learning_rate=5e-4),
     _run("envs-4096-minibatches-32", num_envs=4096, num_steps=8, num_minibatches=32),
-    _run("envs-4096-minibatches-32-rate-2e-3", num_envs=4096, num_minibatches=32, learning_rate=2e-3),
+    _run(
+        "envs-4096-minibatches-32-rate-2e-3", num_envs=4096, num_minibatches=32, learning_rate=2e-3
+    ),
     _run("far", discount=0.99, gae_lambda=0.95),
 )
 """What preset `gpu` is tuned by; the first is the preset itself."""
@@ -87,14 +89,20 @@ class Until(Interrupt):
     """
 
     def __init__(self, folder: Path, seconds: float, is_goal_enough: bool) -> None:
-        self.was_ctrl_c, self._folder, self._ends = False, folder, time.monotonic() + seconds
+        self.was_ctrl_c = False
+        self._folder = folder
+        self._ends = time.monotonic() + seconds
         self._is_goal_enough = is_goal_enough
         super().__init__()
 
     @property
     def is_asked(self) -> bool:
         """By Ctrl-C, by the clock, or by success."""
-        return self.was_ctrl_c or time.monotonic() > self._ends or (self._is_goal_enough and self.has_goal)
+        return (
+            self.was_ctrl_c
+            or time.monotonic() > self._ends
+            or (self._is_goal_enough and self.has_goal)
+        )
 
     @is_asked.setter
     def is_asked(self, value: bool) -> None:
@@ -111,8 +119,15 @@ def tune(scale: Scale, out: Path, seconds_left: Callable[[], float]) -> Cases:
     """Runs of preset `gpu` and its changes until they come to 0.95."""
     for run in scale.runs or SWEEP:
         changed = replace(run, ppo={**run.ppo, **dict(scale.ppo)})
-        given = {"num_objects": scale.num_objects, "engine": scale.engine, "eval_episodes": scale.evaluates}
-        yield run.title, partial(_trained, scale, changed, out, seconds_left, scale.num_attempts, given)
+        given = {
+            "num_objects": scale.num_objects,
+            "engine": scale.engine,
+            "eval_episodes": scale.evaluates,
+        }
+        yield (
+            run.title,
+            partial(_trained, scale, changed, out, seconds_left, scale.num_attempts, given),
+        )
 
 
 def _trained(
@@ -151,7 +166,10 @@ def figures_of(folder: Path, is_goal_enough: bool) -> Row:
         "success": float(success[-10:].mean()) if rows else 0.0,
     }
     if good is not None:
-        found |= {"attempts to 0.95": int(rows[good]["attempts"]), "seconds to 0.95": float(seconds[good])}
+        found |= {
+            "attempts to 0.95": int(rows[good]["attempts"]),
+            "seconds to 0.95": float(seconds[good]),
+        }
     if (folder / "policy" / "record.json").exists():
         evaluation = read_record(folder / "policy").get("evaluation")
         if evaluation:
@@ -165,7 +183,11 @@ def paper(scale: Scale, out: Path, seconds_left: Callable[[], float]) -> Cases:
     yield "encoder", partial(_encoder, network, out / "encoder", scale)
     run = Run("paper", "preset `paper`", variant="beta_free", preset="paper")
     run = replace(run, ppo=dict(scale.ppo), network=dict(scale.network))
-    given = {"num_objects": scale.num_objects, "engine": scale.engine, "eval_episodes": scale.evaluates}
+    given = {
+        "num_objects": scale.num_objects,
+        "engine": scale.engine,
+        "eval_episodes": scale.evaluates,
+    }
     attempts = scale.paper_attempts or preset_paper().ppo.num_attempts
     yield (
         "policy",
@@ -211,10 +233,13 @@ def _share(scale: Scale, settings: Any) -> Row:
     agent = make_agent(problem.rules, settings.network)
     env = PlacementEnv(problem.rules, agent.observation)
     ppo = PPO(env, agent.apply, settings.ppo, encode=agent.encode)
-    key, number = jax.random.key(0), settings.ppo.num_steps
+    key = jax.random.key(0)
+    number = settings.ppo.num_steps
     params = agent.init(key, jax.eval_shape(env.reset, key).obs)
     state = jax.jit(ppo.update)(jax.jit(ppo.start)(key, params))[0]
-    act = jax.jit(lambda state: agent.apply(state.params, agent.encode(state.params)(state.env.obs)))
+    act = jax.jit(
+        lambda state: agent.apply(state.params, agent.encode(state.params)(state.env.obs))
+    )
     action = act(state)[0].sample(key)
 
     def attempt(state: TrainState) -> Any:
@@ -226,14 +251,17 @@ def _share(scale: Scale, settings: Any) -> Row:
         "physics": (jax.jit(attempt), number),
         "network": (act, number),
     }
-    seconds = {name: times * _median(each, state, scale.repeats) for name, (each, times) in parts.items()}
+    seconds = {
+        name: times * _median(each, state, scale.repeats) for name, (each, times) in parts.items()
+    }
     whole = seconds["update"]
     return {
         "attempts/s": settings.ppo.batch_size / whole,
         "update s": whole,
         "physics": seconds["physics"] / whole,
         "encoder and heads": seconds["network"] / whole,
-        "the rest of the rollout": (seconds["rollout"] - seconds["physics"] - seconds["network"]) / whole,
+        "the rest of the rollout": (seconds["rollout"] - seconds["physics"] - seconds["network"])
+        / whole,
         "learning": (whole - seconds["rollout"]) / whole,
     }
 

@@ -31,8 +31,10 @@ BAND = 4 * VOXEL
 """Metres from a surface within which a volume knows the distance."""
 CONE = np.arctan(0.5)
 """Radians that a normal may be off the line between two points: most objects have this friction."""
-_MARGIN, _THINNEST = 0.004, 0.004
-"""Metres that what is held is narrower than the hand opens, and wide at least."""
+# Metres that what is held is narrower than the hand opens, and wide at least.
+_MARGIN = 0.004
+_THINNEST = 0.004
+
 _TURNS = np.radians([0, 25, -25, 50, -50])
 """Of approaches about the closing axis, from the one that points down the most."""
 _FLATTEST = 0.5
@@ -48,8 +50,10 @@ _LEAST_LEVEL = 0.3
 """Level part of a unit normal from which on a surface may be a low side."""
 _FEW = 20
 """One of so many points of the hand is looked at first."""
-_HEIGHT, _LEVEL = 0.1, 0.3
-"""Metres above the table that are worth a whole cone of alignment, and what coming straight down is worth."""
+# Metres above the table that are worth a whole cone of alignment, and what coming straight down is worth.
+_HEIGHT = 0.1
+_LEVEL = 0.3
+
 _SPACING = 0.007
 """Metres between points of the hand, at most."""
 
@@ -115,7 +119,9 @@ def free_room(grid: np.ndarray) -> np.ndarray:
 
 def surface_of(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """f64[P, 3] each: points at which two measured voxels have unequal signs, and outward normals."""
-    field, is_known, points = distance_field(grid), grid > 0, []
+    field = distance_field(grid)
+    is_known = grid > 0
+    points = []
     for axis in range(3):
         first = np.moveaxis(field, axis, 0)[:-1], np.moveaxis(is_known, axis, 0)[:-1]
         after = np.moveaxis(field, axis, 0)[1:], np.moveaxis(is_known, axis, 0)[1:]
@@ -134,7 +140,9 @@ def surface_of(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return found[is_sound], normal[is_sound] / length[is_sound, None]
 
 
-def find_pairs(points: np.ndarray, normals: np.ndarray, trust: np.ndarray, widest: float) -> SurfacePairs:
+def find_pairs(
+    points: np.ndarray, normals: np.ndarray, trust: np.ndarray, widest: float
+) -> SurfacePairs:
     """Pairs of surface points f64[P, 3] whose normals oppose within `CONE`, the best aligned first.
 
     Of pairs that are nearly the same (voxel of the middle, direction) the best alone is kept.
@@ -143,9 +151,11 @@ def find_pairs(points: np.ndarray, normals: np.ndarray, trust: np.ndarray, wides
       trust: f64[P], 0 to 1, how much of an alignment better than the cone's counts.
     """
     is_table = (np.abs(points[:, 2] - DEPTH) < VOXEL) & (normals[:, 2] > 0.9)
-    points, normals = points[~is_table].astype(np.float32), normals[~is_table].astype(np.float32)
+    points = points[~is_table].astype(np.float32)
+    normals = normals[~is_table].astype(np.float32)
     trust = trust[~is_table].astype(np.float32)
-    least, parts = np.float32(np.cos(CONE)), []
+    least = np.float32(np.cos(CONE))
+    parts = []
     for start in range(0, len(points), 256):
         rows = slice(start, start + 256)
         away = points[None] - points[rows, None]
@@ -157,7 +167,8 @@ def find_pairs(points: np.ndarray, normals: np.ndarray, trust: np.ndarray, wides
         is_good = (alignment >= least) & (length >= _THINNEST) & (length <= widest)
         i, j = np.nonzero(is_good)
         keep = i + start < j
-        i, j = i[keep], j[keep]
+        i = i[keep]
+        j = j[keep]
         middle = (points[i + start] + points[j]) / 2
         worth = least + np.minimum(trust[i + start], trust[j]) * (alignment[i, j] - least)
         parts.append((middle, axis[i, j], length[i, j], worth))
@@ -166,7 +177,9 @@ def find_pairs(points: np.ndarray, normals: np.ndarray, trust: np.ndarray, wides
     whole = [np.concatenate(each).astype(np.float64) for each in zip(*parts, strict=True)]
     middle, axis, _, alignment = whole
     order = np.argsort(-alignment, kind="stable")
-    cell = np.concatenate([np.floor(middle / VOXEL), np.round(2.5 * axis * _side(axis))], axis=1)[order]
+    cell = np.concatenate([np.floor(middle / VOXEL), np.round(2.5 * axis * _side(axis))], axis=1)[
+        order
+    ]
     _, first = np.unique(cell, axis=0, return_index=True)
     return SurfacePairs(*(each[order[np.sort(first)]] for each in whole))
 
@@ -182,11 +195,13 @@ def draw_hands(pairs: SurfacePairs, gripper: Gripper) -> VolumeGrasps:
     down = np.array([0.0, 0.0, -1.0])
     below = down - pairs.axis * (pairs.axis @ down)[:, None]
     length = np.linalg.norm(below, axis=1)
-    below, rows = below / np.maximum(length, 1e-9)[:, None], np.flatnonzero(length > 0.3)
+    below = below / np.maximum(length, 1e-9)[:, None]
+    rows = np.flatnonzero(length > 0.3)
     parts = []
     for turn in _TURNS:
         for shallow in _SHALLOW:
-            axis, width = pairs.axis[rows], pairs.width[rows]
+            axis = pairs.axis[rows]
+            width = pairs.width[rows]
             approach = np.cos(turn) * below[rows] + np.sin(turn) * np.cross(axis, below[rows])
             back = shallow + gripper.depth_of(width)
             frame = np.stack([np.cross(axis, approach), axis, approach], axis=-1)
@@ -267,7 +282,10 @@ class OpenHand:
         for each in np.unique(millimetres):
             rows = np.flatnonzero(millimetres == each)
             few = self.points(1e-3 * float(each))[::_FEW]
-            points = np.einsum("cij,kj->cki", grasps.pose[rows, :3, :3], few) + grasps.pose[rows, None, :3, 3]
+            points = (
+                np.einsum("cij,kj->cki", grasps.pose[rows, :3, :3], few)
+                + grasps.pose[rows, None, :3, 3]
+            )
             cell = np.clip(points * (len(room) / SIZE), 0, len(room) - 1).astype(np.int32)
             least[rows] = room[cell[..., 0], cell[..., 1], cell[..., 2]].min(1)
         return least
@@ -275,11 +293,15 @@ class OpenHand:
 
 def _solid_points(model: mujoco.MjModel, geom: int) -> np.ndarray:
     """f64[K, 3]: points in and on a solid, its frame; of what is no mesh, those of the box about it."""
-    centre, half = model.geom_aabb[geom][:3], model.geom_aabb[geom][3:]
-    corners = centre + half * np.stack(np.meshgrid(*[(-1, 1)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    centre = model.geom_aabb[geom][:3]
+    half = model.geom_aabb[geom][3:]
+    corners = centre + half * np.stack(np.meshgrid(*[(-1, 1)] * 3, indexing="ij"), -1).reshape(
+        -1, 3
+    )
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
-        start, number = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        start = int(model.mesh_vertadr[mesh])
+        number = int(model.mesh_vertnum[mesh])
         corners = model.mesh_vert[start : start + number].astype(np.float64)
     hull = ConvexHull(corners)
     steps = [np.arange(-each, each, _SPACING) for each in half]
@@ -310,14 +332,20 @@ def draw_grasps(grid: np.ndarray, hand: OpenHand, is_level: bool = False) -> Vol
     """
     points, normals = surface_of(grid)
     if not is_level:
-        return draw_hands(find_pairs(points, normals, np.ones(len(points)), hand.widest), hand.gripper)
+        return draw_hands(
+            find_pairs(points, normals, np.ones(len(points)), hand.widest), hand.gripper
+        )
     level = np.linalg.norm(normals[:, :2], axis=1)
     is_side = level > _LEAST_LEVEL
     normals = normals[is_side] * np.array([1.0, 1.0, 0.0]) / level[is_side, None]
-    return draw_hands(find_pairs(points[is_side], normals, level[is_side], hand.widest), hand.gripper)
+    return draw_hands(
+        find_pairs(points[is_side], normals, level[is_side], hand.widest), hand.gripper
+    )
 
 
-def draw_with_room(grid: np.ndarray, hand: OpenHand, number: int, rng: np.random.Generator) -> VolumeGrasps:
+def draw_with_room(
+    grid: np.ndarray, hand: OpenHand, number: int, rng: np.random.Generator
+) -> VolumeGrasps:
     """So many antipodal grasps in a volume f[N, N, N], at most, where some points of the hand have room.
 
     With normals as they are and level, in no order.

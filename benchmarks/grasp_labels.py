@@ -24,11 +24,14 @@ from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes
 
-_NUM_LOOKED_AT, _NUM_LIFTS = 48, 16
-"""Of a scene: at most."""
+# Of a scene: at most.
+_NUM_LOOKED_AT = 48
+_NUM_LIFTS = 16
 
 
-def label_volumes(bank: Path, dataset: Path, out: Path, robot: str, num_scenes: int, workers: int) -> None:
+def label_volumes(
+    bank: Path, dataset: Path, out: Path, robot: str, num_scenes: int, workers: int
+) -> None:
     """Makes the missing ones of the files `out/NUMBER.npz` of the first scenes of a bank.
 
     Args:
@@ -66,9 +69,12 @@ def _label_scene(scene: Scene, dataset: Path, out: Path, robot: str) -> str:
 
 def _labels_of(scene: Scene, robot: str, found: VolumeGrasps) -> np.ndarray:
     """i[C]: 1 of grasps that lift something, 0 of those that are blocked or do not, -1 of the others."""
-    arm, T_world_task = find_robot(robot), vgn.task_frame(scene.support)
-    still, lifts = StillScene(scene, arm), LiftScene(scene, arm)
-    label, num_lifts = np.zeros(len(found.width), int), 0
+    arm = find_robot(robot)
+    T_world_task = vgn.task_frame(scene.support)
+    still = StillScene(scene, arm)
+    lifts = LiftScene(scene, arm)
+    label = np.zeros(len(found.width), int)
+    num_lifts = 0
     for row, (pose, width) in enumerate(zip(found.pose, found.width, strict=True)):
         T_world_tool = T_world_task @ pose
         if still.blocker(T_world_tool, float(width)):

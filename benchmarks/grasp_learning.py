@@ -33,7 +33,14 @@ from benchmarks.grasp_geometry import (
     join_grasps,
     sample_field,
 )
-from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, concatenate, in_parts, take
+from cluttergen_jax.downstream.fitting import (
+    FitConfig,
+    FitRun,
+    FitState,
+    concatenate,
+    in_parts,
+    take,
+)
 from cluttergen_jax.downstream.robot.grasping.clutter import FINGER_DEPTH
 from cluttergen_jax.downstream.robot.grasping.vgn import DEPTH
 from cluttergen_jax.downstream.transforms import rigid, shift_along
@@ -42,12 +49,22 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.types import Array
 
 _CROPS = {
-    "wide": (np.linspace(-0.036, 0.036, 7), np.linspace(-0.11, 0.11, 19), np.linspace(-0.11, 0.022, 12)),
-    "fine": (np.linspace(-0.018, 0.018, 7), np.linspace(-0.048, 0.048, 17), np.linspace(-0.024, 0.024, 9)),
+    "wide": (
+        np.linspace(-0.036, 0.036, 7),
+        np.linspace(-0.11, 0.11, 19),
+        np.linspace(-0.11, 0.022, 12),
+    ),
+    "fine": (
+        np.linspace(-0.018, 0.018, 7),
+        np.linspace(-0.048, 0.048, 17),
+        np.linspace(-0.024, 0.024, 9),
+    ),
 }
 """Metres along the tool's x, y (in which the fingers close) and z (the approach)."""
-_WIDTH, _HEIGHT = 0.08, 0.1
-"""Metres that are 1 for the network."""
+# Metres that are 1 for the network.
+_WIDTH = 0.08
+_HEIGHT = 0.1
+
 _FOUND = 4.0
 """How much more than others a grasp counts that was found in a volume: the network chooses among those."""
 _HELD_OUT = 10
@@ -61,10 +78,15 @@ def network_inputs(grid: np.ndarray, grasps: VolumeGrasps) -> dict[str, np.ndarr
       wide, fine: f16[C, X, Y, Z, 2], the distance along rays and the free room about the tool, in units of
       `BAND`. numbers: f32[C, 3], the width, the height over the table, and how far down the approach points.
     """
-    pose, fields, seen = grasps.pose, (distance_field(grid), free_room(grid)), {}
+    pose = grasps.pose
+    fields = (distance_field(grid), free_room(grid))
+    seen = {}
     for name, steps in _CROPS.items():
         offsets = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1)
-        points = np.einsum("cij,xyzj->cxyzi", pose[:, :3, :3], offsets) + pose[:, None, None, None, :3, 3]
+        points = (
+            np.einsum("cij,xyzj->cxyzi", pose[:, :3, :3], offsets)
+            + pose[:, None, None, None, :3, 3]
+        )
         values = np.stack([sample_field(each, points) for each in fields], axis=-1)
         seen[name] = np.clip(values / BAND, -1, 1).astype(np.float16)
     numbers = (grasps.width / _WIDTH, (pose[:, 2, 3] - DEPTH) / _HEIGHT, -pose[:, 2, 2])
@@ -92,9 +114,16 @@ def convolve_by_two(x: Array, dense: Callable[[Array], Array]) -> Array:
     pads = [(1, 2 * half - size - 1) for half, size in zip(sizes, x.shape[1:4], strict=True)]
     x = jnp.pad(x, [(0, 0), *pads, (0, 0)])
     a, b, c = sizes
-    x = x.reshape(len(x), a, 2, b, 2, c, 2, -1).transpose(0, 1, 3, 5, 2, 4, 6, 7).reshape(len(x), a, b, c, -1)
+    x = (
+        x.reshape(len(x), a, 2, b, 2, c, 2, -1)
+        .transpose(0, 1, 3, 5, 2, 4, 6, 7)
+        .reshape(len(x), a, b, c, -1)
+    )
     shifted = [
-        x[:, i : a - 1 + i, j : b - 1 + j, k : c - 1 + k] for i in (0, 1) for j in (0, 1) for k in (0, 1)
+        x[:, i : a - 1 + i, j : b - 1 + j, k : c - 1 + k]
+        for i in (0, 1)
+        for j in (0, 1)
+        for k in (0, 1)
     ]
     return dense(jnp.concatenate(shifted, axis=-1))
 
@@ -137,7 +166,9 @@ class GraspLearner:
         found: Array = GraspScorer(self.config).apply(params, seen)
         return found
 
-    def loss(self, params: Any, examples: Mapping[str, Array], key: Array) -> tuple[Array, dict[str, Array]]:
+    def loss(
+        self, params: Any, examples: Mapping[str, Array], key: Array
+    ) -> tuple[Array, dict[str, Array]]:
         """Of grasps that are mirrored by chance: the hand is the same from both sides, both ways."""
         seen = dict(examples)
         mirrored = jax.random.bernoulli(key, shape=(2, len(examples["label"]), 1, 1, 1, 1))
@@ -161,13 +192,16 @@ def read_examples(folders: Sequence[Path], labels: Sequence[Path] = ()) -> dict[
     Raises:
       ConfigError: a folder holds no such dataset, or none of its grasps lifts something, or all do.
     """
-    scenes = [each for row, folder in enumerate(folders) for each in _scenes_of(folder, labels[row:][:1])]
+    scenes = [
+        each for row, folder in enumerate(folders) for each in _scenes_of(folder, labels[row:][:1])
+    ]
     made = []
     with Progress("reading", len(scenes), "scene") as progress:
         for index, (path, grasps, num_drawn) in enumerate(scenes):
             with np.load(path, allow_pickle=False) as file:
                 seen = network_inputs(file["grid"][0], grasps)
-            label, scene = grasps.score.astype(np.float32), np.full(len(grasps.score), index, np.int32)
+            label = grasps.score.astype(np.float32)
+            scene = np.full(len(grasps.score), index, np.int32)
             weight = np.where(np.arange(len(label)) < num_drawn, 1, _FOUND).astype(np.float32)
             made.append({**seen, "label": label, "weight": weight, "scene": scene})
             progress.update(1)
@@ -188,7 +222,8 @@ def _scenes_of(folder: Path, labels: Sequence[Path]) -> Iterator[tuple[Path, Vol
         raise ConfigError(f"{folder}", "a finished dataset of `cluttergen robot dataset`")
     rows = np.loadtxt(place / "grasps.csv", delimiter=",", skiprows=1, ndmin=2)
     for number in np.unique(rows[:, 0]).astype(int):
-        path, here = place / f"scenes/{number:06d}.npz", rows[rows[:, 0] == number]
+        path = place / f"scenes/{number:06d}.npz"
+        here = rows[rows[:, 0] == number]
         root = rigid(Rotation.from_quat(here[:, 1:5]).as_matrix(), here[:, 5:8] * VOXEL)
         pose = shift_along(root, (0.0, 0.0, FINGER_DEPTH))
         parts = [VolumeGrasps(pose, here[:, 8] * VOXEL, here[:, 9])]
@@ -204,13 +239,16 @@ def split_of(grasps: Mapping[str, np.ndarray], split: str) -> dict[str, np.ndarr
     scene = grasps["scene"]
     every = min(_HELD_OUT, int(scene.max()) + 1)
     is_chosen = (scene % every == every - 1) == (split == "val")
-    found: dict[str, np.ndarray] = take({k: v for k, v in grasps.items() if k != "scene"}, is_chosen)
+    found: dict[str, np.ndarray] = take(
+        {k: v for k, v in grasps.items() if k != "scene"}, is_chosen
+    )
     return found
 
 
 def area_under_curve(score: np.ndarray, is_good: np.ndarray) -> float:
     """How often a good one of scores f[N] is above a bad one; NaN where there are none of either."""
-    good, bad = int(is_good.sum()), int((~is_good).sum())
+    good = int(is_good.sum())
+    bad = int((~is_good).sum())
     if not good or not bad:
         return float("nan")
     return float((rankdata(score)[is_good].sum() - good * (good + 1) / 2) / (good * bad))
@@ -248,14 +286,18 @@ class GraspTraining(FitRun):
 
     def save(self, state: FitState, held_out: Any) -> Path:
         """With how well grasps of the scenes held out are told apart."""
-        return self.store(state, judge_labels(self.learner, state.best, held_out, self.config.batch_size))
+        return self.store(
+            state, judge_labels(self.learner, state.best, held_out, self.config.batch_size)
+        )
 
 
 def judge_labels(learner: Any, params: Any, examples: Any, batch_size: int) -> dict[str, float]:
     """Of grasps found in volumes, and of others: `accuracy` at one half and `area` under the curve."""
     call = jax.jit(lambda part: learner.logits(params, part))
-    told, told_of = np.concatenate(list(in_parts(call, examples, batch_size))), {}
-    is_good, is_found = examples["label"] > 0, examples["weight"] > 1
+    told = np.concatenate(list(in_parts(call, examples, batch_size)))
+    told_of = {}
+    is_good = examples["label"] > 0
+    is_found = examples["weight"] > 1
     for name, which in (("found", is_found), ("drawn", ~is_found)):
         if which.any():
             told_of[f"{name}_grasps"] = float(which.sum())

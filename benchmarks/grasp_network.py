@@ -59,7 +59,14 @@ CONTENDERS = {
     "random": "any antipodal grasp whose open hand is clear",
 }
 _AT_ONCE = 512
-_HEAD = ("proposed by", "lifted, of attempts", "cleared, of objects", "failures", "gave up", "CPU-s a round")
+_HEAD = (
+    "proposed by",
+    "lifted, of attempts",
+    "cleared, of objects",
+    "failures",
+    "gave up",
+    "CPU-s a round",
+)
 
 
 @dataclass(frozen=True)
@@ -104,7 +111,8 @@ class GraspNetworkBench:
             raise ConfigError(f"contenders {sorted(unknown)}", ", ".join(CONTENDERS))
         if len(self.piles) != len(self.datasets):
             raise ConfigError(
-                f"{len(self.piles)} banks of piles for {len(self.datasets)} datasets", "one for each"
+                f"{len(self.piles)} banks of piles for {len(self.datasets)} datasets",
+                "one for each",
             )
 
 
@@ -153,13 +161,19 @@ def clear_piles(args: GraspNetworkBench, weights: Path, path: Path) -> dict[str,
     made = {}
     for contender in args.contenders:
         name = f"{path.resolve().name}-{contender}"
-        file = args.out / f"rounds/{name}-{_settings_key(args, contender, bank.recipe, weights)}.json"
+        file = (
+            args.out / f"rounds/{name}-{_settings_key(args, contender, bank.recipe, weights)}.json"
+        )
         propose = proposer_of(args, contender, hand, weights)
-        made[contender] = _clear(args, name, Rows(file, float("inf"), say=lambda text: None), propose, scenes)
+        made[contender] = _clear(
+            args, name, Rows(file, float("inf"), say=lambda text: None), propose, scenes
+        )
     return made
 
 
-def _settings_key(args: GraspNetworkBench, contender: str, recipe: Mapping[str, Any], weights: Path) -> str:
+def _settings_key(
+    args: GraspNetworkBench, contender: str, recipe: Mapping[str, Any], weights: Path
+) -> str:
     """What tells rounds from those of other settings."""
     settings = {"bank": recipe, "robot": find_robot(args.robot).hash, "seed": args.seed}
     settings |= {"num_views": args.num_views, "noise": args.noise}
@@ -174,15 +188,20 @@ def _clear(
     """The rounds of one contender, each kept when it is over."""
     with Progress(name, len(scenes), "round") as progress:
         for scene in scenes:
-            rows.make("rounds", iter([(str(scene.origin.index), partial(_row, args, scene, propose))]))
+            rows.make(
+                "rounds", iter([(str(scene.origin.index), partial(_row, args, scene, propose))])
+            )
             progress.update(1, _told(rows.of("rounds")))
     of = rows.of("rounds")
     return [of[str(each.origin.index)] for each in scenes if str(each.origin.index) in of]
 
 
 def _row(args: GraspNetworkBench, scene: Scene, propose: Proposer) -> Row:
-    began, sight = time.process_time(), Sight(args.num_views, args.noise)
-    found = run_round(scene, find_robot(args.robot), propose, sight, (args.seed, scene.origin.index))
+    began = time.process_time()
+    sight = Sight(args.num_views, args.noise)
+    found = run_round(
+        scene, find_robot(args.robot), propose, sight, (args.seed, scene.origin.index)
+    )
     return {
         "num_objects": found.num_objects,
         "ends": list(found.ends),
@@ -205,7 +224,9 @@ def round_cells(name: str, rows: Sequence[Row]) -> list[str]:
     """A contender's line in the table."""
     ends = Counter(end for row in rows for end in row["ends"])
     num_objects = sum(row["num_objects"] for row in rows)
-    causes = ", ".join(f"{cause} {number}" for cause, number in ends.most_common() if cause != "lifted")
+    causes = ", ".join(
+        f"{cause} {number}" for cause, number in ends.most_common() if cause != "lifted"
+    )
     num_given_up = sum(_is_given_up(row) for row in rows)
     return [
         name,
@@ -219,7 +240,8 @@ def round_cells(name: str, rows: Sequence[Row]) -> list[str]:
 
 def _is_given_up(row: Row) -> bool:
     """Whether a round ended because nothing was proposed."""
-    ends, left = row["ends"], row["num_objects"] - row["ends"].count("lifted")
+    ends = row["ends"]
+    left = row["num_objects"] - row["ends"].count("lifted")
     has_failed_twice = len(ends) > 1 and all(each != "lifted" for each in ends[-2:])
     return left > 0 and not has_failed_twice
 
@@ -228,12 +250,15 @@ def body_of(args: GraspNetworkBench) -> str:
     """The section."""
     weights = learn(args)
     record = read_record(weights)
-    told, fit = record["validation"], record["fit"]
+    told = record["validation"]
+    fit = record["fit"]
     parts = []
     for path in args.banks:
         made = clear_piles(args, weights, path)
         num_objects = Counter(row["num_objects"] for rows in made.values() for row in rows)
-        mean = sum(number * count for number, count in num_objects.items()) / max(num_objects.total(), 1)
+        mean = sum(number * count for number, count in num_objects.items()) / max(
+            num_objects.total(), 1
+        )
         text = prose(
             f"""`{path.resolve().name}`: {len(next(iter(made.values())))} piles, of {mean:.1f} objects in the
             cube in the mean."""
@@ -248,7 +273,10 @@ def body_of(args: GraspNetworkBench) -> str:
         lift of `robot dataset`. {meaning}. In brackets 95 % intervals (Wilson), as if objects were
         independent."""
     )
-    words = {"found": "found in the volumes of scenes held out", "drawn": "drawn on the shapes there"}
+    words = {
+        "found": "found in the volumes of scenes held out",
+        "drawn": "drawn on the shapes there",
+    }
     shares = "; ".join(
         f"of the {told[f'{name}_grasps']:.0f} grasps {meant} ({100 * told[f'{name}_good']:.0f} % lift)"
         f" it tells {100 * told[f'{name}_accuracy']:.1f} % rightly, area under the curve"

@@ -28,10 +28,14 @@ from cluttergen_jax.sensing import REALSENSE, noisy
 
 MOST_FAILURES = 2
 """In a row, after which a round is over."""
-_REST, _LONGEST_REST = 0.25, 4.0
-"""Seconds between two looks at whether what is left rests, and after which it is let go on."""
-_SLOW, _SLOW_TURN = 0.01, 0.1
-"""m/s and rad/s of what rests."""
+# Seconds between two looks at whether what is left rests, and after which it is let go on.
+_REST = 0.25
+_LONGEST_REST = 4.0
+
+# m/s and rad/s of what rests.
+_SLOW = 0.01
+_SLOW_TURN = 0.1
+
 _BELOW = 0.05
 """Metres below the region's middle at which an object has fallen."""
 _MOST_SEEN = 1500
@@ -89,15 +93,18 @@ def run_round(
       propose: who chooses. seed: of views, noise and choices; equal ones see the first volume alike.
       show: is told how each attempt ended.
     """
-    scene, failures = settle(keep_inside(scene)), 0
-    num_objects, ends = len(scene.names), list[str]()
+    scene = settle(keep_inside(scene))
+    failures = 0
+    num_objects = len(scene.names)
+    ends = list[str]()
     while scene.names and failures < MOST_FAILURES:
         streams = np.random.default_rng([*seed, len(ends)]).spawn(2)
         still = StillScene(scene, robot)
         proposal = propose(see(scene, still, sight, streams[0]), streams[1])
         if proposal is None:
             break
-        T_world_tool, width = vgn.task_frame(scene.support) @ proposal[0], proposal[1]
+        T_world_tool = vgn.task_frame(scene.support) @ proposal[0]
+        width = proposal[1]
         if still.blocker(T_world_tool, width):
             end = "blocked"
         else:
@@ -110,7 +117,10 @@ def run_round(
 
 def see(scene: Scene, still: StillScene, sight: Sight, rng: np.random.Generator) -> np.ndarray:
     """f32[N, N, N]: the volume of a scene, as `robot dataset` makes it."""
-    T_world_task, noise, depths, cameras = vgn.task_frame(scene.support), REALSENSE.scale(sight.noise), [], []
+    T_world_task = vgn.task_frame(scene.support)
+    noise = REALSENSE.scale(sight.noise)
+    depths = []
+    cameras = []
     for camera in vgn.draw_cameras(T_world_task, sight.num_views, rng):
         depth, believed = noisy(still.depth(camera), camera, noise, rng)
         depths.append(depth)
@@ -140,13 +150,17 @@ def attempt(
 
 
 def _some_of(scene: Scene, index: Sequence[int]) -> Scene:
-    names, objects = tuple(scene.names[i] for i in index), tuple(scene.objects[i] for i in index)
+    names = tuple(scene.names[i] for i in index)
+    objects = tuple(scene.objects[i] for i in index)
     return replace(scene, names=names, objects=objects, poses=scene.poses[list(index)])
 
 
 def keep_inside(scene: Scene) -> Scene:
     """Without the objects whose middle is beside the cube or that fell."""
-    at = inverse(vgn.task_frame(scene.support)) @ np.c_[scene.poses[:, :3], np.ones(len(scene.names))].T
+    at = (
+        inverse(vgn.task_frame(scene.support))
+        @ np.c_[scene.poses[:, :3], np.ones(len(scene.names))].T
+    )
     is_inside = ((at[:2] >= 0) & (at[:2] < vgn.SIZE)).all(0) & (at[2] > vgn.DEPTH - _BELOW)
     return _some_of(scene, np.flatnonzero(is_inside).tolist())
 
@@ -156,7 +170,9 @@ def settle(scene: Scene) -> Scene:
     if not scene.names:
         return scene
     step = scene.stability.timestep
-    spec = populated_spec(scene.names, scene.objects, scene.support, step, scene.contact, poses=scene.poses)
+    spec = populated_spec(
+        scene.names, scene.objects, scene.support, step, scene.contact, poses=scene.poses
+    )
     model = spec.compile()
     data = mujoco.MjData(model)
     for _ in range(round(_LONGEST_REST / _REST)):
@@ -189,7 +205,9 @@ class ByNetwork:
         found = draw_with_room(grid, self.hand, _MOST_SEEN, rng)
         if not len(found.width):
             return None
-        shaken = self.score(network_inputs(grid, found)) + _TEMPERATURE * rng.gumbel(size=len(found.width))
+        shaken = self.score(network_inputs(grid, found)) + _TEMPERATURE * rng.gumbel(
+            size=len(found.width)
+        )
         found = found.take(np.argsort(-shaken, kind="stable"))
         row = self.hand.first_clear(grid, found, (LEAST_CLEARANCE,)) or 0
         return found.pose[row], float(found.width[row])
@@ -213,7 +231,9 @@ class ByGeometry:
         """See `Proposer`."""
         for is_level in (False, True):
             found = draw_grasps(grid, self.hand, is_level)
-            shaken = (0 if self.is_random else found.score) + _TEMPERATURE * rng.gumbel(size=len(found.score))
+            shaken = (0 if self.is_random else found.score) + _TEMPERATURE * rng.gumbel(
+                size=len(found.score)
+            )
             found = found.take(np.argsort(-shaken, kind="stable"))
             row = self.hand.first_clear(grid, found)
             if row is not None:

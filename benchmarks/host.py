@@ -20,12 +20,14 @@ class TimedPhysics(SwappablePhysics):
 
     def __init__(self, num_objects: int, config: StabilityConfig) -> None:
         super().__init__(num_objects, config)
-        self.settle_seconds, self.stand_seconds = 0.0, 0.0
+        self.settle_seconds = 0.0
+        self.stand_seconds = 0.0
 
     def use(self, engine: BatchEngine) -> None:
         """The engine of all calls from now on."""
         self.engine = engine
-        self.settle_seconds, self.stand_seconds = 0.0, 0.0
+        self.settle_seconds = 0.0
+        self.stand_seconds = 0.0
 
     def settle_batch(self, *arrays: np.ndarray) -> Settling:
         """See `BatchEngine`."""

@@ -33,11 +33,15 @@ from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, Rollout, blocks_of, sample_blocks
 from cluttergen_jax.scene.bank.table import table_of
 
-STEPS, CONTACTS = "MuJoCo's steps", "contacts at rest"
+STEPS = "MuJoCo's steps"
+CONTACTS = "contacts at rest"
 PHYSICS = "judging and copying (NumPy)"
-SEARCH, RULES = "proposals (XLA)", "rules (XLA)"
-ROWS, REST = "rows (Python)", "the rest"
-ACTING, UPDATE = "encoder, network and rules (XLA)", "gradient steps (XLA)"
+SEARCH = "proposals (XLA)"
+RULES = "rules (XLA)"
+ROWS = "rows (Python)"
+REST = "the rest"
+ACTING = "encoder, network and rules (XLA)"
+UPDATE = "gradient steps (XLA)"
 
 _PIECES = (
     (simulations.Simulations, "run", STEPS),
@@ -96,12 +100,15 @@ class Clock:
 
     def watch(self, stack: ExitStack, owner: Any, method: str, name: str) -> None:
         """Counts the calls of a method until the stack is left."""
-        stack.enter_context(patch.object(owner, method, self.counting(getattr(owner, method), name)))
+        stack.enter_context(
+            patch.object(owner, method, self.counting(getattr(owner, method), name))
+        )
 
 
 def sampling(method: str, pool: str, num_blocks: int) -> dict[str, float]:
     """CPU-milliseconds a finished scene that stands, by piece."""
-    clock, sampler = Clock(), make_sampler(pool=pool, method=method)
+    clock = Clock()
+    sampler = make_sampler(pool=pool, method=method)
     geometry = sampler.problem.rules.geometry
     to_rows = clock.counting(table_of, ROWS)
     made = Rollout.__init__
@@ -113,7 +120,8 @@ def sampling(method: str, pool: str, num_blocks: int) -> dict[str, float]:
         for name in ("_judge", "_conclude", "_finish"):
             setattr(rollout, name, clock.counting(getattr(rollout, name), RULES))
 
-    num_valid, started = 0, 0.0
+    num_valid = 0
+    started = 0.0
     with ExitStack() as stack:
         stack.enter_context(patch.object(Rollout, "__init__", watched))
         for piece in _PIECES:
@@ -141,13 +149,23 @@ def training(preset: str, pool: str, num_updates: int = 2) -> dict[str, float]:
 
 
 def _trained(clock: Clock, settings: Settings, pool: str, num_updates: int) -> dict[str, float]:
-    whole, stability = Clock(), settings.stability
-    problem = make_problem(ProblemConfig(pool=pool, placement=settings.placement, stability=stability))
+    whole = Clock()
+    stability = settings.stability
+    problem = make_problem(
+        ProblemConfig(pool=pool, placement=settings.placement, stability=stability)
+    )
     agent = make_agent(problem.rules, settings.network)
-    ppo = PPO(PlacementEnv(problem.rules, agent.observation), agent.apply, settings.ppo, None, agent.encode)
+    ppo = PPO(
+        PlacementEnv(problem.rules, agent.observation),
+        agent.apply,
+        settings.ppo,
+        None,
+        agent.encode,
+    )
     key = jax.random.key(0)
     params = agent.init(key, jax.eval_shape(ppo.env.reset, key).obs)
-    state, update = jax.jit(ppo.start)(key, params), jax.jit(ppo.update)
+    state = jax.jit(ppo.start)(key, params)
+    update = jax.jit(ppo.update)
     roll_out = jax.jit(lambda state: ppo._roll_out(state.params, state.env, key)[0].reward)
     jax.block_until_ready(roll_out(state))
     state = jax.block_until_ready(update(state)[0])
@@ -176,13 +194,16 @@ def _text(unit: str, found: dict[str, dict[str, float]]) -> str:
 
 def _draw(found: dict[str, dict[str, dict[str, float]]], stem: Path) -> None:
     figure = new_figure(9.0, 3.2)
-    pieces = dict.fromkeys(name for rows in found.values() for shares in rows.values() for name in shares)
+    pieces = dict.fromkeys(
+        name for rows in found.values() for shares in rows.values() for name in shares
+    )
     colours = {name: f"C{number}" for number, name in enumerate(pieces)}
     for place, (title, rows) in enumerate(found.items()):
         axis = figure.add_subplot(1, len(found), place + 1)
         prepare(axis, title, "share of CPU time, %")
         for row, shares in enumerate(rows.values()):
-            left, total = 0.0, sum(shares.values())
+            left = 0.0
+            total = sum(shares.values())
             for name, value in shares.items():
                 axis.barh(row, 100 * value / total, left=left, label=name, color=colours[name])
                 left += 100 * value / total
@@ -200,7 +221,9 @@ def main(options: Profile) -> None:
         f"""Ten objects of {options.pool} on the usual table: {options.num_blocks * BLOCK_SIZE} scenes a
         method, without files, by scene that stands; and training by attempt, at its beginning."""
     )
-    text = "\n\n".join(["## Where the time goes", about, _text("scene", sampled), _text("attempt", trained)])
+    text = "\n\n".join(
+        ["## Where the time goes", about, _text("scene", sampled), _text("attempt", trained)]
+    )
     report("profile", f"{text}\n\n![Shares of CPU time](images/profile.png)", write=options.write)
     if options.write:
         _draw({"scenes": sampled, "training": trained}, IMAGES / "profile")

@@ -29,24 +29,38 @@ _METRES = 0.1
 """Of distances in the input: the unit."""
 _FINE = (0.01, 0.03, 0.1)
 """Metres over which the network sees small distances."""
-_SHIFT, _SHIFT_TURN = 0.005, 0.03
-"""Metres and radians, deviations by which the tool is shifted in half of the examples."""
-_STILL, _SAME, _SAME_TURN = 0.0015, 0.012, 0.1
-"""Metres that a tool at rest moves in a step at most; metres and radians between key poses that are one."""
-_THERE, _THERE_TURN, _SAME_GRIP = 0.006, 0.05, 0.2
-"""Metres, radians and share of the gripper from which on a key pose is reached."""
+# Metres and radians, deviations by which the tool is shifted in half of the examples.
+_SHIFT = 0.005
+_SHIFT_TURN = 0.03
+
+# Metres that a tool at rest moves in a step at most; metres and radians between key poses that are one.
+_STILL = 0.0015
+_SAME = 0.012
+_SAME_TURN = 0.1
+
+# Metres, radians and share of the gripper from which on a key pose is reached.
+_THERE = 0.006
+_THERE_TURN = 0.05
+_SAME_GRIP = 0.2
+
 _ABOUT = 1
 """Steps about a key pose that are learnt from as often as all others: a policy is asked there."""
 _SMALL = 0.02
 """Metres beyond which distances in the output are compressed, so that near ones are precise."""
-_FLOW_STEPS, _PER_OBJECT, _NUM_BLOCKS = 10, 128, 4
-_BATCH, _RATE, _AVERAGE = 512, 1e-3, 0.999
+_FLOW_STEPS = 10
+_PER_OBJECT = 128
+_NUM_BLOCKS = 4
+_BATCH = 512
+_RATE = 1e-3
+_AVERAGE = 0.999
 
 
 def frames_of(poses: np.ndarray) -> dict[str, np.ndarray]:
     """`place` f32[..., 3] and `turn` f32[..., 3, 3] of poses f[..., 7], wxyz."""
     flat = poses.reshape(-1, 7).astype(np.float64)
-    turns = np.array([rotation_matrix(each) for each in flat[:, 3:]]).reshape(*poses.shape[:-1], 3, 3)
+    turns = np.array([rotation_matrix(each) for each in flat[:, 3:]]).reshape(
+        *poses.shape[:-1], 3, 3
+    )
     return {"place": poses[..., :3].astype(np.float32), "turn": turns.astype(np.float32)}
 
 
@@ -111,7 +125,8 @@ def key_steps(tools: np.ndarray, grip: np.ndarray) -> list[int]:
 def _is_same(
     tools: np.ndarray, grip: np.ndarray, first: int, second: int, metres: float, radians: float
 ) -> bool:
-    a, b = tools[first], tools[second]
+    a = tools[first]
+    b = tools[second]
     angle = np.arccos(np.clip((np.trace(a[:3, :3].T @ b[:3, :3]) - 1) / 2, -1, 1))
     is_near = np.linalg.norm(a[:3, 3] - b[:3, 3]) < metres and angle < radians
     return bool(is_near and abs(grip[first] - grip[second]) < _SAME_GRIP)
@@ -143,7 +158,8 @@ def _about(tool: Mapping[str, Array], other: Mapping[str, Array]) -> Array:
 
 def _read(state: Mapping[str, Any]) -> tuple[Array, Array, Array]:
     """One step as the network sees it: f[K] of the arm, the target and its goal; f[M, L] of others; f[M]."""
-    tool, half = state["tool"], state["half"] / _METRES
+    tool = state["tool"]
+    half = state["half"] / _METRES
     target = jax.tree.map(lambda leaf: leaf[0], state["objects"])
     others = jax.tree.map(lambda leaf: leaf[1:], state["objects"])
     goal = state["goal"]
@@ -171,10 +187,14 @@ def _references(state: Mapping[str, Any]) -> dict[str, Array]:
 
     The tool's, the target's, and the tool's as if the target, held as it is now, was at its goal.
     """
-    tool, goal = state["tool"], state["goal"]
+    tool = state["tool"]
+    goal = state["goal"]
     target = jax.tree.map(lambda leaf: leaf[0], state["objects"])
     turn = goal["turn"] @ target["turn"].T
-    placed = {"place": goal["place"] + turn @ (tool["place"] - target["place"]), "turn": turn @ tool["turn"]}
+    placed = {
+        "place": goal["place"] + turn @ (tool["place"] - target["place"]),
+        "turn": turn @ tool["turn"],
+    }
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), tool, target, placed)
 
 
@@ -189,7 +209,8 @@ def encode_key(state: Mapping[str, Any], wanted: Mapping[str, Array]) -> Array:
 
 def decode_key(state: Mapping[str, Any], code: Array) -> tuple[Array, Array]:
     """f[4, 4], T_world_tool, and f, the gripper: the inverse of `encode_key`, in the nearest reference."""
-    frames, rows = _references(state), code[:-1].reshape(3, 9)
+    frames = _references(state)
+    rows = code[:-1].reshape(3, 9)
     away = jnp.sinh(rows[:, :3]) * _SMALL
     nearest = jnp.argmin((away**2).sum(-1))
     first, second = jnp.moveaxis(rows[nearest, 3:].reshape(3, 2), -1, 0)
@@ -206,9 +227,11 @@ def shift_tool(state: dict[str, Any], key: Array) -> dict[str, Any]:
     keys = jax.random.split(key, 3)
     share = jax.random.bernoulli(keys[0]).astype(jnp.float32)
     turn = Rotation.from_rotvec(share * _SHIFT_TURN * jax.random.normal(keys[1], (3,))).as_matrix()
-    shift, tool = share * _SHIFT * jax.random.normal(keys[2], (3,)), state["tool"]
+    shift = share * _SHIFT * jax.random.normal(keys[2], (3,))
+    tool = state["tool"]
     moved = {"place": tool["place"] + shift, "turn": turn @ tool["turn"]}
-    places, turns = state["objects"]["place"], state["objects"]["turn"]
+    places = state["objects"]["place"]
+    turns = state["objects"]["turn"]
     held = {
         "place": places.at[0].set(moved["place"] + turn @ (places[0] - tool["place"])),
         "turn": turns.at[0].set(turn @ turns[0]),
@@ -223,9 +246,12 @@ class FlowNetwork(nn.Module):
     width: int
 
     @nn.compact
-    def __call__(self, own: Array, others: Array, is_there: Array, code: Array, time: Array) -> Array:
+    def __call__(
+        self, own: Array, others: Array, is_there: Array, code: Array, time: Array
+    ) -> Array:
         """See class."""
-        after, before = nn.Dense(_PER_OBJECT), nn.Dense(_PER_OBJECT)
+        after = nn.Dense(_PER_OBJECT)
+        before = nn.Dense(_PER_OBJECT)
         rows = jnp.concatenate([others, jnp.broadcast_to(own, (len(others), len(own)))], axis=-1)
         rows = nn.gelu(after(nn.gelu(before(rows))))
         seen = jnp.max(jnp.where(is_there[:, None] > 0, rows, 0.0), axis=0)
@@ -264,7 +290,8 @@ class Policy(struct.PyTreeNode):
         moved = shift_tool(example, keys[0])
         mean, spread = self.scales[2]
         code = (encode_key(moved, moved["wanted"]) - mean) / spread
-        noise, time = jax.random.normal(keys[1], code.shape), jax.random.uniform(keys[2])
+        noise = jax.random.normal(keys[1], code.shape)
+        time = jax.random.uniform(keys[2])
         made = self.velocity(params, moved, time * code + (1 - time) * noise, time)
         return ((made - (code - noise)) ** 2).mean()
 
@@ -287,10 +314,15 @@ class Policy(struct.PyTreeNode):
 def fit(episodes: Sequence[dict[str, Any]], num_updates: int, width: int) -> Policy:
     """The policy that imitates examples of episodes."""
     data = jax.tree.map(lambda *leaves: np.concatenate(leaves), *episodes)
-    number, rng = len(data["opening"]), np.random.default_rng(0)
+    number = len(data["opening"])
+    rng = np.random.default_rng(0)
     policy = _blank_policy(take(data, rng.choice(number, min(number, 8192), replace=False)), width)
-    schedule = optax.warmup_cosine_decay_schedule(0.0, _RATE, max(num_updates // 20, 1), num_updates)
-    optimizer = optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=1e-4))
+    schedule = optax.warmup_cosine_decay_schedule(
+        0.0, _RATE, max(num_updates // 20, 1), num_updates
+    )
+    optimizer = optax.chain(
+        optax.clip_by_global_norm(1.0), optax.adamw(schedule, weight_decay=1e-4)
+    )
 
     @jax.jit
     def update(params: Any, mean: Any, state: Any, batch: Any, key: Array) -> Any:
@@ -323,5 +355,7 @@ def _blank_policy(some: dict[str, Any], width: int) -> Policy:
     code = jax.jit(jax.vmap(encode_key))(some, some["wanted"])
     scales = [(each.mean(0), each.std(0) + 1e-2) for each in (own, others[is_there > 0], code)]
     time = jnp.zeros(())
-    params = FlowNetwork(width).init(jax.random.key(0), own[0], others[0], is_there[0], code[0], time)
+    params = FlowNetwork(width).init(
+        jax.random.key(0), own[0], others[0], is_there[0], code[0], time
+    )
     return Policy(params, scales, width)

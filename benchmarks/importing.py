@@ -79,7 +79,9 @@ def gear(teeth: int, radius: float, height: float, bore: float) -> Manifold:
     angle = np.linspace(0, 2 * np.pi, 4 * teeth, endpoint=False)
     radii = np.where(np.arange(4 * teeth) % 4 < 2, radius, 0.85 * radius) / 1000
     outline = np.column_stack([radii * np.cos(angle), radii * np.sin(angle)])
-    return Manifold.extrude(manifold3d.CrossSection([outline]), height / 1000) - rod(bore, 3 * height)
+    return Manifold.extrude(manifold3d.CrossSection([outline]), height / 1000) - rod(
+        bore, 3 * height
+    )
 
 
 def simple() -> dict[str, Manifold]:
@@ -96,7 +98,9 @@ def simple() -> dict[str, Manifold]:
         "t_shape": box(100, 30, 20) + _moved(box(20, 30, 80), 0, 0, 50),
         "u_channel": box(100, 60, 40) - _moved(box(120, 40, 40), 0, 0, 10),
         "cross": box(100, 30, 30) + box(30, 100, 30),
-        "stairs": box(90, 50, 20) + _moved(box(60, 50, 20), 15, 0, 20) + _moved(box(30, 50, 20), 30, 0, 40),
+        "stairs": box(90, 50, 20)
+        + _moved(box(60, 50, 20), 15, 0, 20)
+        + _moved(box(30, 50, 20), 30, 0, 40),
     }
 
 
@@ -130,7 +134,9 @@ def _save_modelled(folder: Path) -> None:
     """Surfaces of the modeller's objects, whose parts nobody tells the import."""
     for seed, family in enumerate(_FAMILIES, 1000):
         pieces = make_shape(family, seed).pieces
-        meshes = [trimesh.Trimesh(each.mesh.vertices, each.mesh.faces, process=False) for each in pieces]
+        meshes = [
+            trimesh.Trimesh(each.mesh.vertices, each.mesh.faces, process=False) for each in pieces
+        ]
         trimesh.util.concatenate(meshes).export(folder / f"{family}.obj")
 
 
@@ -167,16 +173,26 @@ def run_import(code: Path, folder: Path, home: Path, limit: int) -> Outcome:
     import subprocess
 
     words = ("import", str(folder), "--pool", "made", "--jobs", "1", "--time-limit", str(limit))
-    env = os.environ | {"PYTHONPATH": str(code), "CLUTTERGEN_HOME": str(home), "JAX_PLATFORMS": "cpu"}
+    env = os.environ | {
+        "PYTHONPATH": str(code),
+        "CLUTTERGEN_HOME": str(home),
+        "JAX_PLATFORMS": "cpu",
+    }
     log = home / "log"
     home.mkdir()
     with log.open("w") as file:
         process = subprocess.Popen(
-            [sys.executable, "-m", "cluttergen_jax", *words], env=env, cwd=home, stdout=file, stderr=file
+            [sys.executable, "-m", "cluttergen_jax", *words],
+            env=env,
+            cwd=home,
+            stdout=file,
+            stderr=file,
         )
         _, _, used = os.wait4(process.pid, 0)
     lines = _LINE.finditer(log.read_text())
-    records = [json.loads(each.read_text()) for each in sorted((home / "pools/made").glob("*/object.json"))]
+    records = [
+        json.loads(each.read_text()) for each in sorted((home / "pools/made").glob("*/object.json"))
+    ]
     return Outcome(
         {line.group(1): float(line.group(2)) for line in lines},
         used.ru_maxrss / 1000,
@@ -187,7 +203,8 @@ def run_import(code: Path, folder: Path, home: Path, limit: int) -> Outcome:
 
 def row_of(name: str, outcome: Outcome) -> list[str]:
     """A line of the table."""
-    cpu, of = list(outcome.seconds.values()), outcome.qualities
+    cpu = list(outcome.seconds.values())
+    of = outcome.qualities
     deviations = [100 * each["deviation"] for each in of]
     stable = sum(each["solo_rate"] >= 0.99 for each in of)
     return [

@@ -45,7 +45,9 @@ class Judging:
 
 def agreement(folder: Path, starts: int) -> tuple[int, int]:
     """How many flags of bodies both judges set, and how many of them alike, over one second, native."""
-    found = cg.judge(folder, seconds=(1.0,), hold_joints=True, detectors=("native",), max_starts=starts)
+    found = cg.judge(
+        folder, seconds=(1.0,), hold_joints=True, detectors=("native",), max_starts=starts
+    )
     ours = {(row["file"], row["start"], row["body"]): row for row in found.rows.to_pylist()}
     flags = [
         (ours[str(file), own["start"], own["body"]][name] == own[name])
@@ -59,7 +61,11 @@ def agreement(folder: Path, starts: int) -> tuple[int, int]:
 def judged_row(folder: Path, config: Judging) -> Row:
     """One folder, with both detectors."""
     about = folder / "about.json"
-    said = json.loads(about.read_text()) if about.is_file() else {"set": folder.name, "package": "ours"}
+    said = (
+        json.loads(about.read_text())
+        if about.is_file()
+        else {"set": folder.name, "package": "ours"}
+    )
     found = cg.judge(folder, hold_joints=True, max_starts=config.max_starts)
     asked, alike = agreement(folder, config.max_starts)
     return {
@@ -90,9 +96,13 @@ def main(config: Judging) -> None:
         row = made[name]
         for kind in ("native", "libccd", "bodies"):
             share = row[kind]
-            what = f"{row['set']} ({row['package']}), {'bodies, native' if kind == 'bodies' else kind}"
+            what = (
+                f"{row['set']} ({row['package']}), {'bodies, native' if kind == 'bodies' else kind}"
+            )
             alike = f"{row['alike']} of {row['asked']}" if kind == "native" else ""
-            cells.append([what, f"{share['number']:.0f}", *(f"{share[each]:.3f}" for each in shown), alike])
+            cells.append(
+                [what, f"{share['number']:.0f}", *(f"{share[each]:.3f}" for each in shown), alike]
+            )
     asked, alike = (sum(made[name][key] for name in names) for key in ("asked", "alike"))
     text = prose(f"""
         Shares of scenes (or of free bodies) that are still up to each horizon, and in which bodies overlap
@@ -103,7 +113,11 @@ def main(config: Judging) -> None:
         alike, in all {alike} of {asked}, {alike / asked:.4f}.
     """)
     header = ["", "number", *shown, "agreement"]
-    report("judge", f"## Scenes of other projects\n\n{text}\n\n{table(header, cells)}", write=config.write)
+    report(
+        "judge",
+        f"## Scenes of other projects\n\n{text}\n\n{table(header, cells)}",
+        write=config.write,
+    )
 
 
 if __name__ == "__main__":

@@ -94,9 +94,12 @@ def _measure_case(args: LastCheck, support: str, method: str, num_verified: int)
     scenes = make_block_sampler(problem.rules, method)(args.num_scenes, 0)
     rows = np.flatnonzero(scenes.is_filled)
     poses, is_placed = placed_poses(scenes, rows, problem.world.num_objects)
-    layout, staged = problem.world.layout, config.stability
+    layout = problem.world.layout
+    staged = config.stability
     full = _unstaged(staged, staged.stand_full_steps)
-    _, first, _ = _check(layout, replace(staged, stand_full_steps=staged.stand_steps), poses, is_placed)
+    _, first, _ = _check(
+        layout, replace(staged, stand_full_steps=staged.stand_steps), poses, is_placed
+    )
     stands, _, staged_seconds = _check(layout, staged, poses, is_placed)
     stands_full, second, full_seconds = _check(layout, full, poses, is_placed)
     chosen = _to_verify(second[:, 0], num_verified)
@@ -142,7 +145,8 @@ def _check(
 def _to_verify(shift: np.ndarray, number: int) -> np.ndarray:
     """Half of them those that moved most by the end of the full check, the others at random."""
     order = np.argsort(-shift)
-    most, rest = order[: number // 2], order[number // 2 :]
+    most = order[: number // 2]
+    rest = order[number // 2 :]
     others = np.random.default_rng(0).permutation(rest)[: number - len(most)]
     return np.sort(np.concatenate([most, others]))
 
@@ -176,14 +180,24 @@ def _cases_table(checks: list[Checks]) -> str:
     rows = [[each.name, *_case_row([each])] for each in checks]
     if checks:
         rows.append(["all", *_case_row(checks)])
-    header = ["", "scenes", "both: stands", "both: crept", "staged only", "full only", "10 s: stand"]
+    header = [
+        "",
+        "scenes",
+        "both: stands",
+        "both: crept",
+        "staged only",
+        "full only",
+        "10 s: stand",
+    ]
     header += ["staged stands, 10 s not", "median mm", "99 % mm", "staged: CPU ms a scene", "full"]
     return table(header, rows)
 
 
 def _case_row(checks: list[Checks]) -> list[str]:
-    staged, full = _joined(checks, "staged"), _joined(checks, "full")
-    verified, watched = _joined(checks, "verified"), _joined(checks, "is_verified")
+    staged = _joined(checks, "staged")
+    full = _joined(checks, "full")
+    verified = _joined(checks, "verified")
+    watched = _joined(checks, "is_verified")
     shift = 1000 * np.concatenate([each.first[:, 0] for each in checks])
     seconds = np.sum([each.seconds for each in checks], axis=0)
     return [
@@ -201,25 +215,33 @@ def _case_row(checks: list[Checks]) -> list[str]:
 
 def _thresholds_table(checks: list[Checks]) -> str:
     first = np.concatenate([each.first for each in checks]) if checks else np.zeros((0, 2))
-    full, watched = _joined(checks, "full"), _joined(checks, "is_verified")
+    full = _joined(checks, "full")
+    watched = _joined(checks, "is_verified")
     verified = _joined(checks, "verified")
     rows = []
     for limit in _THRESHOLDS_MM:
         passes = (1000 * first[:, 0] <= limit) & (np.degrees(first[:, 1]) <= limit)
-        wrong, later = passes & ~full, passes & watched & ~verified
-        rows.append([f"{limit:g} mm", f"{passes.sum():,}", (~passes).sum(), wrong.sum(), later.sum()])
+        wrong = passes & ~full
+        later = passes & watched & ~verified
+        rows.append(
+            [f"{limit:g} mm", f"{passes.sum():,}", (~passes).sum(), wrong.sum(), later.sum()]
+        )
     header = ["first threshold", "pass the first stage", "go on", "pass it but fail the full check"]
     return table([*header, "pass it but do not stand 10 s"], rows)
 
 
 def _limits_table(checks: list[Checks]) -> str:
     second = np.concatenate([each.second for each in checks]) if checks else np.zeros((0, 2))
-    watched, verified = _joined(checks, "is_verified"), _joined(checks, "verified")
+    watched = _joined(checks, "is_verified")
+    verified = _joined(checks, "verified")
     rows = []
     for limit in _LIMITS_MM:
         passes = (1000 * second[:, 0] <= limit) & (np.degrees(second[:, 1]) <= limit)
-        falls, stands = watched & ~verified, watched & verified
-        rows.append([f"{limit:g} mm", f"{passes.sum():,}", (passes & falls).sum(), (~passes & stands).sum()])
+        falls = watched & ~verified
+        stands = watched & verified
+        rows.append(
+            [f"{limit:g} mm", f"{passes.sum():,}", (passes & falls).sum(), (~passes & stands).sum()]
+        )
     header = ["second limit", "pass", "pass but do not stand 10 s", "refused but stand 10 s"]
     return table(header, rows)
 

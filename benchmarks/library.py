@@ -50,7 +50,9 @@ def make_pool(folder: Path, number: int) -> Path:
     """A pool of so many objects."""
     base = find_pool("all").objects
     objects = tuple(
-        replace(base[place % len(base)], name=f"{base[place % len(base)].name}-{place // len(base)}")
+        replace(
+            base[place % len(base)], name=f"{base[place % len(base)].name}-{place // len(base)}"
+        )
         for place in range(number)
     )
     return write_pool(folder / f"objects-{number}", Pool(f"objects-{number}", objects))
@@ -60,10 +62,15 @@ def measure(pool: str, folder: str, num_scenes: int) -> dict[str, Any]:
     """A row, of this process: a bank begun, and as much again."""
     import cluttergen_jax as cg
 
-    out, seconds, used = Path(folder, "bank"), [], 0.0
+    out = Path(folder, "bank")
+    seconds = []
+    used = 0.0
     for number in (num_scenes, 2 * num_scenes):
-        begun, used = time.perf_counter(), time.process_time()
-        bank = cg.generate(out, pool, num_scenes=number, num_objects=NUM_OBJECTS, seed=1, max_files=0)
+        begun = time.perf_counter()
+        used = time.process_time()
+        bank = cg.generate(
+            out, pool, num_scenes=number, num_objects=NUM_OBJECTS, seed=1, max_files=0
+        )
         seconds.append(time.perf_counter() - begun)
         used = time.process_time() - used
     begun = time.perf_counter()
@@ -101,7 +108,12 @@ def main(config: Library) -> None:
             )
         told = json.loads(done.stdout.splitlines()[-1])
         first, second = told["seconds"]
-        numbers = (f"{first:.0f}", f"{second:.0f}", f"{told['rate']:.1f}", f"{told['megabytes']:,.0f}")
+        numbers = (
+            f"{first:.0f}",
+            f"{second:.0f}",
+            f"{told['rate']:.1f}",
+            f"{told['megabytes']:,.0f}",
+        )
         checked = (f"{told['success']:.3f}", f"{told['opens']:.2f}")
         rows.append((f"{told['objects']:,}", told["shelf"] or "all", *numbers, *checked))
         print(rows[-1], file=sys.stderr, flush=True)

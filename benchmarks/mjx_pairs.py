@@ -74,9 +74,14 @@ def measure(case: str, num_scenes: int) -> dict[str, Any]:
     if engine == "own":
         mjx_scenes.Pairs = _OwnOfMjx  # type: ignore[assignment,misc]
     pool = find_pool("all")
-    chosen = tuple(pool[name] for name in ONE_HULL) if objects == "three" else find_pool("dining").objects
+    chosen = (
+        tuple(pool[name] for name in ONE_HULL)
+        if objects == "three"
+        else find_pool("dining").objects
+    )
     config = ProblemConfig(
-        engine="native" if engine == "native" else "jax", placement=PlacementConfig(num_objects=len(chosen))
+        engine="native" if engine == "native" else "jax",
+        placement=PlacementConfig(num_objects=len(chosen)),
     )
     physics = compose(chosen, find_support("table"), config).rules.physics
     layout: Any = getattr(physics, "layout", None) or physics._engine.layout  # type: ignore[attr-defined]
@@ -85,16 +90,20 @@ def measure(case: str, num_scenes: int) -> dict[str, Any]:
     is_placed = np.zeros(poses.shape[:2], bool)
     for k, asset in enumerate(chosen[:3]):
         poses[:, k, :2] = rng.uniform(-0.02, 0.02, (num_scenes, 2)) + np.array([0.2 * (k - 1), 0.0])
-        poses[:, k, 2], poses[:, k, 3:] = layout.top + asset.half_extents[2] + 0.001, (1, 0, 0, 0)
+        poses[:, k, 2] = layout.top + asset.half_extents[2] + 0.001
+        poses[:, k, 3:] = (1, 0, 0, 0)
         is_placed[:, k] = True
-    focus, is_active = np.zeros(num_scenes, int), np.ones(num_scenes, bool)
+    focus = np.zeros(num_scenes, int)
+    is_active = np.ones(num_scenes, bool)
     told: dict[str, Any] = {"parts": layout.model.ngeom - 1}
-    settle, stand = jax.vmap(physics.settle), jax.vmap(physics.stand)
+    settle = jax.vmap(physics.settle)
+    stand = jax.vmap(physics.stand)
     for name, function, given in (
         ("attempt", settle, (poses, is_placed, focus, is_active)),
         ("last check", stand, (poses, is_placed, is_active)),
     ):
-        start, arrays = time.monotonic(), [jnp.asarray(each) for each in given]
+        start = time.monotonic()
+        arrays = [jnp.asarray(each) for each in given]
         compiled = jax.jit(function).lower(*arrays).compile()
         told[f"{name}: compile s"] = time.monotonic() - start
         start = time.monotonic()
@@ -122,11 +131,19 @@ def main(config: MjxPairs) -> None:
             timeout=_LONGEST,
         )
         told = json.loads(done.stdout.splitlines()[-1])
-        engine = {"own": "MJX's own functions", "one": "one for all pairs", "native": "engine native"}
+        engine = {
+            "own": "MJX's own functions",
+            "one": "one for all pairs",
+            "native": "engine native",
+        }
         kind, objects = case.split(":")
         rows.append([f"{objects} objects, {told.pop('parts')} parts", engine[kind], *_cells(told)])
         print(rows[-1], file=sys.stderr, flush=True)
-    header = ["scenes", "collisions", *(f"{a}: {b}" for a in ("attempt", "last check") for b in _COLUMNS)]
+    header = [
+        "scenes",
+        "collisions",
+        *(f"{a}: {b}" for a in ("attempt", "last check") for b in _COLUMNS),
+    ]
     text = prose(f"""
         {config.num_scenes} scenes of three objects in a row (of ten dining objects seven are parked), let go
         once; everything is compiled anew. MJX's own functions are not compiled for ten dining objects: there

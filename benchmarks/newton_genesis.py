@@ -21,8 +21,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-_SECONDS, _STRIDE = 10.0, 12
-_MAX_SHIFT, _MAX_TURN = 0.005, np.radians(5.0)
+_SECONDS = 10.0
+_STRIDE = 12
+_MAX_SHIFT = 0.005
+_MAX_TURN = np.radians(5.0)
 
 Poses = tuple[np.ndarray, np.ndarray]
 """Positions f[N, 3] and unit quaternions f[N, 4] of all bodies."""
@@ -36,7 +38,9 @@ def newton_poses(path: Path, timestep: float) -> Iterator[Poses]:
     newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
     builder.add_mjcf(str(path), parse_visuals=False)
     model = builder.finalize()
-    before, after, control = model.state(), model.state(), model.control()
+    before = model.state()
+    after = model.state()
+    control = model.control()
     newton.eval_fk(model, model.joint_q, model.joint_qd, before)
     solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True)
     while True:
@@ -53,8 +57,12 @@ def genesis_poses(path: Path, timestep: float) -> Iterator[Poses]:
     import genesis
 
     options = genesis.options
-    touch = options.RigidOptions(friction_cone=genesis.friction_cone.elliptic, enable_torsional_friction=True)
-    scene = genesis.Scene(sim_options=options.SimOptions(dt=timestep), rigid_options=touch, show_viewer=False)
+    touch = options.RigidOptions(
+        friction_cone=genesis.friction_cone.elliptic, enable_torsional_friction=True
+    )
+    scene = genesis.Scene(
+        sim_options=options.SimOptions(dt=timestep), rigid_options=touch, show_viewer=False
+    )
     entity = scene.add_entity(genesis.morphs.MJCF(file=str(path)))
     scene.build()
     while True:
@@ -98,13 +106,18 @@ def main() -> None:
     as_written = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=as_written)
     parser.add_argument("engine", choices=("newton", "genesis"))
-    parser.add_argument("banks", nargs="+", type=Path, help="folders that `cluttergen generate` wrote")
-    parser.add_argument("--num-scenes", type=int, default=50, help="the first so many files of each")
+    parser.add_argument(
+        "banks", nargs="+", type=Path, help="folders that `cluttergen generate` wrote"
+    )
+    parser.add_argument(
+        "--num-scenes", type=int, default=50, help="the first so many files of each"
+    )
     given: Any = parser.parse_args()
     name, engine = _begin(given.engine)
     for bank in given.banks:
         files = sorted((bank / "scenes").glob("*.xml"))[: given.num_scenes]
-        began, number = time.process_time(), 0
+        began = time.process_time()
+        number = 0
         for file in files:
             is_stable = stands(file, engine)
             number += is_stable
@@ -112,7 +125,8 @@ def main() -> None:
                 print(f"{file.name} does not stand", flush=True)
         seconds = time.process_time() - began
         print(
-            f"{bank}: {number} of {len(files)} scenes stand 10 s in {name}, {seconds:.0f} CPU-s", flush=True
+            f"{bank}: {number} of {len(files)} scenes stand 10 s in {name}, {seconds:.0f} CPU-s",
+            flush=True,
         )
 
 

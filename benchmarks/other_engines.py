@@ -63,7 +63,9 @@ def main(args: OtherEngines) -> None:
             began = time.process_time()
             stands = movement_elsewhere(engine, models, poses, is_placed).survives()[:, 0]
             seconds = time.process_time() - began
-            print(f"{path}: {stands.sum()} of {len(stands)} stand 10 s in {engine}, {seconds:.0f} CPU-s")
+            print(
+                f"{path}: {stands.sum()} of {len(stands)} stand 10 s in {engine}, {seconds:.0f} CPU-s"
+            )
 
 
 if __name__ == "__main__":

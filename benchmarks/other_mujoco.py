@@ -19,8 +19,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-_SECONDS, _STRIDE = 10.0, 12
-_MAX_SHIFT, _MAX_TURN = 0.005, np.radians(5.0)
+_SECONDS = 10.0
+_STRIDE = 12
+_MAX_SHIFT = 0.005
+_MAX_TURN = np.radians(5.0)
 
 
 def _bit(kind: type, name: str) -> int:
@@ -56,20 +58,28 @@ def main() -> None:
     """Prints a line for each bank."""
     as_written = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=as_written)
-    parser.add_argument("banks", nargs="+", type=Path, help="folders that `cluttergen generate` wrote")
+    parser.add_argument(
+        "banks", nargs="+", type=Path, help="folders that `cluttergen generate` wrote"
+    )
     parser.add_argument("--threads", type=int, default=2)
     for name in ("libccd", "native"):
-        parser.add_argument(f"--{name}", action="store_const", const=name, default="", dest="detector")
+        parser.add_argument(
+            f"--{name}", action="store_const", const=name, default="", dest="detector"
+        )
     given = parser.parse_args()
     check = partial(stands, detector=given.detector)
     for bank in given.banks:
         files = sorted((bank / "scenes").glob("*.xml"))
         number = 0
         with ThreadPoolExecutor(given.threads) as threads:
-            for place, (file, is_stable) in enumerate(zip(files, threads.map(check, files), strict=True), 1):
+            for place, (file, is_stable) in enumerate(
+                zip(files, threads.map(check, files), strict=True), 1
+            ):
                 number += is_stable
                 if not is_stable or place % 50 == 0:
-                    text = f"{number} of {place} stand" if is_stable else f"{file.name} does not stand"
+                    text = (
+                        f"{number} of {place} stand" if is_stable else f"{file.name} does not stand"
+                    )
                     print(text, file=sys.stderr, flush=True)
         print(f"{bank}: {number} of {len(files)} scenes stand 10 s in MuJoCo {mujoco.__version__}")
 

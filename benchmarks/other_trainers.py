@@ -28,7 +28,8 @@ TASK = {
     "objects": ("mug", "bowl", "dinner_plate", "wine_glass", "bottle"),
     "num_threads": 1,
 }
-NUM_ENVS, WINDOW = 64, 100
+NUM_ENVS = 64
+WINDOW = 100
 NAMES = {"brax": "Brax 0.14.2, `ppo.train`", "sb3": "Stable-Baselines3, `PPO`"}
 
 
@@ -36,13 +37,20 @@ def train_brax(num_attempts: int) -> list[list[float]]:
     """Rows of attempts so far, and means of the latest 100 episodes: success, objects placed, attempts."""
     from brax.training.agents.ppo import networks
 
-    env, rows = cg.make_env(**TASK, history_stride=0, num_cells=0, auto_reset=False), []
+    env = cg.make_env(**TASK, history_stride=0, num_cells=0, auto_reset=False)
+    rows = []
 
     def keep(attempts: int, figures: dict[str, float]) -> None:
         if "episode/success" not in figures:  # The last call tells of no episodes.
             return
         rows.append(
-            [attempts, *(float(figures[f"episode/{each}"]) for each in ("success", "num_placed", "length"))]
+            [
+                attempts,
+                *(
+                    float(figures[f"episode/{each}"])
+                    for each in ("success", "num_placed", "length")
+                ),
+            ]
         )
         print("brax", rows[-1], flush=True)
 
@@ -94,7 +102,8 @@ def train_sb3(num_attempts: int) -> list[list[float]]:
             print("sb3", self.rows[-1], flush=True)
 
     torch.set_num_threads(1)
-    envs, keep = cg.make_sb3_env(NUM_ENVS, **TASK, history_stride=0, num_cells=0), Keep()
+    envs = cg.make_sb3_env(NUM_ENVS, **TASK, history_stride=0, num_cells=0)
+    keep = Keep()
     numbers = {"n_steps": 16, "batch_size": 256, "n_epochs": 8, "gamma": 0.9, "learning_rate": 1e-3}
     PPO("MlpPolicy", envs, **numbers, seed=0, device="cpu").learn(num_attempts, callback=keep)
     return keep.rows
@@ -131,7 +140,9 @@ def draw(curves: dict[str, list[list[float]]], chance: list[float]) -> None:
             values = rows[:, 1] if is_success else rows[:, 2] / rows[:, 3]
             axis.plot(rows[:, 0], values, color=colour, label=NAMES[name].replace("`", ""))
         level = chance[0] if is_success else chance[1] / chance[2]
-        axis.axhline(level, color="#8a8f98", linestyle="--", label="random, which knows the right height")
+        axis.axhline(
+            level, color="#8a8f98", linestyle="--", label="random, which knows the right height"
+        )
         prepare(axis, title, "attempts")
         axis.set_ylim(0, 1)
     figure.axes[0].legend(fontsize=7)
@@ -156,7 +167,16 @@ def section(found: dict[str, dict], chance: list[float], asked: int) -> str:
                 )
             )
     success, placed, length = chance
-    rows.append(("`random`, 256 scenes", "", f"{success:.2f}", f"{placed:.2f}", f"{placed / length:.2f}", ""))
+    rows.append(
+        (
+            "`random`, 256 scenes",
+            "",
+            f"{success:.2f}",
+            f"{placed:.2f}",
+            f"{placed / length:.2f}",
+            "",
+        )
+    )
     text = f"""
         Five objects of dining ({", ".join(TASK["objects"])}) on its table, in random order: small networks
         that see which object is next and where the others stand, one Gaussian over x, y, z and turn, one
@@ -177,7 +197,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--attempts", type=int, default=50_000)
     parser.add_argument("--trainers", nargs="+", default=list(NAMES), choices=list(NAMES))
-    parser.add_argument("--runs", type=Path, default=Path("runs") / "other_trainers", help="keeps the curves")
+    parser.add_argument(
+        "--runs", type=Path, default=Path("runs") / "other_trainers", help="keeps the curves"
+    )
     parser.add_argument("--write", action="store_true", help="into reports/benchmarks.md")
     asked = parser.parse_args()
     found = {name: trained(name, asked.attempts, asked.runs) for name in asked.trainers}
@@ -185,7 +207,12 @@ def main() -> None:
         chance = by_chance()
         draw({name: each["rows"] for name, each in found.items()}, chance)
         packages = ("mujoco", "jax", "brax", "gymnasium", "stable-baselines3", "torch")
-        report("other_trainers", section(found, chance, asked.attempts), write=asked.write, packages=packages)
+        report(
+            "other_trainers",
+            section(found, chance, asked.attempts),
+            write=asked.write,
+            packages=packages,
+        )
 
 
 if __name__ == "__main__":

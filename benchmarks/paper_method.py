@@ -24,7 +24,8 @@ def _paper(name: str, title: str, **changed: Any) -> Row:
 
 ROWS = (
     _paper(
-        "paper", "preset `paper_cpu`: the paper's method, no entropy bonus, a learning rate from 1e-3 to 0"
+        "paper",
+        "preset `paper_cpu`: the paper's method, no entropy bonus, a learning rate from 1e-3 to 0",
     ),
     _paper("entropy", "its entropy bonus of 0.01 again", ppo={"entropy_cost": 0.01}),
     _paper("slow", "its learning rate of 1e-4 all the time again", ppo=_SLOW),
@@ -37,12 +38,19 @@ ROWS = (
         ppo=_PLAIN,
     ),
     _paper("nearer", "discount 0.97", ppo={"discount": 0.97}),
-    _paper("near", "discount and GAE 0.9, as `policy` has them", ppo={"discount": 0.9, "gae_lambda": 0.9}),
+    _paper(
+        "near",
+        "discount and GAE 0.9, as `policy` has them",
+        ppo={"discount": 0.9, "gae_lambda": 0.9},
+    ),
     _paper("open_loop", "no history", variant="open_loop"),
     _paper("normal", "a truncated normal a coordinate", variant="normal"),
     _paper("unimodal", "a Beta with its mode inside the region", variant="beta"),
     _paper(
-        "prior", "that, z about rest on the bare top", variant="beta", network={"height_precision": 20_000.0}
+        "prior",
+        "that, z about rest on the bare top",
+        variant="beta",
+        network={"height_precision": 20_000.0},
     ),
     _paper("set", "it sees the objects' poses, no point cloud of the scene", network=_SET),
     _paper("fixed", "objects in one order, always the same", placement={"order": "fixed"}),
@@ -50,4 +58,6 @@ ROWS = (
 
 
 if __name__ == "__main__":
-    compare(ROWS, "paper_method", "What helps the paper's method", "dining", __doc__, needs_encoder=True)
+    compare(
+        ROWS, "paper_method", "What helps the paper's method", "dining", __doc__, needs_encoder=True
+    )

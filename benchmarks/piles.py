@@ -87,7 +87,8 @@ class Turn:
 def compete(args: Piles) -> dict[str, Turn]:
     """Both contenders, block by block in turn, so that what else the machine does troubles both alike."""
     objects = [each for each in find_pool(args.pool).objects if each.radius <= args.max_radius]
-    support, contact = find_support(args.support), ContactConfig(noslip_iterations=PILE_NOSLIP)
+    support = find_support(args.support)
+    contact = ContactConfig(noslip_iterations=PILE_NOSLIP)
     both = StabilityConfig(both_detectors=True)
     world = make_world(objects, support, both, contact)
     ours = NativePhysics(world.layout, both, num_threads=1)
@@ -113,13 +114,18 @@ def compete(args: Piles) -> dict[str, Turn]:
 
 def draw_requests(world: World, args: Piles) -> list[np.ndarray]:
     """The arrays of a `PileRequest`, and that all scenes are active."""
-    rng, num, num_objects = np.random.default_rng(args.seed), args.num_scenes, world.num_objects
-    region, support = world.support.region, world.support
+    rng = np.random.default_rng(args.seed)
+    num = args.num_scenes
+    num_objects = world.num_objects
+    region = world.support.region
+    support = world.support
     shape = (num, _MAX_ATTEMPTS, args.num_objects)
     place = (*region.center, support.top, 1, 0, 0, 0, *region.half_extents)
     half = np.stack([asset.half_extents for asset in world.objects])
     return [
-        np.stack([rng.permutation(num_objects)[: args.num_objects] for _ in range(num)]).astype(np.int32),
+        np.stack([rng.permutation(num_objects)[: args.num_objects] for _ in range(num)]).astype(
+            np.int32
+        ),
         np.concatenate([rng.normal(size=(*shape, 4)), rng.uniform(-1, 1, (*shape, 2))], -1).astype(
             np.float32
         ),
@@ -137,14 +143,18 @@ def _rows(asked: Sequence[np.ndarray], rows: slice) -> list[np.ndarray]:
 
 def _joined(parts: list[Piling]) -> Piling:
     names = Piling.__dataclass_fields__
-    return Piling(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+    return Piling(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    )
 
 
 class BulletPiles:
     """An engine for `Piler` on PyBullet."""
 
     def __init__(self, world: World, config: StabilityConfig, contact: ContactConfig) -> None:
-        self.layout, self.config, self.probe = world.layout, config, _NoProbe(world.num_objects)
+        self.layout = world.layout
+        self.config = config
+        self.probe = _NoProbe(world.num_objects)
         self._plain = BulletSimulations(world, config, contact)
         self._walled = BulletSimulations(world, config, contact, is_walled=True)
 
@@ -173,7 +183,8 @@ class BulletSimulations(BulletPhysics):
         self, world: World, config: StabilityConfig, contact: ContactConfig, is_walled: bool = False
     ) -> None:
         super().__init__(world, config, contact, tuned=True)
-        self._is_walled, self._walls = is_walled, (np.zeros((0, 4, 3)), np.zeros((0, 4, 4)))
+        self._is_walled = is_walled
+        self._walls = (np.zeros((0, 4, 3)), np.zeros((0, 4, 4)))
         self._bodies: dict[int, list[int]] = {}
 
     def release(
@@ -189,7 +200,9 @@ class BulletSimulations(BulletPhysics):
             # What is where it should be may still move.
             client.poses[is_placed[row]] = np.nan
             self._arrange(client, poses[row], is_placed[row])
-            self._activate(client, np.flatnonzero(is_placed[row]).tolist(), pybullet.ACTIVATION_STATE_WAKE_UP)
+            self._activate(
+                client, np.flatnonzero(is_placed[row]).tolist(), pybullet.ACTIVATION_STATE_WAKE_UP
+            )
             if self._is_walled:
                 self._put_walls(client.id, row)
         return poses
@@ -260,14 +273,19 @@ class BulletSimulations(BulletPhysics):
                     physicsClientId=client.id,
                 )
             pybullet.changeDynamics(
-                0, -1, lateralFriction=scale * support_friction(self._contact), physicsClientId=client.id
+                0,
+                -1,
+                lateralFriction=scale * support_friction(self._contact),
+                physicsClientId=client.id,
             )
 
     def _new_client(self) -> Any:
         client = super()._new_client()
         for body, asset in zip(client.bodies, self._world.objects, strict=True):
             # PyBullet's own damping, 0.04, is none of the recipe.
-            drag, turning, friction = (DRAG, TURNING_DRAG, FRICTION) if self._is_walled else (0.0, 0.0, 1.0)
+            drag, turning, friction = (
+                (DRAG, TURNING_DRAG, FRICTION) if self._is_walled else (0.0, 0.0, 1.0)
+            )
             pybullet.changeDynamics(
                 body,
                 -1,
@@ -324,7 +342,9 @@ def body_of(turns: dict[str, Turn], args: Piles) -> str:
                 f"{steps:.0f}",
                 f"{turn.seconds / args.num_scenes:.2f}",
                 f"{turn.rate:.2f}",
-                f"{turn.rate / turns['PyBullet'].rate:.1f}" if turns["PyBullet"].num_stable else "-",
+                f"{turn.rate / turns['PyBullet'].rate:.1f}"
+                if turns["PyBullet"].num_stable
+                else "-",
             ]
         )
     which = f"pool {args.pool} up to {args.max_radius:g} m in radius"

@@ -18,7 +18,12 @@ import mujoco
 import numpy as np
 
 FREE = mujoco.mjtJoint.mjJNT_FREE
-MAX_SHIFT, MAX_TURN, MAX_DEPTH, GAP, AT_ONCE, FALL = 0.005, np.radians(5.0), 0.001, 0.001, 0.05, 0.05
+MAX_SHIFT = 0.005
+MAX_TURN = np.radians(5.0)
+MAX_DEPTH = 0.001
+GAP = 0.001
+AT_ONCE = 0.05
+FALL = 0.05
 
 
 def starts_of(model, path, most):
@@ -34,7 +39,8 @@ def starts_of(model, path, most):
 
 def _pulled(model, actuator):
     """The body at which an actuator pulls; -1 for tendons."""
-    kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
+    kind = int(model.actuator_trntype[actuator])
+    target = int(model.actuator_trnid[actuator, 0])
     if kind in (0, 1):
         return int(model.jnt_bodyid[target])
     return int(model.site_bodyid[target]) if kind in (2, 4) else target if kind == 5 else -1
@@ -61,7 +67,8 @@ def shapes(model):
 
 def depths(model, data, bodies):
     """How deep each body is in anything else: by distances, whatever contacts the file leaves out."""
-    solid, found = shapes(model), {}
+    solid = shapes(model)
+    found = {}
     for body, geoms in bodies:
         own = solid & set(geoms)
         pairs = [(a, b) for a in own for b in solid - set(geoms) if is_near(model, data, a, b)]
@@ -95,8 +102,14 @@ def lifted(model, data, bodies):
     mujoco.mj_forward(wide, other)
     below = set()
     for contact in other.contact:
-        first, second = (int(model.body_rootid[model.geom_bodyid[g]]) for g in (contact.geom1, contact.geom2))
-        if contact.dist <= GAP and first != second and abs(contact.frame[2]) >= np.sin(np.radians(10)):
+        first, second = (
+            int(model.body_rootid[model.geom_bodyid[g]]) for g in (contact.geom1, contact.geom2)
+        )
+        if (
+            contact.dist <= GAP
+            and first != second
+            and abs(contact.frame[2]) >= np.sin(np.radians(10))
+        ):
             below.add(second if contact.frame[2] > 0 else first)
     return np.array([body in below for body, _ in bodies], bool)
 
@@ -128,31 +141,41 @@ def judge(path, detector="native", seconds=(1.0, 10.0), hold_joints=False, most=
     model.opt.enableflags &= ~int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
     model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, "mjDSBL_AUTORESET", 0))
     flag = int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
-    model.opt.disableflags = (model.opt.disableflags & ~flag) | (flag if detector == "libccd" else 0)
-    bodies, records = judged(model), []
+    model.opt.disableflags = (model.opt.disableflags & ~flag) | (
+        flag if detector == "libccd" else 0
+    )
+    bodies = judged(model)
+    records = []
     index = [body for body, _ in bodies]
     # Links with joints of their own, and the place of the body that they hang on.
     links = [b for b in range(1, model.nbody) if b not in index and model.body_jntnum[b]]
     links = [(b, index.index(model.body_rootid[b])) for b in links if model.body_rootid[b] in index]
-    parts, owner = [*index, *(b for b, _ in links)], [*range(len(index)), *(p for _, p in links)]
+    parts = [*index, *(b for b, _ in links)]
+    owner = [*range(len(index)), *(p for _, p in links)]
     held = [j for j in range(model.njnt) if hold_joints and model.jnt_type[j] != FREE]
     places = [int(model.jnt_qposadr[j]) for j in held], [int(model.jnt_dofadr[j]) for j in held]
     for name, qpos, key in starts_of(model, Path(path), most):
         data = mujoco.MjData(model)
         if key >= 0:
             mujoco.mj_resetDataKeyframe(model, data, key)
-        data.qpos[:], data.qvel[:] = qpos, 0
+        data.qpos[:] = qpos
+        data.qvel[:] = 0
         mujoco.mj_forward(model, data)
         depth = depths(model, data, bodies)
-        is_carried, is_lifted = carried(model, data, bodies), lifted(model, data, bodies)
-        start, turned = places_of(data, index, links), data.xmat[parts].reshape(-1, 3, 3).copy()
+        is_carried = carried(model, data, bodies)
+        is_lifted = lifted(model, data, bodies)
+        start = places_of(data, index, links)
+        turned = data.xmat[parts].reshape(-1, 3, 3).copy()
         held_at = data.qpos[places[0]].copy()
-        far, most_turned = np.zeros(len(index)), np.zeros(len(index))
-        still, sunk = [], np.zeros(len(index))
+        far = np.zeros(len(index))
+        most_turned = np.zeros(len(index))
+        still = []
+        sunk = np.zeros(len(index))
         for step in range(1, round(seconds[-1] / model.opt.timestep) + 1):
             mujoco.mj_step(model, data)
             if held:
-                data.qpos[places[0]], data.qvel[places[1]] = held_at, 0
+                data.qpos[places[0]] = held_at
+                data.qvel[places[1]] = 0
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             moved = places_of(data, index, links) - start
@@ -171,7 +194,9 @@ def judge(path, detector="native", seconds=(1.0, 10.0), hold_joints=False, most=
                     "body": model.body(body).name or f"body-{body}",
                     **{f"is_still_{s:g}s": bool(flags[place]) for s, flags in zip(seconds, still)},  # noqa: B905
                     "is_deep": bool(depth[body] > MAX_DEPTH),
-                    "floats": bool(not is_carried[place] or (sunk[place] > GAP and not is_lifted[place])),
+                    "floats": bool(
+                        not is_carried[place] or (sunk[place] > GAP and not is_lifted[place])
+                    ),
                     "falls": bool(-moved[place, 2] > FALL),
                 }
             )
@@ -190,9 +215,17 @@ def main():
     given = parser.parse_args()
     for file in given.files:
         found = judge(file, given.detector, given.seconds, given.hold_joints, given.starts)
-        flags = {name: [each[name] for each in found] for name in found[0] if name not in ("start", "body")}
+        flags = {
+            name: [each[name] for each in found]
+            for name in found[0]
+            if name not in ("start", "body")
+        }
         shares = {name: round(float(np.mean(values)), 3) for name, values in flags.items()}
-        print(json.dumps({"file": str(file), "mujoco": mujoco.__version__, "bodies": len(found), **shares}))
+        print(
+            json.dumps(
+                {"file": str(file), "mujoco": mujoco.__version__, "bodies": len(found), **shares}
+            )
+        )
 
 
 if __name__ == "__main__":

@@ -37,7 +37,9 @@ def libero(suites, number, num_steps):
         for index in range(tasks.n_tasks):
             task = tasks.get_task(index)
             file = Path(get_libero_path("bddl_files"), task.problem_folder, task.bddl_file)
-            env = ControlEnv(bddl_file_name=str(file), has_offscreen_renderer=False, use_camera_obs=False)
+            env = ControlEnv(
+                bddl_file_name=str(file), has_offscreen_renderer=False, use_camera_obs=False
+            )
             env.reset()
             states = [np.array(state) for state in tasks.get_task_init_states(index)[:number]]
             for place, state in enumerate(states if num_steps else ()):
@@ -53,10 +55,19 @@ def robosuite(tasks, number, num_steps):
     """Tasks of robosuite with a Panda."""
     import robosuite as suite
 
-    for name in tasks or ("Lift", "Stack", "NutAssembly", "PickPlace", "ToolHang", "TwoArmTransport"):
+    for name in tasks or (
+        "Lift",
+        "Stack",
+        "NutAssembly",
+        "PickPlace",
+        "ToolHang",
+        "TwoArmTransport",
+    ):
         robots = ["Panda", "Panda"] if name.startswith("TwoArm") else "Panda"
         for seed in range(number):
-            env = suite.make(name, robots, has_offscreen_renderer=False, use_camera_obs=False, seed=seed)
+            env = suite.make(
+                name, robots, has_offscreen_renderer=False, use_camera_obs=False, seed=seed
+            )
             env.reset()
             # Sizes of objects are drawn, too: each start has a model of its own.
             yield f"{name}-{seed}", env.sim.model.get_xml(), env.sim.get_state().flatten()[None]
@@ -69,7 +80,12 @@ def gymnasium_robotics(tasks, number, num_steps):
     import gymnasium_robotics
 
     gymnasium.register_envs(gymnasium_robotics)
-    for name in tasks or ("FetchPush-v4", "FetchPickAndPlace-v4", "FetchSlide-v4", "FrankaKitchen-v1"):
+    for name in tasks or (
+        "FetchPush-v4",
+        "FetchPickAndPlace-v4",
+        "FetchSlide-v4",
+        "FrankaKitchen-v1",
+    ):
         env = gymnasium.make(name)
         own = getattr(env.unwrapped, "robot_env", env.unwrapped)
         states = []
@@ -86,8 +102,10 @@ def metaworld(tasks, number, num_steps):
     for name, kind in ALL_V3_ENVIRONMENTS.items():
         if tasks and name not in tasks:
             continue
-        env, states = kind(), []
-        env._set_task_called, env._freeze_rand_vec = True, False
+        env = kind()
+        states = []
+        env._set_task_called = True
+        env._freeze_rand_vec = False
         for seed in range(number):
             env.seed(seed)
             env.reset()

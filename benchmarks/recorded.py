@@ -62,7 +62,8 @@ class _Recorder:
     """A `BatchEngine` that keeps the attempts it is asked for."""
 
     def __init__(self, engine: NativePhysics) -> None:
-        self._engine, self.config = engine, engine.config
+        self._engine = engine
+        self.config = engine.config
         self.attempts: list[Attempts] = []
         self.stand_batch = engine.stand_batch
 
@@ -99,7 +100,9 @@ def record(
     )
 
 
-def small_attempts(stability: StabilityConfig, contact: ContactConfig, number: int) -> tuple[World, Attempts]:
+def small_attempts(
+    stability: StabilityConfig, contact: ContactConfig, number: int
+) -> tuple[World, Attempts]:
     """Three boxes of one hull each: two stand, the third is let go 1 mm above the table or one of them."""
     sizes = ((0.06, 0.06, 0.01), (0.04, 0.04, 0.03), (0.03, 0.03, 0.05))
     objects = [box(f"box-{index}", size, 0.2) for index, size in enumerate(sizes)]
@@ -109,10 +112,12 @@ def small_attempts(stability: StabilityConfig, contact: ContactConfig, number: i
     poses[..., 3] = 1.0
     half = np.array([size[2] for size in sizes])
     poses[:, :, 2] = world.support.top + half
-    poses[:, 0, 0], poses[:, 1, 0] = -0.15, 0.15
+    poses[:, 0, 0] = -0.15
+    poses[:, 1, 0] = 0.15
     yaw = rng.uniform(0, 2 * np.pi, number)
     poses[:, 2, :2] = rng.uniform(-0.02, 0.02, (number, 2))
-    poses[:, 2, 3], poses[:, 2, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+    poses[:, 2, 3] = np.cos(yaw / 2)
+    poses[:, 2, 6] = np.sin(yaw / 2)
     # Every other one goes onto the flat box.
     poses[::2, 2, 0] += poses[::2, 0, 0]
     poses[::2, 2, 2] += 2 * half[0]
@@ -129,7 +134,9 @@ def replay(name: str, world: World, engine: str, attempts: Attempts) -> Replay:
         return Replay(name, engine, missing=f"not installed: {error}".splitlines()[0])
     settle = jax.jit(jax.vmap(physics.settle))
     everyone = np.ones(len(attempts.focus), bool)
-    arrays = [jnp.asarray(a) for a in (attempts.poses, attempts.is_placed, attempts.focus, everyone)]
+    arrays = [
+        jnp.asarray(a) for a in (attempts.poses, attempts.is_placed, attempts.focus, everyone)
+    ]
     started = time.perf_counter()
     _run(settle, arrays)
     compile_seconds = time.perf_counter() - started

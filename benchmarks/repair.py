@@ -54,7 +54,12 @@ def disturb(poses: np.ndarray, shift: float, turn: float, draw: np.random.Genera
 
 
 def write_disturbed(
-    scenes: Sequence[cg.Scene], folder: Path, support: str, millimetres: float, degrees: float, seed: int
+    scenes: Sequence[cg.Scene],
+    folder: Path,
+    support: str,
+    millimetres: float,
+    degrees: float,
+    seed: int,
 ) -> None:
     """Writes scenes with noise as files that `cluttergen repair` reads."""
     draw = np.random.default_rng(seed)
@@ -101,7 +106,9 @@ def row_of(bank: cg.Bank, millimetres: float, degrees: float, config: Repairing)
         noisy, first, out = (Path(name, each) for each in ("noisy", "first", "out"))
         for folder, chosen in ((noisy, scenes), (first, scenes[:1])):
             folder.mkdir()
-            write_disturbed(chosen, folder, bank.recipe["support"], millimetres, degrees, config.seed)
+            write_disturbed(
+                chosen, folder, bank.recipe["support"], millimetres, degrees, config.seed
+            )
         # What has to be compiled is compiled before.
         cg.repair(first, Path(name, "warm"))
         before = _cpu()
@@ -113,7 +120,8 @@ def row_of(bank: cg.Bank, millimetres: float, degrees: float, config: Repairing)
             if rows[number].is_success:
                 wanted = rests_on(scene)
                 now = rests_on(_moved(scene, layout.poses))
-                kept, asked = kept + len(wanted & now), asked + len(wanted)
+                kept = kept + len(wanted & now)
+                asked = asked + len(wanted)
         files = sorted((out / "scenes").glob("*.xml"))[: config.verified]
         stands = [cg.verify(file).is_sound for file in files]
     shift = 1000 * np.concatenate([each.shift[each.is_placed] for each in found.layouts])
@@ -133,7 +141,9 @@ def row_of(bank: cg.Bank, millimetres: float, degrees: float, config: Repairing)
 
 
 def _moved(scene: cg.Scene, poses: np.ndarray) -> cg.Scene:
-    return cg.Scene(scene.names, scene.objects, poses, scene.support, scene.stability, scene.contact)
+    return cg.Scene(
+        scene.names, scene.objects, poses, scene.support, scene.stability, scene.contact
+    )
 
 
 def main(config: Repairing) -> None:

@@ -62,7 +62,8 @@ def cost(env: RobotEnv) -> tuple[float, float]:
     begun = time.process_time()
     for seed in range(10):
         env.reset(seed=seed)
-    of_reset, begun = 1e2 * (time.process_time() - begun), time.process_time()
+    of_reset = 1e2 * (time.process_time() - begun)
+    begun = time.process_time()
     for _ in range(_CONTROLS):
         env.step(env.action_of(env.execution.data.ctrl))
     return of_reset, 1e3 / _CONTROLS * (time.process_time() - begun)
@@ -73,8 +74,11 @@ def body_of(args: RobotEnvironments, folder: Path) -> str:
     bank = args.bank or folder / "bank"
     if not args.bank:
         shape = {"num_objects": 8, "region": "0.5x0.5", "order": "random"}
-        cg.generate(bank, pool=args.pool, num_scenes=args.num_episodes, render=False, max_files=0, **shape)
-    found, rows = cg.load_bank(bank), []
+        cg.generate(
+            bank, pool=args.pool, num_scenes=args.num_episodes, render=False, max_files=0, **shape
+        )
+    found = cg.load_bank(bank)
+    rows = []
     for robot, task, physics in product(args.robots, args.tasks, args.physics):
         env = cg.make_robot_env(task, found, robot, action="joint_delta", physics=physics)
         costs = [f"{each:.1f}" for each in cost(env)]
@@ -96,7 +100,12 @@ def body_of(args: RobotEnvironments, folder: Path) -> str:
 def main(args: RobotEnvironments) -> None:
     """Measures and reports."""
     with tempfile.TemporaryDirectory() as folder:
-        report("robot_env", body_of(args, Path(folder)), write=args.write, packages=("mujoco", "gymnasium"))
+        report(
+            "robot_env",
+            body_of(args, Path(folder)),
+            write=args.write,
+            packages=("mujoco", "gymnasium"),
+        )
 
 
 if __name__ == "__main__":

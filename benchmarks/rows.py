@@ -62,7 +62,11 @@ class Rows:
         longest = 0.0
         for name, make in cases:
             kept = self.parts.setdefault(part, {}).get(name)
-            if kept is not None and not kept.get("goes_on") and not (self.retries and "failed" in kept):
+            if (
+                kept is not None
+                and not kept.get("goes_on")
+                and not (self.retries and "failed" in kept)
+            ):
                 self.say(f"{part}: {name}: kept")
                 continue
             if self.seconds_left <= longest:
@@ -100,5 +104,6 @@ def _text(value: Any) -> str:
 def columns(rows: dict[str, Row], names: Sequence[str]) -> list[list[str]]:
     """A table's lines, one for each row: its name, then these fields, empty where it has none."""
     return [
-        [name, *(_text(row[each]) if each in row else "" for each in names)] for name, row in rows.items()
+        [name, *(_text(row[each]) if each in row else "" for each in names)]
+        for name, row in rows.items()
     ]

@@ -35,7 +35,9 @@ def make_block_sampler(rules: Rules, method: str, block_size: int = BLOCK_SIZE) 
     return sample
 
 
-def placed_poses(scenes: SceneBatch, rows: np.ndarray, num_objects: int) -> tuple[np.ndarray, np.ndarray]:
+def placed_poses(
+    scenes: SceneBatch, rows: np.ndarray, num_objects: int
+) -> tuple[np.ndarray, np.ndarray]:
     """The scenes `rows` as the physics interface takes them: poses f32[N, K, 7] and is_placed bool[N, K]."""
     poses = np.zeros((len(rows), num_objects, 7), np.float32)
     poses[..., 3] = 1.0

@@ -22,9 +22,11 @@ import tyro
 from benchmarks.section import ROOT, prose, report, table
 from benchmarks.waiting import Version, checkout
 
-_FEW, _MANY = 256, 1024
+_FEW = 256
+_MANY = 1024
 _STEP = 1 / 240
-_AWAKE_STEPS, _AWAKE_SCENES = 300, 40
+_AWAKE_STEPS = 300
+_AWAKE_SCENES = 40
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,15 @@ def scene_seconds(version: Version, method: str) -> float:
     used = []
     for number in (_FEW, _MANY):
         shutil.rmtree(version.folder / "out", ignore_errors=True)
-        words = ("--num-scenes", str(number), "--max-files", str(number), "--threads", "1", "--no-render")
+        words = (
+            "--num-scenes",
+            str(number),
+            "--max-files",
+            str(number),
+            "--threads",
+            "1",
+            "--no-render",
+        )
         seconds = version.seconds(("generate", "--method", method, *words, "--out", "OUT"))
         if seconds is None:
             raise SystemExit(f"{method}: the command failed")
@@ -63,7 +73,8 @@ def step_seconds(folder: Path) -> float:
     files = sorted(folder.glob("*.xml"))[:_AWAKE_SCENES]
     for file in files:
         model = mujoco.MjModel.from_xml_path(str(file))
-        model.opt.timestep, model.opt.enableflags = _STEP, 0
+        model.opt.timestep = _STEP
+        model.opt.enableflags = 0
         model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
         data = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, data, model.key("scene").id)
@@ -103,7 +114,9 @@ def main(config: SceneSteps) -> None:
         Since {config.before} every scene is checked with the second of MuJoCo's detectors, too.
     """)
     header = ["version", "method", "CPU ms a scene", "steps a scene"]
-    report("scene_steps", f"## A scene in steps\n\n{text}\n\n{table(header, body)}", write=config.write)
+    report(
+        "scene_steps", f"## A scene in steps\n\n{text}\n\n{table(header, body)}", write=config.write
+    )
 
 
 if __name__ == "__main__":

@@ -17,13 +17,17 @@ from cluttergen_jax.evaluation.machine import cpu_model
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "reports/benchmarks.md"
 IMAGES = ROOT / "reports/images"
-_HEAD = (
-    "# Benchmarks\n\nEvery section is written by the command that stands in it; no figure is typed by hand.\n"
-)
+_HEAD = "# Benchmarks\n\n"
+_HEAD += "Every section is written by the command that stands in it; no figure is typed by hand.\n"
 
 
 def report(
-    name: str, body: str, *, write: bool, packages: Sequence[str] = ("mujoco", "jax"), page: Path = PAGE
+    name: str,
+    body: str,
+    *,
+    write: bool,
+    packages: Sequence[str] = ("mujoco", "jax"),
+    page: Path = PAGE,
 ) -> None:
     """Prints a section, and with `write` puts it in the place of the old one.
 
@@ -40,7 +44,8 @@ def report(
 
 def replace_section(page: Path, name: str, text: str) -> None:
     """Puts `text` between the markers of section `name`; a section that is not there yet goes to the end."""
-    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    begin = f"<!-- {name}: begin -->"
+    end = f"<!-- {name}: end -->"
     old = page.read_text(encoding="utf-8") if page.exists() else _HEAD
     section = f"{begin}\n{text.strip()}\n{end}"
     pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)

@@ -44,7 +44,8 @@ class Trace:
             self.stack.append(file)
             before = self.stack[-2]
         else:
-            before, file = self.stack.pop(), self.stack[-1]
+            before = self.stack.pop()
+            file = self.stack[-1]
         if before != file:
             self.moves[before, file] += 1
 

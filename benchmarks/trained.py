@@ -52,7 +52,11 @@ def cells(run: Path) -> list[str]:
     size = rows[0]["attempts"]
     minutes = np.cumsum([size / row["attempts_per_second"] for row in rows]) / 60
     good = first_good(np.array([row["success"] for row in rows]))
-    soon = ("not reached", "") if good is None else (f"{rows[good]['attempts']:,.0f}", f"{minutes[good]:.1f}")
+    soon = (
+        ("not reached", "")
+        if good is None
+        else (f"{rows[good]['attempts']:,.0f}", f"{minutes[good]:.1f}")
+    )
     return [
         name_of(record),
         *soon,
@@ -66,7 +70,9 @@ def main() -> None:
     """Writes the section."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", type=Path, nargs="+")
-    parser.add_argument("--write", action="store_true", help="put the section into reports/benchmarks.md")
+    parser.add_argument(
+        "--write", action="store_true", help="put the section into reports/benchmarks.md"
+    )
     args = parser.parse_args()
     body = prose(
         f"""Preset `{DEFAULT_PRESET}`, {DEFAULT_OBJECTS} objects and up to {DEFAULT_ATTEMPTS} attempts each

@@ -29,7 +29,8 @@ from cluttergen_jax.statistics import proportion
 POOL = "urdfs"
 CROWDS: dict[tuple[int, str], int] = {(30, "table"): 64, (100, "table-1.20x0.80"): 24}
 """Objects and support, and how many scenes of each shelf."""
-_BUDGET, _SHELF = 40, 64
+_BUDGET = 40
+_SHELF = 64
 _HEADER = (
     *("objects", "support", "success [95 %]", "attempts of a scene", "within 40 attempts"),
     "scenes per CPU-second",
@@ -66,7 +67,9 @@ def num_objects() -> int:
 
 def crowd(number: int, support: str, config: Unseen, pictures: dict[str, np.ndarray]) -> list[str]:
     """A row; pictures of the first successes are put into `pictures`."""
-    successes, attempts, began = [], [], time.process_time()
+    successes = []
+    attempts = []
+    began = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(config.shelves):
             bank = cg.generate(
@@ -83,10 +86,17 @@ def crowd(number: int, support: str, config: Unseen, pictures: dict[str, np.ndar
             scene = next(cg.read_scenes(bank), None)
             if scene is not None:
                 pictures[f"{number} of 1,000, seed {seed}"] = render_scene(
-                    scene.objects, scene.poses, scene.support, close=True, width=360, height=270, samples=24
+                    scene.objects,
+                    scene.poses,
+                    scene.support,
+                    close=True,
+                    width=360,
+                    height=270,
+                    samples=24,
                 )
     rate = sum(successes) / (time.process_time() - began)
-    found, used = proportion(np.array(successes)), np.array(attempts)
+    found = proportion(np.array(successes))
+    used = np.array(attempts)
     within = np.mean(np.array(successes) & (used <= _BUDGET)) if number <= _BUDGET else None
     return [
         str(number),
@@ -123,7 +133,8 @@ def rows_of(config: Unseen, pictures: dict[str, np.ndarray]) -> Iterator[list[st
 
 def main(config: Unseen) -> None:
     """Prints the table."""
-    total, pictures = num_objects(), dict[str, np.ndarray]()
+    total = num_objects()
+    pictures = dict[str, np.ndarray]()
     rows = list(rows_of(config, pictures))
     text = prose(f"""
         `guided` on PyBullet's `random_urdfs`: {total:,} objects, none of them seen in training, imported as
@@ -140,9 +151,13 @@ def main(config: Unseen) -> None:
             `guided` {ours[0]:.1f}, `random` (rejection sampling) {theirs[0]:.1f}:
             {ours[0] / theirs[0]:.2f} of it.
         """)
-    sheet = "\n\n![Scenes of a thousand shapes](images/unseen.png)" if config.write and pictures else ""
+    sheet = (
+        "\n\n![Scenes of a thousand shapes](images/unseen.png)" if config.write and pictures else ""
+    )
     if sheet:
-        save_png(contact_sheet(list(pictures.values()), list(pictures), columns=4), IMAGES / "unseen.png")
+        save_png(
+            contact_sheet(list(pictures.values()), list(pictures), columns=4), IMAGES / "unseen.png"
+        )
     body = f"## A thousand unseen shapes\n\n{text}\n\n{table(_HEADER, rows)}\n\n{told}{sheet}"
     report("unseen", body, write=config.write)
 

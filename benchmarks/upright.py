@@ -44,21 +44,30 @@ class Upright:
 
     def run(self) -> None:
         """Prints the table."""
-        rows, missed = [], []
+        rows = []
+        missed = []
         groups = [(name, _embedded(name)) for name in EMBEDDED]
         groups += [(folder.name, _read(folder)) for folder in self.sources]
         for group, objects in groups:
             counts = np.zeros(5)
             seconds: list[float] = []
             for name, solid, center in objects:
-                found = [_tried(solid, center, seed, seconds) for seed in (None, *range(self.seeds))]
-                authored, turned = found[0], np.array(found[1:], float)[:, :2].mean(0)
+                found = [
+                    _tried(solid, center, seed, seconds) for seed in (None, *range(self.seeds))
+                ]
+                authored = found[0]
+                turned = np.array(found[1:], float)[:, :2].mean(0)
                 counts += [1, authored[2], authored[0], *(authored[2] * turned)]
                 if not authored[0] or turned[1] < 1:
                     missed.append(f"{name} ({turned[1]:.2f})")
             total = max(counts[1], 1)
-            shares = [f"{counts[2] / counts[0]:.3f}", *(f"{count / total:.3f}" for count in counts[3:])]
-            rows.append([group, f"{counts[0]:.0f}", f"{counts[1]:.0f}", *shares, f"{max(seconds):.2f}"])
+            shares = [
+                f"{counts[2] / counts[0]:.3f}",
+                *(f"{count / total:.3f}" for count in counts[3:]),
+            ]
+            rows.append(
+                [group, f"{counts[0]:.0f}", f"{counts[1]:.0f}", *shares, f"{max(seconds):.2f}"]
+            )
         told = f"Not kept, or not always back (share): {', '.join(missed)}."
         body = "\n\n".join(["## Upright", _TEXT, table(_HEADER, rows), told])
         report("upright", body, write=self.write)
@@ -102,7 +111,11 @@ def _tried(
     seconds.append(time.process_time() - start)
     up = turn.T @ _up(choice)
     is_same = bool(up[2] > _NEAR)
-    return is_same, is_same or (up[2] < -_NEAR and _flips(solid, center)), choice.authored is not None
+    return (
+        is_same,
+        is_same or (up[2] < -_NEAR and _flips(solid, center)),
+        choice.authored is not None,
+    )
 
 
 def _up(choice: Choice) -> np.ndarray:

@@ -74,7 +74,9 @@ def checkout(commit: str) -> Iterator[Path]:
         try:
             yield folder
         finally:
-            subprocess.run(["git", "worktree", "remove", "--force", str(folder)], cwd=ROOT, check=True)
+            subprocess.run(
+                ["git", "worktree", "remove", "--force", str(folder)], cwd=ROOT, check=True
+            )
 
 
 class Version:
@@ -95,10 +97,19 @@ class Version:
         shutil.rmtree(out, ignore_errors=True)
         places = {"OUT": str(out), "BANK": str(self.folder / "bank")}
         if "BANK" in words and not (self.folder / "bank").is_dir():
-            self.seconds(("generate", "-n", "20", "--no-render", "--out", str(self.folder / "bank")))
-        command = [sys.executable, "-m", "cluttergen_jax", *(places.get(word, word) for word in words)]
+            self.seconds(
+                ("generate", "-n", "20", "--no-render", "--out", str(self.folder / "bank"))
+            )
+        command = [
+            sys.executable,
+            "-m",
+            "cluttergen_jax",
+            *(places.get(word, word) for word in words),
+        ]
         before = _used()
-        done = subprocess.run(command, env=self._env, cwd=self.folder, capture_output=True, timeout=_LONGEST)
+        done = subprocess.run(
+            command, env=self._env, cwd=self.folder, capture_output=True, timeout=_LONGEST
+        )
         return None if done.returncode else _used() - before
 
 
@@ -119,7 +130,9 @@ def main(config: Waiting) -> None:
         for row in config.only or COMMANDS:
             # A first time in the one is beside a first time in the other.
             first = [version.seconds(COMMANDS[row]) for version in versions]
-            again = [version.seconds(COMMANDS[row]) if row in AGAIN else None for version in versions]
+            again = [
+                version.seconds(COMMANDS[row]) if row in AGAIN else None for version in versions
+            ]
             rows.append([row, *map(_cell, (*first, *again))])
             print(rows[-1], file=sys.stderr, flush=True)
     header = ["", f"{config.before}, first", "now, first", f"{config.before}, again", "now, again"]

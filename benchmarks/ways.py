@@ -123,7 +123,8 @@ def make(support: str, way: str, args: Ways) -> Made:
     seconds = time.process_time() - began
     good = np.flatnonzero(scenes.is_success)
     world = sample.problem.world
-    vendi, picture = None, None
+    vendi = None
+    picture = None
     if len(good) >= args.equal:
         some = good[: args.equal]
         rows = (scenes.object_index[some], scenes.is_placed[some], scenes.poses[some])
@@ -174,7 +175,9 @@ def main(args: Ways) -> None:
         small = Image.fromarray(sheet).reduce(2)
         small.quantize(256, dither=Image.Dither.NONE).save(IMAGES / "ways.png", optimize=True)
     report(
-        "ways", f"## Every support, every way\n\n{text}\n\n{table(header, rows)}{picture}", write=args.write
+        "ways",
+        f"## Every support, every way\n\n{text}\n\n{table(header, rows)}{picture}",
+        write=args.write,
     )
 
 

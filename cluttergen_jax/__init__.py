@@ -59,11 +59,19 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.api import make_robot_env, scripted_actions
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
-    from cluttergen_jax.downstream.perception.api import perception_data, perception_eval, perception_train
+    from cluttergen_jax.downstream.perception.api import (
+        perception_data,
+        perception_eval,
+        perception_train,
+    )
     from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
     from cluttergen_jax.downstream.rearrange.api import rearrange
     from cluttergen_jax.downstream.robot.api import grasp_dataset, robot_grasps, robot_place
-    from cluttergen_jax.downstream.robot.description import RobotDescription, list_robots, read_robot
+    from cluttergen_jax.downstream.robot.description import (
+        RobotDescription,
+        list_robots,
+        read_robot,
+    )
     from cluttergen_jax.evaluation.api import certify, evaluate, judge
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import (
@@ -181,7 +189,13 @@ _MODULES = {
     "placement.rollout.replay": ("Replay",),
     "placement.scenes": ("SceneBatch",),
     "generation.layouts": ("list_layouts", "read_layout"),
-    "generation.environments": ("make_env", "make_gym_env", "make_sb3_env", "make_vector_env", "train_brax"),
+    "generation.environments": (
+        "make_env",
+        "make_gym_env",
+        "make_sb3_env",
+        "make_vector_env",
+        "train_brax",
+    ),
 }
 _ELSEWHERE = {name: module for module, names in _MODULES.items() for name in names}
 _RENAMED = {

@@ -44,8 +44,10 @@ FORMAT = 1
 """Of banks; newer ones are refused."""
 _FORMATS = (1, 2, 3)
 """Of their assets."""
-_BLOCK_SIZE, _AT_ONCE = 256, 32
-"""Scenes of a row group; row groups that are read together."""
+# Scenes of a row group; row groups that are read together.
+_BLOCK_SIZE = 256
+_AT_ONCE = 32
+
 _TRIES = 100
 """So often a folder is listed again that changes while it is read."""
 _MOST_BLOCKS = 768
@@ -57,10 +59,13 @@ _MOST_BYTES = {".json": 2**28, ".parquet": 2**34}
 _MOST_MESH = 2**30
 _FAR = 1000.0
 """Metres beyond which nothing of a bank is."""
-_TINY, _HEAVY = 1e-12, 1e9
-"""What is above zero (kilograms, metres, kg m^2, coefficients of friction) is between these."""
+# What is above zero (kilograms, metres, kg m^2, coefficients of friction) is between these.
+_TINY = 1e-12
+_HEAVY = 1e9
+
 _FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
-_NAME, _IMAGE = re.compile(r"[a-z0-9_-]+(#\d+)?"), re.compile(r"[a-z0-9_-]+\.png")
+_NAME = re.compile(r"[a-z0-9_-]+(#\d+)?")
+_IMAGE = re.compile(r"[a-z0-9_-]+\.png")
 _LISTS = ("objects", "is_placed", "poses")
 _COLUMNS = ("index", "is_success", "verdict", *_LISTS)
 _KINDS: dict[str, Callable[[Any], bool]] = {
@@ -77,7 +82,8 @@ _WAIT = (50.0, 10.0, 0.1)
 """Metres: from which x on and at which z objects wait that a scene lacks, and the gap between two."""
 _NEWEST = "3.17"
 """MuJoCo whose words are written where none is installed."""
-_TOUCH, _SOLVER = ("friction", "solref", "solimp", "condim"), ("impratio", "iterations", "noslip_iterations")
+_TOUCH = ("friction", "solref", "solimp", "condim")
+_SOLVER = ("impratio", "iterations", "noslip_iterations")
 _MJCF = """<mujoco model="cluttergen scene">
 <compiler angle="radian" meshdir={assets} texturedir={assets}/>
 <option timestep="{timestep!r}" gravity="0 0 {gravity:.9g}" cone={cone} {solver}>
@@ -103,7 +109,8 @@ specular="0.15 0.15 0.15"/><geom name="floor" type="plane" size="0 0 0.1" rgba="
 def _printable(text: str) -> str:
     """A text of a file with its control characters as escapes, so that a terminal does not obey them."""
     return "".join(
-        each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text
+        each if each.isprintable() else each.encode("unicode_escape").decode("ascii")
+        for each in text
     )
 
 
@@ -242,7 +249,9 @@ class Bank:
 
     def __iter__(self) -> Iterator[Scene]:
         """All scenes that are there, failures included, in order."""
-        return (scene for rows in self._read(self._convert, _COLUMNS) for scene in self._scenes(rows))
+        return (
+            scene for rows in self._read(self._convert, _COLUMNS) for scene in self._scenes(rows)
+        )
 
     def successes(self) -> Iterator[Scene]:
         """The scenes that succeeded, in order."""
@@ -251,7 +260,11 @@ class Bank:
     def scene(self, index: int) -> Scene:
         """The scene of this number; its block alone is read (BankError: it is not there)."""
         if index not in self.indices:
-            held = f"{self.indices[0]} to {self.indices[-1]}, {len(self)} scenes" if len(self) else "none yet"
+            held = (
+                f"{self.indices[0]} to {self.indices[-1]}, {len(self)} scenes"
+                if len(self)
+                else "none yet"
+            )
             raise BankError(f"{self.path} has no scene {index}", held, "a number of `bank.indices`")
         (rows,) = self._read(self._convert, _COLUMNS, [int(index) // _BLOCK_SIZE])
         return next(scene for scene in self._scenes(rows) if scene.index == index)
@@ -264,12 +277,16 @@ class Bank:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """The objects that `object_index` numbers; not every one of them is in a scene."""
-        found = self._read(lambda rows: pc.unique(pc.list_flatten(rows["objects"])).to_pylist(), ("objects",))
+        found = self._read(
+            lambda rows: pc.unique(pc.list_flatten(rows["objects"])).to_pylist(), ("objects",)
+        )
         names = self.recipe.get("names") or [name for each in found for name in each]
         if not isinstance(names, list) or not all(
             isinstance(name, str) and _NAME.fullmatch(name) for name in names
         ):
-            raise BankError(f"{self.path / 'bank.json'} names objects that cannot be", "a-z, 0-9, _ and -")
+            raise BankError(
+                f"{self.path / 'bank.json'} names objects that cannot be", "a-z, 0-9, _ and -"
+            )
         return tuple(dict.fromkeys(names))
 
     @property
@@ -291,16 +308,20 @@ class Bank:
         """All scenes that succeeded, as arrays of NumPy (BankError: there are none)."""
         parts = list(self._read(self._convert, _COLUMNS))
         if not any(rows.is_success.any() for rows in parts):
-            raise BankError(f"{self.path}: none of its {len(self)} scenes succeeded", "", "more scenes")
+            raise BankError(
+                f"{self.path}: none of its {len(self)} scenes succeeded", "", "more scenes"
+            )
         rows = _Rows(*map(np.concatenate, zip(*parts)))
         row = np.repeat(np.arange(len(rows.number)), rows.num_slots)
         is_kept = rows.is_placed & rows.is_success[row]
         scene = (np.cumsum(rows.is_success) - 1)[row[is_kept]]
         slot = np.arange(len(scene)) - np.searchsorted(scene, scene)
         shape = (int(rows.is_success.sum()), int(slot.max(initial=-1)) + 1)
-        object_index, poses = np.full(shape, -1, np.int32), np.zeros((*shape, 7), np.float32)
+        object_index = np.full(shape, -1, np.int32)
+        poses = np.zeros((*shape, 7), np.float32)
         poses[..., 3] = 1
-        object_index[scene, slot], poses[scene, slot] = rows.object_index[is_kept], rows.poses[is_kept]
+        object_index[scene, slot] = rows.object_index[is_kept]
+        poses[scene, slot] = rows.poses[is_kept]
         index = rows.number[rows.is_success].astype(np.int32)
         return SceneArrays(index, object_index, object_index >= 0, poses)
 
@@ -337,13 +358,19 @@ class Bank:
         """Objects of scenes that stand, i32[K]; where they wait, f32[K, 7]; what holds them, f32[K, 6]."""
         used = np.unique(self.arrays.object_index[self.arrays.is_placed])
         assets = [self.asset(self.names[number]) for number in used]
-        poses, weight = np.zeros((len(used), 7), np.float32), np.zeros((len(used), 6), np.float32)
+        poses = np.zeros((len(used), 7), np.float32)
+        weight = np.zeros((len(used), 6), np.float32)
         with _reading(self.path):
-            vertices = [np.concatenate([np.array(part) for part in each.record["parts"]]) for each in assets]
+            vertices = [
+                np.concatenate([np.array(part) for part in each.record["parts"]]) for each in assets
+            ]
             radius = np.array([np.linalg.norm(each, axis=1).max() for each in vertices])
-            weight[:, 2] = [asset.record["mass"] * self.recipe["contact"]["gravity"] for asset in assets]
+            weight[:, 2] = [
+                asset.record["mass"] * self.recipe["contact"]["gravity"] for asset in assets
+            ]
         poses[:, 0] = _WAIT[0] + np.cumsum(2 * radius + _WAIT[2]) - radius
-        poses[:, 2], poses[:, 3] = _WAIT[1], 1
+        poses[:, 2] = _WAIT[1]
+        poses[:, 3] = 1
         return used, poses, weight
 
     @cached_property
@@ -389,15 +416,19 @@ class Bank:
           BankError: there is no such scene, it failed, or an asset is damaged.
         """
         if index is None:
-            names, poses = [self.names[number] for number in self._crowd[0]], self._crowd[1]
+            names = [self.names[number] for number in self._crowd[0]]
+            poses = self._crowd[1]
         else:
             scene = self.scene(index)
-            names, poses = list(scene.names), scene.poses
+            names = list(scene.names)
+            poses = scene.poses
             if not scene.is_success:
                 raise BankError(
                     f"scene {index} of {self.path} failed ({scene.verdict})", "those that succeeded"
                 )
-        return self._text(names, [self.asset(name) for name in names], poses, self.support, version, assets)
+        return self._text(
+            names, [self.asset(name) for name in names], poses, self.support, version, assets
+        )
 
     def object_xml(self, name: str, body: str = "", *, version: str = "", assets: str = "") -> str:
         """MJCF of one object, a free body at the origin called `body` or as it, to be attached to a model.
@@ -427,14 +458,18 @@ class Bank:
             raise BankError(f"version {version!r} of MuJoCo", "numbers such as 3.5.0")
         folder = assets or (self.path / "assets").absolute().as_posix()
         with _reading(self.path):
-            return _mjcf(self, names, objects, poses, support, numbers, folder, alone or support is None)
+            return _mjcf(
+                self, names, objects, poses, support, numbers, folder, alone or support is None
+            )
 
     def model(self, index: int | None = None) -> Any:
         """`xml(index)`, compiled by the MuJoCo installed here (BankError: there is none, or it refuses)."""
         try:
             import mujoco
         except ImportError as error:
-            raise BankError("a model without MuJoCo", "2.3.7 or newer", "pip install mujoco") from error
+            raise BankError(
+                "a model without MuJoCo", "2.3.7 or newer", "pip install mujoco"
+            ) from error
         text = self.xml(index)
         try:
             return mujoco.MjModel.from_xml_string(text)
@@ -446,13 +481,15 @@ class Bank:
         """What it holds, for people (BankError: it is damaged)."""
         verdicts: Counter[str] = Counter()
         used: set[str] = set()
-        number, half = 0, self.region["half_extents"]
+        number = 0
+        half = self.region["half_extents"]
         for rows in self._read(self._convert, _COLUMNS):
             verdicts.update(rows.verdict.tolist())
             placed = np.unique(rows.object_index[rows.is_placed])
             used.update(self.names[each].partition("#")[0] for each in placed)
             number += int(rows.is_success.sum())
-        recipe, rest = self.recipe, f"; {_AGAIN.partition(',')[0]} makes the others"
+        recipe = self.recipe
+        rest = f"; {_AGAIN.partition(',')[0]} makes the others"
         made = (f"{name} {recipe.get(name)}" for name in ("pool", "support", "method", "seed"))
         with _reading(self.path):
             versions = [f"{name} {text}" for name, text in recipe.get("versions", {}).items()]
@@ -480,7 +517,9 @@ class Bank:
         for name, held in blocks.items():
             if not 1 <= len(held) <= _MOST_BLOCKS:
                 with _reading(self.path / name):
-                    raise ValueError(f"its name says {len(held)} blocks; a file has 1 to {_MOST_BLOCKS}")
+                    raise ValueError(
+                        f"its name says {len(held)} blocks; a file has 1 to {_MOST_BLOCKS}"
+                    )
         places: dict[int, tuple[str, int]] = {}
         # A file of one block was written after one of many that holds it too.
         for name in sorted(blocks, key=lambda name: (len(blocks[name]) == 1, blocks[name][-1])):
@@ -499,7 +538,8 @@ class Bank:
                 given = f"{self.path / name} cannot be read ({_line(error)})"
                 raise BankError(given, "", _AGAIN) from error
             rows = pq.ParquetFile(file, page_checksum_verification=True)
-            number, held = rows.metadata.num_row_groups, len(_blocks_of(name))
+            number = rows.metadata.num_row_groups
+            held = len(_blocks_of(name))
             if number != held:
                 raise ValueError(f"its name says {held} blocks, and it holds {number}")
             self._latest = name, rows
@@ -542,18 +582,25 @@ class Bank:
         group = self._open(name).metadata.row_group(self._places[block][1])
         # What it states of its columns is not asked: Arrow ends the process where that is damaged.
         if not (0 < group.num_rows <= _BLOCK_SIZE and 0 <= group.total_byte_size <= _MOST_UNPACKED):
-            raise ValueError(f"block {block} has {group.num_rows} scenes, {group.total_byte_size} bytes")
+            raise ValueError(
+                f"block {block} has {group.num_rows} scenes, {group.total_byte_size} bytes"
+            )
         return block * _BLOCK_SIZE + np.arange(group.num_rows)
 
     def _read(
-        self, convert: Callable[[pa.Table], Any], columns: Sequence[str], blocks: Iterable[int] | None = None
+        self,
+        convert: Callable[[pa.Table], Any],
+        columns: Sequence[str],
+        blocks: Iterable[int] | None = None,
     ) -> Iterator[Any]:
         """What `convert` makes of rows, some thousand at a time, of all blocks or these."""
         rest = list(self._places if blocks is None else blocks)
 
         def together(name: str) -> list[int]:
             kept = (self._places.get(each, ("", 0))[0] == name for each in rest)
-            run = takewhile(lambda each: next(kept) and each // _AT_ONCE == rest[0] // _AT_ONCE, rest)
+            run = takewhile(
+                lambda each: next(kept) and each // _AT_ONCE == rest[0] // _AT_ONCE, rest
+            )
             return list(run)
 
         def read(name: str) -> Any:
@@ -561,7 +608,9 @@ class Bank:
             groups = [self._places[block][1] for block in numbers]
             # Before anything is allocated: it checks the sizes that the file states.
             indices = np.concatenate([self._numbers_in(name, block) for block in numbers])
-            rows = self._open(name).read_row_groups(groups, list({"index": 0, **dict.fromkeys(columns)}))
+            rows = self._open(name).read_row_groups(
+                groups, list({"index": 0, **dict.fromkeys(columns)})
+            )
             rows.validate(full=True)
             if not np.array_equal(rows["index"], indices):
                 raise ValueError("its scenes are not those that its name says")
@@ -583,19 +632,26 @@ class Bank:
             raise ValueError(f"its column {strange[0]!r} is of another type")
         if any(each.null_count for each in (*columns.values(), objects, is_placed, poses, numbers)):
             raise ValueError("it has gaps")
-        num_slots = np.stack([np.array(pc.list_value_length(columns[name]), np.int64) for name in _LISTS])
-        is_there, places = np.array(is_placed, bool), np.array(numbers, np.float32).reshape(-1, 7)
+        num_slots = np.stack(
+            [np.array(pc.list_value_length(columns[name]), np.int64) for name in _LISTS]
+        )
+        is_there = np.array(is_placed, bool)
+        places = np.array(numbers, np.float32).reshape(-1, 7)
         if (num_slots != num_slots[0]).any() or len(places) != len(is_there):
             raise ValueError("its lists of objects are of different lengths")
         turns = np.linalg.norm(places[is_there, 3:], axis=1)
         if not (np.isfinite(places[is_there, :3]).all() and (np.abs(turns - 1) < 1e-3).all()):
             raise ValueError("an object was placed at a pose that is none")
-        coded, known = objects.dictionary_encode(), {name: number for number, name in enumerate(self.names)}
-        object_index = np.array([known.get(name, -1) for name in coded.dictionary.to_pylist()], np.int32)
+        coded = objects.dictionary_encode()
+        known = {name: number for number, name in enumerate(self.names)}
+        object_index = np.array(
+            [known.get(name, -1) for name in coded.dictionary.to_pylist()], np.int32
+        )
         if (object_index < 0).any():
             raise ValueError("it names an object that bank.json does not name")
         object_index = object_index[np.array(coded.indices)]
-        index, is_success = np.array(columns["index"], np.int64), np.array(columns["is_success"], bool)
+        index = np.array(columns["index"], np.int64)
+        is_success = np.array(columns["is_success"], bool)
         row = np.repeat(np.arange(len(index)), num_slots[0])
         pairs = np.stack([row, object_index])[:, is_there]
         if np.unique(pairs, axis=1).shape != pairs.shape:
@@ -612,7 +668,8 @@ class Bank:
         ends = np.cumsum(rows.num_slots)
         for place, end in enumerate(ends.tolist()):
             slots = slice(end - int(rows.num_slots[place]), end)
-            is_placed, objects = rows.is_placed[slots], rows.object_index[slots]
+            is_placed = rows.is_placed[slots]
+            objects = rows.object_index[slots]
             yield Scene(
                 index=int(rows.number[place]),
                 is_success=bool(rows.is_success[place]),
@@ -628,23 +685,30 @@ class Bank:
         with _reading(path):
             record = _parse(path.read_bytes())
             if record["format"] not in _FORMATS:
-                raise ValueError(f"its format is {record['format']!r}, which this file does not know")
+                raise ValueError(
+                    f"its format is {record['format']!r}, which this file does not know"
+                )
             (_check_support if file == "support.json" else _check_object)(record)
             # A support has its pieces as a list of records, an object as a list of each of their fields.
             pieces = record.get("pieces") or [{"rgba": rgba} for rgba in record.get("rgba", [])]
             digests = [piece.get("texture") for piece in pieces]
-            names = record.get("textures") or [digest and f"texture-{digest[:12]}.png" for digest in digests]
+            names = record.get("textures") or [
+                digest and f"texture-{digest[:12]}.png" for digest in digests
+            ]
             if not all(each is None or _IMAGE.fullmatch(each) for each in names):
                 raise ValueError(f"it names images {names}")
             meshes = [self._file(f"{folder}/visual-{number}.obj") for number in range(len(pieces))]
             textures = [each and self._file(f"{images}/{each}") for each in names]
-            parts = (f"{folder}/part-{number:02d}.obj" for number in range(len(record.get("parts", []))))
+            parts = (
+                f"{folder}/part-{number:02d}.obj" for number in range(len(record.get("parts", [])))
+            )
             surfaces = tuple(zip(meshes, [piece["rgba"] for piece in pieces], textures))
             return Asset(name, record["label"], record, tuple(map(self._file, parts)), surfaces)
 
     def _file(self, name: str) -> Path:
         """A file of the bank that is what was written, as far as `bank.json` knows."""
-        path, digest = self.path / name, self.record["files"].get(name)
+        path = self.path / name
+        digest = self.record["files"].get(name)
         with _reading(path):
             if digest not in (None, _digest_of(_regular_file(self.path, name))):
                 raise ValueError("it is not what was written")
@@ -665,7 +729,8 @@ def _mjcf(
 
     What stands `alone` comes without floor, light and keyframe.
     """
-    stability, contact = bank.recipe["stability"], bank.recipe["contact"]
+    stability = bank.recipe["stability"]
+    contact = bank.recipe["contact"]
     _check_rules(stability, contact)
     both = stability.get("both_detectors", False)
     # Flat surfaces need the word since MuJoCo 3.3, which those before refuse.
@@ -681,11 +746,14 @@ def _mjcf(
             add_file("mesh", f"{name}.part-{number}", file, "")
             yield f'<geom type="mesh" mesh="{name}.part-{number}" {part}/>'
         for number, (file, rgba, image) in enumerate(asset.surfaces):
-            mesh, material = f"{name}.visual-{number}", ""
+            mesh = f"{name}.visual-{number}"
+            material = ""
             add_file("mesh", mesh, file, shell)
             if image is not None:
                 add_file("texture", image.stem, image, ' type="2d"')
-                shown = f'name="{image.stem}" texture="{image.stem}" specular="0.25" shininess="0.35"'
+                shown = (
+                    f'name="{image.stem}" texture="{image.stem}" specular="0.25" shininess="0.35"'
+                )
                 files[f"material {image.stem}"] = f"<material {shown}/>"
                 material = f' material="{image.stem}"'
             unseen = 'contype="0" conaffinity="0" group="2" mass="0"'
@@ -701,14 +769,20 @@ def _mjcf(
             bodies.append(f'<geom name="support.box-{number}" type="box" {place} {group}/>')
         bodies += [*geoms("support", support, f'{group} rgba="0.72 0.55 0.38 1"'), "</body>"]
     for name, asset, pose in zip(names, objects, poses):
-        record, (x, y, z), part = asset.record, asset.record["inertia"], 'group="3"'
+        record = asset.record
+        (x, y, z) = asset.record["inertia"]
+        part = 'group="3"'
         if (friction := record.get("friction")) is not None:
             # It holds against all that has none of its own; of two such objects the more slippery decides.
             own = np.array(contact["friction"]) * (friction / 0.5)
-            part += f' {_words(friction=own)} priority="{max(1, round(100_000 * (1 - friction / 10)))}"'
+            part += (
+                f' {_words(friction=own)} priority="{max(1, round(100_000 * (1 - friction / 10)))}"'
+            )
         full = [x[0], y[1], z[2], x[1], x[2], y[2]]
         inertial = _words(pos=record["center_of_mass"], mass=record["mass"], fullinertia=full)
-        bodies += [f'<body name="{name}" {_words(pos=pose[:3], quat=pose[3:])}><freejoint name="{name}"/>']
+        bodies += [
+            f'<body name="{name}" {_words(pos=pose[:3], quat=pose[3:])}><freejoint name="{name}"/>'
+        ]
         bodies += [f"<inertial {inertial}/>", *geoms(asset.name, asset, part), "</body>"]
     margin = {"margin": 5e-5} if both and stability.get("robust_tilt") else {}
     return _MJCF.format(
@@ -728,11 +802,15 @@ def _mjcf(
 
 def _words(**numbers: Any) -> str:
     """Attributes of XML (ValueError: a number is not finite)."""
-    texts = {name: np.asarray(values, np.float64).ravel().tolist() for name, values in numbers.items()}
+    texts = {
+        name: np.asarray(values, np.float64).ravel().tolist() for name, values in numbers.items()
+    }
     strange = [name for name, values in texts.items() if not all(map(math.isfinite, values))]
     if strange:
         raise ValueError(f"its {strange[0]} is not finite")
-    return " ".join(f'{name}="{" ".join(f"{x:.9g}" for x in values)}"' for name, values in texts.items())
+    return " ".join(
+        f'{name}="{" ".join(f"{x:.9g}" for x in values)}"' for name, values in texts.items()
+    )
 
 
 def _installed_version() -> str:
@@ -755,7 +833,8 @@ def _blocks_of(name: str) -> range:
 
 def _regular_file(folder: Path, name: str) -> Path:
     """The path of a file within a folder that can be read (ValueError, OSError: it is none, or too large)."""
-    path, real = folder / name, os.path.realpath(folder / name)
+    path = folder / name
+    real = os.path.realpath(folder / name)
     roots = [os.path.realpath(folder)]
     # The Hugging Face Hub's cache keeps the files of a snapshot beside it, and links to them.
     snapshots = [each for each in folder.absolute().parents if each.name == "snapshots"]
@@ -763,7 +842,9 @@ def _regular_file(folder: Path, name: str) -> Path:
     roots += [os.path.join(os.path.realpath(each.parent), "blobs") for each in snapshots]
     found = path.stat()
     if not any(os.path.commonpath([root, real]) == root for root in roots):
-        raise ValueError("it is a link that leads out of the bank; cp -rL makes a copy without links")
+        raise ValueError(
+            "it is a link that leads out of the bank; cp -rL makes a copy without links"
+        )
     if not stat.S_ISREG(found.st_mode):
         raise ValueError("it is not a regular file")
     most = _MOST_BYTES.get(path.suffix, _MOST_MESH)
@@ -801,13 +882,20 @@ def _parse(data: bytes) -> Any:
     return json.loads(data, parse_constant=refuse, parse_float=finite, object_pairs_hook=once)
 
 
-def _check(name: str, value: Any, shape: tuple[int, ...], low: float = -_FAR, high: float = _FAR) -> None:
+def _check(
+    name: str, value: Any, shape: tuple[int, ...], low: float = -_FAR, high: float = _FAR
+) -> None:
     """ValueError if a value of JSON is not numbers of a shape (-1: one or more) within a range."""
     numbers = np.array(value)
     is_shaped = len(numbers.shape) == len(shape) and all(
-        length == wanted or (wanted == -1 and length) for length, wanted in zip(numbers.shape, shape)
+        length == wanted or (wanted == -1 and length)
+        for length, wanted in zip(numbers.shape, shape)
     )
-    if numbers.dtype.kind not in "iuf" or not is_shaped or not ((low <= numbers) & (numbers <= high)).all():
+    if (
+        numbers.dtype.kind not in "iuf"
+        or not is_shaped
+        or not ((low <= numbers) & (numbers <= high)).all()
+    ):
         raise ValueError(f"its {name} is of another type or shape, or out of range")
 
 
@@ -891,18 +979,26 @@ def _read_record(path: Path) -> dict[str, Any]:
     """What the `bank.json` of a folder holds (BankError)."""
     index = path / "bank.json"
     if not index.exists():
-        raise BankError(f"{path} is not a bank: it has no bank.json", "a folder of `cluttergen generate`")
+        raise BankError(
+            f"{path} is not a bank: it has no bank.json", "a folder of `cluttergen generate`"
+        )
     with _reading(index):
         record = _parse(_regular_file(path, "bank.json").read_bytes())
         number = record["format"]
         if isinstance(number, int) and number > FORMAT:
-            given = f"{path} was made by a newer version (format {number}; this file reads {FORMAT})"
+            given = (
+                f"{path} was made by a newer version (format {number}; this file reads {FORMAT})"
+            )
             raise BankError(given, "", "the bank_reader.py of a newer cluttergen_jax")
         digest = record.pop("hash", None)
-        if digest not in (None, hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()):
+        if digest not in (
+            None,
+            hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest(),
+        ):
             raise ValueError("it does not match its own digest")
         objects = record.setdefault("assets", {"objects": {}})["objects"]
-        parts, asked = (objects, record["recipe"], record.setdefault("files", {})), record["num_scenes"]
+        parts = (objects, record["recipe"], record.setdefault("files", {}))
+        asked = record["num_scenes"]
         if (
             number != FORMAT
             or not all(isinstance(each, dict) for each in parts)
@@ -917,13 +1013,21 @@ def _read_record(path: Path) -> dict[str, Any]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """The command line."""
-    parser = argparse.ArgumentParser(description="What a bank of scenes holds, or one of its scenes as MJCF.")
-    parser.add_argument("folder", nargs="?", default=Path(__file__).parent, help="default: this file's own")
-    parser.add_argument("--xml", type=int, metavar="INDEX", help="print this scene, for the MuJoCo here")
+    parser = argparse.ArgumentParser(
+        description="What a bank of scenes holds, or one of its scenes as MJCF."
+    )
+    parser.add_argument(
+        "folder", nargs="?", default=Path(__file__).parent, help="default: this file's own"
+    )
+    parser.add_argument(
+        "--xml", type=int, metavar="INDEX", help="print this scene, for the MuJoCo here"
+    )
     given = parser.parse_args(words)
     if hasattr(sys.stdout, "reconfigure"):
         # A terminal that cannot show a letter gets its code.
-        sys.stdout.reconfigure(errors="backslashreplace" if given.xml is None else "xmlcharrefreplace")
+        sys.stdout.reconfigure(
+            errors="backslashreplace" if given.xml is None else "xmlcharrefreplace"
+        )
     try:
         bank = Bank(given.folder)
         print(bank.summary() if given.xml is None else bank.xml(given.xml), end="", flush=True)

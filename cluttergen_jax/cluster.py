@@ -61,9 +61,13 @@ def cluster_of(cluster: str | None, workers: int) -> Cluster | None:
       ConfigError: workers without a cluster, or a number that is out of range.
     """
     if workers < 0:
-        raise ConfigError(f"workers = {workers}", "0 or more", "workers=0, for as many as there is room for")
+        raise ConfigError(
+            f"workers = {workers}", "0 or more", "workers=0, for as many as there is room for"
+        )
     if workers and cluster is None:
-        raise ConfigError(f"workers = {workers} without `cluster`", "workers on a cluster", "cluster='local'")
+        raise ConfigError(
+            f"workers = {workers} without `cluster`", "workers on a cluster", "cluster='local'"
+        )
     if cluster is None:
         return None
     return Cluster(cluster, workers)
@@ -123,11 +127,18 @@ class _Actor:
     """A worker process. Nothing heavy is imported before its settings are those of the driver."""
 
     def begin(
-        self, make: bytes, settings: Mapping[str, str], versions: Mapping[str, str], folder: str, host: str
+        self,
+        make: bytes,
+        settings: Mapping[str, str],
+        versions: Mapping[str, str],
+        folder: str,
+        host: str,
     ) -> None:
         """Makes the function that items are given to; paths begin where those of the driver do."""
         if other := {name: own for name, own in versions_here().items() if versions[name] != own}:
-            found = ", ".join(f"{name} {own} (here {versions[name]})" for name, own in other.items())
+            found = ", ".join(
+                f"{name} {own} (here {versions[name]})" for name, own in other.items()
+            )
             raise ClutterGenError(
                 f"a worker on {platform.node()} has {found}",
                 "the same versions everywhere, which make the same scenes",
@@ -199,12 +210,15 @@ class _Crew:
         """See `each_on`."""
         waiting = deque(range(len(self.items)))
         self.workers = [self._start_worker() for _ in range(num_workers)]
-        num_left, until = len(self.items), time.monotonic() + _PATIENCE
+        num_left = len(self.items)
+        until = time.monotonic() + _PATIENCE
         while num_left:
             if stop_asked.is_set():
                 raise KeyboardInterrupt
             if time.monotonic() > until and not any(worker.is_ready for worker in self.workers):
-                print("note: no worker has started: the cluster may have no room now", file=sys.stderr)
+                print(
+                    "note: no worker has started: the cluster may have no room now", file=sys.stderr
+                )
                 until = math.inf
             self._hand_out(waiting)
             oldest = {each.given[0][1]: each for each in self.workers if each.given}
@@ -259,7 +273,8 @@ class _Crew:
 
     def _replace(self, worker: _Worker, waiting: deque[int], error: Exception) -> bool:
         """Another worker in the place of one that died; whether the item that it died over is given up."""
-        places, blamed = [place for place, _ in worker.given if place is not None], worker.given[0][0]
+        places = [place for place, _ in worker.given if place is not None]
+        blamed = worker.given[0][0]
         if len(places) > 1:
             self.suspects.update(places)
         else:
@@ -267,7 +282,11 @@ class _Crew:
         # A machine that is lost takes many workers along, some of which may have been about to start.
         is_lost = self.deaths[blamed] >= MOST_DEATHS * (len(self.workers) if blamed is None else 1)
         if is_lost and (blamed is None or self.if_lost is None):
-            one = "their start" if blamed is None else f"{self.what} {blamed + 1} of {len(self.items)}"
+            one = (
+                "their start"
+                if blamed is None
+                else f"{self.what} {blamed + 1} of {len(self.items)}"
+            )
             raise ClutterGenError(
                 f"{self.deaths[blamed]} worker processes died over {one} ({first_line(error)})",
                 hint="more memory or fewer workers on a machine, and the same package on all of them",

@@ -34,9 +34,11 @@ TRUSTED_METHODS = ("spread", "guided")
 """Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
 GEOMETRIC_METHODS = ("random", "clear", "drop", *TRUSTED_METHODS)
 """Those that see no clouds: objects may be released in any pose."""
-PACKED, PILE = "packed", "pile"
-"""Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
-all objects of a scene let fall into a heap, which the native engine makes whole."""
+# Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
+# all objects of a scene let fall into a heap, which the native engine makes whole.
+PACKED = "packed"
+PILE = "pile"
+
 PILE_NOSLIP = 4
 """No-slip iterations of piles. Without them friction yields a little, and some heaps slide after seconds."""
 AIR_WALLS = ("air-x", "air+x", "air-y", "air+y")
@@ -152,7 +154,9 @@ def check_whole(**numbers: object) -> None:
 def check_names(names: Sequence[str], argument: str) -> None:
     """Refuses a single name, whose letters would be taken for names."""
     if isinstance(names, str):
-        raise ConfigError(f"{argument} = {names!r}", "a sequence of names", f"{argument}=({names!r},)")
+        raise ConfigError(
+            f"{argument} = {names!r}", "a sequence of names", f"{argument}=({names!r},)"
+        )
 
 
 def _is_positive(value: object) -> bool:
@@ -176,7 +180,11 @@ MAX_WORKERS = 4096
 
 def check_workers(argument: str, number: int) -> None:
     """Refuses a number of threads or processes that cannot be meant; 0 takes every core (ConfigError)."""
-    if isinstance(number, bool) or not isinstance(number, Integral) or not 0 <= number <= MAX_WORKERS:
+    if (
+        isinstance(number, bool)
+        or not isinstance(number, Integral)
+        or not 0 <= number <= MAX_WORKERS
+    ):
         raise ConfigError(
             f"{argument} = {number!r}",
             f"0 to {MAX_WORKERS}, a whole number",
@@ -184,8 +192,10 @@ def check_workers(argument: str, number: int) -> None:
         )
 
 
-MAX_PAIRS, MAX_VIEWS = 10_000_000, 1_000_000
-"""Of a split of a data set: what a larger number means is a slip of the hand."""
+# Of a split of a data set: what a larger number means is a slip of the hand.
+MAX_PAIRS = 10_000_000
+MAX_VIEWS = 1_000_000
+
 MAX_NOISE = 10.0
 """Times the noise of a usual depth camera."""
 
@@ -193,8 +203,12 @@ MAX_NOISE = 10.0
 def check_noise(noise: object) -> None:
     """Refuses what is no sequence of factors of the usual noise (ConfigError)."""
     factors = list(noise) if isinstance(noise, Iterable) and not isinstance(noise, str) else []
-    if not factors or not all(isinstance(each, Real) and 0 <= float(each) <= MAX_NOISE for each in factors):
-        raise ConfigError(f"noise = {noise!r}", f"one number or more, 0 to {MAX_NOISE:g}", "noise=(0, 1)")
+    if not factors or not all(
+        isinstance(each, Real) and 0 <= float(each) <= MAX_NOISE for each in factors
+    ):
+        raise ConfigError(
+            f"noise = {noise!r}", f"one number or more, 0 to {MAX_NOISE:g}", "noise=(0, 1)"
+        )
 
 
 Detector = Literal["native", "libccd"]
@@ -278,7 +292,13 @@ class StabilityConfig:
     robust_turn: float = math.radians(2)
 
     def __post_init__(self) -> None:
-        others = ("per_axis", "stop_when_decided", "judge_neighbours", "both_detectors", "robust_tilt")
+        others = (
+            "per_axis",
+            "stop_when_decided",
+            "judge_neighbours",
+            "both_detectors",
+            "robust_tilt",
+        )
         check_positive(self, *(f.name for f in fields(self) if f.name not in others))
         if not (isinstance(self.robust_tilt, Real) and 0 <= self.robust_tilt < math.pi / 2):
             raise ConfigError(
@@ -361,7 +381,9 @@ class ContactConfig:
         check_positive(self, "impratio", "iterations", "gravity")
         for name, length in (("friction", 3), ("solref", 2), ("solimp", 5)):
             value = getattr(self, name)
-            if not (isinstance(value, tuple) and len(value) == length and all(map(_is_positive, value))):
+            if not (
+                isinstance(value, tuple) and len(value) == length and all(map(_is_positive, value))
+            ):
                 allowed = f"a tuple of {length} finite numbers above zero"
                 raise ConfigError(f"ContactConfig.{name} = {value!r}", allowed)
         for name, choices in (("condim", (1, 3, 4, 6)), ("cone", ("elliptic", "pyramidal"))):

@@ -15,7 +15,9 @@ def closest(given: object, known: Iterable[str]) -> str:
 def printable(text: str) -> str:
     """A text with its control characters as escapes, so that a terminal does not obey them; lines stay."""
     return "".join(
-        each if each.isprintable() or each in "\n\t" else each.encode("unicode_escape").decode("ascii")
+        each
+        if each.isprintable() or each in "\n\t"
+        else each.encode("unicode_escape").decode("ascii")
         for each in text
     )
 
@@ -40,7 +42,10 @@ class ClutterGenError(Exception):
         if len(given) > _LONGEST:
             # What a file says may have any length.
             given = f"{given[: _LONGEST // 2]} [...] {given[-_LONGEST // 2 :]}"
-        self.given, self.allowed, self.hint, self.meant = given, allowed, hint, meant
+        self.given = given
+        self.allowed = allowed
+        self.hint = hint
+        self.meant = meant
         parts = [given.rstrip(".") + "."]
         if meant:
             parts.append(f"Did you mean {meant!r}?")

@@ -85,12 +85,16 @@ def inside(folder: str | os.PathLike[str], name: object) -> Path:
     parts = name.split("/") if isinstance(name, str) else [""]
     if any(part in ("", ".", "..") or _STRANGE.search(part) for part in parts):
         raise UnsafePathError(
-            f"{folder}: a file in it names the path {name!r}", "plain names, within that folder", _STRANGER
+            f"{folder}: a file in it names the path {name!r}",
+            "plain names, within that folder",
+            _STRANGER,
         )
     path = Path(folder).joinpath(*parts)
     if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
         raise UnsafePathError(
-            f"{path} is a link that leads out of {folder}", "files and folders of its own", _STRANGER
+            f"{path} is a link that leads out of {folder}",
+            "files and folders of its own",
+            _STRANGER,
         )
     return path
 
@@ -116,7 +120,11 @@ def fault_of_file(path: str | os.PathLike[str], most: int = MOST_WORDS) -> str:
     if not stat.S_ISREG(found.st_mode):
         kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket"}
         return f"it is {kinds.get(stat.S_IFMT(found.st_mode), 'a device')}, no regular file"
-    return f"it has {found.st_size:,} bytes, and up to {most:,} are read" if found.st_size > most else ""
+    return (
+        f"it has {found.st_size:,} bytes, and up to {most:,} are read"
+        if found.st_size > most
+        else ""
+    )
 
 
 def is_regular_file(path: str | os.PathLike[str]) -> bool:
@@ -127,7 +135,9 @@ def is_regular_file(path: str | os.PathLike[str]) -> bool:
         return False
 
 
-_STRANGER = "not using it if you do not know where it is from; a copy without links (cp -rL) if you do"
+_STRANGER = (
+    "not using it if you do not know where it is from; a copy without links (cp -rL) if you do"
+)
 
 
 MOST_BYTES = 2**30
@@ -144,7 +154,9 @@ def check_regular(path: Path, most: int = MOST_BYTES) -> None:
     if not stat.S_ISREG(found.st_mode):
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     if found.st_size > most:
-        raise OSError(errno.EFBIG, f"it has {found.st_size} bytes, and at most {most} are read", str(path))
+        raise OSError(
+            errno.EFBIG, f"it has {found.st_size} bytes, and at most {most} are read", str(path)
+        )
 
 
 def read_regular(path: Path) -> bytes:
@@ -453,6 +465,8 @@ def check_file(out: str | Path | None, argument: str, example: str) -> None:
         return
     if not Path(out).name or "://" in str(out) or Path(out).is_dir():
         raise ConfigError(
-            f"{argument} = {str(out)!r}", "a file on this machine, there or not", f"{argument}={example!r}"
+            f"{argument} = {str(out)!r}",
+            "a file on this machine, there or not",
+            f"{argument}={example!r}",
         )
     check_folder(Path(out).parent, argument)

@@ -36,15 +36,18 @@ def cross(xp: Any, a: Array, b: Array) -> Array:
 
 def rotate(xp: Any, quaternion: Array, vector: Array) -> Array:
     """`vector`, f[..., 3], turned by the unit `quaternion`, f[..., 4] wxyz."""
-    w, xyz = quaternion[..., :1], quaternion[..., 1:]
+    w = quaternion[..., :1]
+    xyz = quaternion[..., 1:]
     twice = 2 * cross(xp, xyz, vector)
     return vector + w * twice + cross(xp, xyz, twice)
 
 
 def turn_between(xp: Any, quaternion: Array, reference: Array) -> Array:
     """The angle in [0, pi] between two orientations, f[..., 4] wxyz each, exact for small angles."""
-    w, xyz = quaternion[..., :1], quaternion[..., 1:]
-    w0, xyz0 = reference[..., :1], -reference[..., 1:]
+    w = quaternion[..., :1]
+    xyz = quaternion[..., 1:]
+    w0 = reference[..., :1]
+    xyz0 = -reference[..., 1:]
     vector = w * xyz0 + w0 * xyz + cross(xp, xyz, xyz0)
     scalar = w[..., 0] * w0[..., 0] - xp.sum(xyz * xyz0, axis=-1)
     return 2 * xp.atan2(norm(xp, vector), xp.abs(scalar))
@@ -57,7 +60,10 @@ def conjugate(quaternion: Array) -> Array:
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Quaternions f64[..., 4] that turn as `b` does and then as `a` does."""
-    w, v, u, x = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
+    w = a[..., :1]
+    v = a[..., 1:]
+    u = b[..., :1]
+    x = b[..., 1:]
     scalar = w * u - (v * x).sum(-1, keepdims=True)
     return np.concatenate([scalar, w * x + u * v + np.cross(v, x)], axis=-1)
 
@@ -87,13 +93,15 @@ def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
 
 def yaw_matrix(yaw: float) -> np.ndarray:
     """f64[3, 3]: a turn about z."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
 def rotate_in_plane(points: ArrayLike, yaw: float) -> np.ndarray:
     """f64[..., 2]: points of the plane turned about the origin."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
     return np.asarray(points, np.float64) @ np.array([[cos, sin], [-sin, cos]])
 
 

@@ -39,7 +39,8 @@ def changed_settings(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> list
     """Which settings differ, such as placement.min_margin, sorted; one that is missing is None."""
     names = []
     for name in {*ours, *theirs}:
-        one, other = ours.get(name), theirs.get(name)
+        one = ours.get(name)
+        other = theirs.get(name)
         if isinstance(one, Mapping) and isinstance(other, Mapping):
             names += [f"{name}.{inner}" for inner in changed_settings(one, other)]
         elif one != other:
@@ -68,7 +69,9 @@ def check_recipe(
     if changed := changed_settings(plain, theirs):
         what = ", ".join(name + _both_values(name, plain, theirs) for name in changed)
         raise error(
-            f"{place} holds {content} with another {what}", "the same settings, which continue it", hint
+            f"{place} holds {content} with another {what}",
+            "the same settings, which continue it",
+            hint,
         )
 
 
@@ -117,7 +120,9 @@ class KeptFolder:
             return self.path if self.path.exists() else None
         # A writer that was killed before anything was finished leaves a lock, and what is half written.
         found = sorted(each for each in self.path.iterdir() if each.name != LOCK)
-        other = next((each for each in found if not (is_partial(each.name) or self.is_begun(each))), None)
+        other = next(
+            (each for each in found if not (is_partial(each.name) or self.is_begun(each))), None
+        )
         # Asked last: what another process has finished in the meantime makes the folder whole.
         return None if self.is_whole(self.path) else other
 
@@ -143,8 +148,10 @@ class KeptFolder:
 
 _held: ContextVar[frozenset[Path]] = ContextVar("held folders", default=frozenset())
 """The lock files that `hold` blocks around this code hold; threads begin with none."""
-_PAUSE, _SILENT = 0.02, 1.0
-"""Seconds between two tries, and after which a wait is said."""
+# Seconds between two tries, and after which a wait is said.
+_PAUSE = 0.02
+_SILENT = 1.0
+
 PATIENCE = 60.0
 """Seconds for which a short change waits for another one."""
 
@@ -174,8 +181,12 @@ class FolderLock:
         check: Callable[[], None] | None = None,
         patience: float = 0.0,
     ) -> None:
-        self.path = Path(os.path.realpath((file or folder / LOCK).parent), (file or folder / LOCK).name)
-        self._file, self._made, self._is_ours = -1, list[Path](), True
+        self.path = Path(
+            os.path.realpath((file or folder / LOCK).parent), (file or folder / LOCK).name
+        )
+        self._file = -1
+        self._made = list[Path]()
+        self._is_ours = True
         if self.path in _held.get():
             if check is not None:
                 check()
@@ -201,7 +212,8 @@ class FolderLock:
             os.write(self._file, json.dumps(holder).encode())
 
     def _open(self, folder: Path, patience: float) -> None:
-        begun, is_said = time.monotonic(), False
+        begun = time.monotonic()
+        is_said = False
         while True:
             try:
                 self._make_folders()
@@ -219,12 +231,16 @@ class FolderLock:
                 if waited >= patience:
                     raise
                 if waited > _SILENT and not is_said:
-                    print(f"note: {error.given}: waiting for it, {patience:g} s at most", file=sys.stderr)
+                    print(
+                        f"note: {error.given}: waiting for it, {patience:g} s at most",
+                        file=sys.stderr,
+                    )
                     is_said = True
                 time.sleep(_PAUSE)
 
     def _make_folders(self) -> None:
-        place, missing = self.path.parent, list[Path]()
+        place = self.path.parent
+        missing = list[Path]()
         while not place.exists():
             missing.append(place)
             place = place.parent

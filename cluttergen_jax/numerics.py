@@ -35,7 +35,12 @@ _LEVEL = "xla_backend_optimization_level"
 """Of LLVM, 3 by default."""
 _OF_VECTORS = ("sse", "ssse", "avx", "fma", "f16c", "amx", "asimd", "sve", "vsx", "vx")
 """How features of a processor begin that decide in which order and how exactly numbers are added."""
-_NO_MATTER = ("xla_dump", "xla_force_host_platform_device_count", "xla_gpu_cuda_data_dir", "xla_hlo_")
+_NO_MATTER = (
+    "xla_dump",
+    "xla_force_host_platform_device_count",
+    "xla_gpu_cuda_data_dir",
+    "xla_hlo_",
+)
 """How flags of XLA begin that change no result."""
 
 
@@ -89,7 +94,9 @@ def program_folder() -> Path:
 
     A program is made for one kind of processor: machines that share a home have a folder for each kind.
     """
-    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
+    lines = (
+        Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
+    )
     kind = {line for line in lines if line.startswith(("model name", "flags", "Features"))}
     digest = hashlib.sha256("\n".join(sorted(kind) or [platform.processor()]).encode()).hexdigest()
     return cache_home() / "programs" / f"{platform.machine()}-{digest[:12]}"
@@ -179,7 +186,9 @@ def as_float32(tree: T) -> T:
     import jax.numpy as jnp
 
     def narrow(leaf: Any) -> Any:
-        return jnp.asarray(leaf, jnp.float32) if getattr(leaf, "dtype", None) == jnp.float64 else leaf
+        return (
+            jnp.asarray(leaf, jnp.float32) if getattr(leaf, "dtype", None) == jnp.float64 else leaf
+        )
 
     return jax.tree.map(narrow, tree)
 
@@ -211,7 +220,9 @@ def _vector_features() -> list[str]:
     file = Path("/proc/cpuinfo")
     lines = file.read_text().splitlines() if file.is_file() else []
     features = next((line for line in lines if line.startswith(("flags", "Features"))), "")
-    return sorted({name for name in features.partition(":")[2].split() if name.startswith(_OF_VECTORS)})
+    return sorted(
+        {name for name in features.partition(":")[2].split() if name.startswith(_OF_VECTORS)}
+    )
 
 
 def _xla_flags(text: str) -> list[str]:

@@ -44,8 +44,13 @@ class Progress:
         file: TextIO | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.title, self.total, self.unit, self.kept, self.done = title, total, unit, kept, kept
-        self._file, self._clock = file or sys.stderr or _nowhere(), clock
+        self.title = title
+        self.total = total
+        self.unit = unit
+        self.kept = kept
+        self.done = kept
+        self._file = file or sys.stderr or _nowhere()
+        self._clock = clock
         self._is_log = not self._file.isatty()
         self._bar = tqdm(
             total=total,
@@ -61,7 +66,10 @@ class Progress:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._bar.close()
         if error is None:
@@ -98,7 +106,8 @@ class Progress:
 
     def times(self) -> str:
         """How long it has taken, and at this pace still takes."""
-        passed, made = self._clock() - self._started, self.done - self.kept
+        passed = self._clock() - self._started
+        made = self.done - self.kept
         left = f", {time_text(passed / made * (self.total - self.done))} left" if made else ""
         return f"{time_text(passed)} passed{left}"
 

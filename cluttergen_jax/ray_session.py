@@ -54,7 +54,11 @@ def connect(address: str, num_cores: int) -> Iterator[ModuleType]:
         own: dict[str, Any] = {}
         if address == "local":
             cores = max(os.cpu_count() or 1, num_cores)
-            own = {"num_cpus": cores, "include_dashboard": False, "object_store_memory": _OBJECT_STORE}
+            own = {
+                "num_cpus": cores,
+                "include_dashboard": False,
+                "object_store_memory": _OBJECT_STORE,
+            }
             own["_temp_dir"] = stack.enter_context(_folder_for_ray())
             stack.enter_context(_token(ray))
         _start(ray, address, own)
@@ -141,7 +145,8 @@ def room_for(ray: ModuleType, num_cpus: int, num_gpus: int) -> int:
     room = [int(node.get("CPU", 0) // num_cpus) for node in nodes]
     if num_gpus:
         room = [
-            min(most, int(node.get("GPU", 0) // num_gpus)) for most, node in zip(room, nodes, strict=True)
+            min(most, int(node.get("GPU", 0) // num_gpus))
+            for most, node in zip(room, nodes, strict=True)
         ]
     return max(sum(room), 1)
 

@@ -72,7 +72,9 @@ def _unique(pairs: list[tuple[str, Any]]) -> Record:
     found = dict(pairs)
     if len(found) < len(pairs):
         keys = [key for key, _ in pairs]
-        raise ValueError(f"the key {next(key for key in keys if keys.count(key) > 1)!r} comes twice")
+        raise ValueError(
+            f"the key {next(key for key in keys if keys.count(key) > 1)!r} comes twice"
+        )
     return found
 
 
@@ -81,7 +83,8 @@ def _no_number(text: str) -> None:
 
 
 def _check_depth(value: Any) -> None:
-    level, depth = [value], 0
+    level = [value]
+    depth = 0
     while level:
         depth += 1
         if depth > _MOST_DEEP:
@@ -117,7 +120,14 @@ def parse_yaml(data: bytes) -> Any:
     """
     try:
         return yaml.load(data.decode("utf-8-sig"), _YamlLoader)
-    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
+    except (
+        yaml.YAMLError,
+        ValueError,
+        TypeError,
+        LookupError,
+        AttributeError,
+        ArithmeticError,
+    ) as error:
         said = " ".join(str(error).replace('in "<unicode string>", ', "at ").split())
         raise SchemaError(f"not YAML: {said}") from error
     except RecursionError as error:
@@ -142,8 +152,14 @@ class _YamlLoader(yaml.SafeLoader):
             self._num_aliases += 1
             if event.anchor in self._open or self._num_aliases > self._MOST_ALIASES:
                 is_own = event.anchor in self._open
-                fault = "repeats what it is part of" if is_own else f"is one of over {self._MOST_ALIASES}"
-                raise yaml.MarkedYAMLError(problem=f"*{event.anchor} {fault}", problem_mark=event.start_mark)
+                fault = (
+                    "repeats what it is part of"
+                    if is_own
+                    else f"is one of over {self._MOST_ALIASES}"
+                )
+                raise yaml.MarkedYAMLError(
+                    problem=f"*{event.anchor} {fault}", problem_mark=event.start_mark
+                )
             return super().compose_node(parent, index)
         self._depth += 1
         if self._depth > _MOST_DEEP:
@@ -160,9 +176,14 @@ class _YamlLoader(yaml.SafeLoader):
         node = super().compose_mapping_node(anchor)
         seen: set[str] = set()
         for key, _ in node.value:
-            is_text = isinstance(key, yaml.ScalarNode) and key.tag.rpartition(":")[2] in ("str", "merge")
+            is_text = isinstance(key, yaml.ScalarNode) and key.tag.rpartition(":")[2] in (
+                "str",
+                "merge",
+            )
             if not is_text or key.value in seen:
-                shown = repr(key.value) if isinstance(key, yaml.ScalarNode) else "a list or a mapping"
+                shown = (
+                    repr(key.value) if isinstance(key, yaml.ScalarNode) else "a list or a mapping"
+                )
                 fault = "comes twice" if is_text else "is no text as a key (quotes make it one)"
                 raise yaml.MarkedYAMLError(problem=f"{shown} {fault}", problem_mark=key.start_mark)
             seen.add(key.value)
@@ -246,7 +267,9 @@ def checked_record(data: bytes, allow_nan: bool = False) -> Record:
     if not isinstance(record, dict):
         raise SchemaError(f"not a record but {type(record).__name__}")
     if CHECKSUM in record and record.pop(CHECKSUM) != _digest(record):
-        raise SchemaError(f"it does not match its checksum (its entry {CHECKSUM!r}; without one it is read)")
+        raise SchemaError(
+            f"it does not match its checksum (its entry {CHECKSUM!r}; without one it is read)"
+        )
     refuse_control_characters(record)
     return record
 
@@ -297,14 +320,21 @@ class Numbers:
         if not isinstance(value, np.ndarray) or value.dtype != np.dtype(self.dtype):
             return f"is of type {getattr(value, 'dtype', type(value).__name__)}, not {np.dtype(self.dtype)}"
         asked = [lengths.get(each) if isinstance(each, str) else each for each in self.shape]
-        if value.ndim != len(asked) or any(each not in (None, n) for each, n in zip(asked, value.shape)):  # noqa: B905
+        if value.ndim != len(asked) or any(
+            each not in (None, n) for each, n in zip(asked, value.shape, strict=True)
+        ):
             wanted = ", ".join("any" if each is None else str(each) for each in asked)
             return f"is of shape {value.shape}, not ({wanted})"
-        lengths |= {each: n for each, n in zip(self.shape, value.shape, strict=True) if isinstance(each, str)}
+        lengths |= {
+            each: n
+            for each, n in zip(self.shape, value.shape, strict=True)
+            if isinstance(each, str)
+        }
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             return "holds numbers that are not finite"
         if value.size and not (self.low <= value.min() and value.max() <= self.high):
-            span, asked_span = f"{value.min():g} to {value.max():g}", f"{self.low:g} to {self.high:g}"
+            span = f"{value.min():g} to {value.max():g}"
+            asked_span = f"{self.low:g} to {self.high:g}"
             return f"holds numbers from {span}, not within {asked_span}"
         return ""
 
@@ -320,7 +350,9 @@ def check_numbers(arrays: Mapping[str, Any], asked: Mapping[str, Numbers]) -> No
     faults = [f"{name!r} is missing" for name in asked if name not in arrays]
     faults += [f"{name!r} is unknown" for name in arrays if name not in asked]
     known = [name for name in asked if name in arrays]
-    faults += [f"{name!r} {fault}" for name in known if (fault := asked[name].fault(arrays[name], lengths))]
+    faults += [
+        f"{name!r} {fault}" for name in known if (fault := asked[name].fault(arrays[name], lengths))
+    ]
     refuse(faults)
 
 

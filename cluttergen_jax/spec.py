@@ -55,12 +55,14 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.placement.problem import ProblemConfig
 
-SHELF, MOST_ON_SHELF = 64, 200
+SHELF = 64
+MOST_ON_SHELF = 200
 CROWD = 40
 """Objects; scenes of more are not over when they fail their last check (`PlacementConfig.retry_last`)."""
 MARGIN_FOR: dict[OtherEngine, float] = {"drake": 0.02, "pybullet": 0.01, "isaac": 0.01}
 """Metres of `min_margin` that another engine asks for (reports/measured.md); Isaac's was not measured."""
-SETTINGS, BALANCES = get_args(Setting), get_args(Balance)
+SETTINGS = get_args(Setting)
+BALANCES = get_args(Balance)
 _FIXED_POSES = {
     PACKED: ", which places all objects upright",
     PILE: ", which always releases objects in random orientations",
@@ -282,21 +284,29 @@ class SceneSpec:
         check_names(self.exclude, "exclude")
         if not isinstance(self.region, Rectangle | str | None):
             hint = "Rectangle(half_extents=(0.2, 0.25))"
-            raise ConfigError(f"region = {self.region!r}", "a Rectangle, or text such as 0.4x0.5", hint)
+            raise ConfigError(
+                f"region = {self.region!r}", "a Rectangle, or text such as 0.4x0.5", hint
+            )
         if not all(isinstance(box, Rectangle) for box in parse_boxes(self.keep_out, "keep_out")):
             hint = "keep_out=(Rectangle(...),)"
             raise ConfigError(f"keep_out = {self.keep_out!r}", "a sequence of Rectangles", hint)
         if self.setting not in SETTINGS:
             meant = closest(self.setting, SETTINGS)
-            raise ConfigError(f"setting = {self.setting!r}", ", ".join(SETTINGS), "setting='paper'", meant)
+            raise ConfigError(
+                f"setting = {self.setting!r}", ", ".join(SETTINGS), "setting='paper'", meant
+            )
         if self.for_engine is not None and self.for_engine not in MARGIN_FOR:
             raise no_such("for_engine", self.for_engine, tuple(MARGIN_FOR))
         if self.balance not in BALANCES:
             meant = closest(self.balance, BALANCES)
-            raise ConfigError(f"balance = {self.balance!r}", ", ".join(BALANCES), "balance='label'", meant)
+            raise ConfigError(
+                f"balance = {self.balance!r}", ", ".join(BALANCES), "balance='label'", meant
+            )
         if isinstance(self.weights, Mapping):
             pairs = ((str(name), float(weight)) for name, weight in self.weights.items())
-            object.__setattr__(self, "weights", "; ".join(f"{name}={weight!r}" for name, weight in pairs))
+            object.__setattr__(
+                self, "weights", "; ".join(f"{name}={weight!r}" for name, weight in pairs)
+            )
         self._weights()
         if isinstance(self.roles, Mapping):
             named = "; ".join(f"{name}={condition}" for name, condition in self.roles.items())
@@ -330,7 +340,8 @@ class SceneSpec:
         """
         from cluttergen_jax.assets.support import recorded_rectangle
 
-        rules, stability = recipe["placement"], recipe["stability"]
+        rules = recipe["placement"]
+        stability = recipe["stability"]
         is_native = recipe["engine"] == "native"
         return cls(
             pool=recipe["pool"],
@@ -421,7 +432,8 @@ class SceneSpec:
     def check_poses(self, method: str) -> None:
         """Refuses poses with a method that sees clouds of upright objects (ConfigError)."""
         if self.poses != "upright" and method not in GEOMETRIC_METHODS:
-            given, allowed = f"poses = {self.poses!r} with method {method!r}", ", ".join(GEOMETRIC_METHODS)
+            given = f"poses = {self.poses!r} with method {method!r}"
+            allowed = ", ".join(GEOMETRIC_METHODS)
             given += _FIXED_POSES.get(method, "")
             raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
 
@@ -432,18 +444,24 @@ class SceneSpec:
             raise ConfigError(given, "height='rest'", "method='random'")
         self.check_poses(method)
         wanted = [
-            name for name in ("clutter", "natural", "tidy", "relations", "roles") if getattr(self, name)
+            name
+            for name in ("clutter", "natural", "tidy", "relations", "roles")
+            if getattr(self, name)
         ]
         if method == PACKED and self.clutter is not None:
             targets = Clutter.of(self.clutter).targets
             if others := [name for name in targets if name != "stack"]:
                 given = f"clutter {others[0]}={targets[others[0]]:g} with method {PACKED!r}"
-                allowed = "stack, the most objects that may rest on others; or with guided or spread"
+                allowed = (
+                    "stack, the most objects that may rest on others; or with guided or spread"
+                )
                 raise ConfigError(given, allowed, f"method={TRUSTED_METHODS[0]!r}")
             wanted.remove("clutter")
         if wanted and method not in TRUSTED_METHODS:
             given = f"`{wanted[0]}` with method {method!r}"
-            raise ConfigError(given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}")
+            raise ConfigError(
+                given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}"
+            )
         if self.clearance is not None and method != PACKED:
             given = f"clearance = {self.clearance!r} with method {method!r}"
             raise ConfigError(given, f"with {PACKED}", f"method={PACKED!r}")
@@ -451,10 +469,16 @@ class SceneSpec:
             return
         refused = ("keep_out", "start", "ruin_after", "min_margin", "robust", "for_engine")
         wanted = [name for name in refused if getattr(self, name)]
-        is_polygon = isinstance(self.region, str) and (";" in self.region or self.region == "outline")
+        is_polygon = isinstance(self.region, str) and (
+            ";" in self.region or self.region == "outline"
+        )
         wanted += ["region"] * is_polygon
-        wanted += ["surface"] * (self.surface == "all" or any(sign in self.surface for sign in ",:"))
-        wanted += ["overhang"] * (self.overhang != "any") + ["engine"] * (self.engine in ("warp", "jax"))
+        wanted += ["surface"] * (
+            self.surface == "all" or any(sign in self.surface for sign in ",:")
+        )
+        wanted += ["overhang"] * (self.overhang != "any") + ["engine"] * (
+            self.engine in ("warp", "jax")
+        )
         if wanted:
             value = getattr(self, wanted[0])
             raise ConfigError(
@@ -497,7 +521,12 @@ class SceneSpec:
         chosen = self._choose_objects(pool)
         available = len(chosen) or len(find_pool(pool))
         weights = self._weights()
-        is_drawn = self.shelf is not None or weights or self.balance != "objects" or available > MOST_ON_SHELF
+        is_drawn = (
+            self.shelf is not None
+            or weights
+            or self.balance != "objects"
+            or available > MOST_ON_SHELF
+        )
         shelf = 0
         if is_drawn:
             if weights:
@@ -517,9 +546,11 @@ class SceneSpec:
                 most = range_text(1, min(available, MOST_ON_SHELF))
                 allowed = f"{most} of the {available} objects of pool {pool!r}"
                 raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={usual}")
-            drawn, available = min(available, MOST_ON_SHELF), shelf
+            drawn = min(available, MOST_ON_SHELF)
+            available = shelf
             if asked > shelf:
-                given, hint = f"{asked} objects of a shelf of {shelf}", "fewer objects"
+                given = f"{asked} objects of a shelf of {shelf}"
+                hint = "fewer objects"
                 if drawn < asked and weights:
                     given = f"{asked} objects of {drawn} with a weight above 0"
                     hint = "fewer objects, or weights above 0 for more"
@@ -578,7 +609,9 @@ class SceneSpec:
             engine=engine,
             num_threads=self.num_threads,
             placement=placement,
-            stability=replace(stability, both_detectors=has_two_detectors and self.setting != "paper"),
+            stability=replace(
+                stability, both_detectors=has_two_detectors and self.setting != "paper"
+            ),
             contact=ContactConfig(noslip_iterations=PILE_NOSLIP if is_piled else 0),
         )
 
@@ -691,12 +724,16 @@ def spec_of(
     if isinstance(spec, str | Path):
         if "pool" in options:
             given = f"pool = {options['pool']!r} beside {str(spec)!r}"
-            raise ConfigError(given, "one pool; several are joined by +", f"pool='{spec}+{options['pool']}'")
+            raise ConfigError(
+                given, "one pool; several are joined by +", f"pool='{spec}+{options['pool']}'"
+            )
         return replace(usual, pool=spec, **options)
     if spec is None:
         return replace(usual, **options)
     if not isinstance(spec, SceneSpec):
-        raise ConfigError(f"spec = {spec!r}", "a SceneSpec, or a pool's name", "SceneSpec(pool='dining')")
+        raise ConfigError(
+            f"spec = {spec!r}", "a SceneSpec, or a pool's name", "SceneSpec(pool='dining')"
+        )
     for name, value in spec.overrides().items():
         if name not in (*taken, *also):
             given = f"{name} = {value!r} in the spec for {function.__name__}"

@@ -18,8 +18,10 @@ from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera
 from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 
 HERE = Path(__file__).parent / "images"
-WIDTH, HEIGHT = 640, 480
-NEAR, FAR = 0.5, 1.6
+WIDTH = 640
+HEIGHT = 480
+NEAR = 0.5
+FAR = 1.6
 
 
 def coloured(values: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -34,7 +36,8 @@ def from_above(values: np.ndarray) -> np.ndarray:
     scale = HEIGHT // len(colours)
     large = colours.repeat(scale, 0).repeat(scale, 1)
     sheet = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
-    top, left = (HEIGHT - large.shape[0]) // 2, (WIDTH - large.shape[1]) // 2
+    top = (HEIGHT - large.shape[0]) // 2
+    left = (WIDTH - large.shape[1]) // 2
     sheet[top : top + large.shape[0], left : left + large.shape[1]] = large
     return sheet
 

@@ -31,8 +31,11 @@ CAPTIONS = [
     for pool, support, number, clutter in SCENES
 ]
 FILM_CAPTIONS = [f"{pool}: {number} objects" for pool, _, number, _ in SCENES]
-FILM_SIZE, FILM_STEPS, FILM_FPS, FILM_END = (264, 198), 10, 5, 12
-"""Of the film: pixels of a scene, steps in which it is filled, frames a second, frames of rest at the end."""
+# Of the film: pixels of a scene, steps in which it is filled, frames a second, frames of rest at the end.
+FILM_SIZE = (264, 198)
+FILM_STEPS = 10
+FILM_FPS = 5
+FILM_END = 12
 
 
 def first_success(pool: str, support: str, num_objects: int, clutter: str | None) -> cg.Scene:
@@ -69,7 +72,8 @@ def filling(scene: cg.Scene) -> Iterator[np.ndarray]:
     width, height = FILM_SIZE
     spec, qpos = scene_spec(scene.objects, scene.poses, scene.support)
     focus = close_points(scene.objects, scene.poses, scene.support)
-    model, order = spec.compile(), from_below(scene)
+    model = spec.compile()
+    order = from_below(scene)
     names = [f"{index:02d}-{asset.name}" for index, asset in enumerate(scene.objects)]
     for shown in np.array_split(order, FILM_STEPS):
         last = int(np.flatnonzero(order == shown[-1])[0]) + 1
@@ -77,7 +81,9 @@ def filling(scene: cg.Scene) -> Iterator[np.ndarray]:
         lifted[shown, 2] += 0.06
         for poses in (lifted.ravel(), qpos):
             show = ["support", *(names[index] for index in order[:last])]
-            yield render_model(model, poses, width=width, height=height, show=show, focus=focus, samples=24)
+            yield render_model(
+                model, poses, width=width, height=height, show=show, focus=focus, samples=24
+            )
 
 
 def main() -> None:
@@ -87,7 +93,9 @@ def main() -> None:
         steps = zip(*map(filling, scenes), strict=True)
         frames = [contact_sheet(images, FILM_CAPTIONS, columns=3) for images in steps]
     save_film([*frames, *frames[-1:] * FILM_END], HERE / "filling.gif", FILM_FPS)
-    save_png(contact_sheet([draw(scene) for scene in scenes], CAPTIONS, columns=3), HERE / "scenes.png")
+    save_png(
+        contact_sheet([draw(scene) for scene in scenes], CAPTIONS, columns=3), HERE / "scenes.png"
+    )
     for pool in POOLS:
         save_png(object_sheet(find_pool(pool).objects, columns=5), HERE / f"{pool}.png")
     supports = sorted(list_supports())

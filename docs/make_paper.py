@@ -41,7 +41,11 @@ def _history(settings: Settings) -> str:
 
 def _cloud(settings: Settings) -> str:
     network = settings.network
-    return f"{network.scene_points:,} points" if network.reads_clouds else "none: the set of placed objects"
+    return (
+        f"{network.scene_points:,} points"
+        if network.reads_clouds
+        else "none: the set of placed objects"
+    )
 
 
 def _encoder(settings: Settings) -> str:
@@ -61,7 +65,10 @@ def _degrees(radians: float) -> str:
 
 ROWS = (
     Row(
-        "scene's encoder", "PointNet++, kept as pretrained", "PointNet (groups of all points), kept", _encoder
+        "scene's encoder",
+        "PointNet++, kept as pretrained",
+        "PointNet (groups of all points), kept",
+        _encoder,
     ),
     Row("scene's cloud", "20,480 points of the scene with its support", SAME, _cloud),
     Row("object's cloud", "1,024 points", SAME, lambda s: f"{s.network.object_points:,} points"),
@@ -70,7 +77,9 @@ ROWS = (
         "rows of an attempt's trajectory",
         "all",
         SAME,
-        lambda s: {1: "all"}.get(s.placement.history_stride, f"every {s.placement.history_stride}th"),
+        lambda s: {1: "all"}.get(
+            s.placement.history_stride, f"every {s.placement.history_stride}th"
+        ),
     ),
     Row("actor, critic", "5 layers of 256", "5, the last is the output; tanh", _layers),
     Row("distribution", "Beta", "Beta, alpha and beta of any size", lambda s: s.network.head),
@@ -88,7 +97,12 @@ ROWS = (
     Row("learning rate", "1e-4", "1e-4, falls to 0", _falls),
     Row("epochs", "5", "10", lambda s: s.ppo.num_epochs),
     Row("minibatch", "1,000", SAME, lambda s: f"{s.ppo.steps_of_minibatch:,}"),
-    Row("discount, lambda", "0.99, 0.95", SAME, lambda s: f"{s.ppo.discount:g}, {s.ppo.gae_lambda:g}"),
+    Row(
+        "discount, lambda",
+        "0.99, 0.95",
+        SAME,
+        lambda s: f"{s.ppo.discount:g}, {s.ppo.gae_lambda:g}",
+    ),
     Row(
         "environments x attempts of a rollout",
         "not said",
@@ -96,7 +110,12 @@ ROWS = (
         lambda s: f"{s.ppo.num_envs} x {s.ppo.num_steps}",
     ),
     Row("attempts of a training", "2,500,000", SAME, lambda s: f"{s.ppo.num_attempts:,}"),
-    Row("neighbours are judged", "not said", "no", lambda s: "yes" if s.stability.judge_neighbours else "no"),
+    Row(
+        "neighbours are judged",
+        "not said",
+        "no",
+        lambda s: "yes" if s.stability.judge_neighbours else "no",
+    ),
     Row(
         "thresholds hold for",
         "the norm",
@@ -107,7 +126,9 @@ ROWS = (
         "an attempt ends",
         "after 240 steps",
         "as soon as it is decided",
-        lambda s: "as soon as it is decided" if s.stability.stop_when_decided else "after 240 steps",
+        lambda s: (
+            "as soon as it is decided" if s.stability.stop_when_decided else "after 240 steps"
+        ),
     ),
 )
 
@@ -141,9 +162,13 @@ What counts as stable is stricter than in the paper by default ([words and numbe
 
 def page() -> str:
     """The page's text."""
-    settings = [make_settings(preset, "policy" if preset == "cpu" else "beta_free") for preset in PRESETS]
+    settings = [
+        make_settings(preset, "policy" if preset == "cpu" else "beta_free") for preset in PRESETS
+    ]
     header = ["setting", "printed", "the authors' code", *(f"`{preset}`" for preset in PRESETS)]
-    rows = [[row.what, row.printed, row.code, *(str(row.of(each)) for each in settings)] for row in ROWS]
+    rows = [
+        [row.what, row.printed, row.code, *(str(row.of(each)) for each in settings)] for row in ROWS
+    ]
     return HEAD + markdown_table(header, rows) + FOOT
 
 

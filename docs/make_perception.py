@@ -22,7 +22,8 @@ POOL = "household"
 NUM_VIEWS = 16
 SHOWN = (2, 8, 11, 14)
 """Views that were chosen by eye, for unlike cameras."""
-NEAR, FAR = 0.5, 1.3
+NEAR = 0.5
+FAR = 1.3
 
 
 def silhouette(finder: SceneFinder, number: int, pose: np.ndarray, camera: Camera) -> np.ndarray:
@@ -40,7 +41,9 @@ def row_of(finder: SceneFinder, stored: StoredView) -> list[np.ndarray]:
     found = finder([look])
     grey = np.clip((seen.depth - NEAR) / (FAR - NEAR), 0, 1)
     depth = np.where(np.isfinite(seen.depth), 255 * (1 - grey), 0)[..., None].repeat(3, -1)
-    masks = np.where((look.label >= FIRST_OBJECT)[..., None], palette()[look.label], 0.35 * seen.rgb)
+    masks = np.where(
+        (look.label >= FIRST_OBJECT)[..., None], palette()[look.label], 0.35 * seen.rgb
+    )
     poses = 0.6 * seen.rgb
     for number in np.flatnonzero(found.seen):
         inside = silhouette(finder, number, found.pose[number], seen.camera)

@@ -20,7 +20,8 @@ from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 from cluttergen_jax.types import Verdict
 
 HERE = Path(__file__).parent / "images"
-GREEN, RED = (0.1, 0.7, 0.25), (0.86, 0.1, 0.12)
+GREEN = (0.1, 0.7, 0.25)
+RED = (0.86, 0.1, 0.12)
 SUPPORT = "table-0.40x0.50"
 
 
@@ -42,15 +43,20 @@ def main() -> None:
             max_files=0,
         )
         scenes = PartialScenes(bank)
-    world, rng = scenes.problem.world, np.random.default_rng(0)
+    world = scenes.problem.world
+    rng = np.random.default_rng(0)
     slot = scenes.object_index.shape[1] - 1
     episodes = scenes.episodes(np.array([[row, slot] for row in range(len(scenes.number))]))
-    sensor, maker = RaySensor(sensed_model(world.objects, world.support)), QueryMaker(scenes.problem)
-    data, placer = sensor.make_data(), jax.jit(find_placer("scored"))
+    sensor = RaySensor(sensed_model(world.objects, world.support))
+    maker = QueryMaker(scenes.problem)
+    data = sensor.make_data()
+    placer = jax.jit(find_placer("scored"))
     middle = np.array([*world.support.region.center, world.support.top])
-    views, captions = [], []
+    views = []
+    captions = []
     for row, number in enumerate(scenes.number):
-        poses, is_placed = np.asarray(episodes.poses[row]), np.asarray(episodes.is_placed[row])
+        poses = np.asarray(episodes.poses[row])
+        is_placed = np.asarray(episodes.is_placed[row])
         focus = int(scenes.object_index[row, slot])
         sensor.pose(data, poses, is_placed)
         camera = looking(middle, SIZE)

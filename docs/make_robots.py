@@ -32,24 +32,32 @@ ROBOTS = {
 }
 """Each robot, and what it is."""
 NUM_EPISODES = 20
-SIZE, COLOURS, LONGEST = (320, 240), 48, 60
+SIZE = (320, 240)
+COLOURS = 48
+LONGEST = 60
 
 
 def save_small(film: Path, path: Path) -> None:
     """A film in fewer frames, smaller and in few colours, as long as before."""
     with Image.open(film) as image:
         frames = ImageSequence.Iterator(image)
-        shown = [(each.info.get("duration", 100), each.convert("RGB").resize(SIZE)) for each in frames]
+        shown = [
+            (each.info.get("duration", 100), each.convert("RGB").resize(SIZE)) for each in frames
+        ]
     kept = np.linspace(0, len(shown) - 1, min(LONGEST, len(shown))).round().astype(int)
     duration = sum(lasts for lasts, _ in shown) / len(kept)
     first, *others = [shown[each][1].quantize(COLOURS, dither=Image.Dither.NONE) for each in kept]
-    first.save(path, save_all=True, append_images=others, duration=round(duration), loop=0, optimize=True)
+    first.save(
+        path, save_all=True, append_images=others, duration=round(duration), loop=0, optimize=True
+    )
 
 
 def facts_of(robot: RobotDescription) -> list[tuple[str, str]]:
     """What a robot is, as name and value."""
-    arm, gripper = robot.arm, robot.gripper
-    low, high = min(arm.speed), max(arm.speed)
+    arm = robot.arm
+    gripper = robot.gripper
+    low = min(arm.speed)
+    high = max(arm.speed)
     speed = f"{low:g}" if low == high else f"{low:g} to {high:g}"
     return [
         ("joints of the arm", str(len(arm.joints))),
@@ -80,7 +88,9 @@ def page_of(robot: str, folder: Path) -> str:
     name = Path(robot).parent.name if robot == OWN else robot
     given = str(HERE.parent / OWN) if robot == OWN else robot
     placed = cg.robot_place(folder / name, robot=given, num_episodes=NUM_EPISODES, films=True)
-    moved = cg.rearrange(folder / name / "rearrange", robot=given, num_episodes=NUM_EPISODES, seed=40)
+    moved = cg.rearrange(
+        folder / name / "rearrange", robot=given, num_episodes=NUM_EPISODES, seed=40
+    )
     first = next(index for index, row in enumerate(placed.rows) if row.is_success)
     save_small(folder / name / f"place/films/success-{first}.gif", HERE / f"robots/{name}.gif")
     place, rearrange = (
@@ -91,7 +101,12 @@ def page_of(robot: str, folder: Path) -> str:
     measured = "\n".join(
         [
             _line("placing among seven others", placed, "", place),
-            _line("rearranging five objects", moved, f"; {sum(right)} of {len(right)} objects", rearrange),
+            _line(
+                "rearranging five objects",
+                moved,
+                f"; {sum(right)} of {len(right)} objects",
+                rearrange,
+            ),
         ]
     )
     facts = "\n".join(f"| {key} | {value} |" for key, value in facts_of(find_robot(given)))

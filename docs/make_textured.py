@@ -24,8 +24,14 @@ import cluttergen_jax as cg
 
 HERE = Path(__file__).parent / "images"
 Colour = tuple[int, int, int]
-CREAM, INK, RED, BLUE = (246, 240, 224), (40, 40, 48), (196, 44, 40), (38, 84, 160)
-GREEN, YELLOW, BROWN, STEEL = (46, 130, 84), (244, 190, 46), (112, 66, 40), (176, 180, 186)
+CREAM = (246, 240, 224)
+INK = (40, 40, 48)
+RED = (196, 44, 40)
+BLUE = (38, 84, 160)
+GREEN = (46, 130, 84)
+YELLOW = (244, 190, 46)
+BROWN = (112, 66, 40)
+STEEL = (176, 180, 186)
 Surface = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Vertices f[V, 3] in metres, triangles i[F, 3], and uv f[V, 2] with v up the image."""
 
@@ -46,8 +52,14 @@ def carton(size: Sequence[float]) -> Surface:
     }
     square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
     uv = [(square + np.array([k % 3, 1 - k // 3])) / (3, 2) for k in range(6)]
-    faces = [(4 * k + a, 4 * k + b, 4 * k + c) for k in range(6) for a, b, c in ((0, 1, 2), (0, 2, 3))]
-    return np.concatenate([np.array(each) for each in corners.values()]), np.array(faces), np.concatenate(uv)
+    faces = [
+        (4 * k + a, 4 * k + b, 4 * k + c) for k in range(6) for a, b, c in ((0, 1, 2), (0, 2, 3))
+    ]
+    return (
+        np.concatenate([np.array(each) for each in corners.values()]),
+        np.array(faces),
+        np.concatenate(uv),
+    )
 
 
 def turned(profile: Sequence[tuple[float, float]], sections: int = 64) -> Surface:
@@ -65,14 +77,21 @@ def turned(profile: Sequence[tuple[float, float]], sections: int = 64) -> Surfac
     faces = []
     for row in range(len(line) - 1):
         for k in range(sections):
-            a, b = row * (sections + 1) + k, (row + 1) * (sections + 1) + k
-            faces += [(a, a + 1, b + 1)] * int(line[row, 0] > 0) + [(a, b + 1, b)] * int(line[row + 1, 0] > 0)
+            a = row * (sections + 1) + k
+            b = (row + 1) * (sections + 1) + k
+            faces += [(a, a + 1, b + 1)] * int(line[row, 0] > 0) + [(a, b + 1, b)] * int(
+                line[row + 1, 0] > 0
+            )
     return vertices, np.array(faces), np.column_stack([u.ravel(), v.ravel()])
 
 
-def word(image: Image.Image, text: str, colour: Colour, box: Sequence[float], turn: int = 0) -> None:
+def word(
+    image: Image.Image, text: str, colour: Colour, box: Sequence[float], turn: int = 0
+) -> None:
     """Writes a word as large as a box (left, top, right, bottom; shares of the image) allows."""
-    left, top, right, bottom = (round(s * n) for s, n in zip(box, (*image.size, *image.size), strict=True))
+    left, top, right, bottom = (
+        round(s * n) for s, n in zip(box, (*image.size, *image.size), strict=True)
+    )
     size = (right - left, bottom - top)[:: -1 if turn % 180 else 1]
     height = size[1]
     while height > 8 and ImageFont.load_default(height).getlength(text) > size[0]:
@@ -85,7 +104,9 @@ def word(image: Image.Image, text: str, colour: Colour, box: Sequence[float], tu
     image.paste(colour, (left, top), paper)
 
 
-def printed(size: Sequence[float], title: str, below: str, paper: Colour, band: Colour) -> Image.Image:
+def printed(
+    size: Sequence[float], title: str, below: str, paper: Colour, band: Colour
+) -> Image.Image:
     """A carton's print: its name on every side, a band of another colour, a disc on the front."""
     sheet = Image.new("RGB", (960, 640), paper)
     for k in range(6):
@@ -101,12 +122,17 @@ def printed(size: Sequence[float], title: str, below: str, paper: Colour, band: 
     return sheet
 
 
-def bands(colours: Sequence[tuple[float, Colour]], size: tuple[int, int] = (1024, 512)) -> Image.Image:
+def bands(
+    colours: Sequence[tuple[float, Colour]], size: tuple[int, int] = (1024, 512)
+) -> Image.Image:
     """Stripes from the image's bottom up, each with the share at which it ends."""
     image = Image.new("RGB", size)
-    draw, start = ImageDraw.Draw(image), 0.0
+    draw = ImageDraw.Draw(image)
+    start = 0.0
     for end, colour in colours:
-        draw.rectangle((0, round((1 - end) * size[1]), size[0], round((1 - start) * size[1])), fill=colour)
+        draw.rectangle(
+            (0, round((1 - end) * size[1]), size[0], round((1 - start) * size[1])), fill=colour
+        )
         start = end
     return image
 
@@ -124,7 +150,8 @@ def dotted(ground: Colour, dot: Colour) -> Image.Image:
     image = Image.new("RGB", (1024, 512), ground)
     draw = ImageDraw.Draw(image)
     for row, column in np.ndindex(8, 16):
-        x, y = 64 * column + 32 * (row % 2), 64 * row + 32
+        x = 64 * column + 32 * (row % 2)
+        y = 64 * row + 32
         draw.ellipse((x - 14, y - 14, x + 14, y + 14), fill=dot)
     return image
 
@@ -137,7 +164,9 @@ def world() -> Image.Image:
     for around in range(1, 6):
         for along in range(1, 5):
             a, b, c = rng.normal(size=3)
-            height += (a * np.cos(around * u + c) + b * np.sin(around * u)) * np.sin(along * np.pi * v + c)
+            height += (a * np.cos(around * u + c) + b * np.sin(around * u)) * np.sin(
+                along * np.pi * v + c
+            )
     pixels = np.where((height > 2.2)[..., None], (96, 150, 82), (58, 116, 178))
     pixels[(height > 6.5)] = (190, 160, 104)
     pixels[np.abs(v) > 0.86] = (238, 242, 246)
@@ -173,7 +202,13 @@ def ball_on_foot(radius: float, foot: float) -> list[tuple[float, float]]:
     """The profile of a globe on a turned foot."""
     angle = np.linspace(-1.25, np.pi / 2, 28)
     ball = [(radius * np.cos(a), foot + 0.95 * radius + radius * np.sin(a)) for a in angle[:-1]]
-    return [(0, 0), (0.62 * radius, 0), (0.62 * radius, 0.3 * foot), *ball, (0, foot + 1.95 * radius)]
+    return [
+        (0, 0),
+        (0.62 * radius, 0),
+        (0.62 * radius, 0.3 * foot),
+        *ball,
+        (0, foot + 1.95 * radius),
+    ]
 
 
 BOWL = [
@@ -196,15 +231,28 @@ def can(radius: float, height: float) -> Surface:
 
 
 OBJECTS: dict[str, Callable[[], tuple[Surface, Image.Image]]] = {
-    "oat_flakes": lambda: (carton(s := (0.15, 0.055, 0.21)), printed(s, "OATS", "500 g", CREAM, RED)),
-    "tea_box": lambda: (carton(s := (0.13, 0.07, 0.08)), printed(s, "TEA", "25 bags", YELLOW, GREEN)),
-    "soap_carton": lambda: (carton(s := (0.09, 0.06, 0.035)), printed(s, "SOAP", "mild", CREAM, BLUE)),
+    "oat_flakes": lambda: (
+        carton(s := (0.15, 0.055, 0.21)),
+        printed(s, "OATS", "500 g", CREAM, RED),
+    ),
+    "tea_box": lambda: (
+        carton(s := (0.13, 0.07, 0.08)),
+        printed(s, "TEA", "25 bags", YELLOW, GREEN),
+    ),
+    "soap_carton": lambda: (
+        carton(s := (0.09, 0.06, 0.035)),
+        printed(s, "SOAP", "mild", CREAM, BLUE),
+    ),
     "tomato_can": lambda: (can(0.036, 0.1), label("TOMATOES", CREAM, RED)),
     "pea_can": lambda: (can(0.042, 0.08), label("PEAS", YELLOW, GREEN)),
     "striped_cup": lambda: (
         turned(CUP),
         bands(
-            [(0.14, CREAM), *((0.14 + 0.04 * (k + 1), (BLUE, CREAM)[k % 2]) for k in range(9)), (1, CREAM)]
+            [
+                (0.14, CREAM),
+                *((0.14 + 0.04 * (k + 1), (BLUE, CREAM)[k % 2]) for k in range(9)),
+                (1, CREAM),
+            ]
         ),
     ),
     "dotted_bowl": lambda: (turned(BOWL), dotted(BLUE, CREAM)),
@@ -231,7 +279,9 @@ def write(folder: Path) -> None:
                 name=name, baseColorTexture=image, metallicFactor=0.0
             )
         else:
-            material = trimesh.visual.material.SimpleMaterial(name=name, image=image, diffuse=(255, 255, 255))
+            material = trimesh.visual.material.SimpleMaterial(
+                name=name, image=image, diffuse=(255, 255, 255)
+            )
         visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
         mesh = trimesh.Trimesh(vertices, faces, visual=visual, process=False)
         if number % 2:
@@ -246,10 +296,19 @@ def main(folder: Path) -> None:
     cg.import_pool(folder / "meshes", "printed")
     table = "table-0.50x0.60"
     bank = cg.generate(
-        folder / "scenes", pool="printed", support=table, method="clear", num_objects=8, num_scenes=8
+        folder / "scenes",
+        pool="printed",
+        support=table,
+        method="clear",
+        num_objects=8,
+        num_scenes=8,
     )
-    cg.render(bank.path, folder, sheet=True, picture=False, scenes=range(8), size=(400, 300), columns=4)
-    sheet = Image.open(folder / "scenes-sheet.png").convert("P", palette=Image.Palette.ADAPTIVE, colors=256)
+    cg.render(
+        bank.path, folder, sheet=True, picture=False, scenes=range(8), size=(400, 300), columns=4
+    )
+    sheet = Image.open(folder / "scenes-sheet.png").convert(
+        "P", palette=Image.Palette.ADAPTIVE, colors=256
+    )
     sheet.save(HERE / "textured.png", optimize=True)
 
 

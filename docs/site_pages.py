@@ -37,7 +37,8 @@ PAGES = {
     "reports/missed.md": "reports/missed.md",
     "reports/benchmarks.md": "reports/benchmarks.md",
 } | {
-    f"examples/{path.name}": f"tutorials/{path.stem}.md" for path in sorted((ROOT / "examples").glob("*.py"))
+    f"examples/{path.name}": f"tutorials/{path.stem}.md"
+    for path in sorted((ROOT / "examples").glob("*.py"))
 }
 """Files of the repository outside docs, and the pages that they become."""
 _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)(#[^)\s]*)?(?=\))")
@@ -49,7 +50,9 @@ _PUBLIC = ("assets", "physics", "placement", "importing", "sensing", "learning",
 
 
 _CODE = re.compile(r"(?P<ticks>`+)(?!`).+?(?<!`)(?P=ticks)(?!`)", re.DOTALL)
-_SPECIAL = re.compile(r"(?m:^[:!])|[\\`*{}#|]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[])|[<>]|&(?=#?\w+;)")
+_SPECIAL = re.compile(
+    r"(?m:^[:!])|[\\`*{}#|]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[])|[<>]|&(?=#?\w+;)"
+)
 _ENTITIES = {"<": "&lt;", ">": "&gt;", "&": "&amp;", ":": "&#58;"}
 
 
@@ -64,7 +67,8 @@ def _is_code(block: str) -> bool:
 
 
 def _escaped_block(text: str) -> str:
-    parts, end = [], 0
+    parts = []
+    end = 0
     for code in _CODE.finditer(text):
         parts += [_SPECIAL.sub(_escape, text[end : code.start()]), code[0]]
         end = code.end()
@@ -95,7 +99,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, uri, abs_src_path=str(picture)))
     files.append(File.generated(config, "reference/commands.md", content=_commands()))
     for name in _PUBLIC:
-        files.append(File.generated(config, f"reference/python/{name}.md", content=_package_page(name)))
+        files.append(
+            File.generated(config, f"reference/python/{name}.md", content=_package_page(name))
+        )
     return files
 
 
@@ -112,7 +118,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     markdown = _LINK.sub(relinked, _without_code_links(markdown, source))
     if uri == "contributing.md":
         # On the site the drawing stands where the file has its list.
-        markdown = re.sub(r"(?<=## Package layout\n\n)(?: {4}.+\n)+", _package_map() + "\n", markdown)
+        markdown = re.sub(
+            r"(?<=## Package layout\n\n)(?: {4}.+\n)+", _package_map() + "\n", markdown
+        )
     return markdown
 
 
@@ -120,7 +128,9 @@ def _without_code_links(markdown: str, source: str) -> str:
     """Links to files that are no page, such as modules, lose their target: the text names the file."""
 
     def without_target(match: re.Match[str]) -> str:
-        target = posixpath.normpath(posixpath.join(posixpath.dirname(source), match[2].partition("#")[0]))
+        target = posixpath.normpath(
+            posixpath.join(posixpath.dirname(source), match[2].partition("#")[0])
+        )
         is_page = target in PAGES or target.startswith("docs/")
         return match[0] if is_page else match[1]
 
@@ -160,7 +170,9 @@ def _command(name: str, text: str) -> str:
     usage, _, about = intro.partition("\n\n")
     parts = [f"```text\n{usage.removeprefix('usage: ').strip()}\n```", escaped(about.strip())]
     # An argument begins its line after two spaces; what is said of it may go on below, further in.
-    for place, entry in enumerate(re.findall(r"^  \S.*(?:\n {3,}\S.*)*", "\n".join(boxes), re.MULTILINE), 1):
+    for place, entry in enumerate(
+        re.findall(r"^  \S.*(?:\n {3,}\S.*)*", "\n".join(boxes), re.MULTILINE), 1
+    ):
         written, *rest = re.split(r"(?<=\S) {2,}|\n", entry.strip(), maxsplit=1)
         flags = re.findall(r"(?<![\w-])--[a-z][\w-]*", written) or [f"--argument-{place}"]
         if rest and "--help" not in flags:

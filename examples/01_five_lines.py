@@ -10,17 +10,23 @@ import cluttergen_jax as cg
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.sheet import save_png
 
-num_scenes, num_objects = 256, 10
+num_scenes = 256
+num_objects = 10
 
 # %%
 sample = cg.make_sampler(pool="dining", support="table", num_objects=num_objects, max_retries=2)
 scenes = jax.jit(jax.vmap(sample))(jax.random.split(jax.random.key(0), num_scenes))
 
 # %%
-num_good, num_draws = int(scenes.is_success.sum()), int(scenes.num_draws.sum())
+num_good = int(scenes.is_success.sum())
+num_draws = int(scenes.num_draws.sum())
 print(f"{num_good} of {num_scenes} scenes succeed, after {num_draws} draws")
 print("objects of the first:", [sample.names[index] for index in scenes.object_index[0]])
-print("where they are (metres):", np.asarray(scenes.T_world_object.translation()[0]).round(3), sep="\n")
+print(
+    "where they are (metres):",
+    np.asarray(scenes.T_world_object.translation()[0]).round(3),
+    sep="\n",
+)
 
 # %% [markdown]
 # It prints:

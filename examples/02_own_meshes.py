@@ -43,8 +43,11 @@ if __name__ == "__main__":
     for failure in report.failures:
         print(f"not imported: {failure.name}: {failure.reason}")
     for asset in report.pool.objects:
-        parts, solo = len(asset.parts), asset.quality.solo_rate
-        print(f"{asset.name}: {parts} convex parts, {asset.mass:.3f} kg, stable in {solo:.0%} of its trials")
+        parts = len(asset.parts)
+        solo = asset.quality.solo_rate
+        print(
+            f"{asset.name}: {parts} convex parts, {asset.mass:.3f} kg, stable in {solo:.0%} of its trials"
+        )
         print(f"  {'; '.join(asset.flags) or 'nothing to remark'}")
     save_png(object_sheet(report.pool.objects, columns=3), "my_pool.png")
 

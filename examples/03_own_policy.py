@@ -9,7 +9,8 @@ import jax
 
 import cluttergen_jax as cg
 
-pool, num_objects = "my_pool", 3
+pool = "my_pool"
+num_objects = 3
 support = "table-0.20x0.16"
 num_attempts = 40_000
 
@@ -20,7 +21,11 @@ num_attempts = 40_000
 
 # %%
 checkpoint = cg.train(
-    pool=pool, support=support, num_objects=num_objects, num_attempts=num_attempts, out="runs/my_pool"
+    pool=pool,
+    support=support,
+    num_objects=num_objects,
+    num_attempts=num_attempts,
+    out="runs/my_pool",
 )
 
 # %%

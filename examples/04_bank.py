@@ -8,7 +8,8 @@ import numpy as np
 
 import cluttergen_jax as cg
 
-num_scenes, num_objects = 200, 10
+num_scenes = 200
+num_objects = 10
 
 # %%
 bank = cg.generate(

@@ -28,35 +28,49 @@ bank = cg.load_bank("push_bank")
 class Push(Env):
     """Pushes the cereal box towards the middle of the table."""
 
-    observation_size, action_size, backend = 16, 2, "mjx"
+    observation_size = 16
+    action_size = 2
+    backend = "mjx"
 
     def __init__(self, bank: cg.BankArrays) -> None:
         model = bank.model()
         # Softer contacts and few solver iterations: made for learning, not for verification.
-        model.opt.cone, model.opt.iterations, model.opt.ls_iterations = mujoco.mjtCone.mjCONE_PYRAMIDAL, 8, 8
-        model.geom_condim[:], model.geom_solimp[:, :2] = 3, (0.9, 0.95)
-        self.bank, self.model, self.blank = bank, mjx.put_model(model), mjx.make_data(model)
+        model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+        model.opt.iterations = 8
+        model.opt.ls_iterations = 8
+        model.geom_condim[:] = 3
+        model.geom_solimp[:, :2] = (0.9, 0.95)
+        self.bank = bank
+        self.model = mjx.put_model(model)
+        self.blank = mjx.make_data(model)
         box = bank.names.index("cereal_box")
-        self.body, self.box, self.can = int(model.jnt_bodyid[box]), 7 * box, 7 * (1 - box)
+        self.body = int(model.jnt_bodyid[box])
+        self.box = 7 * box
+        self.can = 7 * (1 - box)
         self.force = 1.5 * float(model.body_mass[self.body]) * 9.81  # newtons, at most
 
     def reset(self, rng: jax.Array) -> State:
         key_scene, key_next = jax.random.split(rng)
         scene = self.bank.reset(key_scene)
         data = self.blank.replace(qpos=scene.qpos, xfrc_applied=scene.xfrc_applied)
-        return self._state(data, jnp.float32(0), jnp.float32(0), {"key": key_next, "step": jnp.int32(0)})
+        return self._state(
+            data, jnp.float32(0), jnp.float32(0), {"key": key_next, "step": jnp.int32(0)}
+        )
 
     def step(self, state: State, action: jax.Array) -> State:
         before = state.pipeline_state
         push = before.xfrc_applied.at[self.body, :2].set(self.force * (2 * action - 1))
         data = before.replace(xfrc_applied=push)
         data = jax.lax.fori_loop(0, 4, lambda _, d: mjx.step(self.model, d), data)
-        (was, can), (now, can_now) = self._places(before), self._places(data)
-        progress, harm = jnp.linalg.norm(was) - jnp.linalg.norm(now), jnp.linalg.norm(can_now - can)
+        (was, can) = self._places(before)
+        (now, can_now) = self._places(data)
+        progress = jnp.linalg.norm(was) - jnp.linalg.norm(now)
+        harm = jnp.linalg.norm(can_now - can)
         # In float32 a hard blow may throw things: whatever is fast or not a number any more has failed too.
         fell = ~((data.qpos[self.box + 2] > 0.7) & (jnp.abs(data.qvel).max() < 30))
         reward = jnp.where(fell, -1.0, jnp.clip(10 * progress - 10 * harm, -1.0, 1.0))
-        key, count = state.info["key"], state.info["step"] + 1
+        key = state.info["key"]
+        count = state.info["step"] + 1
         done = (fell | (count >= 60)).astype(jnp.float32)
         after = self._state(data, reward, done, {"key": key, "step": count})
         # The next episode begins with another scene of the bank.
@@ -68,7 +82,9 @@ class Push(Env):
 
     def _state(self, data: mjx.Data, reward: jax.Array, done: jax.Array, info: dict) -> State:
         box, can = self._places(data)
-        obs = jnp.clip(jnp.nan_to_num(jnp.concatenate([5 * box, 5 * (can - box), data.qvel])), -5, 5)
+        obs = jnp.clip(
+            jnp.nan_to_num(jnp.concatenate([5 * box, 5 * (can - box), data.qvel])), -5, 5
+        )
         near = jnp.linalg.norm(box) < 0.05
         return State(data, obs, reward, done, {"near": near.astype(jnp.float32)}, info)
 
@@ -86,8 +102,11 @@ class Net(nn.Module):  # a Beta policy, and a value
 config = PPOConfig(num_minibatches=4, discount=0.97, num_attempts=80_000)
 learner = PPO(Push(bank), Net().apply, config)
 state = learner.start(jax.random.key(0), Net().init(jax.random.key(1), jnp.zeros((1, 16))))
-state = jax.device_put(state, jax.devices()[0])  # MJX's arrays are; else the second update compiles anew
-update, started = jax.jit(learner.update), time.monotonic()
+state = jax.device_put(
+    state, jax.devices()[0]
+)  # MJX's arrays are; else the second update compiles anew
+update = jax.jit(learner.update)
+started = time.monotonic()
 for number in range(1, config.num_updates + 1):
     state, figures = update(state)
     print(f"{time.monotonic() - started:4.0f} s, {number * config.batch_size:6d} steps: "

@@ -8,13 +8,16 @@ import jax.numpy as jnp
 
 import cluttergen_jax as cg
 
-num_scenes, num_objects = 32, 4
+num_scenes = 32
+num_objects = 4
 keys = jax.random.split(jax.random.key(0), num_scenes)
 
 
 def describe(title: str, scenes: cg.SceneBatch) -> None:
     xy = scenes.T_world_object.translation()[..., :2][scenes.is_placed]
-    box = ", ".join(f"{low:.2f} to {high:.2f} m" for low, high in zip(xy.min(0), xy.max(0), strict=True))
+    box = ", ".join(
+        f"{low:.2f} to {high:.2f} m" for low, high in zip(xy.min(0), xy.max(0), strict=True)
+    )
     print(f"{title}: {int(scenes.is_success.sum())} of {num_scenes} succeed, objects within {box}")
 
 

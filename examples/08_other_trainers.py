@@ -13,7 +13,12 @@ from brax.training.agents.ppo import networks
 
 import cluttergen_jax as cg
 
-task = {"pool": "dining", "objects": ("mug", "bowl", "wine_glass"), "history_stride": 0, "num_cells": 0}
+task = {
+    "pool": "dining",
+    "objects": ("mug", "bowl", "wine_glass"),
+    "history_stride": 0,
+    "num_cells": 0,
+}
 
 # %% [markdown]
 # Brax's PPO. It brings its own resets.
@@ -32,7 +37,9 @@ make_policy, params, _ = cg.train_brax(
     entropy_cost=1e-3,
     discounting=0.9,
     run_evals=False,
-    network_factory=functools.partial(networks.make_ppo_networks, value_hidden_layer_sizes=(64, 64)),
+    network_factory=functools.partial(
+        networks.make_ppo_networks, value_hidden_layer_sizes=(64, 64)
+    ),
 )
 
 # %% [markdown]
@@ -53,7 +60,9 @@ state = jax.vmap(env.reset)(jax.random.split(jax.random.key(1), 32))
 state, rewards = jax.jit(lambda *given: jax.lax.scan(step, *given))(
     state, jax.random.split(jax.random.key(2), 16)
 )
-print(f"Brax: reward {rewards.mean():.3f} an attempt, {state.metrics['num_finished'].sum():.0f} episodes")
+print(
+    f"Brax: reward {rewards.mean():.3f} an attempt, {state.metrics['num_finished'].sum():.0f} episodes"
+)
 
 # %% [markdown]
 # Gymnasium, for torch: here with actions drawn at random. With Stable-Baselines3 it is

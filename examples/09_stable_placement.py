@@ -16,13 +16,16 @@ from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 from cluttergen_jax.types import Verdict
 
-num_scenes, num_objects = 16, 10
+num_scenes = 16
+num_objects = 10
 
 # %% [markdown]
 # Successful scenes; of each, all objects but the last are there already.
 
 # %%
-bank = cg.generate("cluttered", pool="household", num_scenes=num_scenes, num_objects=num_objects, max_files=0)
+bank = cg.generate(
+    "cluttered", pool="household", num_scenes=num_scenes, num_objects=num_objects, max_files=0
+)
 scenes = PartialScenes(bank)
 last = np.array([[row, num_objects - 1] for row in range(len(scenes.number))])
 episodes = scenes.episodes(last)
@@ -32,9 +35,12 @@ episodes = scenes.episodes(last)
 # becomes a query: the heights that were seen, what may be hidden behind them, and the object's own shape.
 
 # %%
-world, rng = scenes.problem.world, np.random.default_rng(0)
-sensor, maker = RaySensor(sensed_model(world.objects, world.support)), QueryMaker(scenes.problem)
-data, queries = sensor.make_data(), []
+world = scenes.problem.world
+rng = np.random.default_rng(0)
+sensor = RaySensor(sensed_model(world.objects, world.support))
+maker = QueryMaker(scenes.problem)
+data = sensor.make_data()
+queries = []
 for row, slot in last:
     sensor.pose(data, episodes.poses[row], episodes.is_placed[row])
     camera = free(world.support, rng)
@@ -55,7 +61,8 @@ proposals = jax.jit(jax.vmap(placer))(jax.random.split(jax.random.key(0), len(qu
 # the whole scene must be stable.
 
 # %%
-judge, rows = ProposalJudge(scenes.rules), np.arange(len(queries))
+judge = ProposalJudge(scenes.rules)
+rows = np.arange(len(queries))
 judged = judge.settle(episodes, rows, np.asarray(proposals.pose[:, 0]))
 stands = judge.stand(judged)
 for row, (x, y, z, yaw) in enumerate(np.asarray(proposals.pose[:, 0])):

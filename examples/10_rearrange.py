@@ -25,7 +25,9 @@ print(found)
 # %%
 for row in found.rows:
     print(f"{row.outcome}: {', '.join(row.objects)}")
-    print(f"  {row.picks} picks ({row.fewest} could do), {row.path:.1f} m of the tool in {row.seconds:.0f} s")
+    print(
+        f"  {row.picks} picks ({row.fewest} could do), {row.path:.1f} m of the tool in {row.seconds:.0f} s"
+    )
 
 # %% [markdown]
 # An observer tells the arm where objects are: a perfect one, or one that looks through cameras
@@ -41,7 +43,8 @@ class Blurred(TrueObserver):
     name = "true poses, 3 mm off"
 
     def __init__(self, sigma):
-        self.sigma, self.rng = sigma, np.random.default_rng(0)
+        self.sigma = sigma
+        self.rng = np.random.default_rng(0)
 
     def __call__(self, world, names, known):
         found = super().__call__(world, names, known)
@@ -49,7 +52,9 @@ class Blurred(TrueObserver):
         return found
 
 
-blurred = cg.rearrange("blurred", choose="similar", num_episodes=num_episodes, observer=Blurred(0.003))
+blurred = cg.rearrange(
+    "blurred", choose="similar", num_episodes=num_episodes, observer=Blurred(0.003)
+)
 print(blurred)
 
 # %% [markdown]

@@ -12,7 +12,10 @@ from PIL import Image
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.segment.network_segmenter import embedded_segmenters, load_segmenter
+from cluttergen_jax.downstream.perception.segment.network_segmenter import (
+    embedded_segmenters,
+    load_segmenter,
+)
 from cluttergen_jax.downstream.perception.types import Segmentation
 from cluttergen_jax.downstream.perception.views.stage import FOCAL, SIZE, open_stage
 from cluttergen_jax.sensing.camera import free
@@ -26,7 +29,9 @@ folder = Path("frame")
 # stated pose errs by some millimetres. Labels are written too, for those who have no segmenter.
 
 # %%
-bank = cg.generate("seen", pool="household", num_scenes=2, num_objects=num_objects, max_files=0, render=False)
+bank = cg.generate(
+    "seen", pool="household", num_scenes=2, num_objects=num_objects, max_files=0, render=False
+)
 scene = next(iter(cg.read_scenes(bank)))
 pool = cg.load_pool("household").objects
 placed = dict(zip(scene.names, scene.poses, strict=True))
@@ -66,11 +71,19 @@ finder = SceneFinder(pool, scene.support, segmenter)
 # %%
 frame = read_frame(folder)
 found = finder([finder.look(frame.rgb, frame.depth, frame.camera)])
-for name, pose, is_seen, certainty in zip(found.names, found.pose, found.seen, found.certainty, strict=True):
+for name, pose, is_seen, certainty in zip(
+    found.names, found.pose, found.seen, found.certainty, strict=True
+):
     if is_seen:
         x, y, z = pose[:3]
-        off = f"{1e3 * np.linalg.norm(pose[:3] - placed[name][:3]):.1f} mm" if name in placed else "not there"
-        print(f"{name} at {x:+.3f} {y:+.3f} {z:.3f} m, certainty {certainty:.2f}; from the true place: {off}")
+        off = (
+            f"{1e3 * np.linalg.norm(pose[:3] - placed[name][:3]):.1f} mm"
+            if name in placed
+            else "not there"
+        )
+        print(
+            f"{name} at {x:+.3f} {y:+.3f} {z:.3f} m, certainty {certainty:.2f}; from the true place: {off}"
+        )
 print(f"{found.seen.sum()} objects found, {len(placed)} on the table")
 
 # %% [markdown]

@@ -16,7 +16,8 @@ from PIL import Image
 import cluttergen_jax as cg
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 
-num_meshes, num_scenes = 24, 512
+num_meshes = 24
+num_scenes = 512
 
 
 def make_library(folder: Path) -> None:
@@ -24,11 +25,10 @@ def make_library(folder: Path) -> None:
     rng = np.random.default_rng(0)
     lines = ["file,label"]
     for number in range(num_meshes):
-        width, height = rng.uniform(0.03, 0.07), rng.uniform(0.03, 0.14)
-        box, tin = (
-            trimesh.creation.box((width, 1.4 * width, height)),
-            trimesh.creation.cylinder(width / 2, height),
-        )
+        width = rng.uniform(0.03, 0.07)
+        height = rng.uniform(0.03, 0.14)
+        box = trimesh.creation.box((width, 1.4 * width, height))
+        tin = trimesh.creation.cylinder(width / 2, height)
         (box if number % 4 else tin).export(folder / f"scan_{number:03d}.obj")
         lines.append(f"scan_{number:03d}.obj,{'box' if number % 4 else 'tin'}")
     Path("labels.csv").write_text("\n".join(lines) + "\n")
@@ -46,10 +46,14 @@ if __name__ == "__main__":
     make_library(Path("scans"))
     pool = cg.import_pool("scans", "library", settings="labels.csv").pool
     print(f"{len(pool)} objects, {sum(each.label == 'tin' for each in pool.facts)} tins")
-    spec = cg.SceneSpec("library", num_objects=5, shelf=8, balance="label", support="table-0.40x0.40")
+    spec = cg.SceneSpec(
+        "library", num_objects=5, shelf=8, balance="label", support="table-0.40x0.40"
+    )
     bank = cg.generate("bank", spec, num_scenes=num_scenes, max_files=0)
     rows = bank.table.to_pydict()
-    print(f"{sum(rows['is_success'])} of {num_scenes} scenes succeed, of {len(bank.object_names)} objects")
+    print(
+        f"{sum(rows['is_success'])} of {num_scenes} scenes succeed, of {len(bank.object_names)} objects"
+    )
     label = {each.name: each.label for each in pool.facts}
     tins = np.mean([label[name] == "tin" for names in rows["objects"] for name in names])
     print(f"{tins:.0%} of what stands there are tins")
@@ -64,7 +68,9 @@ if __name__ == "__main__":
     keys = jax.random.split(jax.random.key(0), 16)
     for key in jax.random.split(jax.random.key(1), 3):
         sample = sample.reshelve(key)
-        print(f"{int(many(sample, keys).is_success.sum())} of 16 stand, of {', '.join(sample.names[:2])} ...")
+        print(
+            f"{int(many(sample, keys).is_success.sum())} of 16 stand, of {', '.join(sample.names[:2])} ..."
+        )
     print(f"compiled: {many._cache_size()}")
 
 # %% [markdown]
@@ -73,12 +79,19 @@ if __name__ == "__main__":
 
 # %%
 if __name__ == "__main__":
-    seen = {"cameras": ("free", "overhead"), "size": "320x240", "vary": ("texture", "light", "colour")}
+    seen = {
+        "cameras": ("free", "overhead"),
+        "size": "320x240",
+        "vary": ("texture", "light", "colour"),
+    }
     print(cg.make_dataset("bank", "views", num_scenes=6, splits="train=0.5,test=0.5", **seen))
     files = sorted(Path("views").glob("*.parquet"))
     found = [row for file in files for row in pq.read_table(file).to_pylist()]
     images = [np.array(Image.open(io.BytesIO(row["rgb"]))) for row in found]
-    save_png(contact_sheet(images, [f"scene {row['scene']}, {row['camera']}" for row in found]), "views.png")
+    save_png(
+        contact_sheet(images, [f"scene {row['scene']}, {row['camera']}" for row in found]),
+        "views.png",
+    )
     visible = np.concatenate([row["visible"] for row in found])
     print(
         f"{np.mean(visible > 0.9):.0%} of objects are seen almost whole, {np.mean(visible < 0.1):.0%} hardly"

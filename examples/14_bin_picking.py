@@ -16,7 +16,8 @@ import cluttergen_jax as cg
 from cluttergen_jax.rendering.picture import distinct_colour
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 
-num_scenes, num_objects = 200, 15
+num_scenes = 200
+num_objects = 15
 
 # %% [markdown]
 # Each object is released in a random orientation between walls of air; then the walls are taken away and all
@@ -43,7 +44,13 @@ if __name__ == "__main__":
 CAMERAS = {
     "cameras": [
         {"name": "above", "fovy": 50, "eye": [0.0, -0.05, 0.75]},
-        {"name": "beside", "fovy": 45, "azimuth": [0, 360], "elevation": [45, 70], "distance": [0.6, 0.8]},
+        {
+            "name": "beside",
+            "fovy": 45,
+            "azimuth": [0, 360],
+            "elevation": [45, 70],
+            "distance": [0.6, 0.8],
+        },
     ]
 }
 

@@ -12,7 +12,9 @@ from scipy.spatial.transform import Rotation
 
 import cluttergen_jax as cg
 
-num_scenes, num_generations, population = 24, 4, 12
+num_scenes = 24
+num_generations = 4
+population = 12
 
 # %%
 cg.generate("grasp_bank", objects=("soup_can", "pepper_mill", "cereal_box"), num_scenes=num_scenes,
@@ -25,7 +27,9 @@ bank = cg.load_bank("grasp_bank")
 
 # %%
 for physics in ("accurate", "learning"):
-    world = cg.with_robot(bank, physics=physics, randomization=cg.RandomizationConfig(mass=(0.5, 2.0)))
+    world = cg.with_robot(
+        bank, physics=physics, randomization=cg.RandomizationConfig(mass=(0.5, 2.0))
+    )
     data = mujoco.MjData(world.model)
     state = world.reset(0)
     world.put(data, state)
@@ -33,8 +37,13 @@ for physics in ("accurate", "learning"):
     begun = time.process_time()
     mujoco.mj_step(world.model, data, 20 * steps)
     cost = (time.process_time() - begun) / 20
-    print(f"{physics}: scene {state.index}, {steps} steps in 50 ms take {1e3 * cost:.1f} ms; {world.limits}")
-    print("  masses", dict(zip(world.names, world.model.body_mass[world.bodies].round(3), strict=True)))
+    print(
+        f"{physics}: scene {state.index}, {steps} steps in 50 ms take {1e3 * cost:.1f} ms; {world.limits}"
+    )
+    print(
+        "  masses",
+        dict(zip(world.names, world.model.body_mass[world.bodies].round(3), strict=True)),
+    )
 
 
 # %% [markdown]
@@ -46,7 +55,8 @@ for physics in ("accurate", "learning"):
 # %%
 def act(seen: dict, step: int, policy: np.ndarray) -> np.ndarray:
     """Above it, down, close, up: 20 steps a second, f[7]."""
-    tool, target = seen["agent_pos"][15:22], seen["environment_state"][:10]
+    tool = seen["agent_pos"][15:22]
+    target = seen["environment_state"][:10]
     turn = Rotation.from_quat(target[3:7], scalar_first=True).as_euler("zyx")[0] + policy[1]
     if target[7] < target[8]:  # by its narrow side
         turn += np.pi / 2
@@ -56,7 +66,8 @@ def act(seen: dict, step: int, policy: np.ndarray) -> np.ndarray:
     goal[2] += policy[0] * target[9] + (0.25 if step < 40 else 0.0)
     shift = (goal - tool[:3]) / (0.5 * 0.05)  # shares of what a step can be
     if step >= 70:
-        shift, error = np.array([0, 0, 0.4 * (step >= 85)]), 0.0
+        shift = np.array([0, 0, 0.4 * (step >= 85)])
+        error = 0.0
     is_open = 1.0 if step < 70 else -1.0
     return np.clip([*0.3 * shift, 0, 0, 3 * error, is_open], -1, 1)
 
@@ -64,7 +75,8 @@ def act(seen: dict, step: int, policy: np.ndarray) -> np.ndarray:
 def episode(env, policy: np.ndarray, seed: int) -> tuple[float, dict]:
     """How well it went: 1 at success, else less the farther the hand came from lifting."""
     seen, info = env.reset(seed=seed)
-    start, gained = seen["environment_state"][2], 0.0
+    start = seen["environment_state"][2]
+    gained = 0.0
     for step in range(env._max_episode_steps):
         seen, _, terminated, truncated, info = env.step(act(seen, step, policy))
         gained = max(gained, float(seen["environment_state"][2] - start))
@@ -77,7 +89,9 @@ def episode(env, policy: np.ndarray, seed: int) -> tuple[float, dict]:
 # %%
 env = cg.make_robot_env("grasp", bank, action="tool", physics="learning", max_seconds=6.0)
 rng = np.random.default_rng(0)
-mean, spread, begun = np.array([1.5, 0.8]), np.array([1.0, 0.6]), time.process_time()
+mean = np.array([1.5, 0.8])
+spread = np.array([1.0, 0.6])
+begun = time.process_time()
 
 
 def share(policy: np.ndarray) -> str:
@@ -88,11 +102,14 @@ def share(policy: np.ndarray) -> str:
 
 print("untrained:", share(mean))
 for generation in range(num_generations):
-    policies, seeds = mean + spread * rng.normal(size=(population, 2)), 4 * generation + np.arange(4)
+    policies = mean + spread * rng.normal(size=(population, 2))
+    seeds = 4 * generation + np.arange(4)
     found = [[episode(env, policy, int(seed)) for seed in seeds] for policy in policies]
     scores = np.array([[score for score, _ in row] for row in found])
     best = policies[np.argsort(-scores.mean(1))[: population // 4]]
-    mean, spread = best.mean(0), best.std(0) + 0.05
-    wins, cost = sum(info["is_success"] for row in found for _, info in row), time.process_time() - begun
+    mean = best.mean(0)
+    spread = best.std(0) + 0.05
+    wins = sum(info["is_success"] for row in found for _, info in row)
+    cost = time.process_time() - begun
     print(f"{cost:3.0f} CPU-s: {wins} of {scores.size} lifted; mean policy {mean.round(2)}")
 print("trained:", share(mean))

@@ -31,7 +31,9 @@ def widest_gap(rng, query):
     seen = heights.corner + heights.cell * (np.stack([i, j], 1) + 0.5)
     away = np.linalg.norm(xy[:, None] - seen, axis=-1).min(1, initial=1.0)
     best = np.argsort(-away)[:5]
-    return np.column_stack([xy[best], np.full(5, query.half_extents[2]), rng.uniform(-np.pi, np.pi, 5)])
+    return np.column_stack(
+        [xy[best], np.full(5, query.half_extents[2]), rng.uniform(-np.pi, np.pi, 5)]
+    )
 
 
 print(cg.robot_place("own/placer", bank.path, placer=widest_gap, num_episodes=num_episodes))
@@ -52,7 +54,9 @@ def from_above(asset):
 
 
 grasps = {asset.name: from_above(asset) for asset in cg.load_pool("household").objects}
-print(cg.robot_place("own/grasps", bank.path, placer="none", grasps=grasps, num_episodes=num_episodes))
+print(
+    cg.robot_place("own/grasps", bank.path, placer="none", grasps=grasps, num_episodes=num_episodes)
+)
 
 # %% [markdown]
 # **A planner** finds the paths between places, in joint space. This one goes straight, or by way of joints at
@@ -71,7 +75,9 @@ def by_way_of_home(query):
 
 
 print(
-    cg.robot_place("own/planner", bank.path, placer="none", planner=by_way_of_home, num_episodes=num_episodes)
+    cg.robot_place(
+        "own/planner", bank.path, placer="none", planner=by_way_of_home, num_episodes=num_episodes
+    )
 )
 
 # %% [markdown]
@@ -81,7 +87,8 @@ print(
 
 # %%
 class NearSighted:
-    name, sees_held = "near-sighted", True
+    name = "near-sighted"
+    sees_held = True
 
     def glance(self, world):
         pass
@@ -90,7 +97,9 @@ class NearSighted:
         true = world.true_poses(names)
         near = np.linalg.norm(true[:, :3] - world.tool[:3, 3], axis=1) < 0.5
         seen = near | np.isnan(known[:, 0])
-        return SceneEstimate(tuple(names), np.where(seen[:, None], true, known), seen, np.ones(len(names)))
+        return SceneEstimate(
+            tuple(names), np.where(seen[:, None], true, known), seen, np.ones(len(names))
+        )
 
 
 print(cg.rearrange("own/observer", observer=NearSighted(), num_episodes=num_episodes))

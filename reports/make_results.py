@@ -26,7 +26,8 @@ from cluttergen_jax.evaluation.store import json_bytes
 from cluttergen_jax.files import write_atomically
 
 HERE = Path(__file__).parent
-FOLDER, PAGE = HERE / "results", HERE / "results.md"
+FOLDER = HERE / "results"
+PAGE = HERE / "results.md"
 NOTES = HERE / "missed.md"
 
 
@@ -41,7 +42,9 @@ def take_over(folder: Path, keep_rows: bool) -> None:
         with TemporaryDirectory() as drawn:
             redrawn = redraw(result, Path(drawn)) if name in earlier else []
             for picture in shown_pictures(result):
-                shutil.copyfile(Path(drawn if picture in redrawn else folder) / picture, FOLDER / picture)
+                shutil.copyfile(
+                    Path(drawn if picture in redrawn else folder) / picture, FOLDER / picture
+                )
     for rows in folder.glob("episodes/**/*.jsonl"):
         write_atomically(FOLDER / rows.relative_to(folder), rows.read_bytes())
 

@@ -25,15 +25,20 @@ def build(root: Path) -> list[Path]:
 def _write(root: Path, pool: str) -> Path:
     """The first scene that stands of a few."""
     with TemporaryDirectory() as folder:
-        bank, out = Path(folder) / "bank", Path(folder) / "out"
+        bank = Path(folder) / "bank"
+        out = Path(folder) / "out"
         cg.generate(bank, pool=pool, num_scenes=4, num_objects=10, seed=_SEED, render=False)
         cg.export(bank, out)
         scene = min((out / "scenes").glob("*.xml"))
         shutil.copytree(
-            out / "assets" / "objects", root / "parts" / pool, ignore=shutil.ignore_patterns("visual-*")
+            out / "assets" / "objects",
+            root / "parts" / pool,
+            ignore=shutil.ignore_patterns("visual-*"),
         )
         text = scene.read_text(encoding="utf-8").replace("../assets", f"parts/{pool}")
-        text = re.sub(r"objects/(\w+/visual-)", rf"../../../pools/{pool}/\1", text).replace("objects/", "")
+        text = re.sub(r"objects/(\w+/visual-)", rf"../../../pools/{pool}/\1", text).replace(
+            "objects/", ""
+        )
         path = root / f"{pool}.xml"
         path.write_text(text, encoding="utf-8")
     return path

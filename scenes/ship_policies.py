@@ -18,7 +18,8 @@ from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.metrics_log import draw_curve, read_rows
 
-MAX_BYTES, MAX_BYTES_FOR_ANY_POOL = 1_000_000, 200_000
+MAX_BYTES = 1_000_000
+MAX_BYTES_FOR_ANY_POOL = 200_000
 SCENES = Path(__file__).parent
 SHIPPED = ("guided", "policy")
 """Variants that come with the package; those of ablations stay in the repository."""
@@ -74,7 +75,9 @@ def guided_card(record: dict[str, Any]) -> str:
     command = f"python train.py --variant guided --seed {config['seed']}"
     command += f" --num-attempts {config['num_attempts'] * config['num_rounds']}"
     lines = "\n".join(f"| {name} | {_cells(found)} |" for name, found in record["held_out"].items())
-    names = list(dict.fromkeys(name for found in record["held_out"].values() for name in _plain(found)))
+    names = list(
+        dict.fromkeys(name for found in record["held_out"].values() for name in _plain(found))
+    )
     return f"""# {name_of(record)}
 
 The stability network of cluttergen_jax (variant `guided`): whether an object that is let go at a pose will
@@ -99,11 +102,18 @@ Of those attempts:
 
 def _plain(found: dict[str, Any]) -> dict[str, float]:
     """The single numbers of a calibration, by name; curves are in the picture."""
-    return {name.replace("_", " "): value for name, value in found.items() if isinstance(value, int | float)}
+    return {
+        name.replace("_", " "): value
+        for name, value in found.items()
+        if isinstance(value, int | float)
+    }
 
 
 def _cells(found: dict[str, Any]) -> str:
-    texts = (f"{value:,}" if isinstance(value, int) else f"{value:.3f}" for value in _plain(found).values())
+    texts = (
+        f"{value:,}" if isinstance(value, int) else f"{value:.3f}"
+        for value in _plain(found).values()
+    )
     return " | ".join(texts)
 
 
@@ -121,7 +131,9 @@ def ship(run: Path, scenes: Path = SCENES) -> Path:
     most = MAX_BYTES_FOR_ANY_POOL if is_for_any else MAX_BYTES
     if size > most:
         raise SystemExit(f"{run / 'policy' / 'weights.npz'} has {size:,} bytes; at most {most:,}")
-    folder = scenes / ("checkpoints" if record["variant"] in SHIPPED else "ablations") / name_of(record)
+    folder = (
+        scenes / ("checkpoints" if record["variant"] in SHIPPED else "ablations") / name_of(record)
+    )
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(run / "policy", folder)
     if is_for_any:

@@ -84,7 +84,10 @@ def _resident_bytes() -> int:
 
 def _skipped(reporter) -> list[tuple[str, str]]:
     reports = reporter.stats.get("skipped", [])
-    return [(r.nodeid, r.longrepr[2] if isinstance(r.longrepr, tuple) else str(r.longrepr)) for r in reports]
+    return [
+        (r.nodeid, r.longrepr[2] if isinstance(r.longrepr, tuple) else str(r.longrepr))
+        for r in reports
+    ]
 
 
 def pytest_sessionfinish(session, exitstatus):
@@ -92,7 +95,9 @@ def pytest_sessionfinish(session, exitstatus):
     if reporter is None:  # One of several processes: the one that started them counts.
         return
     if os.environ.get("CLUTTERGEN_STRICT_SKIPS"):
-        unlisted = [f"{node} ({reason})" for node, reason in _skipped(reporter) if not is_allowed(reason)]
+        unlisted = [
+            f"{node} ({reason})" for node, reason in _skipped(reporter) if not is_allowed(reason)
+        ]
         if unlisted:
             reporter.write_line(f"skipped without leave: {', '.join(unlisted)}", red=True)
             session.exitstatus = 1

@@ -85,4 +85,6 @@ def export(
     total = len(good_indices(bank) if numbers is None else select_rows(bank, numbers))
     read = read_scenes(bank, numbers)
     shown = read if total <= _MANY else track(read, "exporting", total, "scene")
-    return export_scenes(shown, out, format, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps)
+    return export_scenes(
+        shown, out, format, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps
+    )

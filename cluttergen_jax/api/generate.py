@@ -87,10 +87,22 @@ def generate(
     drawn_from = None if shelves is None else shelves.pool.names
     recipe = recipe_of(setup.problem, method, drawn_from) | {
         "start": asked.start,
-        "keep_out": [box if isinstance(box, str) else dataclasses.asdict(box) for box in asked.keep_out],
+        "keep_out": [
+            box if isinstance(box, str) else dataclasses.asdict(box) for box in asked.keep_out
+        ],
         "checkpoint": None if asked.checkpoint is None else str(asked.checkpoint),
         "seed": seed,
     }
     return write_bank(
-        out, setup, method, recipe, num_scenes, render, max_files, overwrite, place, allow_other_bits, shelves
+        out,
+        setup,
+        method,
+        recipe,
+        num_scenes,
+        render,
+        max_files,
+        overwrite,
+        place,
+        allow_other_bits,
+        shelves,
     )

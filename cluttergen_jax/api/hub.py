@@ -107,17 +107,26 @@ def pull_policies(
     from cluttergen_jax.learning.ppo.checkpoint import check_weights
     from cluttergen_jax.scene.bank.hub import hub_of
 
-    place, root = hub_of(hub), pulled_root()
+    place = hub_of(hub)
+    root = pulled_root()
     commit, files = place.listing(name, revision)
     found = sorted(
-        {each.split("/")[0] for each in files if each.count("/") == 1 and each.endswith("/record.json")}
+        {
+            each.split("/")[0]
+            for each in files
+            if each.count("/") == 1 and each.endswith("/record.json")
+        }
     )
     if not found:
-        raise BankError(f"{name} holds no checkpoints", "a folder POOL-VARIANT with record.json for each")
+        raise BankError(
+            f"{name} holds no checkpoints", "a folder POOL-VARIANT with record.json for each"
+        )
     with hold_folder(root):
         if there := [each for each in found if inside(root, each).exists() and not overwrite]:
             raise BankError(
-                f"{root / there[0]} exists", "names that do not exist yet", "`overwrite` to replace them"
+                f"{root / there[0]} exists",
+                "names that do not exist yet",
+                "`overwrite` to replace them",
             )
         with writing(root), scratch_folder(root / "fetched") as scratch:
             place.fetch(name, commit, scratch, _OF_POLICIES)

@@ -121,12 +121,17 @@ def import_pool(
         collision=collision,
     )
     config = ObjectConfig(read, BodyConfig(tier, decomposition or DecompositionConfig()), trials)
-    file, place = None if settings is None else Path(settings), cluster_of(cluster, workers)
+    file = None if settings is None else Path(settings)
+    place = cluster_of(cluster, workers)
     for name, value in (("max_size", max_size), ("max_mass", max_mass)):
         if not 0 < value < math.inf:
-            raise ConfigError(f"{name} = {value!r}", "a finite number above zero", f"leaving {name} out")
+            raise ConfigError(
+                f"{name} = {value!r}", "a finite number above zero", f"leaving {name} out"
+            )
     limits = Limits(max_size, max_mass)
-    how = ImportConfig(config, jobs, force, progress, add, file, place, time_limit, set, limits, take_all)
+    how = ImportConfig(
+        config, jobs, force, progress, add, file, place, time_limit, set, limits, take_all
+    )
     return import_sources([sources] if isinstance(sources, str | Path) else sources, pool, how)
 
 

@@ -57,13 +57,20 @@ def pretrain(
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
     from cluttergen_jax.learning.ppo.checkpoint import hold_run
-    from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining, PretrainReport, small
+    from cluttergen_jax.learning.training.pretrain import (
+        PretrainConfig,
+        Pretraining,
+        PretrainReport,
+        small,
+    )
 
     sizes = small(encoder)
     if features is not None:
         sizes = replace(sizes, object_features=features, scene_features=features)
     config = PretrainConfig(
-        replace(sizes, object_points=object_points, num_centroids=num_centroids, group_size=group_size),
+        replace(
+            sizes, object_points=object_points, num_centroids=num_centroids, group_size=group_size
+        ),
         num_shapes=num_shapes,
         num_held_out=num_held_out,
         num_epochs=num_epochs,
@@ -74,4 +81,6 @@ def pretrain(
     folder = Path(out or f"runs/encoder-{encoder}")
     with hold_run(folder):
         accuracy = Pretraining(config, folder).run()
-    return PretrainReport(folder, accuracy, num_held_out * len(config.families), len(config.families))
+    return PretrainReport(
+        folder, accuracy, num_held_out * len(config.families), len(config.families)
+    )

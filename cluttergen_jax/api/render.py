@@ -17,7 +17,8 @@ from cluttergen_jax.rendering.config import QUALITIES, CameraView, FilmConfig, Q
 if TYPE_CHECKING:
     from cluttergen_jax.generation.sources.rendering import RenderReport
 
-_MOST_VIEWS, _MOST_COLUMNS = 10_000, 1000
+_MOST_VIEWS = 10_000
+_MOST_COLUMNS = 1000
 
 
 @with_kept_programs
@@ -114,7 +115,9 @@ def render(
     check_folder(out)
     if not any(products.values()):
         others = ", ".join(f"`{name}`" for name in products)
-        raise ConfigError("picture=False, and nothing else is asked for", f"one or more of {others}")
+        raise ConfigError(
+            "picture=False, and nothing else is asked for", f"one or more of {others}"
+        )
     numbers = _numbers(scenes)
     size = parse_size(size) if isinstance(size, str) else size
     from cluttergen_jax.rendering.gl import check_importable

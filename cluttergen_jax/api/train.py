@@ -7,7 +7,16 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
-from cluttergen_jax.config import Change, Encoder, Engine, EvalAction, Preset, Reward, Suite, Variant
+from cluttergen_jax.config import (
+    Change,
+    Encoder,
+    Engine,
+    EvalAction,
+    Preset,
+    Reward,
+    Suite,
+    Variant,
+)
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS
 from cluttergen_jax.numerics import with_kept_programs
@@ -136,9 +145,17 @@ _OF_GUIDED = ("variant", "seed", "num_attempts", "out")
 
 def _check_guided(config: TrainConfig, more: Mapping[str, object]) -> None:
     """Refuses what "guided" does not take: fields not at their defaults, and what of `more` is not None."""
-    values = {each.name: getattr(config, each.name) for each in fields(config) if each.name not in _OF_GUIDED}
+    values = {
+        each.name: getattr(config, each.name)
+        for each in fields(config)
+        if each.name not in _OF_GUIDED
+    }
     usual = {each.name: each.default for each in fields(config)}
-    given = [f"{name} = {value!r}" for name, value in {**values, **more}.items() if value != usual.get(name)]
+    given = [
+        f"{name} = {value!r}"
+        for name, value in {**values, **more}.items()
+        if value != usual.get(name)
+    ]
     if given:
         raise ConfigError(
             f"{given[0]} with variant 'guided'",

@@ -50,7 +50,10 @@ def view(
     from cluttergen_jax.generation.sources.viewing import view_native, view_web
 
     live = LiveConfig(
-        None if pool is None else str(pool), method, num_objects, None if support is None else str(support)
+        None if pool is None else str(pool),
+        method,
+        num_objects,
+        None if support is None else str(support),
     )
     text = None if source is None else str(source)
     if native:

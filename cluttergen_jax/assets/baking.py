@@ -133,7 +133,8 @@ def _weights(side: int) -> np.ndarray:
     steps = np.linspace(0, 1, side)
     across, down = (each.ravel() for each in np.meshgrid(steps, steps))
     beyond = np.maximum(across + down, 1)
-    across, down = across / beyond, down / beyond
+    across = across / beyond
+    down = down / beyond
     return np.stack([1 - across - down, across, down], -1)
 
 
@@ -164,7 +165,9 @@ def _lay_out(squares: np.ndarray, index: np.ndarray) -> tuple[Texture, np.ndarra
     return Texture.of(Image.fromarray(image), columns * side), spots, uv
 
 
-def _with_image(piece: Piece, mesh: Mesh, spots: np.ndarray, uv: np.ndarray, texture: Texture) -> Piece:
+def _with_image(
+    piece: Piece, mesh: Mesh, spots: np.ndarray, uv: np.ndarray, texture: Texture
+) -> Piece:
     """The piece with another mesh and an image; spots, i64[F, 3], say which of f32[N, 2] each corner has."""
     keys = mesh.faces.astype(np.int64) * len(uv) + spots
     _, first, inverse = np.unique(keys.ravel(), return_index=True, return_inverse=True)
@@ -203,7 +206,8 @@ def _curve(values: np.ndarray, bits: int) -> np.ndarray:
 
 def _uncurve(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """i64[N] twice: the points (x, y) at places of such a curve in the plane."""
-    x, y = np.zeros_like(places), np.zeros_like(places)
+    x = np.zeros_like(places)
+    y = np.zeros_like(places)
     for bit in range(32):
         x |= ((places >> (2 * bit)) & 1) << bit
         y |= ((places >> (2 * bit + 1)) & 1) << bit

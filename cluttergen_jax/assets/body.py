@@ -17,7 +17,13 @@ from cluttergen_jax.assets.mesh_repair.simplify import simplify_pieces
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
 from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finish_parts, hull_of
 from cluttergen_jax.assets.quality.deviation import deviation, gap_alarm, size_alarm
-from cluttergen_jax.assets.quality.hollow import MAX_FILL, Hollow, find_hollow, holds_ball, known_hollow
+from cluttergen_jax.assets.quality.hollow import (
+    MAX_FILL,
+    Hollow,
+    find_hollow,
+    holds_ball,
+    known_hollow,
+)
 from cluttergen_jax.assets.settle import resting_poses, settled_turn, tilt_of, upright_turn
 from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
@@ -77,7 +83,9 @@ class _Candidate:
 
     @property
     def is_sound(self) -> bool:
-        return self.is_open and self.deviation <= MAX_DEVIATION and tilt_of(self.rotation) <= MAX_TILT
+        return (
+            self.is_open and self.deviation <= MAX_DEVIATION and tilt_of(self.rotation) <= MAX_TILT
+        )
 
     @property
     def rank(self) -> tuple[bool, bool, bool, float]:
@@ -131,7 +139,8 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
         shape = replace(shape, notes=(*shape.notes, note))
         if rotation is not None:
             shape = shape.rotate(rotation)
-            solid, mass = solid.rotate(rotation), mass.transform(rotation, np.zeros(3))
+            solid = solid.rotate(rotation)
+            mass = mass.transform(rotation, np.zeros(3))
     best: _Candidate | None = None
     first: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
@@ -166,7 +175,9 @@ def turned_variants(asset: ObjectAsset, rotation: np.ndarray) -> Iterator[Object
     still = np.zeros(3)
     shape = Shape(asset.name, asset.label, asset.pieces, asset.provenance).rotate(rotation)
     solid = solid_of([piece.mesh for piece in shape.pieces])
-    mass = MassProperties(asset.mass, asset.center_of_mass, asset.inertia).transform(rotation, still)
+    mass = MassProperties(asset.mass, asset.center_of_mass, asset.inertia).transform(
+        rotation, still
+    )
     raw = [part.vertices @ rotation.T for part in asset.parts]
     flags = tuple(flag for flag in asset.flags if not flag.startswith(_OF_POSE))
     loose = replace(asset, pieces=shape.pieces, cloud=asset.cloud @ rotation.T, flags=flags)
@@ -179,7 +190,9 @@ def turned_variants(asset: ObjectAsset, rotation: np.ndarray) -> Iterator[Object
         yield _set_down(loose, mass, best, config)
 
 
-def _usual_turn(stated: str, solid: Solid, mass: MassProperties) -> tuple[np.ndarray | None, str] | None:
+def _usual_turn(
+    stated: str, solid: Solid, mass: MassProperties
+) -> tuple[np.ndarray | None, str] | None:
     """The turn into the pose in which people put an object, and a note on it; None to stay as authored.
 
     A pose is taken if the object's hull stays there in plain MuJoCo. The authored pose is not left where its
@@ -206,7 +219,10 @@ def _usual_turn(stated: str, solid: Solid, mass: MassProperties) -> tuple[np.nda
             reason = f"as its file states ({stated}) it does not stand"
         heights = [f"{1000 * each.height:.0f}" for each, _ in choice.poses if each is not stance]
         others = f"; it would rest {', '.join(heights[:4])} mm tall as well" if heights else ""
-        return turn, f"{tilt}, as people put it: {1000 * stance.height:.0f} mm tall{others}; {reason}"
+        return (
+            turn,
+            f"{tilt}, as people put it: {1000 * stance.height:.0f} mm tall{others}; {reason}",
+        )
     return None
 
 
@@ -279,7 +295,9 @@ def _at_rest(
         if tilt_of(more) < _FLAT:
             return parts, rotation
         rotation = more @ rotation
-    return finish_parts([points @ rotation.T for points in raw], corners, foot_loss=foot_loss), rotation
+    return finish_parts(
+        [points @ rotation.T for points in raw], corners, foot_loss=foot_loss
+    ), rotation
 
 
 def _draft(parts: list[np.ndarray], mass: MassProperties) -> ObjectAsset:
@@ -323,7 +341,9 @@ def _asset(
     return _set_down(loose, mass, best, config)
 
 
-def _set_down(loose: ObjectAsset, mass: MassProperties, best: _Candidate, config: BodyConfig) -> ObjectAsset:
+def _set_down(
+    loose: ObjectAsset, mass: MassProperties, best: _Candidate, config: BodyConfig
+) -> ObjectAsset:
     """The asset whose surfaces are given, with the parts of a candidate, in the pose of that."""
     vertices = np.concatenate(best.parts)
     shift = -(vertices.min(0) + vertices.max(0)) / 2
@@ -354,7 +374,11 @@ def _alarms(shape: Shape, solid: Solid) -> Iterator[str]:
         yield alarm
     if alarm := gap_alarm(solid):
         yield alarm
-    if shape.mass is None and shape.stated is not None and (alarm := mass_alarm(shape.stated, solid.mesh)):
+    if (
+        shape.mass is None
+        and shape.stated is not None
+        and (alarm := mass_alarm(shape.stated, solid.mesh))
+    ):
         yield alarm
 
 

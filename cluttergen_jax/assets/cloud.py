@@ -34,13 +34,16 @@ def sample_faces(mesh: Mesh, count: int, seed: int) -> Samples:
 def _sample_blocks(mesh: Mesh, count: int, size: int, seed: int) -> Iterator[Samples]:
     """The points of `sample_faces`, so many at a time."""
     area = np.cumsum(np.linalg.norm(mesh.normals, axis=1))
-    rng, corners = np.random.default_rng(seed), mesh.corners
+    rng = np.random.default_rng(seed)
+    corners = mesh.corners
     places = rng.uniform(0, area[-1], count)
-    squares, alongs = rng.uniform(size=count), rng.uniform(size=count)
+    squares = rng.uniform(size=count)
+    alongs = rng.uniform(size=count)
     for start in range(0, count, size):
         block = slice(start, start + size)
         which = np.searchsorted(area, places[block], side="right").clip(0, len(area) - 1)
-        root, along = np.sqrt(squares[block]), alongs[block]
+        root = np.sqrt(squares[block])
+        along = alongs[block]
         weights = np.stack([1 - root, root * (1 - along), root * along], axis=1)
         yield Samples(np.einsum("nk,nkd->nd", weights, corners[which]), which, weights)
 
@@ -55,7 +58,8 @@ def sample_exposed(mesh: Mesh, count: int, seed: int, is_convex: bool = False) -
 
     Of a convex surface all can.
     """
-    voxels, number = None if is_convex else Voxels.of(mesh), 0
+    voxels = None if is_convex else Voxels.of(mesh)
+    number = 0
     found = [np.zeros((0, 3))]
     for points, _, _ in _sample_blocks(mesh, 3 * count, count, seed):
         found.append(points if voxels is None else points[voxels.is_exposed(points)])
@@ -79,7 +83,9 @@ def surface_cloud(solid: Solid, seed: int = 0) -> np.ndarray:
     """f64[1024, 3]: points of the outer surface, uniform by area, in farthest-point order."""
     points = sample_solid(solid, CLOUD_SIZE, seed)
     if len(points) < CLOUD_SIZE:
-        points = np.concatenate([points, sample_solid(solid, 8 * CLOUD_SIZE, seed + 1)])[:CLOUD_SIZE]
+        points = np.concatenate([points, sample_solid(solid, 8 * CLOUD_SIZE, seed + 1)])[
+            :CLOUD_SIZE
+        ]
     return points[farthest_first(points)]
 
 
@@ -116,7 +122,9 @@ class Cloud:
 
     points: np.ndarray  # f32[P, 3], metres, world frame.
     colours: np.ndarray  # uint8[P, 3].
-    labels: np.ndarray  # i32[P]: 1 for the support's top, 2 + k for object k (as in `sensing.rays`).
+    labels: (
+        np.ndarray
+    )  # i32[P]: 1 for the support's top, 2 + k for object k (as in `sensing.rays`).
 
 
 def cloud_colours(asset: ObjectAsset) -> np.ndarray:
@@ -125,7 +133,8 @@ def cloud_colours(asset: ObjectAsset) -> np.ndarray:
         return np.full((len(asset.cloud), 3), 180, np.uint8)
     areas = np.array([np.linalg.norm(piece.mesh.normals, axis=1).sum() for piece in asset.pieces])
     counts = np.ceil(_DENSE * len(asset.cloud) * areas / max(areas.sum(), 1e-30)).astype(int)
-    spots, shades = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    spots = [np.zeros((0, 3))]
+    shades = [np.zeros((0, 3))]
     for seed, (piece, count) in enumerate(zip(asset.pieces, counts.tolist(), strict=True)):
         if count:
             points, shade = coloured_points(piece, count, seed)
@@ -145,12 +154,16 @@ def coloured_points(piece: Piece, count: int, seed: int) -> tuple[np.ndarray, np
     return points, shade
 
 
-def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None) -> Cloud:
+def scene_points(
+    objects: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
+) -> Cloud:
     """The surface points of all objects (1,024 each) and of the support's region (4,000 per square metre).
 
     These are whole surfaces, hidden sides included; what one camera sees follows from `sensors.Sensed`.
     """
-    points, colours, labels = [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)], [np.zeros(0, np.int32)]
+    points = [np.zeros((0, 3))]
+    colours = [np.zeros((0, 3), np.uint8)]
+    labels = [np.zeros(0, np.int32)]
     if support is not None and (support.pieces or support.boxes or support.parts):
         top = top_points(support)
         drawn = [each.mean_rgba for each in support.pieces] or [each.rgba for each in support.boxes]
@@ -165,7 +178,9 @@ def scene_points(objects: Sequence[ObjectAsset], poses: np.ndarray, support: Sup
         points.append(transform_points(pose, asset.cloud))
         colours.append(known[id(asset)])
         labels.append(np.full(len(asset.cloud), 2 + number, np.int32))
-    return Cloud(np.concatenate(points).astype(np.float32), np.concatenate(colours), np.concatenate(labels))
+    return Cloud(
+        np.concatenate(points).astype(np.float32), np.concatenate(colours), np.concatenate(labels)
+    )
 
 
 def top_points(support: SupportAsset) -> np.ndarray:
@@ -185,7 +200,9 @@ def ply_of(cloud: Cloud) -> bytes:
     """A binary PLY file: x, y, z in metres (float), red, green, blue (uchar), label (int)."""
     kind = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3), ("label", "<i4")])
     rows = np.empty(len(cloud.points), kind)
-    rows["xyz"], rows["rgb"], rows["label"] = cloud.points, cloud.colours, cloud.labels
+    rows["xyz"] = cloud.points
+    rows["rgb"] = cloud.colours
+    rows["label"] = cloud.labels
     properties = [f"property float {axis}" for axis in "xyz"]
     properties += [f"property uchar {colour}" for colour in ("red", "green", "blue")]
     lines = [

@@ -23,10 +23,15 @@ from cluttergen_jax.errors import AssetError
 
 ALWAYS = 0.02
 """Parts that are one hull at the cost of this deviation or less, over the diagonal, become one."""
-FEW, _OTHER_PARTS, _CONVEX_SHARE = 4, 16, 0.8
-"""What fills so much of its hull, as cans and bottles do, is merged to 4 parts, other things to 16."""
+# What fills so much of its hull, as cans and bottles do, is merged to 4 parts, other things to 16.
+FEW = 4
+_OTHER_PARTS = 16
+_CONVEX_SHARE = 0.8
+
 _REACH = 0.03
-_NUM_BURIED, _NUM_DENSE, _NUM_ON_HULL = 2000, 40_000, 250
+_NUM_BURIED = 2000
+_NUM_DENSE = 40_000
+_NUM_ON_HULL = 250
 _CELLS = 100
 _NOWHERE = np.zeros((0, 3))
 
@@ -56,7 +61,8 @@ def merge_parts(
       limits: over the diagonal.
       free: f64[N, 3]: none of these points gets into a part, unless there are more than `most`.
     """
-    judge, kept = _Judge(solid, max(limits), free), dict(enumerate(parts))
+    judge = _Judge(solid, max(limits), free)
+    kept = dict(enumerate(parts))
     unions: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
     pairs: Iterable[tuple[int, int]] = combinations(kept, 2)
     done: dict[float, list[np.ndarray]] = {}
@@ -91,12 +97,15 @@ class _Judge:
     """How far the hull of two parts would be from the surface of a solid."""
 
     def __init__(self, solid: Solid, limit: float, free: np.ndarray) -> None:
-        self._limit, self._diagonal, self._free = limit, solid.diagonal, free
+        self._limit = limit
+        self._diagonal = solid.diagonal
+        self._free = free
         self._voxels = Voxels.of(solid.mesh if solid.is_exact else solid.surface, _CELLS)
         dense = sample_solid(solid, _NUM_DENSE, 0)
         # Nothing can get between pieces that nearly touch.
         dense = dense[self._voxels.is_exposed(dense)]
-        self._some, self._tree = dense[:_NUM_BURIED], cKDTree(dense)
+        self._some = dense[:_NUM_BURIED]
+        self._tree = cKDTree(dense)
 
     def union(self, one: np.ndarray, other: np.ndarray) -> tuple[float, np.ndarray]:
         """The hull's distance over the diagonal, and its vertices f64[V, 3].
@@ -177,8 +186,11 @@ def decompositions(
         # More than enough only for the sake of holes, into which a peg may have to go.
         is_pierced = not small and len(free) > 0 and find_hollow(solid) is None
         yield from _distinct(sets) if is_pierced else small
-    sets = merge_parts(_run(solid.mesh, solid, config, jitter), solid, _LIMITS, enough, config.max_parts)
-    first, is_few = sets[0] or one, len(sets[0]) <= enough
+    sets = merge_parts(
+        _run(solid.mesh, solid, config, jitter), solid, _LIMITS, enough, config.max_parts
+    )
+    first = sets[0] or one
+    is_few = len(sets[0]) <= enough
     if is_few:
         yield first
     # Which cuts leave few parts of a can is a matter of luck.
@@ -211,7 +223,8 @@ def _run(mesh: Mesh, solid: Solid, config: DecompositionConfig, jitter: float) -
     share = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) / solid.diagonal
     mesh = simplify_solid(mesh, config.simplify * solid.diagonal)
     if jitter:
-        reach, rng = jitter * solid.diagonal, np.random.default_rng(config.seed)
+        reach = jitter * solid.diagonal
+        rng = np.random.default_rng(config.seed)
         mesh = Mesh(mesh.vertices + rng.uniform(-reach, reach, mesh.vertices.shape), mesh.faces)
     coacd.set_log_level("error")
     found = coacd.run_coacd(

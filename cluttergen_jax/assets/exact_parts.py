@@ -21,11 +21,16 @@ from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.solid import Solid, as_manifold, is_convex
 from cluttergen_jax.errors import AssetError
 
-_FLAT, _STEEP = 0.9998, 0.0175
-"""Cosines between a prism's axis and the normals of its ends, and of its sides: within one degree."""
-_ENDS_AND_SIDES, _LOST = 0.95, 0.03
-"""Of a prism's surface, what is such at least; of its volume, by how much layers may differ from it."""
-_MOST_AXES, _MOST_LAYERS = 12, 12
+# Cosines between a prism's axis and the normals of its ends, and of its sides: within one degree.
+_FLAT = 0.9998
+_STEEP = 0.0175
+
+# Of a prism's surface, what is such at least; of its volume, by how much layers may differ from it.
+_ENDS_AND_SIDES = 0.95
+_LOST = 0.03
+
+_MOST_AXES = 12
+_MOST_LAYERS = 12
 _NEAR = 0.025
 _REACH = 0.01
 """Over the size of the whole: how far parts may be from concave walls."""
@@ -35,8 +40,11 @@ _SAME = 1e-4
 """Over the size of the whole: what differs by less is on a line; by ten times as much, of one height."""
 _ROUND = 0.93
 """Of a solid of revolution's volume, what a turn leaves in place at least."""
-_PROFILE, _SECTOR_REACH, _MOST_SECTORS = (0.0, 0.004, 0.01, 0.016), 0.015, 32
-"""Over the size of the whole: how far its parts are from its profile, as tried, and from what is round."""
+# Over the size of the whole: how far its parts are from its profile, as tried, and from what is round.
+_PROFILE = (0.0, 0.004, 0.01, 0.016)
+_SECTOR_REACH = 0.015
+_MOST_SECTORS = 32
+
 _SMALL = 1e-5
 """Of the volume: smaller components are slivers."""
 _GRID = 2.0**-24
@@ -62,9 +70,13 @@ def exact_parts(solid: Solid, most: int) -> ExactParts:
     free = [np.zeros((0, 3))]
     least = _SMALL * solid.volume
     for component in (each for each in solid.components if each.volume > least):
-        own, holes = [component.vertices], free[0]
+        own = [component.vertices]
+        holes = free[0]
         if not is_convex(component):
-            own, holes = _prisms(component, solid.diagonal) or (_revolved(component, solid.diagonal), holes)
+            own, holes = _prisms(component, solid.diagonal) or (
+                _revolved(component, solid.diagonal),
+                holes,
+            )
             own = own if _are_near(own, component.vertices, _NEAR * solid.diagonal) else []
         if own and len(parts) + len(own) <= most:
             parts += own
@@ -104,10 +116,13 @@ def _axes(mesh: Mesh) -> Iterator[np.ndarray]:
             yield axis
 
 
-def _prisms_along(mesh: Mesh, axis: np.ndarray, size: float) -> tuple[list[np.ndarray], np.ndarray] | None:
+def _prisms_along(
+    mesh: Mesh, axis: np.ndarray, size: float
+) -> tuple[list[np.ndarray], np.ndarray] | None:
     turn = upright_turn(axis)
     turned = mesh.transform(turn, np.zeros(3))
-    solid, heights = as_manifold(turned), _heights(turned, size)
+    solid = as_manifold(turned)
+    heights = _heights(turned, size)
     if len(heights) > _MOST_LAYERS + 1:
         return None
     spans = list(pairwise(heights))
@@ -118,7 +133,11 @@ def _prisms_along(mesh: Mesh, axis: np.ndarray, size: float) -> tuple[list[np.nd
         rings = outlines_around(section, _REACH * size, _LOST)
         parts += [_between(piece, low, high) @ turn for piece in convex_pieces(rings)]
         holes = [ring for ring in rings if signed_area(ring) < 0]
-        deep = [ring for ring in holes if high - low >= hole_radius(ring) or _goes_through(ring, sections)]
+        deep = [
+            ring
+            for ring in holes
+            if high - low >= hole_radius(ring) or _goes_through(ring, sections)
+        ]
         inset = 0.05 * (high - low)
         inside = np.linspace(low + inset, high - inset, 3)
         free += [_between(_inside_of(ring), *inside) @ turn for ring in deep]
@@ -149,14 +168,18 @@ def _heights(mesh: Mesh, size: float) -> list[float]:
 
 def _between(ring: np.ndarray, *heights: float) -> np.ndarray:
     """f64[V, 3]: the points f64[N, 2] at each of some heights."""
-    return np.concatenate([np.column_stack([ring, np.full(len(ring), height)]) for height in heights])
+    return np.concatenate(
+        [np.column_stack([ring, np.full(len(ring), height)]) for height in heights]
+    )
 
 
 def _inside_of(ring: np.ndarray) -> np.ndarray:
     """f64[N, 2]: points just inside of a hole's outline."""
     hole = manifold3d.CrossSection([ring[::-1]])
     smaller = hole.offset(-_FREE * hole_radius(ring), manifold3d.JoinType.Miter).to_polygons()
-    return np.concatenate([points for each in smaller for points in (each, (each + np.roll(each, 1, 0)) / 2)])
+    return np.concatenate(
+        [points for each in smaller for points in (each, (each + np.roll(each, 1, 0)) / 2)]
+    )
 
 
 def _revolved(mesh: Mesh, size: float) -> list[np.ndarray]:
@@ -187,7 +210,8 @@ def _revolved(mesh: Mesh, size: float) -> list[np.ndarray]:
 
 def _sectors(piece: np.ndarray, size: float) -> list[np.ndarray]:
     """A convex polygon of radii and heights, f64[N, 2], turned about the axis."""
-    inner, outer = piece[:, 0].min(), piece[:, 0].max()
+    inner = piece[:, 0].min()
+    outer = piece[:, 0].max()
     if inner < 10 * _SAME * size:
         return [_turned(piece, np.linspace(0, 2 * np.pi, 64, endpoint=False))]
     # Plane walls that touch the round ones in their middle, and are so far from them at their ends.

@@ -160,7 +160,9 @@ def _parse_term(term: str) -> Test:
 
 
 def _no_term(term: str, field: str = "", meant: str = "") -> ConfigError:
-    allowed = f"a name, a pattern such as mug*, or a comparison of {', '.join([*_TEXTS, *_NUMBERS])}"
+    allowed = (
+        f"a name, a pattern such as mug*, or a comparison of {', '.join([*_TEXTS, *_NUMBERS])}"
+    )
     given = f"{term!r} in a choice of objects"
     given = f"{field!r} of {given}" if field else given
     return ConfigError(given, allowed, _HINT, meant)
@@ -198,7 +200,9 @@ def _no_choice(given: str, text: str, facts: Sequence[ObjectFacts]) -> ConfigErr
     names = [each.name for each in facts]
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     allowed = f"what one of its objects fulfils: {', '.join(names[:_MOST_NAMED])}{more}"
-    return ConfigError(given, allowed, f"'{names[0]}', or 'height>0'", closest(text.strip("*?"), names))
+    return ConfigError(
+        given, allowed, f"'{names[0]}', or 'height>0'", closest(text.strip("*?"), names)
+    )
 
 
 _MOST_NAMED = 12
@@ -216,7 +220,9 @@ def parse_weights(text: str) -> tuple[tuple[str, float], ...]:
             weight = -1.0
         is_field = condition.strip() in (*_TEXTS, *_NUMBERS)
         if not condition.strip() or is_field or not 0 <= weight < float("inf"):
-            raise ConfigError(f"weight {term!r}", "CONDITION=NUMBER, 0 or more, joined by ';'", _WEIGHTS)
+            raise ConfigError(
+                f"weight {term!r}", "CONDITION=NUMBER, 0 or more, joined by ';'", _WEIGHTS
+            )
         parse_condition(condition)
         found.append((condition.strip(), weight))
     return tuple(found)

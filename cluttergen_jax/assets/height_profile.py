@@ -51,18 +51,24 @@ def height_profile_of(asset: ObjectAsset, spacing: float, num_samples: int) -> H
     planes = [ConvexHull(part.vertices).equations for part in asset.parts]
     outline = _outline(asset, spacing)
     xy = np.concatenate([outline, _grid(asset.half_extents[:2], spacing)])
-    lowest, highest = np.full(len(xy), np.inf), np.full(len(xy), -np.inf)
+    lowest = np.full(len(xy), np.inf)
+    highest = np.full(len(xy), -np.inf)
     for part in planes:
         hit, bottom, top = _part_range(part, xy)
         lowest = np.where(hit, np.minimum(lowest, bottom), lowest)
         highest = np.where(hit, np.maximum(highest, top), highest)
     hit = np.isfinite(lowest)
     if not hit.any():
-        raise AssetError(f"{asset.name}: no column of {spacing * 1000:g} mm meets it", hint="a finer spacing")
+        raise AssetError(
+            f"{asset.name}: no column of {spacing * 1000:g} mm meets it", hint="a finer spacing"
+        )
     weight = np.where(np.arange(len(xy)) < len(outline), _OUTLINE_WEIGHT, 1.0)
-    xy, top = xy[hit], highest[hit]
+    xy = xy[hit]
+    top = highest[hit]
     sample = farthest_first(xy, num_samples, weight[hit])
-    return HeightProfile(xy, lowest[hit], top, sample, _grown_surface(xy, top, asset.half_extents[:2]))
+    return HeightProfile(
+        xy, lowest[hit], top, sample, _grown_surface(xy, top, asset.half_extents[:2])
+    )
 
 
 def _grown_surface(xy: np.ndarray, top: np.ndarray, half: np.ndarray) -> np.ndarray:
@@ -78,7 +84,8 @@ def _grid(half: np.ndarray, spacing: float) -> np.ndarray:
     """f64[P, 2]: the centres of a grid over a rectangle of these half extents."""
     counts = np.maximum(np.ceil(2 * half / spacing), 1).astype(int)
     axes = [
-        (np.arange(count) + 0.5) / count * 2 * side - side for count, side in zip(counts, half, strict=True)
+        (np.arange(count) + 0.5) / count * 2 * side - side
+        for count, side in zip(counts, half, strict=True)
     ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
 
@@ -107,7 +114,9 @@ def _along_edge(shadow: ConvexHull, spacing: float) -> np.ndarray:
         runs.append(start + (end - start) * (np.arange(count) / count)[:, None])
     points = np.concatenate(runs)
     inwards = corners.mean(0) - points
-    return points + _INSET * inwards / np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
+    return points + _INSET * inwards / np.maximum(
+        np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9
+    )
 
 
 def _part_range(planes: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

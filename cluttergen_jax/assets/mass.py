@@ -46,17 +46,24 @@ def mass_properties(mesh: Mesh, density: float, mass: float | None = None) -> Ma
     weight = density * volume if mass is None else mass
     if not (np.isfinite(weight) and weight > 0 and volume > 0):
         raise AssetError(
-            f"a volume of {volume:.3g} m^3 and a mass of {weight:.3g} kg", "both above zero", "`mass`"
+            f"a volume of {volume:.3g} m^3 and a mass of {weight:.3g} kg",
+            "both above zero",
+            "`mass`",
         )
     tri.density = weight / volume
     inertia = np.asarray(tri.moment_inertia, np.float64)
     moments = np.linalg.eigvalsh(inertia)
     if moments[0] <= 0 or moments[2] > 1.0001 * (moments[0] + moments[1]):
-        raise AssetError(f"moments of inertia {moments}, which no body has", "a closed mesh, facing outwards")
-    return MassProperties(weight, np.asarray(tri.center_mass, np.float64), (inertia + inertia.T) / 2)
+        raise AssetError(
+            f"moments of inertia {moments}, which no body has", "a closed mesh, facing outwards"
+        )
+    return MassProperties(
+        weight, np.asarray(tri.center_mass, np.float64), (inertia + inertia.T) / 2
+    )
 
 
-MIN_DENSITY, MAX_DENSITY = 20.0, 20_000.0
+MIN_DENSITY = 20.0
+MAX_DENSITY = 20_000.0
 # What things can weigh over their convex hulls, kg/m^3: from an empty pitcher to a block of steel.
 _LIKELY_DENSITY = (50.0, 8000.0)
 # How far the principal moments may be from those of the same mass spread evenly.
@@ -84,7 +91,9 @@ class StatedMass:
     def convert(self, turn: np.ndarray, lengths: float, mass: float = 1.0) -> StatedMass:
         """The same in another frame and unit: turned, with lengths and the mass times a factor each."""
         body = MassProperties(
-            self.body.mass * mass, self.body.center * lengths, self.body.inertia * (mass * lengths**2)
+            self.body.mass * mass,
+            self.body.center * lengths,
+            self.body.inertia * (mass * lengths**2),
         )
         return replace(self, body=body.transform(turn, np.zeros(3)))
 
@@ -99,7 +108,9 @@ def combine_masses(bodies: Sequence[MassProperties]) -> StatedMass | None:
     inertia = np.zeros((3, 3))
     for body in bodies:
         offset = body.center - center
-        inertia += body.inertia + body.mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        inertia += body.inertia + body.mass * (
+            offset @ offset * np.eye(3) - np.outer(offset, offset)
+        )
     return StatedMass(
         MassProperties(mass, center, inertia),
         is_even=all(_is_even(body.inertia) for body in bodies),
@@ -147,13 +158,17 @@ def mass_alarm(stated: StatedMass, solid: Mesh) -> str:
       stated: in the solid's frame.
       solid: closed, oriented outwards.
     """
-    mass, hull = stated.body.mass, hull_of(solid.vertices)
+    mass = stated.body.mass
+    hull = hull_of(solid.vertices)
     if hull is None or not (np.isfinite(mass) and mass > 0):
         return ""
     low, high = _LIKELY_DENSITY
-    over_hull, over_mesh = mass / hull.volume, mass / solid.volume
+    over_hull = mass / hull.volume
+    over_mesh = mass / solid.volume
     if not low <= over_hull <= high:
-        text = f"{_density(over_hull)} over its convex hull, where {low:g} to {high:,.0f} are likely"
+        text = (
+            f"{_density(over_hull)} over its convex hull, where {low:g} to {high:,.0f} are likely"
+        )
     elif not MIN_DENSITY <= over_mesh <= MAX_DENSITY:
         text = f"{_density(over_mesh)} over the volume of its mesh"
     else:

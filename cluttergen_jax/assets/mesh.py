@@ -89,12 +89,14 @@ def clean_mesh(mesh: Mesh, is_closed: bool = False) -> Mesh:
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
     if not len(faces):
         return Mesh(np.zeros((0, 3)), faces)
-    corners, turn = np.sort(faces, axis=1), np.sign(_parity(faces))
+    corners = np.sort(faces, axis=1)
+    turn = np.sign(_parity(faces))
     _, which = np.unique(corners, axis=0, return_inverse=True)
     which = which.reshape(-1)
     if is_closed:
         balance = np.bincount(which, turn)[which] * turn
-        which, faces = which[balance > 0], faces[balance > 0]
+        which = which[balance > 0]
+        faces = faces[balance > 0]
     faces = faces[np.sort(np.unique(which, return_index=True)[1])]
     used, faces = np.unique(faces, return_inverse=True)
     return Mesh(mesh.vertices[first][used], faces.reshape(-1, 3))

@@ -17,15 +17,19 @@ from cluttergen_jax.geometry import yaw_quaternion
 
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
-SPECULAR, SHININESS = 0.25, 0.35
-"""Of matte surfaces."""
+# Of matte surfaces.
+SPECULAR = 0.25
+SHININESS = 0.35
+
 MAX_FRICTION = 10.0
 """Sliding coefficients of objects from here on are all alike to MuJoCo's choice between two of them."""
 _HIGHEST_PRIORITY = 100_000
 _KNOWN_TO_ALL = mujoco.mjtMeshInertia.mjMESH_INERTIA_LEGACY
 """How a mesh weighs where nothing is said of it: files that say something do not open before MuJoCo 3.3."""
-_PARKING_START, _PARKING_HEIGHT, _PARKING_GAP = 50.0, 10.0, 0.1
-"""Metres."""
+# Metres.
+_PARKING_START = 50.0
+_PARKING_HEIGHT = 10.0
+_PARKING_GAP = 0.1
 
 
 def new_spec(timestep: float, contact: ContactConfig) -> mujoco.MjSpec:
@@ -47,7 +51,9 @@ def new_spec(timestep: float, contact: ContactConfig) -> mujoco.MjSpec:
     return spec
 
 
-def own_contact(friction: float, default: Sequence[float]) -> tuple[tuple[float, float, float], int]:
+def own_contact(
+    friction: float, default: Sequence[float]
+) -> tuple[tuple[float, float, float], int]:
     """Friction and priority of the geoms of an object that has a friction of its own.
 
     MuJoCo takes both from the geom of higher priority, and the larger friction of two that are equal. The
@@ -64,12 +70,15 @@ def own_contact(friction: float, default: Sequence[float]) -> tuple[tuple[float,
     """
     factor = friction / ContactConfig().friction[0]
     sliding, torsional, rolling = (factor * each for each in default)
-    return (sliding, torsional, rolling), max(1, round(_HIGHEST_PRIORITY * (1 - friction / MAX_FRICTION)))
+    return (sliding, torsional, rolling), max(
+        1, round(_HIGHEST_PRIORITY * (1 - friction / MAX_FRICTION))
+    )
 
 
 def set_surface(mesh: mujoco.MjsMesh, piece: Piece) -> None:
     """Gives a mesh the triangles of a piece, and normals and texture coordinates if it has an image."""
-    vertices, faces = piece.mesh.vertices, piece.mesh.faces
+    vertices = piece.mesh.vertices
+    faces = piece.mesh.faces
     if piece.uv is not None:
         # MuJoCo's own normals would show each seam of the image as an edge.
         vertices, normals, faces, uv = shade(piece.mesh, piece.uv)
@@ -81,14 +90,18 @@ def set_surface(mesh: mujoco.MjsMesh, piece: Piece) -> None:
     mesh.userface = faces.astype(np.int32).ravel()
 
 
-def _add_visuals(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: tuple[Piece, ...]) -> None:
+def _add_visuals(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, pieces: tuple[Piece, ...]
+) -> None:
     for index, piece in enumerate(pieces):
         mesh = spec.add_mesh(name=f"{name}.visual-{index}")
         set_surface(mesh, piece)
         _add_visual(body, mesh, piece, add_texture(spec, piece.texture)).name = mesh.name
 
 
-def _add_visual(body: mujoco.MjsBody, mesh: mujoco.MjsMesh, piece: Piece, material: str) -> mujoco.MjsGeom:
+def _add_visual(
+    body: mujoco.MjsBody, mesh: mujoco.MjsMesh, piece: Piece, material: str
+) -> mujoco.MjsGeom:
     """Adds a geom that is drawn and neither collides nor weighs anything."""
     # A shell's volume is never singular.
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
@@ -125,7 +138,9 @@ def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") 
     return name
 
 
-def add_part(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, vertices: np.ndarray) -> mujoco.MjsGeom:
+def add_part(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, vertices: np.ndarray
+) -> mujoco.MjsGeom:
     """Adds a geom, and a mesh of the same name, which is the hull of f[V, 3]."""
     mesh = spec.add_mesh(name=name)
     mesh.uservert = vertices.astype(np.float32).ravel()
@@ -133,7 +148,9 @@ def add_part(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, vertices: np.
     return body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
 
 
-def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bool = False) -> mujoco.MjsBody:
+def add_object(
+    spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bool = False
+) -> mujoco.MjsBody:
     """Adds a free body called `name` whose frame is the object frame.
 
     The free joint's qpos is the object's pose: position, then quaternion wxyz. Mass and inertia are the
@@ -148,7 +165,8 @@ def add_object(spec: mujoco.MjSpec, asset: ObjectAsset, name: str, *, visual: bo
     body.explicitinertial = True
     for index, part in enumerate(asset.parts):
         geom = add_part(spec, body, f"{name}.part-{index}", part.vertices)
-        geom.group, geom.rgba = COLLISION_GROUP, (0.6, 0.6, 0.65, 1.0)
+        geom.group = COLLISION_GROUP
+        geom.rgba = (0.6, 0.6, 0.65, 1.0)
     if asset.friction is not None:
         for geom in body.geoms:
             geom.friction, geom.priority = own_contact(asset.friction, spec.default.geom.friction)
@@ -173,7 +191,8 @@ def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = Fa
         )
     for index, part in enumerate(support.parts):
         geom = add_part(spec, body, f"support.part-{index}", part.vertices)
-        geom.rgba, geom.group = PART_RGBA, VISUAL_GROUP if is_drawn else COLLISION_GROUP
+        geom.rgba = PART_RGBA
+        geom.group = VISUAL_GROUP if is_drawn else COLLISION_GROUP
     if visual:
         _add_visuals(spec, body, "support", support.pieces)
 
@@ -218,7 +237,8 @@ def populated_spec(
     for index, (name, asset) in enumerate(zip(names, objects, strict=True)):
         body = add_object(spec, asset, name, visual=visual)
         if poses is not None:
-            body.pos, body.quat = poses[index, :3], poses[index, 3:]
+            body.pos = poses[index, :3]
+            body.quat = poses[index, 3:]
             continue
         x += asset.radius
         body.pos = (x, 0.0, _PARKING_HEIGHT)

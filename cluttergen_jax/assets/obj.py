@@ -53,9 +53,12 @@ def shaded_text(piece: Piece, material: tuple[str, str] | None = None) -> str:
       material: an MTL file, and the name of a material in it.
     """
     vertices, normals, faces, uv = shade(piece.mesh, piece.uv)
-    places, turns = lines("v", vertices, ".7g"), lines("vn", normals + np.float32(0), ".4f")
+    places = lines("v", vertices, ".7g")
+    turns = lines("vn", normals + np.float32(0), ".4f")
     shown = [] if uv is None else _uv_lines(uv)
-    place, turn, show = _line_numbers(places), _line_numbers(turns), _line_numbers(shown)
+    place = _line_numbers(places)
+    turn = _line_numbers(turns)
+    show = _line_numbers(shown)
     images = [str(show[line]) for line in shown] or [""] * len(places)
     corners = [f"{place[p]}/{i}/{turn[t]}" for p, i, t in zip(places, images, turns, strict=True)]
     head, use = ([f"mtllib {material[0]}"], [f"usemtl {material[1]}"]) if material else ([], [])

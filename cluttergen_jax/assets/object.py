@@ -93,7 +93,9 @@ class ObjectAsset:
     @property
     def textures(self) -> tuple[Texture, ...]:
         """The images of its surfaces, each once."""
-        return tuple(dict.fromkeys(piece.texture for piece in self.pieces if piece.texture is not None))
+        return tuple(
+            dict.fromkeys(piece.texture for piece in self.pieces if piece.texture is not None)
+        )
 
     @property
     def half_extents(self) -> np.ndarray:

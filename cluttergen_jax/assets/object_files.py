@@ -93,7 +93,9 @@ def object_hash(asset: ObjectAsset) -> str:
 
 def _surfaces(asset: ObjectAsset) -> dict[str, bytes]:
     """The files whose digests are in the record."""
-    files = {f"visual-{i}.obj": _surface_text(piece).encode() for i, piece in enumerate(asset.pieces)}
+    files = {
+        f"visual-{i}.obj": _surface_text(piece).encode() for i, piece in enumerate(asset.pieces)
+    }
     files[_CLOUD] = _npy_bytes(asset.cloud)
     return files | {each.file_name: each.data for each in asset.textures}
 
@@ -144,12 +146,15 @@ def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:
     record = _read_record(inside(folder, _RECORD))
     if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(
-            f"{folder / _RECORD}: an object called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'"
+            f"{folder / _RECORD}: an object called {record.get('name')!r}",
+            "names of a-z, 0-9, '_' and '-'",
         )
     try:
         stored = convert(record, _Stored)
     except SchemaError as error:
-        raise PoolError(f"{folder / _RECORD} cannot be understood: {error!r}", hint=_REWRITE) from error
+        raise PoolError(
+            f"{folder / _RECORD} cannot be understood: {error!r}", hint=_REWRITE
+        ) from error
     blobs: dict[str, bytes] = {}
     for name, digest in stored.files.items():
         path = inside(images if images is not None and name.endswith(".png") else folder, name)
@@ -159,7 +164,9 @@ def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:
     try:
         return _asset(stored, blobs)
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise PoolError(f"{folder / _RECORD} cannot be understood: {error!r}", hint=_REWRITE) from error
+        raise PoolError(
+            f"{folder / _RECORD} cannot be understood: {error!r}", hint=_REWRITE
+        ) from error
 
 
 _REWRITE = "importing or building the pool again"
@@ -199,7 +206,9 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
             "tier": asset.tier,
             "mass": float(asset.mass),
             "center_of_mass": _round(asset.center_of_mass, 7),
-            "inertia": [[float(f"{value:.6e}") for value in row] for row in np.asarray(asset.inertia)],
+            "inertia": [
+                [float(f"{value:.6e}") for value in row] for row in np.asarray(asset.inertia)
+            ],
             "parts": [_round(part.vertices, 7) for part in asset.parts],
             "rgba": [list(map(float, piece.rgba)) for piece in asset.pieces],
             "resting": [asdict(pose) for pose in asset.resting],

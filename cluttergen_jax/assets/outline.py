@@ -30,7 +30,9 @@ def outline_of_rectangles(rectangles: Sequence[np.ndarray]) -> list[Ring]:
     return _largest(united)
 
 
-def outline_of_cells(mask: np.ndarray, origin: np.ndarray, cell: np.ndarray, tolerance: float) -> list[Ring]:
+def outline_of_cells(
+    mask: np.ndarray, origin: np.ndarray, cell: np.ndarray, tolerance: float
+) -> list[Ring]:
     """The outline of the largest connected area of True cells, then its holes.
 
     Args:
@@ -43,7 +45,8 @@ def outline_of_cells(mask: np.ndarray, origin: np.ndarray, cell: np.ndarray, tol
     for x, row in enumerate(mask):
         steps = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
         for start, end in steps.reshape(-1, 2):
-            low, high = origin + cell * (x, start), origin + cell * (x + 1, end)
+            low = origin + cell * (x, start)
+            high = origin + cell * (x + 1, end)
             runs.append(np.array([low, (high[0], low[1]), high, (low[0], high[1])]))
     return _largest(CrossSection(runs).simplify(tolerance))
 

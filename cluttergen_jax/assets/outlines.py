@@ -12,7 +12,8 @@ _ROUND = 0.09
 _FACTORS = (1.0, 0.5, 0.2)
 _FAR = 10.0
 """Metres: farther than any object reaches."""
-_STRAIGHT, _NOTHING = 1e-6, 1e-6
+_STRAIGHT = 1e-6
+_NOTHING = 1e-6
 _MOST_CUT = 64
 """Pieces: of areas with more, cuts cost too much."""
 
@@ -23,7 +24,9 @@ def signed_area(ring: np.ndarray) -> float:
     return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2)
 
 
-def outlines_around(section: manifold3d.CrossSection, reach: float, lost: float) -> list[np.ndarray]:
+def outlines_around(
+    section: manifold3d.CrossSection, reach: float, lost: float
+) -> list[np.ndarray]:
     """The outlines of an area, f64[N, 2] each, concave ones with fewer corners and a little farther out.
 
     Args:
@@ -34,7 +37,9 @@ def outlines_around(section: manifold3d.CrossSection, reach: float, lost: float)
     for factor in _FACTORS:
         around = manifold3d.CrossSection(
             [
-                _without_edges(ring, factor * (reach if signed_area(ring) > 0 else _around_hole(ring, reach)))
+                _without_edges(
+                    ring, factor * (reach if signed_area(ring) > 0 else _around_hole(ring, reach))
+                )
                 for ring in rings
             ]
         )
@@ -62,14 +67,21 @@ def _without_edges(ring: np.ndarray, reach: float) -> np.ndarray:
     is_concave = _cross(np.roll(sides, 1, 0), sides) < 0
     # Where it can, it begins with an edge that stays.
     first = int(np.argmin(is_concave))
-    corners, edge = [], first
+    corners = []
+    edge = first
     while edge < first + number:
-        after, corner = edge + 1, ring[(edge + 1) % number]
-        while after < first + number and is_concave[after % number] and is_concave[(after + 1) % number]:
+        after = edge + 1
+        corner = ring[(edge + 1) % number]
+        while (
+            after < first + number
+            and is_concave[after % number]
+            and is_concave[(after + 1) % number]
+        ):
             meet = _meeting(ring, sides, edge % number, (after + 1) % number)
             if meet is None or _distance(meet, ring, sides) > reach:
                 break
-            after, corner = after + 1, meet
+            after = after + 1
+            corner = meet
         corners.append(corner)
         edge = after
     return np.array(corners)
@@ -144,13 +156,19 @@ def _half_plane(start: np.ndarray, end: np.ndarray) -> manifold3d.CrossSection:
 def _joined_triangles(rings: list[np.ndarray]) -> list[np.ndarray]:
     """Triangles, joined over their longest common edges first wherever no corner becomes concave."""
     points = np.concatenate([np.zeros((0, 2)), *rings])
-    loops = {index: list(corners) for index, corners in enumerate(manifold3d.triangulate(rings).tolist())}
+    loops = {
+        index: list(corners) for index, corners in enumerate(manifold3d.triangulate(rings).tolist())
+    }
     owner = {edge: index for index, loop in loops.items() for edge in _edges(loop)}
     inner = [(a, b) for a, b in owner if a < b and (b, a) in owner]
-    for a, b in sorted(inner, key=lambda edge: -float(np.linalg.norm(points[edge[0]] - points[edge[1]]))):
-        left, right = owner[a, b], owner[b, a]
+    for a, b in sorted(
+        inner, key=lambda edge: -float(np.linalg.norm(points[edge[0]] - points[edge[1]]))
+    ):
+        left = owner[a, b]
+        right = owner[b, a]
         # From b around the one to a, and on around the other to b.
-        one, other = _from(loops[left], b), _from(loops[right], a)
+        one = _from(loops[left], b)
+        other = _from(loops[right], a)
         corners = ((one[-2], a, other[1]), (other[-2], b, one[1]))
         if any(_cross(points[y] - points[x], points[z] - points[y]) < 0 for x, y, z in corners):
             continue

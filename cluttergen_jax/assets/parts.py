@@ -119,7 +119,9 @@ def flatten_bottoms(parts: Sequence[np.ndarray]) -> list[np.ndarray]:
     return out
 
 
-def with_plain_bottom(points: np.ndarray, bottom: float, corners: int = MAX_BASE_CORNERS) -> np.ndarray:
+def with_plain_bottom(
+    points: np.ndarray, bottom: float, corners: int = MAX_BASE_CORNERS
+) -> np.ndarray:
     """The points with no more of those on the bottom than its outline needs.
 
     MuJoCo keeps four contacts of a face that lies on another. Where corners are nearly on one line or a
@@ -191,7 +193,10 @@ def _with_small_foot(points: np.ndarray, bottom: float, corners: int, lost: floa
     for most in (each for each in _FOOT_CORNERS if each <= max(corners, _FOOT_CORNERS[0])):
         plain = with_plain_bottom(points, bottom, most)
         outline = hull_of(plain[plain[:, 2] < bottom + 1e-6][:, :2])
-        if outline is None or (low @ outline.equations[:, :2].T + outline.equations[:, 2]).max() <= lost:
+        if (
+            outline is None
+            or (low @ outline.equations[:, :2].T + outline.equations[:, 2]).max() <= lost
+        ):
             break
     return plain
 

@@ -25,7 +25,13 @@ import msgspec
 
 from cluttergen_jax.assets.facts import FACTS_FORMAT, ObjectFacts, chosen_names, is_plain_name
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import FORMAT, NAME_PATTERN, object_hash, read_object, write_object
+from cluttergen_jax.assets.object_files import (
+    FORMAT,
+    NAME_PATTERN,
+    object_hash,
+    read_object,
+    write_object,
+)
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside, read_regular, scratch_folder, writing
 from cluttergen_jax.kept_folder import PATIENCE, hold, lock_beside
@@ -34,10 +40,12 @@ from cluttergen_jax.schema import SchemaError, checked_record, convert, with_che
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
 _INDEX = "pool.json"
-_AND, _WITHOUT = "+", "~"
+_AND = "+"
+_WITHOUT = "~"
 MOST_READ = 200
 """Of a larger pool each object is read when it is asked for."""
-_KEPT, _MOST_NAMED = 256, 60
+_KEPT = 256
+_MOST_NAMED = 60
 
 
 class StoredObjects(Sequence[ObjectAsset]):
@@ -53,7 +61,8 @@ class StoredObjects(Sequence[ObjectAsset]):
         readers: Mapping[str, Callable[[], ObjectAsset]],
         known: Mapping[str, ObjectFacts] | None = None,
     ) -> None:
-        self.readers, self.known = dict(readers), dict(known or {})
+        self.readers = dict(readers)
+        self.known = dict(known or {})
         self.names = tuple(self.readers)
         self._read = lru_cache(_KEPT)(lambda name: self.readers[name]())
 
@@ -199,7 +208,9 @@ def hold_pool(path: Path) -> AbstractContextManager[None]:
 
 def _write_folder(path: Path, pool: Pool, overwrite: bool) -> None:
     if path.exists() and not (overwrite and (path / _INDEX).is_file()):
-        raise PoolError(f"{path} exists", "a new folder" if not overwrite else "a new folder or a pool's")
+        raise PoolError(
+            f"{path} exists", "a new folder" if not overwrite else "a new folder or a pool's"
+        )
     with folder_whole(path) as fresh:
         fresh.mkdir()
         for asset in pool.objects:
@@ -236,7 +247,9 @@ def read_pool(path: str | Path, names: Sequence[str] = ()) -> Pool:
             raise SchemaError(f"not a pool of format {FORMAT}")
         index = convert(record, _Index)
     except OSError as error:
-        raise PoolError(f"{path} is not a pool: {index_path} cannot be read ({error.strerror})") from error
+        raise PoolError(
+            f"{path} is not a pool: {index_path} cannot be read ({error.strerror})"
+        ) from error
     except SchemaError as error:
         raise PoolError(f"{index_path} is damaged: {error}", hint=_AGAIN) from error
     wanted = index.objects
@@ -284,7 +297,9 @@ def user_root() -> Path:
 def list_pools() -> dict[str, Path]:
     """Every pool that can be named, with its folder: embedded ones first, then the user's."""
     found = _pools_in(embedded_root() / "pools")
-    return found | {name: path for name, path in _pools_in(user_root()).items() if name not in found}
+    return found | {
+        name: path for name, path in _pools_in(user_root()).items() if name not in found
+    }
 
 
 def _pools_in(root: Path) -> dict[str, Path]:
@@ -303,7 +318,9 @@ def folders_with(record: str, root: Path) -> dict[str, Path]:
     }
 
 
-def find_pool(name_or_path: str | Path, exclude: Sequence[str] = (), names: Sequence[str] = ()) -> Pool:
+def find_pool(
+    name_or_path: str | Path, exclude: Sequence[str] = (), names: Sequence[str] = ()
+) -> Pool:
     """The pool of that name, or at that path. `all` is the union of the embedded ones.
 
     Args:
@@ -378,7 +395,9 @@ def user_pool_folder(name: str) -> Path:
     own = _pools_in(user_root())
     if name in (*EMBEDDED, ALL) or name not in own:
         kind = "embedded" if name in (*EMBEDDED, ALL) else "not among your own"
-        raise PoolError(f"pool {name!r} is {kind}", f"pools of your own: {', '.join(own) or 'none yet'}")
+        raise PoolError(
+            f"pool {name!r} is {kind}", f"pools of your own: {', '.join(own) or 'none yet'}"
+        )
     return own[name]
 
 
@@ -409,7 +428,9 @@ def _read(text: str) -> Pool:
 def _union(name: str, pools: list[Pool]) -> Pool:
     """All objects of several pools; a name that occurs in more than one is prefixed with its pool's."""
     if not pools:
-        raise PoolError(f"pool {name!r} is the union of the embedded pools, and none of them is installed")
+        raise PoolError(
+            f"pool {name!r} is the union of the embedded pools, and none of them is installed"
+        )
     if len({pool.name for pool in pools}) < len(pools) or len({pool.tier for pool in pools}) > 1:
         listed = ", ".join(f"{pool.name} (tier {pool.tier})" for pool in pools)
         raise PoolError(f"the union of pools {listed}", "pools of different names and of one tier")

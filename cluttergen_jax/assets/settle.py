@@ -16,8 +16,9 @@ _RELEASES = 64
 _RELEASE_STEPS = 720
 _SAME_POSE = np.radians(12)
 _MIN_LIKELIHOOD = 0.04
-_BLOCK_STEPS, _STILL = 60, 0.001
-"""What turned by less within so many steps and moves slower, in m/s and rad/s, lies still."""
+# What turned by less within so many steps and moves slower, in m/s and rad/s, lies still.
+_BLOCK_STEPS = 60
+_STILL = 0.001
 
 
 def solo_model(asset: ObjectAsset) -> mujoco.MjModel:
@@ -45,7 +46,8 @@ def settled_turn(asset: ObjectAsset) -> np.ndarray:
 def upright_turn(up: np.ndarray) -> np.ndarray:
     """f64[3, 3]: the smallest rotation that takes the direction `up`, f64[3], to the z axis."""
     axis = np.array([up[1], -up[0], 0.0])
-    sine, cosine = np.linalg.norm(axis), up[2]
+    sine = np.linalg.norm(axis)
+    cosine = up[2]
     if sine < 1e-12:
         return np.eye(3) if cosine > 0 else np.diag([1.0, -1.0, -1.0])
     quaternion = np.zeros(4)
@@ -68,7 +70,9 @@ def resting_poses(asset: ObjectAsset, seed: int = 0) -> tuple[RestingPose, ...]:
     groups: list[tuple[np.ndarray, list[int]]] = [(np.array([0.0, 0.0, 1.0]), [])]
     for row in releases.at_rest():
         up = releases.up(row)
-        near = [rows for first, rows in groups if np.arccos(np.clip(first @ up, -1, 1)) < _SAME_POSE]
+        near = [
+            rows for first, rows in groups if np.arccos(np.clip(first @ up, -1, 1)) < _SAME_POSE
+        ]
         near[0].append(row) if near else groups.append((up, [row]))
     own, *others = (rows for _, rows in groups)
     kept = [rows for rows in others if len(rows) >= _MIN_LIKELIHOOD * _RELEASES]
@@ -87,12 +91,18 @@ class _Releases:
 
     def __init__(self, asset: ObjectAsset, seed: int) -> None:
         self._batch = Batch(solo_model(asset), _RELEASES, nthread=1)
-        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._qpos = self._batch.bind("qpos")
+        self._qvel = self._batch.bind("qvel")
         self._num_steps = np.zeros(_RELEASES, int)
         quaternions = np.random.default_rng(seed).normal(size=(_RELEASES, 4))
         quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
         for row, quaternion in enumerate(quaternions):
-            self._qpos[row] = [0, 0, 0.002 - _lowest(asset, rotation_matrix(quaternion)), *quaternion]
+            self._qpos[row] = [
+                0,
+                0,
+                0.002 - _lowest(asset, rotation_matrix(quaternion)),
+                *quaternion,
+            ]
 
     def up(self, row: int) -> np.ndarray:
         """f64[3]: the world's up in the object's frame."""
@@ -108,7 +118,9 @@ class _Releases:
             is_still &= (np.abs(self._qpos[running, 3:] - before[:, 3:]) < _STILL).all(1)
             running = running[~is_still]
         is_sound = np.isfinite(self._qpos).all(1) & (self._qpos[:, 2] > 0)
-        return np.flatnonzero(is_sound & (np.linalg.norm(self._qvel[:, 3:], axis=1) < 0.05)).tolist()
+        return np.flatnonzero(
+            is_sound & (np.linalg.norm(self._qvel[:, 3:], axis=1) < 0.05)
+        ).tolist()
 
     def finish(self, rows: list[int]) -> None:
         """Simulates some to the end, after which what it creeps is told by its pose as well."""

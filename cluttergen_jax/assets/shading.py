@@ -47,14 +47,18 @@ def shade(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) -> 
     normals = Mesh(points, faces).normals
     area = np.linalg.norm(normals, axis=1)
     keep = area > 1e-14
-    faces, normals, area = faces[keep], normals[keep] / area[keep, None], area[keep]
+    faces = faces[keep]
+    normals = normals[keep] / area[keep, None]
+    area = area[keep]
     smooth = _smooth_normals(faces, normals, area, len(points), math.cos(crease))
     corner_uv = None if uv is None else np.asarray(uv, np.float32)[mesh.faces[keep].ravel()]
     # Equal normals at one vertex, with equal uv, become one vertex again.
     keys = [faces.ravel(), np.round(smooth * 1e4).astype(np.int64)]
     if corner_uv is not None:
         keys.append(np.round(corner_uv * 1e6).astype(np.int64))
-    _, first, index = np.unique(np.column_stack(keys), axis=0, return_index=True, return_inverse=True)
+    _, first, index = np.unique(
+        np.column_stack(keys), axis=0, return_index=True, return_inverse=True
+    )
     return Shaded(
         points[faces.ravel()[first]].astype(np.float32),
         smooth[first].astype(np.float32),
@@ -71,7 +75,8 @@ def _smooth_normals(
     owner = np.repeat(np.arange(len(faces)), 3)
     at = sparse.csr_array((np.ones(num), (np.arange(num), faces.ravel())), shape=(num, num_points))
     pairs = (at @ at.T).tocoo()
-    mine, other = pairs.coords[0], pairs.coords[1]
+    mine = pairs.coords[0]
+    other = pairs.coords[1]
     alike = (normals[owner[mine]] * normals[owner[other]]).sum(1) > least
     weight = area[owner[other]] * alike
     total = np.zeros((num, 3))

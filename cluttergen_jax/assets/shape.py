@@ -43,14 +43,18 @@ class Piece:
     baked_side: int = 0
 
     def __post_init__(self) -> None:
-        if self.colours is not None and (self.uv is not None or len(self.colours) != len(self.mesh.vertices)):
+        if self.colours is not None and (
+            self.uv is not None or len(self.colours) != len(self.mesh.vertices)
+        ):
             raise ValueError("colours beside an image, or not of every vertex")
         if (self.uv is None) != (self.texture is None):
             raise ValueError("a piece with a texture but no uv, or the other way round")
         if self.uv is not None:
             uv = np.asarray(self.uv, np.float32)
             if uv.shape != (len(self.mesh.vertices), 2) or not np.isfinite(uv).all():
-                raise ValueError(f"uv {uv.shape} of {len(self.mesh.vertices)} vertices, or not finite")
+                raise ValueError(
+                    f"uv {uv.shape} of {len(self.mesh.vertices)} vertices, or not finite"
+                )
             object.__setattr__(self, "uv", uv)
 
     def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Piece:
@@ -135,7 +139,9 @@ class Joint:
             return self
         x, y, z = body.center.tolist()
         xx, yy, zz, xy, xz, yz = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
-        return replace(self, mass=float(body.mass), center=(x, y, z), inertia=(xx, yy, zz, xy, xz, yz))
+        return replace(
+            self, mass=float(body.mass), center=(x, y, z), inertia=(xx, yy, zz, xy, xz, yz)
+        )
 
     @property
     def body(self) -> MassProperties | None:
@@ -160,11 +166,15 @@ class Joint:
         x, y, z = (scale * rotation @ self.anchor + translation).tolist()
         u, v, w = (rotation @ self.axis).tolist()
         limits = None if self.range is None else (factor * self.range[0], factor * self.range[1])
-        moved = replace(self, anchor=(x, y, z), axis=(u, v, w), value=factor * self.value, range=limits)
+        moved = replace(
+            self, anchor=(x, y, z), axis=(u, v, w), value=factor * self.value, range=limits
+        )
         if (body := self.body) is None:
             return moved
         placed = body.transform(scale * rotation, translation)
-        return moved.with_mass(replace(placed, mass=body.mass * mass, inertia=mass * placed.inertia))
+        return moved.with_mass(
+            replace(placed, mass=body.mass * mass, inertia=mass * placed.inertia)
+        )
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,13 @@ class Solid:
     """The space that an object takes."""
 
     mesh: Mesh  # Watertight and oriented outwards, without inner walls.
-    is_exact: bool  # Whether it is made of the object's own triangles; else it was rebuilt from a grid.
+    is_exact: (
+        bool  # Whether it is made of the object's own triangles; else it was rebuilt from a grid.
+    )
     surface: Mesh  # What was given: all triangles, welded.
-    components: tuple[Mesh, ...] = ()  # Closed surfaces whose union is `mesh`; none of rebuilt or fine ones.
+    components: tuple[
+        Mesh, ...
+    ] = ()  # Closed surfaces whose union is `mesh`; none of rebuilt or fine ones.
 
     @property
     def volume(self) -> float:
@@ -76,11 +80,17 @@ def solid_of(meshes: Sequence[Mesh]) -> Solid:
             "a surface that lies in a plane or on a line", "a mesh of an object with some thickness"
         )
     shells = _closed_shells(meshes) if len(meshes) <= _MAX_PIECES else []
-    united = _as_mesh(manifold3d.Manifold.batch_boolean(shells, manifold3d.OpType.Add)) if shells else None
+    united = (
+        _as_mesh(manifold3d.Manifold.batch_boolean(shells, manifold3d.OpType.Add))
+        if shells
+        else None
+    )
     is_exact = united is not None and _covers(united, surface)
     mesh = united if united is not None and is_exact else _rebuild(surface)
     if len(mesh.faces) == 0:
-        raise AssetError("a surface that encloses nothing", "a mesh of an object with some thickness")
+        raise AssetError(
+            "a surface that encloses nothing", "a mesh of an object with some thickness"
+        )
     is_plain = is_exact and sum(each.num_tri() for each in shells) <= _MOST_PLAIN
     solid = Solid(mesh, is_exact, surface, tuple(map(_as_mesh, shells)) if is_plain else ())
     if len(mesh.faces) <= _MAX_FACES:
@@ -193,7 +203,8 @@ def _rebuild(surface: Mesh, cells: int = 80) -> Mesh:
     is_out = (voxels.outside | skin)[tuple(near.T)]
     field[tuple(near.T)] = np.where(is_out, -distance, distance)
     value = _interpolator(field + offset, voxels)
-    lower, upper = voxels.origin, voxels.origin + (np.array(field.shape) - 1) * voxels.pitch
+    lower = voxels.origin
+    upper = voxels.origin + (np.array(field.shape) - 1) * voxels.pitch
     manifold = manifold3d.Manifold.level_set(value, [*lower, *upper], voxels.pitch)
     shells = [each for each in manifold.decompose() if each.volume() > 0]
     if not shells:
@@ -209,24 +220,40 @@ def _interpolator(field: np.ndarray, voxels: Voxels) -> Callable[[float, float, 
     """Trilinear interpolation in plain floats: called a million times, where NumPy would be slower."""
     flat = field.ravel().tolist()
     nx, ny, nz = field.shape
-    last_x, last_y, last_z = nx - 2, ny - 2, nz - 2
+    last_x = nx - 2
+    last_y = ny - 2
+    last_z = nz - 2
     around = (maximum_filter(field, 2, origin=-1), minimum_filter(field, 2, origin=-1))
     is_even = np.equal(*around).ravel().tolist()
-    (ox, oy, oz), pitch = voxels.origin.tolist(), voxels.pitch
+    (ox, oy, oz) = voxels.origin.tolist()
+    pitch = voxels.pitch
 
     def value(x: float, y: float, z: float) -> float:
-        x, y, z = (x - ox) / pitch, (y - oy) / pitch, (z - oz) / pitch
-        i, j, k = int(x), int(y), int(z)
+        x = (x - ox) / pitch
+        y = (y - oy) / pitch
+        z = (z - oz) / pitch
+        i = int(x)
+        j = int(y)
+        k = int(z)
         if not (0 <= i <= last_x and 0 <= j <= last_y and 0 <= k <= last_z):
-            i, j, k = min(max(i, 0), last_x), min(max(j, 0), last_y), min(max(k, 0), last_z)
+            i = min(max(i, 0), last_x)
+            j = min(max(j, 0), last_y)
+            k = min(max(k, 0), last_z)
         a = (i * ny + j) * nz + k
         if is_even[a]:
             return flat[a]
-        u, v, w = x - i, y - j, z - k
-        b, c = a + nz, a + ny * nz
+        u = x - i
+        v = y - j
+        w = z - k
+        b = a + nz
+        c = a + ny * nz
         d = c + nz
-        low = (flat[a] * (1 - w) + flat[a + 1] * w) * (1 - v) + (flat[b] * (1 - w) + flat[b + 1] * w) * v
-        high = (flat[c] * (1 - w) + flat[c + 1] * w) * (1 - v) + (flat[d] * (1 - w) + flat[d + 1] * w) * v
+        low = (flat[a] * (1 - w) + flat[a + 1] * w) * (1 - v) + (
+            flat[b] * (1 - w) + flat[b + 1] * w
+        ) * v
+        high = (flat[c] * (1 - w) + flat[c + 1] * w) * (1 - v) + (
+            flat[d] * (1 - w) + flat[d + 1] * w
+        ) * v
         return low * (1 - u) + high * u
 
     return value

@@ -29,7 +29,9 @@ class Stance:
 
     up: np.ndarray  # f64[3], unit: the direction of the body's frame that points up.
     tip: float  # Radians by which the body can be tilted, in the weakest direction, and comes back.
-    likelihood: float  # Share of all directions from which it rolls into this pose, if it rolls slowly.
+    likelihood: (
+        float  # Share of all directions from which it rolls into this pose, if it rolls slowly.
+    )
     height: float  # Metres from the plane to the highest point.
 
 
@@ -98,10 +100,13 @@ class _Faces:
         below = self.normals * self.heights[:, None]
         outside = np.empty((len(faces), 3))
         for k in range(3):
-            start, end = self.corners[:, k - 2], self.corners[:, k - 1]
+            start = self.corners[:, k - 2]
+            end = self.corners[:, k - 1]
             side = np.cross(end - start, self.normals)
             side *= np.sign((side * (start - self.corners[:, k])).sum(1))[:, None]
-            outside[:, k] = (side * (below - start)).sum(1) / np.maximum(np.linalg.norm(side, axis=1), 1e-30)
+            outside[:, k] = (side * (below - start)).sum(1) / np.maximum(
+                np.linalg.norm(side, axis=1), 1e-30
+            )
         worst = outside.argmax(1)
         to = self.neighbors[faces, worst]
         is_down = (outside[faces, worst] > 1e-9) & (self.heights[to] <= self.heights + 1e-12)
@@ -120,14 +125,16 @@ class _Faces:
 
     def rolls(self) -> csr_array:
         """f64[F, F], sparse: the cheapest ways between faces; of each step the centre's greatest height."""
-        here, there = np.repeat(np.arange(len(self.normals)), 3), self.neighbors.ravel()
+        here = np.repeat(np.arange(len(self.normals)), 3)
+        there = self.neighbors.ravel()
         start = np.roll(self.corners, -1, axis=1).reshape(-1, 3)
         end = np.roll(self.corners, -2, axis=1).reshape(-1, 3)
         along = (end - start) / np.maximum(np.linalg.norm(end - start, axis=1), 1e-30)[:, None]
         lever = start - (start * along).sum(1)[:, None] * along
         length = np.linalg.norm(lever, axis=1)
         lever /= np.maximum(length, 1e-30)[:, None]
-        normals, others = self.normals[here], self.normals[there]
+        normals = self.normals[here]
+        others = self.normals[there]
         turn = (normals * others).sum(1) - 1e-9
         is_over = ((lever * normals).sum(1) >= turn) & ((lever * others).sum(1) >= turn)
         highest = np.where(is_over, length, np.maximum(self.heights[here], self.heights[there]))

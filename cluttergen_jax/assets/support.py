@@ -14,7 +14,12 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.outline import Ring, outline_of_rectangles, ring_area
 from cluttergen_jax.assets.shape import Joint, Piece, Provenance
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.geometry import rectangle_corners, rotate_in_plane, rotation_matrix, transform_points
+from cluttergen_jax.geometry import (
+    rectangle_corners,
+    rotate_in_plane,
+    rotation_matrix,
+    transform_points,
+)
 
 _SMALLEST_AREA = 4e-4
 PART_RGBA = (0.72, 0.55, 0.38, 1.0)
@@ -120,7 +125,11 @@ class Surface:
     def lowest(self) -> float:
         """Metres: the height of its lowest point."""
         points = np.column_stack([self.polygon, np.zeros(len(self.polygon))])
-        return self.position[2] if self.is_level else float(transform_points(self.pose, points)[:, 2].min())
+        return (
+            self.position[2]
+            if self.is_level
+            else float(transform_points(self.pose, points)[:, 2].min())
+        )
 
     @property
     def pose(self) -> np.ndarray:
@@ -131,7 +140,8 @@ class Surface:
     def T_world_surface(self) -> np.ndarray:
         """f64[4, 4]."""
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = rotation_matrix(np.array(self.quaternion)), self.position
+        T[:3, :3] = rotation_matrix(np.array(self.quaternion))
+        T[:3, 3] = self.position
         return T
 
 
@@ -169,7 +179,9 @@ class SupportAsset:
         """All surfaces, the one used by default first. A flat top alone is called "top"."""
         if self.named:
             return self.named
-        level = [box for box in self.boxes if abs(box.center[2] + box.half_extents[2] - self.top) < LEVEL]
+        level = [
+            box for box in self.boxes if abs(box.center[2] + box.half_extents[2] - self.top) < LEVEL
+        ]
         tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level]
         outline, *holes = outline_of_rectangles([top.corners for top in tops or [self.region]])
         return (Surface("top", (0.0, 0.0, self.top), self.region, outline, tuple(holes)),)
@@ -324,7 +336,8 @@ def parse_polygon(text: str, support: SupportAsset) -> tuple[Ring, Rectangle]:
             raise ConfigError(f"region {text!r} of no area", form)
     yaw = support.region.yaw
     local = rotate_in_plane(ring, -yaw)
-    low, high = local.min(0), local.max(0)
+    low = local.min(0)
+    high = local.max(0)
     x, y = rotate_in_plane((low + high) / 2, yaw).tolist()
     half = ((high - low) / 2).tolist()
     return ring, Rectangle((x, y), (half[0], half[1]), yaw)
@@ -350,7 +363,9 @@ def parse_boxes(boxes: Sequence[Rectangle | str], argument: str) -> list[Rectang
       ConfigError: they are no sequence, or one of them is something else.
     """
     if isinstance(boxes, str | Rectangle):
-        raise ConfigError(f"{argument} = {boxes!r}", "a sequence of boxes", f"{argument}=[{boxes!r}]")
+        raise ConfigError(
+            f"{argument} = {boxes!r}", "a sequence of boxes", f"{argument}=[{boxes!r}]"
+        )
     return [parse_keep_out(box) if isinstance(box, str) else box for box in boxes]
 
 

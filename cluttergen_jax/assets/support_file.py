@@ -23,7 +23,14 @@ from cluttergen_jax.assets.object_files import NAME_PATTERN, read_bytes
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.pool import embedded_root, folders_with, user_root
 from cluttergen_jax.assets.shape import Joint, Piece, Provenance
-from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface, cuboid_table, parse_surfaces
+from cluttergen_jax.assets.support import (
+    Box,
+    Rectangle,
+    SupportAsset,
+    Surface,
+    cuboid_table,
+    parse_surfaces,
+)
 from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import ConfigError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside, read_regular
@@ -69,8 +76,12 @@ def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool 
             files[part_name(index)] = mesh_text(part.hull()).encode("ascii")
         for name, data in files.items():
             (fresh / name).write_bytes(data)
-        record = _record(support) | {"files": {name: digest_of(data) for name, data in files.items()}}
-        (fresh / _RECORD).write_text(json.dumps(with_checksum(record), indent=1) + "\n", encoding="utf-8")
+        record = _record(support) | {
+            "files": {name: digest_of(data) for name, data in files.items()}
+        }
+        (fresh / _RECORD).write_text(
+            json.dumps(with_checksum(record), indent=1) + "\n", encoding="utf-8"
+        )
     return folder
 
 
@@ -88,10 +99,18 @@ def read_support(folder: str | Path) -> SupportAsset:
         record = parse_json(data)
     except SchemaError as error:
         raise PoolError(f"{path} is {error}", hint=_REWRITE) from error
-    if not isinstance(record, dict) or record.get("format") not in (FORMAT, WITH_SURFACES, WITH_JOINTS):
-        raise PoolError(f"{path} is not a support of format {FORMAT} to {WITH_JOINTS}", hint=_REWRITE)
+    if not isinstance(record, dict) or record.get("format") not in (
+        FORMAT,
+        WITH_SURFACES,
+        WITH_JOINTS,
+    ):
+        raise PoolError(
+            f"{path} is not a support of format {FORMAT} to {WITH_JOINTS}", hint=_REWRITE
+        )
     if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
-        raise PoolError(f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'")
+        raise PoolError(
+            f"{path}: a support called {record.get('name')!r}", "names of a-z, 0-9, '_' and '-'"
+        )
     try:
         # A path that leads out of the folder is reported first, before any checksum.
         support = _support(convert(record, _Stored), Path(folder))
@@ -103,7 +122,9 @@ def read_support(folder: str | Path) -> SupportAsset:
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise PoolError(f"{path} cannot be understood: {error!r}", hint=_REWRITE) from error
     except OSError as error:
-        raise PoolError(f"{error.filename} cannot be read ({error.strerror})", hint=_REWRITE) from error
+        raise PoolError(
+            f"{error.filename} cannot be read ({error.strerror})", hint=_REWRITE
+        ) from error
 
 
 def support_hash(support: SupportAsset) -> str:
@@ -170,7 +191,9 @@ def find_support(name_or_path: str | Path) -> SupportAsset:
 def is_support(name_or_path: str | Path) -> bool:
     """Whether `find_support` would look at something called so, damaged or not."""
     name = str(name_or_path)
-    return bool(_SIZED.fullmatch(name)) or name in list_supports() or (Path(name) / _RECORD).is_file()
+    return (
+        bool(_SIZED.fullmatch(name)) or name in list_supports() or (Path(name) / _RECORD).is_file()
+    )
 
 
 def _round(value: Any) -> Any:
@@ -217,7 +240,9 @@ def _record(support: SupportAsset) -> dict[str, Any]:
 
 def _joint_record(joint: Joint) -> dict[str, Any]:
     """Its fields; those on masses and dynamics only where they are known."""
-    return {name: value for name, value in asdict(joint).items() if value is not None or name == "range"}
+    return {
+        name: value for name, value in asdict(joint).items() if value is not None or name == "range"
+    }
 
 
 def _surface_record(surface: Surface) -> dict[str, Any]:
@@ -266,11 +291,15 @@ def _support(record: _Stored, folder: Path) -> SupportAsset:
     numbers += [each for part in record.parts for point in part for each in point]
     for surface in record.surfaces:
         numbers += [*surface.position, *surface.region.center, *surface.region.half_extents]
-        numbers += [each for ring in (surface.outline, *surface.holes) for point in ring for each in point]
+        numbers += [
+            each for ring in (surface.outline, *surface.holes) for point in ring for each in point
+        ]
     if max(map(abs, (*numbers, *record.region.center, *record.region.half_extents))) > _FAR:
         faults.append(f"something is farther away than {_FAR:g} m")
     parts = [Mesh.points(np.array(part)) for part in record.parts]
-    faults += [f"part {number} has no volume" for number, part in enumerate(parts) if _is_flat(part)]
+    faults += [
+        f"part {number} has no volume" for number, part in enumerate(parts) if _is_flat(part)
+    ]
     if not record.boxes and not parts:
         faults.append("it has neither boxes nor parts")
     faults += _faults_of_surfaces(record.surfaces, record.surface)
@@ -296,14 +325,22 @@ def _faults_of_joints(record: _Stored) -> list[str]:
     for joint in record.joints:
         numbers = (*joint.anchor, joint.value, *(joint.range or ()))
         is_sound = max(map(abs, numbers)) <= _FAR and abs(math.hypot(*joint.axis) - 1) < 1e-5
-        groups = ((joint.pieces, record.pieces), (joint.boxes, record.boxes), (joint.parts, record.parts))
+        groups = (
+            (joint.pieces, record.pieces),
+            (joint.boxes, record.boxes),
+            (joint.parts, record.parts),
+        )
         is_sound &= all(0 <= each < len(known) for own, known in groups for each in own)
         is_sound &= -1 <= joint.parent < len(record.joints)
-        above, steps = joint.parent, 0
+        above = joint.parent
+        steps = 0
         while is_sound and 0 <= above < len(record.joints) and steps <= len(record.joints):
-            above, steps = record.joints[above].parent, steps + 1
+            above = record.joints[above].parent
+            steps = steps + 1
         is_sound &= steps <= len(record.joints)
-        amounts = [each for each in (joint.damping, joint.friction, joint.armature) if each is not None]
+        amounts = [
+            each for each in (joint.damping, joint.friction, joint.armature) if each is not None
+        ]
         is_sound &= min(amounts, default=0.0) >= 0 and (joint.mass is None or joint.mass > 0)
         low, high = joint.range or (-math.inf, math.inf)
         if not (is_sound and low - _HAIR <= joint.value <= high + _HAIR):
@@ -333,7 +370,9 @@ def _faults_of_surfaces(surfaces: list[Surface], chosen: str) -> list[str]:
         if surface.is_level and surface.position[:2] != (0.0, 0.0):
             faults.append(f"level surface {surface.name!r} has a frame of its own")
         if min(map(len, (surface.outline, *surface.holes))) < 3 or not surface.free_height > 0:
-            faults.append(f"surface {surface.name!r} has an outline of too few corners, or no room above it")
+            faults.append(
+                f"surface {surface.name!r} has an outline of too few corners, or no room above it"
+            )
     return faults
 
 

@@ -27,7 +27,9 @@ _LOWEST = -0.01
 
 def boxes_of(support: SupportAsset) -> np.ndarray:
     """f64[B, 7]: centre, half extents and yaw of all boxes; world frame, metres, radians."""
-    return np.array([(*box.center, *box.half_extents, box.yaw) for box in support.boxes], np.float64)
+    return np.array(
+        [(*box.center, *box.half_extents, box.yaw) for box in support.boxes], np.float64
+    )
 
 
 def top_boxes(boxes: np.ndarray, top: float) -> np.ndarray:
@@ -47,15 +49,18 @@ def ground_heights(boxes: np.ndarray, top: float) -> tuple[np.ndarray, np.ndarra
       begins, world x and y, metres; the side of a cell, metres.
     """
     corners = _corners(boxes)
-    low, high = corners.min(0), corners.max(0)
+    low = corners.min(0)
+    high = corners.max(0)
     cell = max(_CELL, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
     counts = np.ceil((high - low) / cell - 1e-4).astype(int)
     axes = [low[axis] + (np.arange(counts[axis]) + 0.5) * cell for axis in (0, 1)]
     x, y = np.meshgrid(*axes, indexing="ij")
     height = np.full(x.shape, VOID)
     for box in boxes:
-        cos, sin = np.cos(box[6]), np.sin(box[6])
-        along, across = cos * (x - box[0]) + sin * (y - box[1]), cos * (y - box[1]) - sin * (x - box[0])
+        cos = np.cos(box[6])
+        sin = np.sin(box[6])
+        along = cos * (x - box[0]) + sin * (y - box[1])
+        across = cos * (y - box[1]) - sin * (x - box[0])
         covers = (np.abs(along) <= box[3]) & (np.abs(across) <= box[4])
         height[covers] = np.maximum(height[covers], box[2] + box[5] - top)
     width = int(_NARROW_GAP / cell) + 1
@@ -104,7 +109,9 @@ _GRID = 41
 class TopBounds(NamedTuple):
     """Where a region's corners may lie: `lower` <= corner @ `axes` <= `upper`, world x and y, metres."""
 
-    axes: np.ndarray  # f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
+    axes: (
+        np.ndarray
+    )  # f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
     lower: np.ndarray
     upper: np.ndarray
 
@@ -119,8 +126,12 @@ def top_bounds_of(support: SupportAsset) -> TopBounds:
         rim = support.chosen.polygon @ axes
         return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
     heights = [box.center[2] + box.half_extents[2] for box in support.boxes]
-    level = [box for box, z in zip(support.boxes, heights, strict=True) if abs(z - support.top) < LEVEL]
-    tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes]
+    level = [
+        box for box, z in zip(support.boxes, heights, strict=True) if abs(z - support.top) < LEVEL
+    ]
+    tops = [
+        Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes
+    ]
     rim = np.concatenate([top.corners for top in tops]) @ axes
     return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
 
@@ -133,11 +144,16 @@ def rim_height(region: Rectangle, support: SupportAsset) -> float:
     along = np.linspace(-1, 1, _GRID)
     sides = [np.stack([along, np.full(_GRID, sign)], -1) for sign in (-1, 1)]
     rim = np.concatenate([*sides, *(side[:, ::-1] for side in sides)])
-    points = rotate_in_plane(rim * (np.array(region.half_extents) + _OUTSIDE), region.yaw) + region.center
+    points = (
+        rotate_in_plane(rim * (np.array(region.half_extents) + _OUTSIDE), region.yaw)
+        + region.center
+    )
     height = np.zeros(len(points))
     for x, y, z, *half, yaw in boxes_of(support):
         local = np.abs(rotate_in_plane(points - (x, y), -yaw))
-        height = np.maximum(height, np.where((local <= half[:2]).all(1), z + half[2] - support.top, 0.0))
+        height = np.maximum(
+            height, np.where((local <= half[:2]).all(1), z + half[2] - support.top, 0.0)
+        )
     return float(height.min())
 
 
@@ -158,7 +174,8 @@ def check_region(region: Rectangle, support: SupportAsset) -> None:
 
 
 def _rectangle_text(region: Rectangle) -> str:
-    (x, y), (half_x, half_y) = region.center, region.half_extents
+    (x, y) = region.center
+    (half_x, half_y) = region.half_extents
     turned = f", turned by {np.degrees(region.yaw):g} degrees" if region.yaw else ""
     return f"{2 * half_x:g} x {2 * half_y:g} m about ({x:g}, {y:g}){turned}"
 
@@ -214,7 +231,9 @@ _AROUND = 0.4
 _TOUCH = 0.002
 
 
-def surface_heights(support: SupportAsset, surface: Surface, finest: float = _CELL) -> SurfaceHeights:
+def surface_heights(
+    support: SupportAsset, surface: Surface, finest: float = _CELL
+) -> SurfaceHeights:
     """A surface's surroundings, by the support's collision, 40 cm beyond its outline.
 
     What reaches down to the surface, or to what stands on it, raises the ground; the rest hangs over it.
@@ -223,14 +242,17 @@ def surface_heights(support: SupportAsset, surface: Surface, finest: float = _CE
       finest: the smallest side of a cell, metres.
     """
     inverse = np.linalg.inv(surface.T_world_surface)
-    solids = [piece.mesh.transform(inverse[:3, :3], inverse[:3, 3]) for piece in collision_pieces(support)]
+    solids = [
+        piece.mesh.transform(inverse[:3, :3], inverse[:3, 3]) for piece in collision_pieces(support)
+    ]
     solids = [mesh for mesh in solids if mesh.bounds[1, 2] > _LOWEST]
     corners = np.concatenate([mesh.vertices[:, :2] for mesh in solids])
     low = np.maximum(corners.min(0), surface.polygon.min(0) - _AROUND)
     high = np.minimum(corners.max(0), surface.polygon.max(0) + _AROUND)
     cell = max(finest, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
     shape = np.ceil((high - low) / cell - 1e-4).astype(int)
-    ground, ceiling = np.full(shape, VOID), np.full(shape, np.inf)
+    ground = np.full(shape, VOID)
+    ceiling = np.full(shape, np.inf)
     spans = [_span(mesh, low, cell, shape) for mesh in solids]
     while True:
         before = ground.copy()
@@ -254,7 +276,8 @@ def _span(
     """Of a convex mesh the window of cells that it is over, and its lower and upper height in each."""
     first = np.clip(np.floor((mesh.bounds[0, :2] - origin) / cell).astype(int), 0, shape - 1)
     last = np.clip(np.ceil((mesh.bounds[1, :2] - origin) / cell).astype(int), first + 1, shape)
-    lower, upper = origin + cell * first, origin + cell * last
+    lower = origin + cell * first
+    upper = origin + cell * last
     over = look_down(mesh, lower, upper, last - first).height
     under = -look_down(
         mesh.transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3)), lower, upper, last - first
@@ -264,7 +287,10 @@ def _span(
 
 def free_height(heights: SurfaceHeights, region: Rectangle) -> float:
     """Metres from a surface up to the lowest thing over a region of it; inf under the open sky."""
-    x, y = (heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5) for k in (0, 1))
+    x, y = (
+        heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5)
+        for k in (0, 1)
+    )
     xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1) - region.center
     is_over = (np.abs(rotate_in_plane(xy, -region.yaw)) <= region.half_extents).all(-1)
     return float(heights.ceiling[is_over].min(initial=np.inf))
@@ -302,11 +328,14 @@ def look_down(mesh: Mesh, lower: np.ndarray, upper: np.ndarray, shape: np.ndarra
       shape: i[2], cells along x and y, at least one each.
     """
     cell = (upper - lower) / shape
-    height, is_level = np.full(shape, -np.inf), np.zeros(shape, bool)
+    height = np.full(shape, -np.inf)
+    is_level = np.zeros(shape, bool)
     level = level_faces(mesh)
     for face, window, over, is_hit in cells_below(mesh, lower, upper, shape):
         # Of two surfaces at the same height the level one counts: an edge must not hide a top.
-        above = (over > height[window] + 1e-6) | ((over > height[window] - 1e-6) & bool(level[face]))
+        above = (over > height[window] + 1e-6) | (
+            (over > height[window] - 1e-6) & bool(level[face])
+        )
         is_hit &= above
         height[window] = np.where(is_hit, np.maximum(over, height[window]), height[window])
         is_level[window] = np.where(is_hit, level[face], is_level[window])
@@ -336,11 +365,16 @@ def _cover(
     corners: np.ndarray, z: np.ndarray, first: np.ndarray, last: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The height of one triangle's plane, its corners in cells, over cells, and whose centres it covers."""
-    x, y = np.meshgrid(np.arange(first[0], last[0] + 1), np.arange(first[1], last[1] + 1), indexing="ij")
-    (bx, by), (cx, cy) = corners[1] - corners[0], corners[2] - corners[0]
-    px, py = x - corners[0, 0], y - corners[0, 1]
+    x, y = np.meshgrid(
+        np.arange(first[0], last[0] + 1), np.arange(first[1], last[1] + 1), indexing="ij"
+    )
+    (bx, by) = corners[1] - corners[0]
+    (cx, cy) = corners[2] - corners[0]
+    px = x - corners[0, 0]
+    py = y - corners[0, 1]
     area = bx * cy - by * cx
-    u, v = (px * cy - py * cx) / area, (bx * py - by * px) / area
+    u = (px * cy - py * cx) / area
+    v = (bx * py - by * px) / area
     over = z[0] + u * (z[1] - z[0]) + v * (z[2] - z[0])
     return over, (u >= -1e-6) & (v >= -1e-6) & (u + v <= 1 + 1e-6)
 
@@ -351,7 +385,8 @@ def largest_rectangle(mask: np.ndarray) -> Span:
     Row by row, the lengths of the True runs that end there form a histogram whose largest rectangle a stack
     finds in one pass. (0, 0, 0, 0) if nothing is True.
     """
-    best, best_area = (0, 0, 0, 0), 0
+    best = (0, 0, 0, 0)
+    best_area = 0
     run = np.zeros(mask.shape[1] + 1, int)
     for x, row in enumerate(mask):
         run[:-1] = np.where(row, run[:-1] + 1, 0)

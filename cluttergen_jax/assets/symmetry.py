@@ -25,9 +25,12 @@ _NUM_TURNED = 1000
 _SHARE_OF_SIZE = 0.04
 """Of the object's size: in `symmetries_of` a turned surface may lie off by so much, if that is less than
 `TOLERANCE`: small objects have small details."""
-_COLOUR_STEP, _SHARE_ALIKE = 0.12, 0.99
-"""Colours are alike if red, green and blue, in [0, 1], differ by less; so many points have to be alike."""
-_SAME_AXIS, _SAME_FRAME = np.cos(np.radians(10)), np.cos(np.radians(0.1))
+# Colours are alike if red, green and blue, in [0, 1], differ by less; so many points have to be alike.
+_COLOUR_STEP = 0.12
+_SHARE_ALIKE = 0.99
+
+_SAME_AXIS = np.cos(np.radians(10))
+_SAME_FRAME = np.cos(np.radians(0.1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +40,9 @@ class Symmetries:
     Any of them may be followed by any turn about one of the axes.
     """
 
-    axes: np.ndarray  # f64[A, 3], unit vectors: the axis of a body of revolution, or three of a ball.
+    axes: (
+        np.ndarray
+    )  # f64[A, 3], unit vectors: the axis of a body of revolution, or three of a ball.
     point: np.ndarray  # f64[3], metres: all axes go through it, and no motion moves it.
     motions: np.ndarray  # f64[M, 4, 4], metres; the one that moves nothing is left out.
 
@@ -51,7 +56,8 @@ def turn_symmetry(asset: ObjectAsset) -> int:
     surfaces = surfaces or [trimesh.convex.convex_hull(part.vertices) for part in asset.parts]
     surface = trimesh.util.concatenate(surfaces)
     dense, _ = trimesh.sample.sample_surface(surface, _NUM_POINTS, seed=0)
-    tree, sparse = cKDTree(dense), dense[: _NUM_POINTS // 20]
+    tree = cKDTree(dense)
+    sparse = dense[: _NUM_POINTS // 20]
     for order in _ORDERS:
         turned = (sparse @ turn_matrix(angle)[:3, :3].T for angle in _angles(order))
         if all(tree.query(points)[0].max() <= TOLERANCE for points in turned):
@@ -87,7 +93,9 @@ def symmetries_of(pieces: Sequence[Piece]) -> Symmetries:
         over = Rotation.from_rotvec(np.pi * _across(axes[0])).as_matrix()
         turns = [over] if test.has(over) else []
     else:
-        groups = sorted((group for frame in frames for group in _groups(frame)), key=len, reverse=True)
+        groups = sorted(
+            (group for frame in frames for group in _groups(frame)), key=len, reverse=True
+        )
         turns = next((group for group in groups if all(map(test.has, group))), [])
     return Symmetries(np.array(axes).reshape(-1, 3), middle, _motions(turns, middle))
 
@@ -111,18 +119,24 @@ class _Test:
     def __init__(self, pieces: Sequence[Piece], middle: np.ndarray) -> None:
         areas = np.array([np.linalg.norm(piece.mesh.normals, axis=1).sum() for piece in pieces])
         counts = np.ceil(_NUM_POINTS * areas / areas.sum()).astype(int).tolist()
-        samples = [coloured_points(piece, count, 0) for piece, count in zip(pieces, counts, strict=True)]
+        samples = [
+            coloured_points(piece, count, 0) for piece, count in zip(pieces, counts, strict=True)
+        ]
         points = np.concatenate([spots for spots, _ in samples]) - middle
         diameter = 2 * np.linalg.norm(points, axis=1).max()
         self._tolerance = min(TOLERANCE, _SHARE_OF_SIZE * diameter)
         # Colours as three more coordinates, so that the other side of a thin wall is not near.
         shades = np.concatenate([shades for _, shades in samples]) * self._tolerance / _COLOUR_STEP
-        self._tree, self._coloured = cKDTree(points), cKDTree(np.hstack([points, shades]))
+        self._tree = cKDTree(points)
+        self._coloured = cKDTree(np.hstack([points, shades]))
         rng = np.random.default_rng(0)
         some = rng.choice(len(points), _NUM_TURNED, replace=False)
-        self._points, self._shades = points[some], shades[some]
+        self._points = points[some]
+        self._shades = shades[some]
         # A small detail has few of the points, and vertices of its own.
-        vertices = np.unique(np.concatenate([piece.mesh.vertices for piece in pieces]) - middle, axis=0)
+        vertices = np.unique(
+            np.concatenate([piece.mesh.vertices for piece in pieces]) - middle, axis=0
+        )
         self._vertices = vertices[rng.permutation(len(vertices))[:_NUM_TURNED]]
 
     def has(self, turn: np.ndarray) -> bool:
@@ -131,14 +145,18 @@ class _Test:
         moved = np.concatenate([turned, self._vertices @ turn.T])
         if not self._is_near(self._tree, moved).all():
             return False
-        return bool(self._is_near(self._coloured, np.hstack([turned, self._shades])).mean() >= _SHARE_ALIKE)
+        return bool(
+            self._is_near(self._coloured, np.hstack([turned, self._shades])).mean() >= _SHARE_ALIKE
+        )
 
     def _is_near(self, tree: cKDTree, points: np.ndarray) -> np.ndarray:
         return np.isfinite(tree.query(points, distance_upper_bound=self._tolerance)[0])
 
     def is_round(self, axis: np.ndarray) -> bool:
         """Whether no turn about the axis f64[3] changes anything."""
-        return all(self.has(Rotation.from_rotvec(angle * axis).as_matrix()) for angle in _angles(ROUND))
+        return all(
+            self.has(Rotation.from_rotvec(angle * axis).as_matrix()) for angle in _angles(ROUND)
+        )
 
 
 def _distinct(axes: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -173,5 +191,6 @@ def _motions(turns: Sequence[np.ndarray], middle: np.ndarray) -> np.ndarray:
     """f64[M, 4, 4]: the turns about a point."""
     motions = np.tile(np.eye(4), (len(turns), 1, 1))
     for motion, turn in zip(motions, turns, strict=True):
-        motion[:3, :3], motion[:3, 3] = turn, middle - turn @ middle
+        motion[:3, :3] = turn
+        motion[:3, 3] = middle - turn @ middle
     return motions

@@ -35,7 +35,13 @@ class Texture:
             # A JPEG file can be read at a fraction of its size.
             image.draft("RGB", (max_side, max_side))
             pixels = image.convert("RGB")
-        except (OSError, ValueError, SyntaxError, MemoryError, Image.DecompressionBombError) as error:
+        except (
+            OSError,
+            ValueError,
+            SyntaxError,
+            MemoryError,
+            Image.DecompressionBombError,
+        ) as error:
             raise AssetError(f"an image that cannot be decoded ({error})") from error
         pixels.thumbnail((max_side, max_side), Image.Resampling.LANCZOS)
         buffer = io.BytesIO()

@@ -35,9 +35,11 @@ _LEAD = 0.9
 _STEADY = np.radians(10)
 _AUTHORED = np.cos(np.radians(8))
 _CELLS = 36
-_NUM_POINTS, _NUM_TURNED = 6000, 400
+_NUM_POINTS = 6000
+_NUM_TURNED = 400
 # Shares of the object's size: how far a surface may lie off its mirror image, and how thick the base is.
-_ALIKE, _BASE = 0.03, 0.01
+_ALIKE = 0.03
+_BASE = 0.01
 _PLANES = np.radians(np.arange(0, 180, 3))
 _TURNS = np.radians([90, 180])
 
@@ -71,9 +73,11 @@ class _Look:
     """An object as it looks from its poses; points are about the centre of mass."""
 
     def __init__(self, solid: Solid, center: np.ndarray) -> None:
-        self._mesh, self._is_convex = solid.mesh.transform(np.eye(3), -center), solid.is_convex
+        self._mesh = solid.mesh.transform(np.eye(3), -center)
+        self._is_convex = solid.is_convex
         hull = ConvexHull(self._mesh.vertices)
-        self._corners, self._volume = hull.points[hull.vertices], float(hull.volume)
+        self._corners = hull.points[hull.vertices]
+        self._volume = float(hull.volume)
         self._points = sample_faces(self._mesh, _NUM_POINTS, 0)[0]
         self._tree = cKDTree(self._points)
         self._sides = np.sort(_sides(self._corners))
@@ -135,7 +139,8 @@ class _Look:
 
 def _base(corners: np.ndarray, below: float) -> float:
     """The area around the corners lower than `below`, over that of the shadow."""
-    base, shadow = hull_of(corners[corners[:, 2] < below, :2]), hull_of(corners[:, :2])
+    base = hull_of(corners[corners[:, 2] < below, :2])
+    shadow = hull_of(corners[:, :2])
     return 0.0 if base is None or shadow is None else float(base.volume / shadow.volume)
 
 

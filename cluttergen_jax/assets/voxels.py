@@ -19,8 +19,12 @@ class Voxels:
     origin: np.ndarray  # f64[3], centre of cell (0, 0, 0), metres.
     pitch: float  # Side of a cell, metres.
     surface: np.ndarray  # bool[X, Y, Z], cells that the surface passes through.
-    outside: np.ndarray  # bool[X, Y, Z], cells that can be reached from outside without crossing the surface.
-    samples: np.ndarray  # f64[N, 3], points of the surface; every point of it is within 0.47 cells of one.
+    outside: (
+        np.ndarray
+    )  # bool[X, Y, Z], cells that can be reached from outside without crossing the surface.
+    samples: (
+        np.ndarray
+    )  # f64[N, 3], points of the surface; every point of it is within 0.47 cells of one.
 
     @staticmethod
     def of(mesh: Mesh, cells: int = 72) -> Voxels:
@@ -87,12 +91,14 @@ def scan_lines(mesh: Mesh, line_spacing: float, spacing: float) -> np.ndarray:
     edges = np.roll(corners, -1, axis=1) - corners
     longest = np.linalg.norm(edges, axis=2).argmax(1)
     rows = np.arange(len(corners))
-    start, along = corners[rows, longest], edges[rows, longest]
+    start = corners[rows, longest]
+    along = edges[rows, longest]
     apex = corners[rows, (longest + 2) % 3] - start
     length = np.linalg.norm(along, axis=1)
     height = np.linalg.norm(np.cross(along, apex), axis=1) / np.maximum(length, 1e-12)
     which, share = _steps(height, line_spacing)
-    start, along = start[which] + apex[which] * share[:, None], along[which] * (1 - share)[:, None]
+    start = start[which] + apex[which] * share[:, None]
+    along = along[which] * (1 - share)[:, None]
     which, share = _steps(length[which] * (1 - share), spacing)
     return start[which] + along[which] * share[:, None]
 

@@ -40,12 +40,20 @@ COMMANDS = {
     "doctor": "Show versions, devices, renderers and extras.",
 }
 """What each command is for: the first line of its class's docstring."""
-_MODULES = {"import": "import_", "inspect": "inspect_", "list": "list_", "pull": "hub", "push": "hub"}
+_MODULES = {
+    "import": "import_",
+    "inspect": "inspect_",
+    "list": "list_",
+    "pull": "hub",
+    "push": "hub",
+}
 
 
 def load(name: str) -> Any:
     """The class of a command, whose fields are the options; importing it imports no JAX and no MuJoCo."""
-    return getattr(import_module(f"cluttergen_jax.cli.{_MODULES.get(name, name)}"), name.capitalize())
+    return getattr(
+        import_module(f"cluttergen_jax.cli.{_MODULES.get(name, name)}"), name.capitalize()
+    )
 
 
 def all_commands() -> Any:

@@ -56,14 +56,20 @@ class Doctor:
 
         from cluttergen_jax.rendering.gl import renderer_status
 
-        print(f"python     {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores")
+        print(
+            f"python     {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
+        )
         for name in _CORE:
             print(f"{name:<15}{_version(name)}")
         print(f"devices    {', '.join(str(device) for device in jax.devices())}")
         print(f"rendering  {renderer_status()[1]}")
         for extra, modules in _EXTRAS.items():
             missing = [each for each in modules.split() if importlib.util.find_spec(each) is None]
-            state = "missing" if len(modules.split()) == len(missing) else f"{', '.join(missing)} missing"
+            state = (
+                "missing"
+                if len(modules.split()) == len(missing)
+                else f"{', '.join(missing)} missing"
+            )
             hint = f"{state}: pip install 'cluttergen_jax[{extra}]'" if missing else "installed"
             print(f"extra {extra:<11}{hint}")
         return 0

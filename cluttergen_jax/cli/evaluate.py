@@ -25,7 +25,9 @@ class Evaluate(Options):
     def run(self) -> int:
         if self.suite is None:
             is_downstream = self.heads or self.num_pairs is not None or self.bank is not None
-            hint = "--suite downstream" if is_downstream else "--suite paper, extended or downstream"
+            hint = (
+                "--suite downstream" if is_downstream else "--suite paper, extended or downstream"
+            )
             out = self.out or "out/evaluation"
             found = self.call(evaluate, "without a suite", hint, out=out)
             print(found.table.markdown(), flush=True)
@@ -35,9 +37,14 @@ class Evaluate(Options):
 
         hint = "leaving it out: each study has its own"
         results = self.call(
-            evaluate_suite, "with a suite", hint, show=lambda result: print(markdown(result), flush=True)
+            evaluate_suite,
+            "with a suite",
+            hint,
+            show=lambda result: print(markdown(result), flush=True),
         )
-        print(f"done       {len(results)} studies in {self.out or suite_folder(self.suite, self.quick)}")
+        print(
+            f"done       {len(results)} studies in {self.out or suite_folder(self.suite, self.quick)}"
+        )
         return _status(num_failed(results))
 
 

@@ -26,5 +26,7 @@ class Export(Options):
 
         folder = self.call(export)
         scenes = json.loads((folder / MANIFEST).read_text())["scenes"]
-        print(f"{len(scenes)} scenes in {folder}: open with {(FORMATS | BANK_FORMATS)[self.format].opens_in}")
+        print(
+            f"{len(scenes)} scenes in {folder}: open with {(FORMATS | BANK_FORMATS)[self.format].opens_in}"
+        )
         return 0

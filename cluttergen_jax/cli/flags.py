@@ -37,11 +37,13 @@ def error_with_flags(error: ClutterGenError, command: Any) -> str:
     Args:
       command: an instance, with its options as they were given.
     """
-    kind, text = type(command), str(error)
+    kind = type(command)
+    text = str(error)
     flags = {name: _flag_name(name) for name in options_of(kind)}
     given = with_flags(error.given, kind)
     for field in dataclasses.fields(command):
-        value, name = getattr(command, field.name), flags.get(field.name)
+        value = getattr(command, field.name)
+        name = flags.get(field.name)
         if name is None or field.default is dataclasses.MISSING or value != field.default:
             continue
 

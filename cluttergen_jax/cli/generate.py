@@ -25,5 +25,7 @@ class Generate(Options):
     """
 
     def run(self) -> int:
-        print(with_flags(str(self.call(generate, only_changed=self.layout is not None)), type(self)))
+        print(
+            with_flags(str(self.call(generate, only_changed=self.layout is not None)), type(self))
+        )
         return 0

@@ -40,7 +40,9 @@ class Import(Options):
             return self._import_support()
         if self.pool is None or self.name is not None:
             raise ConfigError(
-                "import with neither --pool nor --support" if self.pool is None else "--name with --pool",
+                "import with neither --pool nor --support"
+                if self.pool is None
+                else "--name with --pool",
                 "SOURCES --pool NAME for objects, or --support FILE [--name NAME] for a table",
             )
         report = self.call(import_pool)
@@ -49,7 +51,9 @@ class Import(Options):
 
     def _import_support(self) -> int:
         if self.sources or self.pool is not None:
-            raise ConfigError("--support together with sources or --pool", "one of them", "two commands")
+            raise ConfigError(
+                "--support together with sources or --pool", "one of them", "two commands"
+            )
         from cluttergen_jax.assets.support_file import user_supports
 
         ignored = ("decomposition", "jobs", "time_limit", "progress", "cluster", "workers")
@@ -120,7 +124,8 @@ def print_report(report: ImportReport, command: Any) -> None:
         print(f"{len(report.failures)} failed:", file=sys.stderr)
         for failure in report.failures:
             # A source that could not be found is named in its reason already.
-            is_named, reason = failure.reason.startswith(failure.name), with_flags(failure.reason, command)
+            is_named = failure.reason.startswith(failure.name)
+            reason = with_flags(failure.reason, command)
             print(f"  {reason if is_named else f'{failure.name}: {reason}'}", file=sys.stderr)
 
 
@@ -164,9 +169,13 @@ def left_out_text(left_out: Sequence[LeftOut]) -> str:
         return ""
     lines = [f"{len(left_out)} left out, as no objects for a table:"]
     for reason in dict.fromkeys(each.reason for each in left_out):
-        lines.append(f"  {reason}: {_names_text([each for each in left_out if each.reason == reason])}")
+        lines.append(
+            f"  {reason}: {_names_text([each for each in left_out if each.reason == reason])}"
+        )
     one = f"[{_one_of(left_out)!r}] take = true"
-    return "\n".join([*lines, f"  (`take_all` takes them all; objects.toml takes one of them: {one})", ""])
+    return "\n".join(
+        [*lines, f"  (`take_all` takes them all; objects.toml takes one of them: {one})", ""]
+    )
 
 
 def _one_of(left_out: Sequence[LeftOut]) -> str:

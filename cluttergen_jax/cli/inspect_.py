@@ -32,7 +32,9 @@ class Inspect:
     """
 
     pool: tyro.conf.Positional[str]
-    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="(optional)")] = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="(optional)")] = (
+        None
+    )
     objects: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     columns: int = 4
@@ -60,7 +62,9 @@ class Inspect:
         is_page = self.out is not None and self.out.suffix == ".html"
         if is_page and self.grasps:
             raise ConfigError("--grasps with an HTML page", "a PNG file", f"--out {self.pool}.png")
-        print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")
+        print(
+            f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}"
+        )
         print(pool_table(objects))
         if self.grasps:
             from cluttergen_jax.downstream.robot.api import robot_grasps
@@ -132,4 +136,6 @@ def surface_table(support: SupportAsset) -> str:
             )
         )
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return "\n".join("  ".join(t.ljust(w) for t, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+    return "\n".join(
+        "  ".join(t.ljust(w) for t, w in zip(row, widths, strict=True)).rstrip() for row in rows
+    )

@@ -36,7 +36,9 @@ class List:
         print("supports")
         for name in list_supports():
             print(f"  {name}")
-        print("  table-WxD[xH] is a cuboid of that size in metres, such as table-0.40x0.50; bin-WxD[xH],")
+        print(
+            "  table-WxD[xH] is a cuboid of that size in metres, such as table-0.40x0.50; bin-WxD[xH],"
+        )
         print(
             "  tote-WxD[xH] and tray-WxD[xH] are containers of that size inside, such as bin-0.50x0.30x0.20"
         )

@@ -86,7 +86,8 @@ def main(args: Sequence[str] | None = None) -> int:
         return 0 if name else 2
     is_completion = name.startswith("--tyro-")
     if not (is_completion or name in COMMANDS):
-        given, meant = f"no command is called {name!r}", closest(name, COMMANDS)
+        given = f"no command is called {name!r}"
+        meant = closest(name, COMMANDS)
         error = ConfigError(given, ", ".join(COMMANDS), "cluttergen --help", meant)
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -180,7 +181,9 @@ def watch_signals(usual: Callable[..., Any]) -> None:
             for number in os.read(reads, 64):
                 if number in (signal.SIGINT, signal.SIGTERM):
                     count += 1
-                    threading.Thread(target=_end_late, args=(number, count, usual), daemon=True).start()
+                    threading.Thread(
+                        target=_end_late, args=(number, count, usual), daemon=True
+                    ).start()
 
     threading.Thread(target=watch, daemon=True).start()
 

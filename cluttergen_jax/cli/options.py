@@ -88,14 +88,22 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
             for name, parameter in inspect.signature(function).parameters.items():
                 if name not in fields and name not in _NO_OPTIONS:
                     kind = kinds.get(name) or _as_given(_annotation(parameter, function))
-                    is_needed = all(name in inspect.signature(each).parameters for each in functions)
+                    is_needed = all(
+                        name in inspect.signature(each).parameters for each in functions
+                    )
                     fields[name] = (name, kind, _default(parameter.default, kind, is_needed))
         for name in kinds.keys() - fields.keys():
             fields[name] = (name, kinds[name], dataclasses.field(default=False))
         # A dataclass has fields without a default first.
-        ordered = sorted(fields.values(), key=lambda field: field[2].default is not dataclasses.MISSING)
+        ordered = sorted(
+            fields.values(), key=lambda field: field[2].default is not dataclasses.MISSING
+        )
         made = dataclasses.make_dataclass(
-            command.__name__, ordered, bases=(command,), frozen=True, namespace={"__doc__": command.__doc__}
+            command.__name__,
+            ordered,
+            bases=(command,),
+            frozen=True,
+            namespace={"__doc__": command.__doc__},
         )
         for field in dataclasses.fields(made):
             if field.name not in docs:
@@ -124,7 +132,11 @@ def _docs(function: Callable[..., Any]) -> dict[str, str]:
     """What a docstring says of each argument."""
     own = parse(function.__doc__ or "").params
     # What a function says of an argument of its own, else what the request says of its fields.
-    params = [*parse(spec.SceneSpec.__doc__ or "").params, *own] if hasattr(function, "spec_fields") else own
+    params = (
+        [*parse(spec.SceneSpec.__doc__ or "").params, *own]
+        if hasattr(function, "spec_fields")
+        else own
+    )
     return {name: each.description or "" for each in params for name in each.arg_name.split(", ")}
 
 
@@ -137,7 +149,9 @@ def _as_given(kind: Any) -> Any:
             return str | None if optional else str
         # A config of its defaults is what None stands for.
         return others[0] if dataclasses.is_dataclass(others[0]) else kind
-    return types.GenericAlias(tuple, (*get_args(kind), ...)) if get_origin(kind) is Sequence else kind
+    return (
+        types.GenericAlias(tuple, (*get_args(kind), ...)) if get_origin(kind) is Sequence else kind
+    )
 
 
 def _metavar(kind: Any) -> str | None:

@@ -8,7 +8,11 @@ from typing import Annotated
 import tyro
 
 from cluttergen_jax.cli.options import Options, options_from
-from cluttergen_jax.downstream.perception.api import perception_data, perception_eval, perception_train
+from cluttergen_jax.downstream.perception.api import (
+    perception_data,
+    perception_eval,
+    perception_train,
+)
 
 
 @options_from(perception_data)

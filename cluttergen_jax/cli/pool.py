@@ -58,7 +58,9 @@ class Pool:
 
             for name in self.names:
                 pool = find_pool(name)
-                chosen = chosen_names(pool.facts, self.objects, name) if self.objects else pool.names
+                chosen = (
+                    chosen_names(pool.facts, self.objects, name) if self.objects else pool.names
+                )
                 _show(pool, chosen, self.page)
         else:
             _remove(self.names)
@@ -95,7 +97,9 @@ def _show(pool: pools.Pool, chosen: Sequence[str], page: int) -> None:
     rows = [_HEADER, *(_row(asset) for asset in objects)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADER))]
     for row in rows:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        print(
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        )
     for line in (*_flags(objects), *_credits(objects)):
         print(line)
     if pages > 1:
@@ -116,7 +120,11 @@ def _flags(objects: Sequence[ObjectAsset]) -> Iterator[str]:
 
 def _credits(objects: Sequence[ObjectAsset]) -> list[str]:
     """Each attribution that a licence asks for, once."""
-    return [f"  {each}" for each in dict.fromkeys(asset.provenance.attribution for asset in objects) if each]
+    return [
+        f"  {each}"
+        for each in dict.fromkeys(asset.provenance.attribution for asset in objects)
+        if each
+    ]
 
 
 def _remove(names: Sequence[str]) -> None:
@@ -144,10 +152,13 @@ def _pose(words: Sequence[str]) -> None:
     pool, name, *number = words
     if number:
         asset = set_pose(pool, name, int(number[0]))
-        tall, rate = 2000 * asset.half_extents[2], 100 * (asset.quality.solo_rate or 0.0)
+        tall = 2000 * asset.half_extents[2]
+        rate = 100 * (asset.quality.solo_rate or 0.0)
         print(f"{name} now stands so: {tall:.0f} mm tall, stable in {rate:.1f} % of trials")
         print("\n".join(f"  ! {flag}" for flag in asset.flags), end="\n" if asset.flags else "")
-    print(aligned_table(_POSES, [_pose_row(k, each) for k, each in enumerate(pool_poses(pool, name))]))
+    print(
+        aligned_table(_POSES, [_pose_row(k, each) for k, each in enumerate(pool_poses(pool, name))])
+    )
 
 
 def _pose_row(number: int, each: Pose) -> tuple[str, ...]:

@@ -25,11 +25,16 @@ class Train(Options):
             self.call(train, "without a suite", "--suite paper")
             return 0
         if self.coordinator is not None:
-            raise ConfigError("a suite on several processes", "one run at a time there", "--suite-list")
+            raise ConfigError(
+                "a suite on several processes", "one run at a time there", "--suite-list"
+            )
         hint = "leaving it out: each run has its own"
         report = self.call(train_suite, "with a suite", hint, ignored=_OF_PROCESSES)
         for name, error in report.failed.items():
             print(f"error: {name}: {with_flags(error, type(self))}", file=sys.stderr)
         if report.failed:
-            print(f"failed: {', '.join(report.failed)}; the same command tries them again", file=sys.stderr)
+            print(
+                f"failed: {', '.join(report.failed)}; the same command tries them again",
+                file=sys.stderr,
+            )
         return 1 if report.failed else 0

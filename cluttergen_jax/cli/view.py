@@ -21,7 +21,9 @@ from cluttergen_jax.cli.options import Options, options_from
     keep_out=tuple[str, ...],
     place=Annotated[
         bool,
-        arg(help="place objects by hand (by default of dining, on the paper's table), and keep the scenes."),
+        arg(
+            help="place objects by hand (by default of dining, on the paper's table), and keep the scenes."
+        ),
     ],
 )
 class View(Options):

@@ -32,9 +32,13 @@ class StableScenes(NamedTuple):
     def read(cls, bank: Bank) -> StableScenes:
         """All of a bank. Raises BankError: there is none."""
         columns = ("index", "is_success", "object_index", "poses")
-        rows = [row for table in bank.tables(columns) for row in table.to_pylist() if row["is_success"]]
+        rows = [
+            row for table in bank.tables(columns) for row in table.to_pylist() if row["is_success"]
+        ]
         if not rows:
-            raise BankError(f"{bank.path}: none of its scenes stands", "one that does or more", "more scenes")
+            raise BankError(
+                f"{bank.path}: none of its scenes stands", "one that does or more", "more scenes"
+            )
         number, objects, poses = (
             np.array([row[name] for row in rows]) for name in (columns[0], *columns[2:])
         )
@@ -61,7 +65,9 @@ def bank_or_made(
         return make()
     for name, value in zip(names.split(), given, strict=True):
         if value is not None:
-            raise ConfigError(f"`{name}` together with `bank`", "one or the other", f"leaving out `{name}`")
+            raise ConfigError(
+                f"`{name}` together with `bank`", "one or the other", f"leaving out `{name}`"
+            )
     return read_bank(bank)
 
 

@@ -34,7 +34,8 @@ def numbers_of(table: pa.Table, name: str) -> np.ndarray:
     Raises:
       SchemaError: a value is missing.
     """
-    values, last = table[name].combine_chunks(), list[int]()
+    values = table[name].combine_chunks()
+    last = list[int]()
     while True:
         if values.null_count:
             raise SchemaError(f"{name!r} lacks a value")
@@ -62,4 +63,6 @@ def faults_of(table: pa.Table, lengths: Mapping[str, np.ndarray], *poses: np.nda
         if not np.array_equal(lengths_of(table, name), length)
     ]
     turns = np.concatenate([np.linalg.norm(each[:, 3:], axis=1) for each in poses])
-    return faults + ["a quaternion is not of length 1"] * bool(np.abs(turns - 1).max(initial=0) > _UNIT)
+    return faults + ["a quaternion is not of length 1"] * bool(
+        np.abs(turns - 1).max(initial=0) > _UNIT
+    )

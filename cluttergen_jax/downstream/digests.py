@@ -22,7 +22,9 @@ def constants_hash(*modules: ModuleType, **others: Any) -> str:
     last digits of a cosine otherwise: twelve count.
     """
     fixed = [(name, value) for module in modules for name, value in vars(module).items()]
-    named = [(name, value) for name, value in fixed if _CONSTANT.fullmatch(name)] + list(others.items())
+    named = [(name, value) for name, value in fixed if _CONSTANT.fullmatch(name)] + list(
+        others.items()
+    )
     plain = ((name, _plain(value)) for name, value in named)
     known = {json.dumps([name, value]) for name, value in plain if value is not _SKIPPED}
     return json_digest(sorted(known))

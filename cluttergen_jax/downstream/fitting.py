@@ -70,11 +70,16 @@ def config_of(kind: Any, record: Mapping[str, Any], path: Path, hint: str) -> An
     try:
         sizes = {each.name: record["network"][each.name] for each in fields(kind)}
         return kind(
-            **{key: tuple(value) if isinstance(value, list) else value for key, value in sizes.items()}
+            **{
+                key: tuple(value) if isinstance(value, list) else value
+                for key, value in sizes.items()
+            }
         )
     except (TypeError, KeyError) as error:
         place = path / "record.json"
-        raise PoolError(f"{place} does not say what network it holds ({error})", hint=hint) from error
+        raise PoolError(
+            f"{place} does not say what network it holds ({error})", hint=hint
+        ) from error
 
 
 @dataclass(frozen=True)
@@ -175,7 +180,10 @@ class Fit:
         optimizer = self.config.optimizer(self.num_steps)
         change, moments = optimizer.update(slope, state.optimizer, state.params)
         params = optax.apply_updates(state.params, change)
-        return state.replace(params=params, optimizer=moments, step=state.step + 1), {"loss": loss, **parts}
+        return state.replace(params=params, optimizer=moments, step=state.step + 1), {
+            "loss": loss,
+            **parts,
+        }
 
     def loss(self, params: Any, examples: Any) -> Array:
         """f32: the loss on examples that nothing is learned from."""
@@ -189,7 +197,9 @@ def in_parts(call: Callable[[Any], Any], examples: Any, size: int) -> Iterator[A
     """
     number = num_examples(examples)
     for first in range(0, number, size):
-        made = jax.device_get(call(take(examples, np.minimum(np.arange(first, first + size), number - 1))))
+        made = jax.device_get(
+            call(take(examples, np.minimum(np.arange(first, first + size), number - 1)))
+        )
         yield take(made, np.arange(min(size, number - first)))
 
 
@@ -243,7 +253,10 @@ class FitRun(ABC):
         folder: Path,
         show: Callable[[str], None] = print,
     ) -> None:
-        self.learner, self.config, self.folder, self._show = learner, config, folder, show
+        self.learner = learner
+        self.config = config
+        self.folder = folder
+        self._show = show
         self.recipe = {"network": asdict(learner.config), "fit": asdict(config), **recipe}
         checkpoint.check_folder(folder, self.recipe)
 
@@ -257,7 +270,8 @@ class FitRun(ABC):
 
     def store(self, state: FitState, validation: Mapping[str, object], **more: object) -> Path:
         """Stores the best weights; validation: what they were worth besides the loss; more: of the record."""
-        folder, names = self.folder / self.kind, ("cluttergen_jax", "mujoco", "jax", "flax")
+        folder = self.folder / self.kind
+        names = ("cluttergen_jax", "mujoco", "jax", "flax")
         record = {
             "kind": self.kind,
             **self.recipe,
@@ -327,7 +341,9 @@ class FitRun(ABC):
         if not (place / "record.json").is_file():
             return False
         record = checkpoint.read_record(place)
-        return all(record.get(name) == value for name, value in json.loads(json.dumps(self.recipe)).items())
+        return all(
+            record.get(name) == value for name, value in json.loads(json.dumps(self.recipe)).items()
+        )
 
     def _load_or_start(self, fit: Fit) -> FitState:
         state: FitState = _start(fit)
@@ -340,10 +356,12 @@ class FitRun(ABC):
     def _learn(
         self, fit: Fit, state: FitState, examples: Any, held_out: Any, interrupt: Interrupt
     ) -> FitState:
-        batches, first = fit.num_steps // self.config.num_epochs, int(state.step)
+        batches = fit.num_steps // self.config.num_epochs
+        first = int(state.step)
         log = MetricsLog(self.folder / "metrics.csv", first // batches)
         seen: list[dict[str, Array]] = []
-        saved, note = time.monotonic(), ""
+        saved = time.monotonic()
+        note = ""
         with Progress("learning", fit.num_steps, "step", kept=first) as progress:
             progress.say(COMPILING)
             for number in range(first, fit.num_steps):
@@ -354,7 +372,9 @@ class FitRun(ABC):
                 state, parts = call(fit, state, take(examples, index))
                 seen.append(parts)
                 if (number + 1) % batches == 0:
-                    state, note = self._end_epoch(fit, state, held_out, seen, log, number // batches)
+                    state, note = self._end_epoch(
+                        fit, state, held_out, seen, log, number // batches
+                    )
                     seen = []
                 progress.update(note=note)
                 if time.monotonic() - saved > _SAVE_EVERY:
@@ -375,7 +395,9 @@ class FitRun(ABC):
         row = {name: float(np.mean([float(each[name]) for each in seen])) for name in seen[0]}
         parts = list(self.batches_of(held_out))
         weights = [num_examples(part) for part in parts]
-        found = float(np.average([float(_loss(fit, state.params, part)) for part in parts], weights=weights))
+        found = float(
+            np.average([float(_loss(fit, state.params, part)) for part in parts], weights=weights)
+        )
         log.add({"update": epoch, **row, "val_loss": found})
         if not np.isfinite([found, row["loss"]]).all():
             told = f"loss {row['loss']:g}, validation {found:g}"
@@ -397,6 +419,7 @@ class FitRun(ABC):
 
     def batches_of(self, examples: Any) -> Iterator[Any]:
         """The examples in parts of at most a batch."""
-        number, size = num_examples(examples), self.config.batch_size
+        number = num_examples(examples)
+        size = self.config.batch_size
         for first in range(0, number, size):
             yield take(examples, np.arange(first, min(first + size, number)))

@@ -131,7 +131,11 @@ def _named_by(part: Any) -> Iterator[bytes]:
 
 def _names_in(code: CodeType) -> set[str]:
     """The global variables that code and functions inside of it read; `co_names` has attributes, too."""
-    read = {each.argval for each in dis.get_instructions(code) if each.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    read = {
+        each.argval
+        for each in dis.get_instructions(code)
+        if each.opname in ("LOAD_GLOBAL", "LOAD_NAME")
+    }
     return read.union(*(_names_in(each) for each in code.co_consts if isinstance(each, CodeType)))
 
 

@@ -51,7 +51,10 @@ class RowFile(Generic[Row]):
         command: str,
         added: Sequence[str] = (),
     ) -> None:
-        self._path, self._kind, self._command, self._added = path, kind, command, added
+        self._path = path
+        self._kind = kind
+        self._command = command
+        self._added = added
         self._recipe = json.loads(json.dumps(recipe))
 
     def read(self, number: int) -> list[Row]:
@@ -87,14 +90,22 @@ class RowFile(Generic[Row]):
         """
         known = self._recipe.setdefault(GRASPS, {})
         self._refuse(
-            [f"{GRASPS} of {name}" for name in sorted(found) if known.get(name, found[name]) != found[name]]
+            [
+                f"{GRASPS} of {name}"
+                for name in sorted(found)
+                if known.get(name, found[name]) != found[name]
+            ]
         )
         known.update(found)
 
     def _check_recipe(self, known: dict[str, Any], is_continued: bool) -> None:
-        lacking = [name for name in self._added if name in {*self._recipe, GRASPS}.difference(known)]
+        lacking = [
+            name for name in self._added if name in {*self._recipe, GRASPS}.difference(known)
+        ]
         names = sorted({*self._recipe, *known}.difference(lacking, [GRASPS]))
-        self._refuse([name for name in names if known.get(name, _NONE) != self._recipe.get(name, _NONE)])
+        self._refuse(
+            [name for name in names if known.get(name, _NONE) != self._recipe.get(name, _NONE)]
+        )
         if GRASPS in known:
             self._recipe[GRASPS] = dict(known[GRASPS])
         if not lacking:
@@ -120,7 +131,9 @@ class RowFile(Generic[Row]):
         """Keeps these rows, all or none of them."""
         if self._path is not None:
             text = "".join(json.dumps(_plain(row)) + "\n" for row in rows).encode()
-            first = json.dumps(with_checksum({**self._recipe, _ROWS: digest_of(text)}), sort_keys=True)
+            first = json.dumps(
+                with_checksum({**self._recipe, _ROWS: digest_of(text)}), sort_keys=True
+            )
             write_atomically(self._path, f"{first}\n".encode() + text)
 
     def complete(
@@ -147,7 +160,10 @@ class RowFile(Generic[Row]):
 
 
 def _plain(row: Any) -> dict[str, object]:
-    return {key: finite(value) if isinstance(value, float) else value for key, value in asdict(row).items()}
+    return {
+        key: finite(value) if isinstance(value, float) else value
+        for key, value in asdict(row).items()
+    }
 
 
 def share_of(good: int, number: int) -> str:

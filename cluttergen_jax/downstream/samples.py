@@ -195,7 +195,9 @@ class SampleFormat:
             self.write_record(path, record)
             # More than were asked for, where an earlier call that was interrupted asked for more.
             sizes = self.sizes(record["splits"][split][self.number])
-            kept = {block for block, rows in sizes.items() if self.is_kept(path, split, block, rows)}
+            kept = {
+                block for block, rows in sizes.items() if self.is_kept(path, split, block, rows)
+            }
             fill(record, {block: rows for block, rows in sizes.items() if block not in kept})
         return record
 
@@ -229,7 +231,10 @@ class SampleFormat:
             data = file.read_bytes()
             check_seal(data)
             table = pq.read_table(
-                pa.BufferReader(data), schema=self.schema, page_checksum_verification=True, partitioning=None
+                pa.BufferReader(data),
+                schema=self.schema,
+                page_checksum_verification=True,
+                partitioning=None,
             )
             table.validate(full=True)
             first = block * self.block_size
@@ -247,10 +252,14 @@ class SampleFormat:
     def write_block(self, path: Path, split: str, block: int, table: pa.Table) -> None:
         """Stores a block."""
         buffer = io.BytesIO()
-        with pq.ParquetWriter(buffer, table.schema, compression="zstd", write_page_checksum=True) as writer:
+        with pq.ParquetWriter(
+            buffer, table.schema, compression="zstd", write_page_checksum=True
+        ) as writer:
             writer.write_table(table)
             writer.add_key_value_metadata(SEAL)
-        write_atomically(self.block_path(path, split, block), with_seal(buffer.getvalue()), is_durable=True)
+        write_atomically(
+            self.block_path(path, split, block), with_seal(buffer.getvalue()), is_durable=True
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +282,8 @@ class SampleSet:
 
     def split(self, name: str) -> dict[str, Any]:
         """How a split was made. Raises ConfigError: there is none of that name, or it holds nothing."""
-        form, splits = self.form, self.record["splits"]
+        form = self.form
+        splits = self.record["splits"]
         if name not in SPLITS:
             raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
         if name not in splits:
@@ -290,7 +300,8 @@ class SampleSet:
         Raises:
           ConfigError: there is no such split, or it has fewer.
         """
-        total, kind = int(self.split(split)[self.form.number]), self.form.kind
+        total = int(self.split(split)[self.form.number])
+        kind = self.form.kind
         if asked is not None and not 1 <= asked <= total:
             allowed = f"{range_text(1, total)}, the {kind} of {split!r} in {self.path}"
             raise ConfigError(f"num_{kind} = {asked}", allowed)

@@ -52,7 +52,12 @@ STUDIES = {
 
 
 def run_downstream(
-    folder: Path, only: Sequence[str], scale: DownstreamScale, num_threads: int, fresh: bool, show: Show
+    folder: Path,
+    only: Sequence[str],
+    scale: DownstreamScale,
+    num_threads: int,
+    fresh: bool,
+    show: Show,
 ) -> list[Result]:
     """The studies of the suite, each written as it is done; see `cluttergen_jax.evaluate_suite`.
 
@@ -66,7 +71,9 @@ def run_downstream(
     for name in scale.pools:
         if name not in known:
             raise ConfigError(
-                f"pools = {name!r} with suite {NAME!r}", ", ".join(known), meant=closest(name, known)
+                f"pools = {name!r} with suite {NAME!r}",
+                ", ".join(known),
+                meant=closest(name, known),
             )
     if scale.bank is not None:
         read_bank(scale.bank)
@@ -127,4 +134,6 @@ def result_of(study: Study, found: Found, command: str, quick: bool) -> Result:
 def _size(row: dict) -> int:
     """Trials of a row: queries, chains of them, episodes, or moments."""
     trial = row["trial"]
-    return next(trial[name] for name in ("chains", "queries", "episodes", "moments") if name in trial)
+    return next(
+        trial[name] for name in ("chains", "queries", "episodes", "moments") if name in trial
+    )

@@ -31,7 +31,9 @@ def pose_of(matrix: np.ndarray) -> np.ndarray:
 def rigid(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
     """f64[..., 4, 4] of a rotation f[..., 3, 3] and a position f[..., 3]."""
     matrix = np.zeros((*rotation.shape[:-2], 4, 4))
-    matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = rotation, position, 1.0
+    matrix[..., :3, :3] = rotation
+    matrix[..., :3, 3] = position
+    matrix[..., 3, 3] = 1.0
     return matrix
 
 

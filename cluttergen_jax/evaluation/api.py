@@ -146,7 +146,9 @@ def evaluate(
         )
     ]
     if asked.height != "rest" and all(trial.method != "random" for trial in planned):
-        raise ConfigError(f"height = {asked.height!r} without a row of 'random'", hint="methods=('random',)")
+        raise ConfigError(
+            f"height = {asked.height!r} without a row of 'random'", hint="methods=('random',)"
+        )
     for trial in planned:
         asked.check_poses(trial.method)
     folder = None if out is None else Path(out)
@@ -254,11 +256,19 @@ def judge(
     check_range("max_starts", max_starts, 1, _MOST_STARTS, 50)
     check_names(detectors, "detectors")
     if not detectors or set(detectors) - set(DETECTORS):
-        raise ConfigError(f"detectors = {tuple(detectors)}", " ".join(DETECTORS), "detectors=('native',)")
+        raise ConfigError(
+            f"detectors = {tuple(detectors)}", " ".join(DETECTORS), "detectors=('native',)"
+        )
     paths = [paths] if isinstance(paths, str | Path) else list(paths)
     config = JudgeConfig(tuple(seconds), max_shift, max_turn_deg, max_penetration, hold_joints)
     if states is not None and len(find_scenes(paths)[0]) > 1:
-        raise ConfigError("`states` of several files", "of one file", "arrays of their names beside them")
+        raise ConfigError(
+            "`states` of several files", "of one file", "arrays of their names beside them"
+        )
     with hold_folder(None if out is None else Path(out)):
         report = judge_scenes(paths, states, config, tuple(detectors), max_starts, jobs)
-        return report if out is None else replace(report, notes=(*report.notes, report.write(Path(out))))
+        return (
+            report
+            if out is None
+            else replace(report, notes=(*report.notes, report.write(Path(out))))
+        )

@@ -36,7 +36,10 @@ def request_columns(*names: str, **headings: str) -> tuple[Column, ...]:
         cell = name_of if name == "method" else lambda row: str(request_of(row)[name])
         return Column(heading, cell, is_asked=True)
 
-    return (*(column(n, n) for n in names), *(column(n, heading) for n, heading in headings.items()))
+    return (
+        *(column(n, n) for n in names),
+        *(column(n, heading) for n, heading in headings.items()),
+    )
 
 
 def columns_of(
@@ -69,7 +72,9 @@ HEAD = request_columns("pool", support="table", method="method")
 """The first columns of tables about finished scenes."""
 
 
-def table_of(title: str, columns: Sequence[Column], rows: Iterable[Row], notes: Iterable[str] = ()) -> Table:
+def table_of(
+    title: str, columns: Sequence[Column], rows: Iterable[Row], notes: Iterable[str] = ()
+) -> Table:
     """A line for each row; where figures are missing it has dashes, and a note below says why."""
     rows = list(rows)
     lines = (
@@ -129,7 +134,11 @@ SCENES = Column("scenes", lambda row: str(row["scenes"]))
 def per_valid_scene(row: Row, name: str, digits: int) -> str:
     """A row's attempts or simulated steps for each scene that succeeded; a dash where none did."""
     figures = row["figures"]
-    return number(values_of(figures)[f"{name}_per_valid_scene"], digits) if figures["num_success"] else "-"
+    return (
+        number(values_of(figures)[f"{name}_per_valid_scene"], digits)
+        if figures["num_success"]
+        else "-"
+    )
 
 
 def _within(row: Row, place: int) -> str:
@@ -140,7 +149,9 @@ def _within(row: Row, place: int) -> str:
 
 COST = (
     Column("attempts per valid scene", lambda row: per_valid_scene(row, "attempts", 1)),
-    Column("simulated steps per valid scene", lambda row: per_valid_scene(row, "simulated_steps", 0)),
+    Column(
+        "simulated steps per valid scene", lambda row: per_valid_scene(row, "simulated_steps", 0)
+    ),
 )
 EFFORT = (*columns_of(range(len(WITHIN)), lambda n: f"within {WITHIN[n]:g} n", _within), *COST)
 """Success at some cost, and the cost of success."""
@@ -185,7 +196,8 @@ def pooled_success(rows: Iterable[Row], is_loose: bool = False) -> str:
     figures = [figures_by(row, is_loose) for row in made_rows(rows)]
     if not figures:
         return "-"
-    successes, trials = sum(each["num_success"] for each in figures), sum(each["trials"] for each in figures)
+    successes = sum(each["num_success"] for each in figures)
+    trials = sum(each["trials"] for each in figures)
     return interval(successes / trials, *wilson(successes, trials))
 
 
@@ -195,7 +207,9 @@ def stable_steps(rows: Iterable[Row]) -> str:
     known = [each for each in spreads if each["mean"] is not None]
     if not known:
         return "-"
-    return mean_and_spread({name: sum(each[name] for each in known) / len(known) for name in ("mean", "std")})
+    return mean_and_spread(
+        {name: sum(each[name] for each in known) / len(known) for name in ("mean", "std")}
+    )
 
 
 BOTH = (

@@ -21,7 +21,13 @@ from cluttergen_jax.config import DETECTORS, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.evaluation.measures.arrangement import by_object
 from cluttergen_jax.evaluation.measures.contacts import contacts_of
-from cluttergen_jax.evaluation.measures.robustness import ShakeConfig, TiltConfig, robust, shake, tilt
+from cluttergen_jax.evaluation.measures.robustness import (
+    ShakeConfig,
+    TiltConfig,
+    robust,
+    shake,
+    tilt,
+)
 from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.simulate import each_scene, horizons_of, movement
 from cluttergen_jax.files import writing
@@ -37,7 +43,11 @@ from cluttergen_jax.scene.bank.scene import config_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE, is_fully_certified, schema_of
 from cluttergen_jax.statistics import finite
 
-_RENAMED = {"drift": "horizon_drift", "drift_turn": "horizon_turn", "drift_seconds": "horizon_seconds"}
+_RENAMED = {
+    "drift": "horizon_drift",
+    "drift_turn": "horizon_turn",
+    "drift_seconds": "horizon_seconds",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,23 +78,30 @@ def certify_bank(
     return found
 
 
-def _certify(bank: Bank, seconds: float, jobs: int, force: bool, cluster: Cluster | None) -> Certification:
+def _certify(
+    bank: Bank, seconds: float, jobs: int, force: bool, cluster: Cluster | None
+) -> Certification:
     index = BankIndex.of(bank)
-    certifier, blocks = Certifier.of(bank, seconds, jobs), _Blocks(StoredBlocks.of(bank.path), seconds, force)
+    certifier = Certifier.of(bank, seconds, jobs)
+    blocks = _Blocks(StoredBlocks.of(bank.path), seconds, force)
     num_new = 0
     with Progress("certifying", bank.num_scenes, "scene", blocks.num_done) as progress:
         if cluster is None:
             certify = certifier()
             measured = ((place, certify(rows)) for place, rows in enumerate(blocks))
         else:
-            measured = each_on(cluster, replace(certifier, jobs=jobs or 1), blocks, "block", jobs or 1)
+            measured = each_on(
+                cluster, replace(certifier, jobs=jobs or 1), blocks, "block", jobs or 1
+            )
         with closing(measured):
             for place, rows in measured:
                 index.write_block(blocks.numbers[place], rows)
                 num_new += rows.num_rows
                 progress.update(rows.num_rows)
     index.merge_shards()
-    scores = np.concatenate([np.array(rows["shake"].drop_null()) for rows in bank.tables(["shake"])])
+    scores = np.concatenate(
+        [np.array(rows["shake"].drop_null()) for rows in bank.tables(["shake"])]
+    )
     if not len(scores):
         raise BankError(f"{bank.path}: no scene in it stands", hint="more scenes")
     return Certification(scores, num_new)
@@ -98,7 +115,9 @@ class _Blocks(Sequence[pa.Table]):
     """
 
     def __init__(self, stored: StoredBlocks, seconds: float, force: bool) -> None:
-        self._stored, self.num_done, self.numbers = stored, 0, list[int]()
+        self._stored = stored
+        self.num_done = 0
+        self.numbers = list[int]()
         for number in stored.places:
             rows = stored.read(number)
             if force or not is_fully_certified(rows, seconds):
@@ -138,13 +157,20 @@ class Certifier:
         Raises:
           BankError: the bank's record or an asset is damaged.
         """
-        recipe, asset_of = bank.record["recipe"], lru_cache(maxsize=None)(bank.object)
+        recipe = bank.record["recipe"]
+        asset_of = lru_cache(maxsize=None)(bank.object)
         names = recipe.get("names")
-        if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        if (
+            not isinstance(names, list)
+            or not names
+            or not all(isinstance(name, str) for name in names)
+        ):
             raise BankError(f"{bank.path}: its record does not name the objects of its world")
         return cls(
             path=bank.path,
-            objects=None if recipe.get("shelf") else tuple(asset_of(base_name(name)) for name in names),
+            objects=None
+            if recipe.get("shelf")
+            else tuple(asset_of(base_name(name)) for name in names),
             support=bank.support,
             stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
             contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
@@ -174,7 +200,11 @@ class Certifier:
 
 
 def add_certificates(
-    rows: pa.Table, models: SceneModels, seconds: float, jobs: int, numbers: np.ndarray | None = None
+    rows: pa.Table,
+    models: SceneModels,
+    seconds: float,
+    jobs: int,
+    numbers: np.ndarray | None = None,
 ) -> pa.Table:
     """The rows with the columns of `CERTIFICATE`.
 
@@ -203,7 +233,9 @@ def add_certificates(
     return rows
 
 
-def _by_object(scenes: list[dict[str, Any]], local: dict[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def _by_object(
+    scenes: list[dict[str, Any]], local: dict[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
     """f64[N, K, 7] and bool[N, K] of rows whose slots may be of different numbers.
 
     Args:
@@ -217,7 +249,8 @@ def _by_object(scenes: list[dict[str, Any]], local: dict[int, int]) -> tuple[np.
         count = len(scene["object_index"])
         if not set(scene["object_index"]) <= local.keys():
             raise BankError(
-                "a scene names an object that the bank's record does not", hint="the bank's own bank.json"
+                "a scene names an object that the bank's record does not",
+                hint="the bank's own bank.json",
             )
         index[row, :count] = [local[each] for each in scene["object_index"]]
         placed[row, :count] = scene["is_placed"]
@@ -259,7 +292,8 @@ def certificates(
         robust: it stands in soft contact, with less friction and gravity tilted (`robustness.robust`).
     """
     models.check(poses, is_placed)
-    is_placed, tilt_config = np.asarray(is_placed, bool), TiltConfig()
+    is_placed = np.asarray(is_placed, bool)
+    tilt_config = TiltConfig()
     contacts = contacts_of(models, poses, is_placed, num_threads)
     drifts = {
         name: movement(models.with_detector(name), poses, is_placed, (seconds,), num_threads)
@@ -269,7 +303,8 @@ def certificates(
     speeds = residual_speeds(models, poses, is_placed, num_threads)
     stands = tilt(models, poses, is_placed, tilt_config, num_threads)
     is_robust = robust(models, poses, is_placed, num_threads=num_threads)
-    rests_on, margins = contacts.rests_on, [[finite(each) for each in row] for row in contacts.margin]
+    rests_on = contacts.rests_on
+    margins = [[finite(each) for each in row] for row in contacts.margin]
     return [
         {
             "residual_speed": float(speeds[n, 0]),
@@ -286,7 +321,8 @@ def certificates(
             "margin": min((each for each in margins[n] if each is not None), default=None),
             "margins": margins[n],
             **{
-                f"tilt_{by:g}": float(share) for by, share in zip(tilt_config.degrees, stands[n], strict=True)
+                f"tilt_{by:g}": float(share)
+                for by, share in zip(tilt_config.degrees, stands[n], strict=True)
             },
             "robust": bool(is_robust[n]),
             "detectors": [name for name, each in drifts.items() if each.survives()[n, 0]],
@@ -302,7 +338,11 @@ def support_edges(rests_on: np.ndarray) -> list[tuple[int, int]]:
 
 
 def residual_speeds(
-    models: SceneModels, poses: np.ndarray, is_placed: np.ndarray, num_threads: int = 0, seconds: float = 0.25
+    models: SceneModels,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    num_threads: int = 0,
+    seconds: float = 0.25,
 ) -> np.ndarray:
     """f64[N, 2]: m/s and rad/s of the fastest object `seconds` after scenes were let go from rest."""
     models.check(poses, is_placed)

@@ -117,7 +117,8 @@ def open_runner(
 
 def _flat(row: Row) -> dict[str, Any]:
     """A row with its figures beside what its trial asks."""
-    trial, figures = row["trial"], row.get("figures", {})
+    trial = row["trial"]
+    figures = row.get("figures", {})
     head = {
         "pool": trial["pool"],
         "support": trial["support"],
@@ -155,7 +156,9 @@ def _draw(rows: Sequence[dict[str, Any]], stem: Path) -> None:
         axis.set_xticks(range(len(bars)), [row["row"] for row in bars], rotation=30, ha="right")
         axis.set_ylim(0, 1.03)
         axis.set_axisbelow(True)
-        plots.prepare(axis, f"{place[0]} on {place[1]}, {bars[0]['objects']} objects", "", "success")
+        plots.prepare(
+            axis, f"{place[0]} on {place[1]}, {bars[0]['objects']} objects", "", "success"
+        )
     plots.save(figure, stem, ("png",))
 
 

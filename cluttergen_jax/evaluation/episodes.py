@@ -82,7 +82,8 @@ def run_episodes(
     started = time.perf_counter()
     key = new_key(seed)
     rollout.compile(sampler, key, np.arange(width), is_refilled=num_scenes > width)
-    compiled, cpu = time.perf_counter(), time.process_time()
+    compiled = time.perf_counter()
+    cpu = time.process_time()
     made: list[Attempts] = []
 
     def note(indices: np.ndarray, number: int, attempts: Attempts) -> None:
@@ -125,9 +126,11 @@ def figures_of(outcome: Outcome, has_last_check: bool = True) -> Figures:
       has_last_check: success means that the finished scene stands; else that every slot was filled, which is
         all that the paper's looser count asks.
     """
-    scenes, counts = outcome.scenes, outcome.scenes.counts
+    scenes = outcome.scenes
+    counts = outcome.scenes.counts
     good = scenes.is_success if has_last_check else scenes.is_filled
-    number, valid = len(good), int(good.sum())
+    number = len(good)
+    valid = int(good.sum())
     low, high = wilson(valid, number)
     placed = scenes.is_placed.sum(1)
     num_slots = scenes.is_placed.shape[1]
@@ -179,7 +182,9 @@ def within(is_good: np.ndarray, attempts: np.ndarray, num_objects: int) -> list[
     Returns:
       For each of `WITHIN`: `times`, `share` and its 95 % interval, `low95` and `high95`.
     """
-    return [{"times": each, **proportion(is_good & (attempts <= each * num_objects))} for each in WITHIN]
+    return [
+        {"times": each, **proportion(is_good & (attempts <= each * num_objects))} for each in WITHIN
+    ]
 
 
 def steps_by_attempt(attempts: Attempts) -> list[Spread]:
@@ -210,7 +215,8 @@ def steps_by_attempt(attempts: Attempts) -> list[Spread]:
 
 def arrays_of(outcome: Outcome) -> dict[str, np.ndarray]:
     """What measures of scenes need, to be stored beside the figures. N scenes, S slots, M attempts."""
-    scenes, attempts = outcome.scenes, outcome.attempts
+    scenes = outcome.scenes
+    attempts = outcome.attempts
     return {
         "object_index": scenes.object_index,
         "is_placed": scenes.is_placed,

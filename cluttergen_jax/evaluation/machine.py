@@ -26,7 +26,9 @@ def machine() -> Machine:
     """Cores, model of the processor, accelerator, and versions."""
     devices = jax.devices()
     return {
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
         "cpu": cpu_model(),
         "accelerator": devices[0].device_kind if devices[0].platform != "cpu" else None,
         "python": platform.python_version(),
@@ -59,7 +61,10 @@ def origins_of(made: Iterable[Row]) -> list[Origin]:
         else:
             unknown = [{"date": None, "machine": None}]
     latest_first = sorted(days, key=lambda name: max(days[name]), reverse=True)
-    spans = {name: " to ".join(dict.fromkeys((min(days[name]), max(days[name])))) for name in latest_first}
+    spans = {
+        name: " to ".join(dict.fromkeys((min(days[name]), max(days[name]))))
+        for name in latest_first
+    }
     return [Origin(date=span, machine=machines[name]) for name, span in spans.items()] + unknown
 
 
@@ -67,7 +72,10 @@ def sentence(facts: Machine) -> str:
     """A machine for people."""
     parts = [f"{facts['cores']} {'core' if facts['cores'] == 1 else 'cores'} of {facts['cpu']}"]
     parts += [facts["accelerator"]] if facts["accelerator"] else []
-    parts += [f"Python {facts['python']}", *(f"{name} {v}" for name, v in facts["versions"].items())]
+    parts += [
+        f"Python {facts['python']}",
+        *(f"{name} {v}" for name, v in facts["versions"].items()),
+    ]
     return ", ".join(parts)
 
 

@@ -83,10 +83,16 @@ def add_legend(figure: Any) -> None:
     lines: dict[str, Any] = {}
     for axis in figure.axes:
         handles, labels = axis.get_legend_handles_labels()
-        lines |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in lines}
+        lines |= {
+            label: handle
+            for label, handle in zip(labels, handles, strict=True)
+            if label not in lines
+        }
     ranks = {label_of(method): rank for rank, method in enumerate(COLOURS)}
     labels = sorted(lines, key=lambda label: (ranks.get(_method_of(label), len(ranks)), label))
-    figure.legend([lines[label] for label in labels], labels, fontsize=7, loc="outside right center")
+    figure.legend(
+        [lines[label] for label in labels], labels, fontsize=7, loc="outside right center"
+    )
 
 
 def grid_of_panels(number: int, columns: int, width: float, height: float) -> tuple[Any, list[Any]]:
@@ -106,6 +112,12 @@ def plot_success(axis: Any, name: str, x: Sequence[float], figures: Sequence[Fig
     ends = np.array([[each["low95"], each["high95"]] for each in figures]).T
     style = "-" if name == _method_of(name) else "--"
     axis.errorbar(
-        x, y, np.abs(ends - y), color=colour(name), label=label_of(name), marker=".", linestyle=style
+        x,
+        y,
+        np.abs(ends - y),
+        color=colour(name),
+        label=label_of(name),
+        marker=".",
+        linestyle=style,
     )
     axis.set_ylim(-0.03, 1.03)

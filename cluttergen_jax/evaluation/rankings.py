@@ -13,8 +13,10 @@ from typing import Any
 from cluttergen_jax.evaluation.cells import name_of, number, share_of, values_of
 from cluttergen_jax.evaluation.records import Row
 
-OURS, TWIN = "guided", "spread"
-"""The method that the sentences are about, and the same sampler without a network."""
+# The method that the sentences are about, and the same sampler without a network.
+OURS = "guided"
+TWIN = "spread"
+
 Question = Callable[[Row], str]
 """What a row asks of all methods alike."""
 
@@ -41,7 +43,9 @@ class Ranking:
             "worse:": self.worse,
         }
         parts = [
-            f"{what} {', '.join(f'`{name}`' for name in names)}" for what, names in named.items() if names
+            f"{what} {', '.join(f'`{name}`' for name in names)}"
+            for what, names in named.items()
+            if names
         ]
         return f"{question}: `{OURS}` {share}; {'; '.join(parts) or 'no other row'}"
 
@@ -59,7 +63,8 @@ def ranking_of(
     own = next((row for row in made if name_of(row) == OURS), None)
     if own is None:
         return None
-    low, high = figures(own)["low95"], figures(own)["high95"]
+    low = figures(own)["low95"]
+    high = figures(own)["high95"]
     others = [(name_of(row), figures(row)) for row in made if name_of(row) != OURS]
     better = [name for name, each in others if each["low95"] > high]
     worse = [name for name, each in others if each["high95"] < low]
@@ -77,7 +82,9 @@ def by_question(rows: Iterable[Row], question: Question) -> dict[str, list[Row]]
 
 def success_notes(rows: Iterable[Row], question: Question) -> list[str]:
     """For each question, who succeeds as often as `guided`, and what it costs beside `spread`."""
-    found = ((asked, group, ranking_of(group)) for asked, group in by_question(rows, question).items())
+    found = (
+        (asked, group, ranking_of(group)) for asked, group in by_question(rows, question).items()
+    )
     return [
         each.sentence(asked, share_of(each.own["figures"])) + _cost(each.own, group)
         for asked, group, each in found
@@ -87,8 +94,14 @@ def success_notes(rows: Iterable[Row], question: Question) -> list[str]:
 
 def share_notes(rows: Iterable[Row], question: Question) -> list[str]:
     """Likewise of findings, rows with a share and its interval of their own."""
-    found = ((asked, ranking_of(group, dict)) for asked, group in by_question(rows, question).items())
-    return [each.sentence(asked, share_of(each.own, "share")) for asked, each in found if each is not None]
+    found = (
+        (asked, ranking_of(group, dict)) for asked, group in by_question(rows, question).items()
+    )
+    return [
+        each.sentence(asked, share_of(each.own, "share"))
+        for asked, each in found
+        if each is not None
+    ]
 
 
 def tally(rows: Sequence[Row], question: Question) -> str:
@@ -118,11 +131,15 @@ def ranking(rows: Iterable[Row], name: str, digits: int, falls: bool = True) -> 
 def _cost(own: Row, rows: Sequence[Row]) -> str:
     """Of `guided` over that of `spread`; "" where one of them has no scene to show for it."""
     ours = own["figures"]
-    theirs = next((row["figures"] for row in rows if name_of(row) == TWIN and "figures" in row), None)
+    theirs = next(
+        (row["figures"] for row in rows if name_of(row) == TWIN and "figures" in row), None
+    )
     if theirs is None or not (ours["num_success"] and theirs["num_success"]):
         return ""
     attempts, steps = (
         values_of(ours)[name] / values_of(theirs)[name]
         for name in ("attempts_per_valid_scene", "simulated_steps_per_valid_scene")
     )
-    return f"; attempts and steps per valid scene over those of `{TWIN}`: {attempts:.2f}, {steps:.2f}"
+    return (
+        f"; attempts and steps per valid scene over those of `{TWIN}`: {attempts:.2f}, {steps:.2f}"
+    )

@@ -29,7 +29,8 @@ def tables_of(result: Result) -> list[Table]:
     if "tables" in result:
         return [_table(**each) for each in result["tables"]]
     return [
-        replace(table, title=_title(result, table.title)) for table in STUDIES[result["name"]].tables(result)
+        replace(table, title=_title(result, table.title))
+        for table in STUDIES[result["name"]].tables(result)
     ]
 
 
@@ -39,7 +40,9 @@ def _table(title: str, columns: list, rows: list, notes: list) -> Table:
 
 
 def _title(result: Result, title: str) -> str:
-    made = sorted({number for each in (result, *result.get("earlier", ())) for number in each["trials"]})
+    made = sorted(
+        {number for each in (result, *result.get("earlier", ())) for number in each["trials"]}
+    )
     if min(made) >= result["size"]:
         return title
     trials = " or ".join(map(str, made))
@@ -50,7 +53,9 @@ def _quick_words(result: Result) -> str:
     """Whether a result is quick, and has fewer rows than the whole study."""
     if not result["quick"]:
         return ""
-    quick, whole = (len(STUDIES[result["name"]].trials(Scale(quick=each))) for each in (True, False))
+    quick, whole = (
+        len(STUDIES[result["name"]].trials(Scale(quick=each))) for each in (True, False)
+    )
     return "quick: fewer rows, " if quick < whole else "quick: "
 
 
@@ -99,9 +104,14 @@ def with_earlier_rows(result: Result, earlier: Result) -> Result:
             "studies whose tables are made here, of rows",
             "`python reports/make_results.py FOLDER`; a study made again into FOLDER keeps its rows itself",
         )
-    made, before = made_rows(result["records"]), made_rows(earlier["records"])
+    made = made_rows(result["records"])
+    before = made_rows(earlier["records"])
     # Whether a study of imported objects asks for a method is seen where there are some.
-    given = [row["trial"] for row in (*made, *before) if str(row["trial"].get("pool")).startswith(IMPORTED)]
+    given = [
+        row["trial"]
+        for row in (*made, *before)
+        if str(row["trial"].get("pool")).startswith(IMPORTED)
+    ]
     scale = Scale(imported=tuple((trial["pool"], trial["num_objects"]) for trial in given))
     asked = {trial.method for trial in STUDIES[result["name"]].trials(scale)}
     before = [row for row in before if row["trial"]["method"] in asked]
@@ -192,16 +202,21 @@ def read_results(folder: Path) -> list[Result]:
     """
     results: list[Any] = []
     if not folder.is_dir():
-        raise ConfigError(f"{folder} is not a folder", "one that `cluttergen evaluate --suite` made")
+        raise ConfigError(
+            f"{folder} is not a folder", "one that `cluttergen evaluate --suite` made"
+        )
     for path in sorted(folder.glob("*.json")):
         try:
             result = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise ConfigError(
-                f"{path} cannot be read ({getattr(error, 'strerror', None) or error})", hint="making it again"
+                f"{path} cannot be read ({getattr(error, 'strerror', None) or error})",
+                hint="making it again",
             ) from error
         if not isinstance(result, dict) or result.get("format") != FORMAT or "suite" not in result:
-            raise ConfigError(f"{path} is not the result of a study of format {FORMAT}", hint="removing it")
+            raise ConfigError(
+                f"{path} is not the result of a study of format {FORMAT}", hint="removing it"
+            )
         results.append(cast(Result, result))
     order = list(STUDIES)
     known = [result for result in results if result["name"] in order]
@@ -228,5 +243,8 @@ def document(results: list[Result], notes: str = "", link: str = "results/") -> 
     for suite in _HEADINGS:
         of_suite = [result for result in results if result["suite"] == suite]
         if of_suite:
-            parts += [f"## {_HEADINGS[suite]}\n", *(markdown(result, 3, link) for result in of_suite)]
+            parts += [
+                f"## {_HEADINGS[suite]}\n",
+                *(markdown(result, 3, link) for result in of_suite),
+            ]
     return "\n".join([*parts, notes] if notes else parts)

@@ -14,7 +14,14 @@ from typing import Any
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import METHODS, ROBUST_TILT, VARIANTS, StabilityConfig, no_such, stability_record
+from cluttergen_jax.config import (
+    METHODS,
+    ROBUST_TILT,
+    VARIANTS,
+    StabilityConfig,
+    no_such,
+    stability_record,
+)
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
@@ -31,8 +38,9 @@ from cluttergen_jax.learning.training.variants import HELD_OUT_FAMILIES, TRAININ
 
 VARIANT_POOLS = {"held_out_families": HELD_OUT_FAMILIES, "training_families": TRAINING_FAMILIES}
 """Names of pools of the modeller's variants, which no folder holds, and the families of their objects."""
-NUM_VARIANTS, FIRST_SEED = 40, 5000
-"""Objects of each, and their first seed: far from those that networks are trained on."""
+# Objects of each, and their first seed: far from those that networks are trained on.
+NUM_VARIANTS = 40
+FIRST_SEED = 5000
 
 
 def find_any_pool(name: str) -> Pool:
@@ -116,7 +124,9 @@ class Checkpoints:
         """Whether the given checkpoint is the method's; a record that does not say fits any of poses."""
         if self.given is None or method not in VARIANTS:
             return False
-        return method == self.given.variant or (self.given.variant is None and method not in FOR_ANY_POOL)
+        return method == self.given.variant or (
+            self.given.variant is None and method not in FOR_ANY_POOL
+        )
 
     def find(self, trial: Trial) -> Checkpoint | None:
         """The trial's policy; None for a baseline.
@@ -132,7 +142,8 @@ class Checkpoints:
         found = given or self._in_folder(trial) or self._find_embedded(trial)
         if found is None:
             raise MissingCheckpointError(
-                f"no checkpoint for method {trial.method!r} on pool {trial.pool!r}", hint=train_command(trial)
+                f"no checkpoint for method {trial.method!r} on pool {trial.pool!r}",
+                hint=train_command(trial),
             )
         return found
 
@@ -174,7 +185,11 @@ def usable(given: Checkpoint | Path | None, trial: Trial) -> Iterator[None]:
         if given is None:
             raise
         path = given.path if isinstance(given, Checkpoint) else given
-        reason = error.given if isinstance(error, ClutterGenError) else f"{type(error).__name__}: {error}"
+        reason = (
+            error.given
+            if isinstance(error, ClutterGenError)
+            else f"{type(error).__name__}: {error}"
+        )
         text = _without_folder(f"checkpoint {path} cannot be used: {reason}", path)
         raise MissingCheckpointError(text, hint=train_command(trial)) from error
 
@@ -190,7 +205,10 @@ def _names(trial: Trial) -> list[str]:
     One trained with the trial's attempts goes before one trained with the usual number.
     """
     if trial.method in FOR_ANY_POOL:
-        return [f"{trial.method}-{trial.training_seed}", *([trial.method] * (not trial.training_seed))]
+        return [
+            f"{trial.method}-{trial.training_seed}",
+            *([trial.method] * (not trial.training_seed)),
+        ]
     pool = trial.pool_name
     attempts = "" if trial.attempts == DEFAULT_ATTEMPTS else f"-attempts{trial.attempts}"
     stems = [f"{pool}-{trial.method}{extra}" for extra in dict.fromkeys((attempts, ""))]
@@ -237,8 +255,11 @@ class ResolvedTrial:
     @cached_property
     def region(self) -> Rectangle:
         """The queried region before any change."""
-        own, sides = self.support.region, self.trial.region
-        return own if sides is None else Rectangle(own.center, (sides[0] / 2, sides[1] / 2), own.yaw)
+        own = self.support.region
+        sides = self.trial.region
+        return (
+            own if sides is None else Rectangle(own.center, (sides[0] / 2, sides[1] / 2), own.yaw)
+        )
 
     @property
     def is_cut(self) -> bool:
@@ -254,7 +275,9 @@ class ResolvedTrial:
         record = self.checkpoint.record
         network, placement, ppo = (record.get(name, {}) for name in ("network", "placement", "ppo"))
         known: dict[str, Any] = {
-            name: record[name] for name in ("variant", "preset", "seed", "attempts") if name in record
+            name: record[name]
+            for name in ("variant", "preset", "seed", "attempts")
+            if name in record
         }
         known |= {"max_attempts": placement["max_attempts"], "head": network.get("head")}
         if not ppo:
@@ -262,7 +285,9 @@ class ResolvedTrial:
         encoder = network["scene_encoder"]
         return known | {
             "reward": placement["reward"],
-            "encoder": encoder if encoder == "set" else f"{encoder} of {network['scene_points']:,} points",
+            "encoder": encoder
+            if encoder == "set"
+            else f"{encoder} of {network['scene_points']:,} points",
             "height_precision": network["height_precision"],
             "is_cut": self.is_cut,
             **{name: ppo[name] for name in ("discount", "entropy_cost", "learning_rate")},
@@ -277,7 +302,8 @@ class Resolver:
     """
 
     def __init__(self, checkpoints: Checkpoints, engine: str) -> None:
-        self.checkpoints, self._engine = checkpoints, engine
+        self.checkpoints = checkpoints
+        self._engine = engine
         self._pool = lru_cache(maxsize=None)(find_any_pool)
         self._support = lru_cache(maxsize=None)(find_support)
         self._resolved: dict[Trial, ResolvedTrial] = {}
@@ -295,7 +321,8 @@ class Resolver:
         return self._resolved[trial]
 
     def _resolve(self, trial: Trial) -> ResolvedTrial:
-        pool, support = self._pool(trial.pool), self._support(trial.support)
+        pool = self._pool(trial.pool)
+        support = self._support(trial.support)
         checkpoint = self.checkpoints.find(trial)
         sources = {
             "pool": pool.hash,

@@ -13,7 +13,13 @@ import numpy as np
 from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
 from cluttergen_jax.errors import ClutterGenError, ConfigError
-from cluttergen_jax.evaluation.episodes import Outcome, arrays_of, attempts_of, figures_of, run_episodes
+from cluttergen_jax.evaluation.episodes import (
+    Outcome,
+    arrays_of,
+    attempts_of,
+    figures_of,
+    run_episodes,
+)
 from cluttergen_jax.evaluation.machine import origin
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import (
@@ -85,8 +91,11 @@ class Runner:
         kept = [trial for trial, row in rows.items() if row is not None]
         total, done = (sum(trial.num_episodes for trial in some) for some in (rows, kept))
         self.progress = Progress("evaluating", total, "scene", done)
-        self._num_rows, self._num_done = len(rows), len(kept)
-        self.say(f"{len(rows)} rows, {len(kept)} kept from before, {len(rows) - len(kept)} to be made")
+        self._num_rows = len(rows)
+        self._num_done = len(kept)
+        self.say(
+            f"{len(rows)} rows, {len(kept)} kept from before, {len(rows) - len(kept)} to be made"
+        )
 
     def say(self, text: str) -> None:
         """Tells the user something, above the bar."""
@@ -160,7 +169,9 @@ class Runner:
         missing = [trial for trial in dict.fromkeys(trials) if self.stored_row(trial) is None]
         maker = RowMaker(self.checkpoints, self.engine, self.num_threads or 1)
         is_on_gpu = engine_of(self.engine, StabilityConfig()) == "warp"
-        with closing(each_on(cluster, maker, missing, "row", maker.num_threads, int(is_on_gpu))) as done:
+        with closing(
+            each_on(cluster, maker, missing, "row", maker.num_threads, int(is_on_gpu))
+        ) as done:
             for place, (key, found) in done:
                 trial = missing[place]
                 resolved = self.resolve(trial)
@@ -187,10 +198,13 @@ class Runner:
         return {"trial": trial.record(), "missing": error.given + allowed, "hint": error.hint}
 
     def _keep(self, resolved: ResolvedTrial, row: Row, arrays: dict[str, np.ndarray]) -> Row:
-        trial, figures = resolved.trial, row["figures"]
+        trial = resolved.trial
+        figures = row["figures"]
         stored = self.store.write(trial.title, resolved.key, row, arrays)
         self._made.add(resolved.key)
-        self._finish(trial, f"success {figures['success']:.3f}, {figures['placed']:.2f} objects placed")
+        self._finish(
+            trial, f"success {figures['success']:.3f}, {figures['placed']:.2f} objects placed"
+        )
         return stored
 
     def _finish(self, trial: Trial, text: str) -> None:
@@ -198,7 +212,9 @@ class Runner:
         self._tell(trial.title, text)
 
     def _tell(self, title: str, text: str) -> None:
-        self.say(f"[{self._num_done} of {self._num_rows} rows, {self.progress.times()}] {title}: {text}")
+        self.say(
+            f"[{self._num_done} of {self._num_rows} rows, {self.progress.times()}] {title}: {text}"
+        )
 
     def arrays(self, trial: Trial) -> dict[str, np.ndarray]:
         """The scenes and attempts of a trial (`episodes.arrays_of`), made now if they are not there.
@@ -224,10 +240,13 @@ class Runner:
         Args:
           what: the measure's name, and all but the trial that decides what it finds.
         """
-        key, title = self.resolve(trial).key, f"{what} of {trial.title}"
+        key = self.resolve(trial).key
+        title = f"{what} of {trial.title}"
         known = None if self.is_fresh else self.store.read(title, key)
         if known is not None:
-            self.measured_at.append({name: known[name] for name in ("date", "machine") if name in known})
+            self.measured_at.append(
+                {name: known[name] for name in ("date", "machine") if name in known}
+            )
             return known["figures"]
         self.begin(title)
         found = interruptible(make)
@@ -248,14 +267,16 @@ class Runner:
         Raises:
           MissingCheckpointError: its checkpoint cannot be used here.
         """
-        trial, rules = resolved.trial, self.setup(resolved, judge_neighbours).rules
+        trial = resolved.trial
+        rules = self.setup(resolved, judge_neighbours).rules
         with usable(resolved.checkpoint, trial):
             propose = proposer_of(trial.method, resolved.checkpoint, rules)
         return BlockSampler(rules, propose)
 
     def setup(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Problem:
         """The trial's compiled world and rules, ready for what is compiled already."""
-        trial, base = resolved.trial, self._base_setup(resolved)
+        trial = resolved.trial
+        base = self._base_setup(resolved)
         stability = StabilityConfig(
             stop_when_decided=resolved.is_cut and not trial.whole_attempts,
             judge_neighbours=judge_neighbours,

@@ -168,7 +168,11 @@ def run_study(
 def num_failed(results: Sequence[Result]) -> int:
     """Rows of studies that could not be made (`cells.is_failed`)."""
     measured = [result["measure"]["rows"] for result in results if result.get("measure")]  # type: ignore
-    return sum(is_failed(row) for rows in (*measured, *(each["records"] for each in results)) for row in rows)
+    return sum(
+        is_failed(row)
+        for rows in (*measured, *(each["records"] for each in results))
+        for row in rows
+    )
 
 
 def _findings(
@@ -179,18 +183,21 @@ def _findings(
     Returns:
       The findings, None of a study without a measure, and when and where they were made.
     """
-    stem, measure = folder / study.name, study.measure or study.renders
+    stem = folder / study.name
+    measure = study.measure or study.renders
     if measure is None:
         return None, []
     if study.keeps_each:
         runner.measured_at.clear()
         return _plain(measure(runner, trials, stem)), list(runner.measured_at)
-    key, title = _findings_key(runner, study, trials), f"measure {study.name}"
+    key = _findings_key(runner, study, trials)
+    title = f"measure {study.name}"
     stored = None if runner.is_fresh else runner.store.read(title, key)
     if stored and all(inside(folder, name).is_file() for name in stored["figures"]["pictures"]):
         return stored["figures"], [stored]
     runner.begin(f"measuring {study.name}")
-    found, made = _plain(measure(runner, trials, stem)), origin()
+    found = _plain(measure(runner, trials, stem))
+    made = origin()
     return runner.store.keep(title, key, found, made), [made]
 
 

@@ -71,7 +71,9 @@ class Store:
                 return {name: stored[name] for name in stored.files}
         except FileNotFoundError:
             return None
-        except Exception as error:  # A damaged archive makes zipfile and NumPy raise whatever they like.
+        except (
+            Exception
+        ) as error:  # A damaged archive makes zipfile and NumPy raise whatever they like.
             self._set_aside(path, f"{type(error).__name__}: {error}")
             return None
 
@@ -83,7 +85,9 @@ class Store:
         if stated is not None and digest_of(path.read_bytes()) != stated:
             raise SchemaError(f"not the scenes of {row.name}")
 
-    def write(self, title: str, key: str, record: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Any:
+    def write(
+        self, title: str, key: str, record: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
+    ) -> Any:
         """Stores a result, its scenes first: where the JSON is, they are too. Returns what was stored."""
         stored = {"format": FORMAT, "key": key, **record}
         if self.root is not None:
@@ -96,7 +100,9 @@ class Store:
             )
         return stored
 
-    def keep(self, title: str, key: str, figures: Any, made: Mapping[str, Any] | None = None) -> Any:
+    def keep(
+        self, title: str, key: str, figures: Any, made: Mapping[str, Any] | None = None
+    ) -> Any:
         """Stores a finding that has no scenes of its own. Returns the figures as they were stored.
 
         Args:
@@ -114,7 +120,9 @@ class Store:
     def _set_aside(self, path: Path, problem: str) -> None:
         aside = path.with_name(f"{path.name}.damaged")
         os.replace(path, aside)
-        self._show(f"note: {path} cannot be used ({problem}); set aside as {aside.name} and made anew")
+        self._show(
+            f"note: {path} cannot be used ({problem}); set aside as {aside.name} and made anew"
+        )
 
 
 def json_bytes(value: Any) -> bytes:

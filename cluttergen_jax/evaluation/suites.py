@@ -19,7 +19,12 @@ from cluttergen_jax.evaluation.studies.paper_figures import (
 from cluttergen_jax.evaluation.studies.pictures import CLOSED_LOOP
 from cluttergen_jax.evaluation.studies.relations import RELATIONS
 from cluttergen_jax.evaluation.studies.robust_scenes import STABILITY
-from cluttergen_jax.evaluation.studies.robustness import MARGIN, MARGIN_SURVIVAL, ROBUSTNESS, SURVIVAL
+from cluttergen_jax.evaluation.studies.robustness import (
+    MARGIN,
+    MARGIN_SURVIVAL,
+    ROBUSTNESS,
+    SURVIVAL,
+)
 from cluttergen_jax.evaluation.studies.study import Scale, Study, of_methods
 from cluttergen_jax.evaluation.studies.table1 import IMPORTED, IMPORTED_GROUPS, TABLE1
 from cluttergen_jax.evaluation.studies.tables import TABLE2, TABLE_TOPS, TABLES
@@ -82,7 +87,9 @@ def find_suite(suite: str, scale: Scale, only: Sequence[str] = ()) -> tuple[Plan
     """
     if suite not in SUITES:
         every = (*SUITES, "downstream")
-        raise ConfigError(f"suite = {suite!r}", ", ".join(every), 'suite="paper"', closest(suite, every))
+        raise ConfigError(
+            f"suite = {suite!r}", ", ".join(every), 'suite="paper"', closest(suite, every)
+        )
     check_only(only, [study.name for study in SUITES[suite]], suite)
     named = [study for study in SUITES[suite] if not only or study.name in only]
     planned = [PlannedStudy(study, trials) for study in named if (trials := study.trials(scale))]
@@ -97,7 +104,9 @@ def find_suite(suite: str, scale: Scale, only: Sequence[str] = ()) -> tuple[Plan
     kept = [PlannedStudy(each.study, of_methods(each.trials, *scale.methods)) for each in planned]
     if not any(each.trials for each in kept):
         known = dict.fromkeys(trial.method for each in planned for trial in each.trials)
-        raise ConfigError(f"methods = {', '.join(scale.methods)!r} with suite {suite!r}", ", ".join(known))
+        raise ConfigError(
+            f"methods = {', '.join(scale.methods)!r} with suite {suite!r}", ", ".join(known)
+        )
     return tuple(each for each in kept if each.trials)
 
 

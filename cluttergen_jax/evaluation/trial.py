@@ -17,8 +17,12 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.region import find_change
 
 MAX_TRIALS = 1_000_000
-RUIN, RANDOM_ORDER, TIDY, ROBUST, FREE_HEIGHT = "ruin", "random order", "tidy", "robust", "free height"
-"""Of rows whose rules are not their method's own."""
+# Of rows whose rules are not their method's own.
+RUIN = "ruin"
+RANDOM_ORDER = "random order"
+TIDY = "tidy"
+ROBUST = "robust"
+FREE_HEIGHT = "free height"
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,8 @@ class Trial:
     @property
     def row_name(self) -> str:
         """What tables call its row: its method, and what sets its rules apart from that method's own."""
-        is_trusted, is_ruined = self.method in TRUSTED_METHODS, self.ruin_after > 0
+        is_trusted = self.method in TRUSTED_METHODS
+        is_ruined = self.ruin_after > 0
         own, other = ("weighted", "random") if is_trusted else ("random", "weighted")
         if is_ruined != is_trusted and self.order == other:
             words = [RUIN if is_ruined else RANDOM_ORDER]
@@ -135,7 +140,9 @@ class Trial:
     @property
     def _extra_rules(self) -> list[str]:
         named = {TIDY: self.tidy, FREE_HEIGHT: self.height == "free", ROBUST: self.robust}
-        words = [name for name, is_asked in named.items() if is_asked] + [self.clutter] * bool(self.clutter)
+        words = [name for name, is_asked in named.items() if is_asked] + [self.clutter] * bool(
+            self.clutter
+        )
         return words + ([f"{self.poses} poses"] if self.poses != "upright" else [])
 
     @property
@@ -163,10 +170,15 @@ def key_of(trial: Trial, sources: dict[str, Any]) -> str:
     Args:
       sources: hashes of what the trial names (pool, support, checkpoint) and versions.
     """
-    names, usual = [field.name for field in fields(Trial)], Trial()
+    names = [field.name for field in fields(Trial)]
+    usual = Trial()
     later = names[names.index("min_margin") :]
     # Pools and supports by their hashes; the later settings only where they are not the usual ones.
-    left_out = {"pool", "support", *(name for name in later if getattr(trial, name) == getattr(usual, name))}
+    left_out = {
+        "pool",
+        "support",
+        *(name for name in later if getattr(trial, name) == getattr(usual, name)),
+    }
     asked = {name: value for name, value in asdict(trial).items() if name not in left_out}
     text = json.dumps({"trial": asked, "sources": sources}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:20]

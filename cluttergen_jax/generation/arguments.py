@@ -28,12 +28,15 @@ def is_known(*arrays: Any) -> bool:
 
 def check_key(key: Any, call: str = "sample") -> None:
     """Refuses what is not one PRNG key, old style or new."""
-    dtype, shape = getattr(key, "dtype", None), np.shape(key)
+    dtype = getattr(key, "dtype", None)
+    shape = np.shape(key)
     if dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key):
         is_one = shape == ()
     else:
         # How long such a key is, JAX's default implementation says.
-        is_one = dtype == jnp.uint32 and shape == jax.eval_shape(lambda: jax.random.PRNGKey(0)).shape
+        is_one = (
+            dtype == jnp.uint32 and shape == jax.eval_shape(lambda: jax.random.PRNGKey(0)).shape
+        )
     if not is_one:
         raise ConfigError(
             f"{call}(key) with a {type(key).__name__} of type {dtype} and shape {shape}",
@@ -63,14 +66,17 @@ def _check_boxes(boxes: KeepOut) -> None:
     shapes = tuple(jnp.shape(each) for each in arrays)
     number = shapes[0][:1]
     if len(number) != 1 or shapes != ((*number, 2), (*number, 2), number):
-        raise ConfigError(f"KeepOut of shapes {shapes}", "center [B, 2], half_extents [B, 2], yaw [B]")
+        raise ConfigError(
+            f"KeepOut of shapes {shapes}", "center [B, 2], half_extents [B, 2], yaw [B]"
+        )
     if is_known(*arrays) and not all(np.isfinite(np.asarray(each)).all() for each in arrays):
         raise ConfigError("a KeepOut with numbers that are not finite", "metres and radians")
 
 
 def region_fits(region: Region, usual: Region, support: SupportAsset) -> Array:
     """bool: the region lies on the support, and is no larger than the world was made for; known or not."""
-    half, place = jnp.asarray(region.half_extents), region.T_world_region.wxyz_xyz
+    half = jnp.asarray(region.half_extents)
+    place = region.T_world_region.wxyz_xyz
     fits = jnp.all((half > 0) & (half <= usual.half_extents + 1e-6)) & jnp.all(jnp.isfinite(place))
     fits &= _is_on_top(region, support)
     if is_known(fits) and not fits:
@@ -90,7 +96,9 @@ def _is_on_top(region: Region, support: SupportAsset) -> Array:
     corners = jax.vmap(region.T_world_region.apply)(signs * jnp.append(region.half_extents, 0.0))
     if support.named:
         surface = support.chosen
-        corners = (corners - jnp.array(surface.position)) @ jnp.array(surface.T_world_surface[:3, :3])
+        corners = (corners - jnp.array(surface.position)) @ jnp.array(
+            surface.T_world_surface[:3, :3]
+        )
     reach = top_bounds_of(support)
     local = corners[:, :2] @ reach.axes
     return jnp.all((local >= reach.lower - _ROUNDING) & (local <= reach.upper + _ROUNDING))
@@ -132,5 +140,7 @@ def recipe_text(recipe: partial[Any] | None) -> str:
     parameters = inspect.signature(recipe.func).parameters
     given = dict(zip(parameters, recipe.args, strict=False)) | recipe.keywords
     usual = {name: each.default for name, each in parameters.items()}
-    other = {name: value for name, value in given.items() if name not in usual or usual[name] != value}
+    other = {
+        name: value for name, value in given.items() if name not in usual or usual[name] != value
+    }
     return ", ".join(f"{name}={value!r}" for name, value in other.items())

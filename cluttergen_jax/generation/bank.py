@@ -79,7 +79,8 @@ class BankArrays(struct.PyTreeNode):
     @property
     def xfrc_applied(self) -> Array:
         """f32[S, nbody, 6], newtons: what keeps objects that do not belong in the air where they wait."""
-        model, bodies = self.compiled.model, self.compiled.model.jnt_bodyid
+        model = self.compiled.model
+        bodies = self.compiled.model.jnt_bodyid
         lift = jnp.asarray(self.compiled.lift, jnp.float32)
         applied = jnp.where(self.is_present[..., None], 0.0, lift)
         none = jnp.zeros((*self.is_present.shape[:-1], model.nbody, 6))

@@ -74,11 +74,14 @@ class BankAttachment:
           ConfigError: the model is not of the specification that the bank was attached to.
         """
         if not isinstance(model, mujoco.MjModel):
-            raise ConfigError(f"world of a {type(model).__name__}", "a mujoco.MjModel", "spec.compile()")
+            raise ConfigError(
+                f"world of a {type(model).__name__}", "a mujoco.MjModel", "spec.compile()"
+            )
         missing = [name for name in self.bank.names if not _has_joint(model, self.prefix + name)]
         if missing:
             raise ConfigError(
-                f"a model without {self.prefix}{missing[0]}", "that of the specification it was attached to"
+                f"a model without {self.prefix}{missing[0]}",
+                "that of the specification it was attached to",
             )
         return BankWorld(self, model)
 
@@ -151,11 +154,15 @@ class BankWorld:
         """
         is_whole = isinstance(seed, Integral) and not isinstance(seed, bool)
         if is_whole and not 0 <= int(seed) <= _MOST_SEED:
-            raise ConfigError(f"reset(seed={seed})", f"0 to {_MOST_SEED}, or one key of JAX", "reset(0)")
+            raise ConfigError(
+                f"reset(seed={seed})", f"0 to {_MOST_SEED}, or one key of JAX", "reset(0)"
+            )
         key = new_key(int(seed)) if is_whole else seed
         check_key(key, "reset")
         scene_key, own_key = jax.random.split(key)
-        scene = self.bank.reset(scene_key) if index is None else self.bank.scene(self._place_of(index))
+        scene = (
+            self.bank.reset(scene_key) if index is None else self.bank.scene(self._place_of(index))
+        )
         state = self._state(scene, own_key)
         return jax.device_get(state) if is_whole else state
 
@@ -212,7 +219,9 @@ class BankWorld:
           ConfigError: either is of another model, or it is a batch of states.
         """
         if not isinstance(data, mujoco.MjData):
-            raise ConfigError(f"put into a {type(data).__name__}", "a mujoco.MjData", "MjData(world.model)")
+            raise ConfigError(
+                f"put into a {type(data).__name__}", "a mujoco.MjData", "MjData(world.model)"
+            )
         host: Any = jax.device_get(state)
         for what, shape in (("data", data.qpos.shape), ("state", np.shape(host.qpos))):
             if shape != (self.model.nq,):
@@ -244,7 +253,9 @@ def attach_bank(
     support: bool,
 ) -> BankAttachment:
     """See `BankArrays.attach_to`."""
-    bank.waiting_scene().attach_to(spec, prefix, position=position, quaternion=quaternion, support=support)
+    bank.waiting_scene().attach_to(
+        spec, prefix, position=position, quaternion=quaternion, support=support
+    )
     # It holds a state of no scene, and is not extended where more is added.
     spec.delete(spec.key(f"{prefix}scene"))
     return BankAttachment(bank, prefix, tuple(map(float, position)), tuple(map(float, quaternion)))

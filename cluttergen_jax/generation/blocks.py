@@ -120,7 +120,9 @@ class _ShelvedBlocks(Sequence[tuple[Block, tuple[ObjectAsset, ...], np.ndarray]]
     """Blocks with the objects of their shelves, which are read when a worker is free for one."""
 
     def __init__(self, shelves: Shelves, blocks: Sequence[Block], seed: int) -> None:
-        self._shelves, self._blocks, self._seed = shelves, blocks, seed
+        self._shelves = shelves
+        self._blocks = blocks
+        self._seed = seed
 
     def __len__(self) -> int:
         return len(self._blocks)
@@ -128,7 +130,11 @@ class _ShelvedBlocks(Sequence[tuple[Block, tuple[ObjectAsset, ...], np.ndarray]]
     def __getitem__(self, place: Any) -> Any:
         block = self._blocks[place]
         names = self._shelves.draw(shelf_key(self._seed, block[0]))
-        return block, tuple(self._shelves.pool[name] for name in names), self._shelves.numbers(names)
+        return (
+            block,
+            tuple(self._shelves.pool[name] for name in names),
+            self._shelves.numbers(names),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +166,8 @@ class BlockMaker:
     @classmethod
     def of(cls, setup: Setup, method: Method, seed: int) -> BlockMaker:
         """What makes the blocks of a setup; a worker has one thread unless more are asked for."""
-        config, world = setup.problem.config, setup.problem.world
+        config = setup.problem.config
+        world = setup.problem.world
         first = world.num_objects - setup.problem.rules.num_started
         return cls(
             config=replace(

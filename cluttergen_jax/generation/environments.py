@@ -89,7 +89,9 @@ def make_env(
       BankError: the scene to start from cannot be read, or does not stand.
     """
     asked = spec_of(make_env, spec, options)
-    check_whole(num_cells=num_cells, history_stride=history_stride, num_scene_points=num_scene_points)
+    check_whole(
+        num_cells=num_cells, history_stride=history_stride, num_scene_points=num_scene_points
+    )
     _check_choices(observation, action)
     observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
     config = asked.problem_config(None)
@@ -124,7 +126,9 @@ class EnvSettings(EnvOptions, total=False):
 
 
 @with_own_settings
-def make_gym_env(spec: SceneSpec | str | Path | None = None, **settings: Unpack[EnvSettings]) -> GymnasiumEnv:
+def make_gym_env(
+    spec: SceneSpec | str | Path | None = None, **settings: Unpack[EnvSettings]
+) -> GymnasiumEnv:
     """A `gymnasium.Env` of one scene; `spec` and `settings` are those of `make_env`. Extra `gym`.
 
     Slow for training, as each step is a call of its own: see `make_vector_env`.
@@ -167,7 +171,9 @@ def make_vector_env(
 
     recipe = partial(make_vector_env, num_envs, spec, autoreset=autoreset, **settings)
     mode = _mode_of(autoreset)
-    return GymnasiumVectorEnv(_without_reset("make_vector_env", spec, settings), num_envs, mode, recipe)
+    return GymnasiumVectorEnv(
+        _without_reset("make_vector_env", spec, settings), num_envs, mode, recipe
+    )
 
 
 def make_sb3_env(
@@ -181,10 +187,14 @@ def make_sb3_env(
       MissingExtraError: Stable-Baselines3 is not installed; the others are those of `make_vector_env`.
     """
     if "autoreset" in settings:
-        raise ConfigError("autoreset in make_sb3_env", "settings of make_env: Stable-Baselines3 has one way")
+        raise ConfigError(
+            "autoreset in make_sb3_env", "settings of make_env: Stable-Baselines3 has one way"
+        )
     if settings.get("observation", "flat") != "flat":
         given = f"observation = {settings['observation']!r} in make_sb3_env"
-        raise ConfigError(given, "'flat': Stable-Baselines3 knows no nested spaces", "observation='flat'")
+        raise ConfigError(
+            given, "'flat': Stable-Baselines3 knows no nested spaces", "observation='flat'"
+        )
     try:
         import stable_baselines3  # noqa: F401
     except ImportError as error:
@@ -198,7 +208,10 @@ MAX_ENVS = 65_536
 
 
 def _check_choices(observation: str, action: str) -> None:
-    for name, value, allowed in (("observation", observation, OBSERVATIONS), ("action", action, ACTIONS)):
+    for name, value, allowed in (
+        ("observation", observation, OBSERVATIONS),
+        ("action", action, ACTIONS),
+    ):
         if value not in allowed:
             raise ConfigError(f"{name} = {value!r}", ", ".join(allowed), f"{name}={allowed[0]!r}")
 
@@ -260,7 +273,9 @@ def train_brax(env: Env, num_timesteps: int, **settings: Any) -> tuple[Any, Any,
         raise ConfigError("an environment that resets itself", "make_env(..., auto_reset=False)")
     length = settings.pop("episode_length", None) or env.episode_length
     with _old_jax_in(ppo):
-        return ppo.train(environment=env, num_timesteps=num_timesteps, episode_length=length, **settings)
+        return ppo.train(
+            environment=env, num_timesteps=num_timesteps, episode_length=length, **settings
+        )
 
 
 @contextmanager

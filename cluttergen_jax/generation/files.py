@@ -22,7 +22,8 @@ from cluttergen_jax.scene.xml import scene_xml
 from cluttergen_jax.schema import digest_of
 
 _OVERVIEW = 12
-_PNG_BEGINS, _PNG_ENDS = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
+_PNG_BEGINS = b"\x89PNG\r\n\x1a\n"
+_PNG_ENDS = b"IEND\xaeB`\x82"
 _MANY = 100
 _AHEAD = 64
 """Scenes whose objects are uploaded with those of one that is drawn."""
@@ -50,10 +51,15 @@ def write_files(
     """
     first = takewhile(lambda scene: scene.index < num_scenes, bank.scenes())
     scenes = [scene for scene in first if scene.is_success]
-    assets = {name: bank.object(name) for name in {base_name(n) for scene in scenes for n in scene.objects}}
+    assets = {
+        name: bank.object(name)
+        for name in {base_name(n) for scene in scenes for n in scene.objects}
+    }
     digests: dict[str, str] = {}
     for scene in track(scenes, "writing", len(scenes), "file"):
-        digests |= write_model(bank, scene, [assets[base_name(name)] for name in scene.objects], config)
+        digests |= write_model(
+            bank, scene, [assets[base_name(name)] for name in scene.objects], config
+        )
     keep_digests(digests)
     written = f"files      {len(scenes)} scenes in {bank.path / 'scenes'}"
     if not (is_drawn and scenes):
@@ -85,7 +91,9 @@ def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
     images: list[np.ndarray] = []
     quality = QUALITIES["fine" if len(scenes) <= _MANY else "draft"]
     objects = [[assets[base_name(name)] for name in scene.objects] for scene in scenes]
-    with ScenePictures(PictureConfig(samples=quality.samples, smoothing=quality.smoothing)) as pictures:
+    with ScenePictures(
+        PictureConfig(samples=quality.samples, smoothing=quality.smoothing)
+    ) as pictures:
         for place, scene in enumerate(track(scenes, "drawing", len(scenes), "picture")):
             path = scene_path(bank, scene.index, "png")
             if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):

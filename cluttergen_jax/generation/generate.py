@@ -82,7 +82,9 @@ def write_bank(
     Args:
       setup: the problem; of the first block, where blocks draw their objects from `shelves`.
     """
-    problem, sampler, bits = setup.problem, sampler_of(setup, method), bits_of(setup, cluster)
+    problem = setup.problem
+    sampler = sampler_of(setup, method)
+    bits = bits_of(setup, cluster)
 
     def make_tables(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
         if cluster is not None:
@@ -92,7 +94,9 @@ def write_bank(
             return shelved_blocks_here(shelves, method, blocks, recipe["seed"])
         return blocks_here(sampler, problem, blocks, recipe["seed"])
 
-    names: Objects = names_of(problem.world.objects) if shelves is None else shelves.pool.__getitem__
+    names: Objects = (
+        names_of(problem.world.objects) if shelves is None else shelves.pool.__getitem__
+    )
     notes = tuple(_notes(problem))
     with BankWriter(
         out,
@@ -109,7 +113,8 @@ def write_bank(
         started = time.perf_counter()
         num_new = run_blocks(make_tables, writer, num_scenes)
         bank = read_bank(writer.path)
-        totals, clutter = Totals(), ClutterTally(bank)
+        totals = Totals()
+        clutter = ClutterTally(bank)
         for rows in bank.tables():
             rows = rows.filter(pc.less(rows["index"], num_scenes))
             totals.add(rows)
@@ -121,7 +126,8 @@ def write_bank(
         summary = "\n".join([summary, *(f"clutter    {line}" for line in asked)])
         with writing(bank.path):
             write_card(bank)
-            num_files, written = min(num_scenes, max_files), ""
+            num_files = min(num_scenes, max_files)
+            written = ""
             if num_files > 0:
                 written = write_files(bank, num_files, problem.config, render, writer.keep_digests)
             record = read_bank(writer.path).record
@@ -168,10 +174,14 @@ def recipe_of(problem: Problem, method: Method, names: Sequence[str] | None = No
 
 
 def run_blocks(
-    made: Callable[[Sequence[Block]], Iterator[tuple[int, pa.Table]]], writer: BankWriter, num_scenes: int
+    made: Callable[[Sequence[Block]], Iterator[tuple[int, pa.Table]]],
+    writer: BankWriter,
+    num_scenes: int,
 ) -> int:
     """Makes every block that the bank lacks; returns the number of new scenes."""
-    missing = [(block, rows) for block, rows in blocks_of(num_scenes) if not writer.has_block(block, rows)]
+    missing = [
+        (block, rows) for block, rows in blocks_of(num_scenes) if not writer.has_block(block, rows)
+    ]
     for block, table in made(missing):
         writer.write_block(block, table)
     writer.finish()
@@ -187,7 +197,8 @@ def _advice(method: str, success: float) -> str:
 
 
 def _notes(problem: Problem) -> Iterator[str]:
-    world, number = problem.world, problem.config.placement.num_objects
+    world = problem.world
+    number = problem.config.placement.num_objects
     crowded = crowding(world.objects, number, problem.region, area_of(world.support))
     for asset in {id(each): each for each in problem.world.objects}.values():
         if asset.flags:

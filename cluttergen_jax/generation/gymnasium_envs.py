@@ -91,7 +91,8 @@ def space_of(observation: Any) -> spaces.Space:
     """The space of one observation, from its arrays' shapes and types; nested as it is."""
     if isinstance(observation, dict):
         return spaces.Dict({name: space_of(part) for name, part in observation.items()})
-    shape, dtype = observation.shape, np.dtype(observation.dtype)
+    shape = observation.shape
+    dtype = np.dtype(observation.dtype)
     if np.issubdtype(dtype, np.bool_):
         return spaces.Box(0, 1, shape, np.int8)
     if np.issubdtype(dtype, np.integer):
@@ -145,7 +146,8 @@ class GymnasiumEnv(_Remade, gymnasium.Env):
     def __init__(self, env: ActionRange, recipe: partial[Any] | None = None) -> None:
         self.recipe = recipe
         self.observation_space, self.action_space = spaces_of(env)
-        self._reset, self._attempt = jax.jit(env.reset), jax.jit(partial(attempt, env))
+        self._reset = jax.jit(env.reset)
+        self._attempt = jax.jit(partial(attempt, env))
         self._state: State | None = None
         self.scene: SceneBatch | None = None
 
@@ -160,9 +162,11 @@ class GymnasiumEnv(_Remade, gymnasium.Env):
         """One attempt with `action`, f32[4]. After the episode's last one, `reset` has to follow."""
         before = _check_step(self._state, action, self.action_space)
         self._state, outcome = self._attempt(before, np.asarray(action, np.float32))
-        obs, outcome = to_numpy(outcome.obs), jax.device_get(outcome.replace(obs=None))
+        obs = to_numpy(outcome.obs)
+        outcome = jax.device_get(outcome.replace(obs=None))
         if is_over := bool(outcome.is_over):
-            self.scene, self._state = jax.device_get(self._state.pipeline_state.finished), None
+            self.scene = jax.device_get(self._state.pipeline_state.finished)
+            self._state = None
         info = {name: value.item() for name, value in outcome.info.items()}
         return obs, float(outcome.reward), is_over, False, info
 
@@ -184,13 +188,15 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
         recipe: partial[Any] | None = None,
     ) -> None:
         self.metadata = {"render_modes": [], "autoreset_mode": autoreset}
-        self.num_envs, self.recipe = num_envs, recipe
+        self.num_envs = num_envs
+        self.recipe = recipe
         self._is_same_step = autoreset == AutoresetMode.SAME_STEP
         step = attempt if self._is_same_step else attempt_or_begin
         self.single_observation_space, self.single_action_space = spaces_of(env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._reset, self._attempt = jax.jit(jax.vmap(env.reset)), jax.jit(jax.vmap(partial(step, env)))
+        self._reset = jax.jit(jax.vmap(env.reset))
+        self._attempt = jax.jit(jax.vmap(partial(step, env)))
         self._state: State | None = None
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
@@ -209,7 +215,13 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
         infos = _with_masks(info, ~is_over if self._is_same_step else ~was_over)
         if self._is_same_step and is_over.any():
             infos |= self._final(outcome, is_over, info)
-        return to_numpy(self._state.obs), np.array(reward), np.array(is_over), np.zeros_like(is_over), infos
+        return (
+            to_numpy(self._state.obs),
+            np.array(reward),
+            np.array(is_over),
+            np.zeros_like(is_over),
+            infos,
+        )
 
     def _final(self, outcome: Outcome, is_over: np.ndarray, info: dict[str, np.ndarray]) -> Info:
         """The last observations and infos of episodes that have ended."""
@@ -249,7 +261,9 @@ def _check_options(options: Info | None) -> None:
 def _check_step(state: State | None, action: Any, space: spaces.Box) -> State:
     """The state, which is there, and which an action of its space meets."""
     if state is None:
-        raise gymnasium.error.ResetNeeded("reset() has to be called before the first step of an episode")
+        raise gymnasium.error.ResetNeeded(
+            "reset() has to be called before the first step of an episode"
+        )
     if np.shape(action) != space.shape:
         raise ConfigError(f"an action of shape {np.shape(action)}", f"shape {space.shape}")
     is_nan = np.isnan(np.asarray(action, np.float32)).reshape(-1, space.shape[-1]).any(1)

@@ -55,10 +55,17 @@ class HandBank:
     """
 
     def __init__(
-        self, out: str | Path, setup: Setup, keep_out: Sequence[Rectangle], seed: int, overwrite: bool = False
+        self,
+        out: str | Path,
+        setup: Setup,
+        keep_out: Sequence[Rectangle],
+        seed: int,
+        overwrite: bool = False,
     ) -> None:
         problem = setup.problem
-        self.setup, self.keep_out, self._seed = setup, tuple(keep_out), seed
+        self.setup = setup
+        self.keep_out = tuple(keep_out)
+        self._seed = seed
         recipe = recipe_of(problem, Method(HAND)) | {
             "start": None,
             "keep_out": [asdict(box) for box in keep_out],
@@ -81,7 +88,10 @@ class HandBank:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -125,7 +135,8 @@ class HandBank:
         """
         # What is stored is the time up to now, not what storing takes.
         scene.clock.stop()
-        bank, index = read_bank(self._writer.path), self.num_kept
+        bank = read_bank(self._writer.path)
+        index = self.num_kept
         # Asked for before it is there: a writer that is killed in between leaves an interrupted bank.
         self._writer.extend(index + 1)
         self._writer.write_block(index // BLOCK_SIZE, self._rows_with(scene, index))
@@ -150,31 +161,42 @@ class HandBank:
         row = self._row(scene)
         if index % BLOCK_SIZE == 0:
             return row
-        before = StoredBlocks.of(self._writer.path).read(index // BLOCK_SIZE).select(row.schema.names)
+        before = (
+            StoredBlocks.of(self._writer.path).read(index // BLOCK_SIZE).select(row.schema.names)
+        )
         return pa.concat_tables([before.cast(row.schema), row]).combine_chunks()
 
     def _row(self, scene: HandScene) -> pa.Table:
-        problem, index = self.setup.problem, np.array([self.num_kept])
+        problem = self.setup.problem
+        index = np.array([self.num_kept])
         batch = jax.tree.map(lambda leaf: np.asarray(leaf)[None], scene.result())
         half_extents = np.asarray(problem.rules.geometry.half_extents)
         row = table_of(index, batch, problem.world.names, half_extents)
-        return row.append_column(BY_HAND.field("seconds"), pa.array([scene.clock.seconds], pa.float32()))
+        return row.append_column(
+            BY_HAND.field("seconds"), pa.array([scene.clock.seconds], pa.float32())
+        )
 
     def _mend(self) -> None:
         """Writes what a killed writer left out beside the table."""
         bank = read_bank(self._writer.path)
         with writing(bank.path):
-            write_files(bank, self.num_kept, self.setup.problem.config, False, self._writer.keep_digests)
+            write_files(
+                bank, self.num_kept, self.setup.problem.config, False, self._writer.keep_digests
+            )
             write_card(read_bank(bank.path))
 
 
 def hand_setup(spec: SceneSpec) -> Setup:
     """The problem that a person solves (`make_setup`): attempts as they like, none looked back on."""
     config = spec.problem_config(None)
-    setup = make_setup(replace(config, placement=replace(config.placement, history_stride=0)), spec.boxes())
+    setup = make_setup(
+        replace(config, placement=replace(config.placement, history_stride=0)), spec.boxes()
+    )
     support = setup.problem.world.support
     if support.named and not support.chosen.is_level:
-        raise ConfigError(f"placing by hand on {support.name!r}, a slope", "a level surface", "bookcase")
+        raise ConfigError(
+            f"placing by hand on {support.name!r}, a slope", "a level surface", "bookcase"
+        )
     if setup.problem.rules.surfaces is not None:
         given = f"placing by hand on {len(support.asked)} surfaces of {support.name!r}"
         raise ConfigError(given, "one surface", f"surface={support.asked[0][0].name!r}")

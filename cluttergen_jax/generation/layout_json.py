@@ -23,9 +23,20 @@ _UNIT_NAMES = {
 }
 _REMARKS = ("comment", "comments", "description", "note", "notes", "reason", "reasoning", "title")
 """Keys of words that change nothing."""
-_EXPORTED = ("format", "conventions", "timestep", "gravity", "friction", "bounds", "assets", "cameras")
+_EXPORTED = (
+    "format",
+    "conventions",
+    "timestep",
+    "gravity",
+    "friction",
+    "bounds",
+    "assets",
+    "cameras",
+)
 """Keys of exported scenes besides: what they say of the world is the support's and the pool's own."""
-_ALIKE_TURN, _ALIKE_PLACE, _FULL_TURN = 1e-3, 1e-6, 2 * math.pi
+_ALIKE_TURN = 1e-3
+_ALIKE_PLACE = 1e-6
+_FULL_TURN = 2 * math.pi
 _LYING = math.cos(math.radians(30.0))
 _UNIT_LENGTH = 0.05
 
@@ -79,12 +90,16 @@ def read_layout_json(path: Path) -> LayoutFile:
     except (SchemaError, OSError) as error:
         raise ConfigError(f"{path} is no layout ({error})", f"JSON such as {FORM}") from error
     if not isinstance(record, dict):
-        raise ConfigError(f"{path} is no layout but {type(record).__name__}", f"JSON such as {FORM}")
+        raise ConfigError(
+            f"{path} is no layout but {type(record).__name__}", f"JSON such as {FORM}"
+        )
     exported = _EXPORTED if "format" in record else ()
     _check_keys(record, (*_OF_FILE, *_REMARKS, *exported), f"{path}")
     if not isinstance(record.get("objects"), list):
         given = (
-            f"objects = {_short(record['objects'])}" if "objects" in record else "there is no key 'objects'"
+            f"objects = {_short(record['objects'])}"
+            if "objects" in record
+            else "there is no key 'objects'"
         )
         raise ConfigError(f"{path} is no layout: {given}", f"a list, in JSON such as {FORM}")
     if not record["objects"]:
@@ -92,7 +107,8 @@ def read_layout_json(path: Path) -> LayoutFile:
     unit = _unit_of(record, f"{path}")
     notes: list[str] = []
     entries = tuple(
-        _entry(each, f"{path}: objects[{place}]", unit, notes) for place, each in enumerate(record["objects"])
+        _entry(each, f"{path}: objects[{place}]", unit, notes)
+        for place, each in enumerate(record["objects"])
     )
     support, half_extents = _support_of(record, path)
     pool = record.get("pool", "")
@@ -107,13 +123,19 @@ def _check_keys(record: Mapping[str, Any], known: tuple[str, ...], where: str) -
     """Refuses a key that nothing is known of (ConfigError)."""
     for key in record:
         if key not in known:
-            shown = [each for each in known if each not in (*_REMARKS, *_EXPORTED, *_RESULTS, "is_stable")]
+            shown = [
+                each
+                for each in known
+                if each not in (*_REMARKS, *_EXPORTED, *_RESULTS, "is_stable")
+            ]
             meant = _MEANT.get(key.lower(), "")
             if meant == _ANY_TURN:
                 meant = _turn_of(record[key])
             elif meant not in known or meant in record:
                 meant = closest(key, shown)
-            raise ConfigError(f"{where}: the key {key!r} is not known", ", ".join(shown), meant=meant)
+            raise ConfigError(
+                f"{where}: the key {key!r} is not known", ", ".join(shown), meant=meant
+            )
 
 
 def _turn_of(value: Any) -> str:
@@ -126,7 +148,10 @@ def _turn_of(value: Any) -> str:
 def _unit_of(record: Mapping[str, Any], where: str) -> str:
     """The unit of length that a file or an object states; "" where it states none."""
     stated = [record[key] for key in ("unit", "units") if key in record]
-    found = [_UNIT_NAMES.get(each.strip().lower(), "") if isinstance(each, str) else "" for each in stated]
+    found = [
+        _UNIT_NAMES.get(each.strip().lower(), "") if isinstance(each, str) else ""
+        for each in stated
+    ]
     if not all(found) or len(set(found)) > 1:
         raise ConfigError(f"{where}: unit = {', '.join(map(repr, stated))}", "one of m, cm, mm")
     return found[0] if found else ""
@@ -153,7 +178,8 @@ def _entry(entry: Any, where: str, unit: str, notes: list[str]) -> LayoutEntry:
         allowed = '{"name": ..., "position": [...]}'
         raise ConfigError(f"{where} = {_short(entry)}, so it is no layout", allowed)
     _check_keys(entry, (*_PLAIN, *_PLACES, *_TURNS, *_REMARKS, *_RESULTS), where)
-    name, asset = entry.get("name"), entry.get("asset", "")
+    name = entry.get("name")
+    asset = entry.get("asset", "")
     if not isinstance(name, str) or not name or not isinstance(asset, str):
         raise ConfigError(f"{where}: name = {_short(name)}, asset = {_short(asset)}", "texts")
     where = f"{where} ({name})"
@@ -189,7 +215,9 @@ def _quaternion(entry: Mapping[str, Any], where: str, notes: list[str]) -> np.nd
     for key, value in found.items():
         length = float(np.linalg.norm(value))
         if length < 1e-3:
-            raise ConfigError(f"{where}: {key} = {entry[key]}, which has no direction", "a unit quaternion")
+            raise ConfigError(
+                f"{where}: {key} = {entry[key]}, which has no direction", "a unit quaternion"
+            )
         if abs(length - 1) > _UNIT_LENGTH:
             notes.append(f"{where}: {key} is of length {length:.3g}, and taken for its direction")
         found[key] = value / length
@@ -203,7 +231,9 @@ def _quaternion(entry: Mapping[str, Any], where: str, notes: list[str]) -> np.nd
             swapped = read(entry[key], where)
             is_upright = rotation_matrix(swapped / np.linalg.norm(swapped))[2, 2] >= _LYING
             if rotation_matrix(found[key])[2, 2] < _LYING and is_upright:
-                notes.append(f"{where}: by {key} it is tilted or lies; in the order of {other} it is upright")
+                notes.append(
+                    f"{where}: by {key} it is tilted or lies; in the order of {other} it is upright"
+                )
     return first
 
 
@@ -215,13 +245,17 @@ def _numbers(value: Any, count: int, where: str) -> np.ndarray:
     """f64[count] of a list of finite numbers (ConfigError)."""
     is_list = isinstance(value, list) and len(value) == count
     if not is_list or any(not _is_number(each) for each in value):
-        raise ConfigError(f"{where} = {_short(value)}, so it is no layout", f"a list of {count} numbers")
+        raise ConfigError(
+            f"{where} = {_short(value)}, so it is no layout", f"a list of {count} numbers"
+        )
     try:
         numbers = np.array(value, np.float64)
     except OverflowError:
         numbers = np.full(count, np.inf)
     if not np.isfinite(numbers).all():
-        raise ConfigError(f"{where} = {_short(value)}, which is not finite", f"{count} finite numbers")
+        raise ConfigError(
+            f"{where} = {_short(value)}, which is not finite", f"{count} finite numbers"
+        )
     return numbers
 
 
@@ -247,7 +281,9 @@ def _angles(count: int, factor: float) -> Callable[[Any, str], np.ndarray]:
         if factor == 1.0 and np.abs(angles).max() > _FULL_TURN:
             key = where.rpartition(": ")[2]
             meant = f"{key.removesuffix('_rad')}_deg"
-            raise ConfigError(f"{where} = {value!r}, which is more than a full turn", "radians", meant=meant)
+            raise ConfigError(
+                f"{where} = {value!r}, which is more than a full turn", "radians", meant=meant
+            )
         roll, pitch, yaw = factor * (angles if count == 3 else np.array([0.0, 0.0, angles[0]]))
         turn = _about(2, yaw)
         return product(turn, product(_about(1, pitch), _about(0, roll)))
@@ -257,7 +293,8 @@ def _angles(count: int, factor: float) -> Callable[[Any, str], np.ndarray]:
 
 def _about(axis: int, angle: float) -> np.ndarray:
     turn = np.zeros(4)
-    turn[0], turn[1 + axis] = math.cos(angle / 2), math.sin(angle / 2)
+    turn[0] = math.cos(angle / 2)
+    turn[1 + axis] = math.sin(angle / 2)
     return turn
 
 
@@ -306,7 +343,9 @@ _MEANT = {
         _ANY_TURN,
     ),
     **dict.fromkeys(("roll", "pitch", "roll_deg", "pitch_deg"), "rpy_deg"),
-    **dict.fromkeys(("pos", "xyz", "x", "y", "z", "location", "coordinates", "translation"), "position"),
+    **dict.fromkeys(
+        ("pos", "xyz", "x", "y", "z", "location", "coordinates", "translation"), "position"
+    ),
     **dict.fromkeys(("object", "object_name", "label", "id", "type"), "name"),
     **dict.fromkeys(("category", "model", "class"), "asset"),
     **dict.fromkeys(("table", "surface", "furniture"), "support"),

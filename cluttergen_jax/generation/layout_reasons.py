@@ -21,14 +21,20 @@ def reason_without_place(
 ) -> str:
     """Why an object at a pose, f64[7], finds no place on a support within `max_shift` metres."""
     surface, beyond, gap = _nearest(asset, pose, support)
-    where = f"{support.name!r}" if len(support.surfaces) == 1 else f"{surface.name!r} of {support.name!r}"
+    where = (
+        f"{support.name!r}"
+        if len(support.surfaces) == 1
+        else f"{surface.name!r} of {support.name!r}"
+    )
     said = [f"{beyond:.2f} m beyond the edge of {where}"] if beyond > 0 else []
     top = f"the top of {where}"
     if gap < -max_shift:
         said.append(f"{-gap:.2f} m under {top}")
     elif gap > max_shift:
         said.append(f"{gap:.2f} m above {top}")
-    return " and ".join(said) or f"too little room within {max_shift:g} m, or it does not stay there"
+    return (
+        " and ".join(said) or f"too little room within {max_shift:g} m, or it does not stay there"
+    )
 
 
 def hint_for_positions(
@@ -60,7 +66,9 @@ def _fit(objects: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsse
     return all(beyond == 0 and abs(gap) <= _NEAR for _, beyond, gap in found)
 
 
-def _nearest(asset: ObjectAsset, pose: np.ndarray, support: SupportAsset) -> tuple[Surface, float, float]:
+def _nearest(
+    asset: ObjectAsset, pose: np.ndarray, support: SupportAsset
+) -> tuple[Surface, float, float]:
     """The surface that an object is nearest to; metres beyond its edge, and above it, negative below."""
     points = transform_points(pose, np.concatenate([part.vertices for part in asset.parts]))
     center = transform_points(pose, np.asarray(asset.center_of_mass)[None])
@@ -68,10 +76,15 @@ def _nearest(asset: ObjectAsset, pose: np.ndarray, support: SupportAsset) -> tup
     for surface in support.surfaces:
         back = conjugate(np.array(surface.quaternion))
         home = np.array(
-            [*transform_points(np.array([0, 0, 0, *back]), -np.array(surface.position)[None])[0], *back]
+            [
+                *transform_points(np.array([0, 0, 0, *back]), -np.array(surface.position)[None])[0],
+                *back,
+            ]
         )
         gap = float(transform_points(home, points)[:, 2].min())
-        found.append((surface, _beyond(surface.outline, transform_points(home, center)[0, :2]), gap))
+        found.append(
+            (surface, _beyond(surface.outline, transform_points(home, center)[0, :2]), gap)
+        )
     return min(found, key=lambda each: np.hypot(each[1], each[2]))
 
 

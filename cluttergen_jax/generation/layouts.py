@@ -94,7 +94,9 @@ def _read(layout: str | Path) -> _File:
     path = known.get(str(layout), Path(layout))
     if not is_regular_file(path):
         meant = closest(str(layout), tuple(known))
-        raise ConfigError(f"layout {str(layout)!r}", f"a YAML file, or {', '.join(known)}", _HINT, meant)
+        raise ConfigError(
+            f"layout {str(layout)!r}", f"a YAML file, or {', '.join(known)}", _HINT, meant
+        )
     try:
         content = parse_yaml(read_written(path))
     except (SchemaError, OSError) as error:

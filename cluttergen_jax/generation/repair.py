@@ -88,7 +88,9 @@ def read_layouts(
     """
     path = Path(source)
     named = None if path.suffix == ".json" else parse_reference(str(source))
-    if named is not None and (named[1] is not None or (named[0] / INDEX).is_file() or not path.is_dir()):
+    if named is not None and (
+        named[1] is not None or (named[0] / INDEX).is_file() or not path.is_dir()
+    ):
         if pool is not None or support is not None:
             raise ConfigError("`pool` or `support` with a bank", "the bank's own", "leaving it out")
         return _layouts_of_bank(read_bank(named[0]), scenes if named[1] is None else [named[1]])
@@ -97,7 +99,9 @@ def read_layouts(
     folder = path / "scenes" if (path / "scenes").is_dir() else path
     files = [path] if path.is_file() else sorted(folder.glob("*.json"))
     if not files:
-        raise ConfigError(f"{source}, in which there is no layout", f"a bank, or JSON files such as {FORM}")
+        raise ConfigError(
+            f"{source}, in which there is no layout", f"a bank, or JSON files such as {FORM}"
+        )
     return _layouts_of_files(files, pool, support)
 
 
@@ -105,15 +109,22 @@ def _layouts_of_bank(bank: Bank, numbers: Sequence[int] | None) -> LayoutSet:
     rows = list(bank.scenes() if numbers is None else bank.rows(numbers).values())
     if numbers is not None and len(rows) < len(set(numbers)):
         held = [int(index) for each in bank.tables(["index"]) for index in each["index"].to_numpy()]
-        raise ConfigError(f"{bank.path}: {missing_text(sorted(set(numbers)), held)}", "scenes of the bank")
+        raise ConfigError(
+            f"{bank.path}: {missing_text(sorted(set(numbers)), held)}", "scenes of the bank"
+        )
     if empty := [row.index for row in rows if not row.objects]:
-        raise ConfigError(f"{bank.path}: no object stands in scene {empty[0]}", "others", "`scenes`")
-    asset_of, recipe = lru_cache(maxsize=None)(bank.object), bank.recipe
+        raise ConfigError(
+            f"{bank.path}: no object stands in scene {empty[0]}", "others", "`scenes`"
+        )
+    asset_of = lru_cache(maxsize=None)(bank.object)
+    recipe = bank.recipe
     layouts = []
     for row in rows:
         objects = tuple(asset_of(base_name(name)) for name in row.objects)
         layouts.append(
-            BrokenLayout(f"{bank.path.name}:{row.index}", row.objects, objects, row.poses.astype(float))
+            BrokenLayout(
+                f"{bank.path.name}:{row.index}", row.objects, objects, row.poses.astype(float)
+            )
         )
     config = ProblemConfig(
         pool=str(recipe.get("pool", "")),
@@ -131,15 +142,23 @@ def _layouts_of_files(files: Sequence[Path], pool: str | None, support: str | No
     pool = _only("pool", {pool or each.pool for each in read.values()})
     support = _only("support", {support or each.support for each in read.values()})
     # A layout does not say on which of several surfaces its objects are.
-    assets, table, layouts = find_pool(pool), find_support(support).on_surface("all"), []
+    assets = find_pool(pool)
+    table = find_support(support).on_surface("all")
+    layouts = []
     for file, each in read.items():
         if each.half_extents is not None:
-            theirs, ours = np.array(each.half_extents), np.array(table.region.half_extents)
+            theirs = np.array(each.half_extents)
+            ours = np.array(table.region.half_extents)
             if np.abs(theirs - ours).max() > 1e-4:
-                given = f"{file}: a support with a region of {2 * theirs[0]:g} x {2 * theirs[1]:g} m"
-                raise ConfigError(given, f"{2 * ours[0]:g} x {2 * ours[1]:g} m, as {support!r}", "`support`")
+                given = (
+                    f"{file}: a support with a region of {2 * theirs[0]:g} x {2 * theirs[1]:g} m"
+                )
+                raise ConfigError(
+                    given, f"{2 * ours[0]:g} x {2 * ours[1]:g} m, as {support!r}", "`support`"
+                )
         objects = tuple(_asset_of(assets, entry, file) for entry in each.entries)
-        names, poses = tuple(e.name for e in each.entries), np.array([e.pose for e in each.entries])
+        names = tuple(e.name for e in each.entries)
+        poses = np.array([e.pose for e in each.entries])
         layouts.append(BrokenLayout(file.name, names, objects, poses, each.is_in_metres))
     notes = tuple(note for each in read.values() for note in each.notes)
     return LayoutSet(tuple(layouts), table, ProblemConfig(pool=pool, support=support), notes)
@@ -161,7 +180,11 @@ def _asset_of(pool: Pool, entry: LayoutEntry, file: Path) -> ObjectAsset:
 def _only(what: str, found: set[str]) -> str:
     """The one pool or support of all layouts."""
     if len(found) > 1 or "" in found:
-        given = f"a layout that names no {what}" if "" in found else f"layouts of the {what}s {sorted(found)}"
+        given = (
+            f"a layout that names no {what}"
+            if "" in found
+            else f"layouts of the {what}s {sorted(found)}"
+        )
         raise ConfigError(given, f"one {what}", f"`{what}`")
     return next(iter(found))
 
@@ -199,7 +222,8 @@ class RepairedLayout:
 
     def records(self) -> list[dict[str, Any]]:
         """What became of each object, as JSON values."""
-        layout, each_one = self.layout, zip(self.poses.tolist(), self.is_placed.tolist(), strict=True)
+        layout = self.layout
+        each_one = zip(self.poses.tolist(), self.is_placed.tolist(), strict=True)
         motion = zip(self.shift.tolist(), self.turn.tolist(), strict=True)
         return [
             {
@@ -220,9 +244,15 @@ class RepairedLayout:
     def __str__(self) -> str:
         if self.is_stable:
             return f"{self.layout.source}: stable"
-        names = [f"{name} ({why})" for name, why in zip(self.layout.names, self.reasons, strict=True) if why]
+        names = [
+            f"{name} ({why})"
+            for name, why in zip(self.layout.names, self.reasons, strict=True)
+            if why
+        ]
         why = (
-            f"no stable place near its own for {', '.join(names)}" if names else f"{self.verdict} as a whole"
+            f"no stable place near its own for {', '.join(names)}"
+            if names
+            else f"{self.verdict} as a whole"
         )
         why += f"; {self.hint}" if self.hint else ""
         return f"not repaired: {self.layout.source}: {why}"
@@ -254,11 +284,15 @@ class RepairReport:
         ).drop_columns(["position", "quaternion_wxyz"])
 
     def __str__(self) -> str:
-        moved = [record for each in self.layouts for record in each.records() if record["is_placed"]]
+        moved = [
+            record for each in self.layouts for record in each.records() if record["is_placed"]
+        ]
         stable = sum(each.is_stable for each in self.layouts)
         lines = [f"{stable} of {len(self.layouts)} layouts are stable now, in {self.path}"]
         if moved:
-            shift, turn = (np.array([record[name] for record in moved]) for name in ("shift", "turn"))
+            shift, turn = (
+                np.array([record[name] for record in moved]) for name in ("shift", "turn")
+            )
             lines.append(
                 f"motion of {len(moved)} objects: median {small_length(np.median(shift))} and "
                 f"{np.degrees(np.median(turn)):.1f} deg, most {small_length(shift.max())} and "
@@ -275,14 +309,21 @@ def _shorten(lines: list[str]) -> list[str]:
     return lines[:_SHOWN] + ([f"and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else [])
 
 
-def repair_layouts(given: LayoutSet, out: Path, limits: RepairConfig, overwrite: bool) -> RepairReport:
+def repair_layouts(
+    given: LayoutSet, out: Path, limits: RepairConfig, overwrite: bool
+) -> RepairReport:
     """See `cluttergen_jax.repair`."""
     if out.suffix == ".json" and len(given.layouts) > 1:
-        raise ConfigError(f"out = '{out}' for {len(given.layouts)} layouts", "a bank", "out='repaired'")
+        raise ConfigError(
+            f"out = '{out}' for {len(given.layouts)} layouts", "a bank", "out='repaired'"
+        )
     if out.suffix == ".json" and out.exists() and not overwrite:
-        raise ConfigError(f"out = '{out}', which exists", "a new file", "another name, or `overwrite`")
+        raise ConfigError(
+            f"out = '{out}', which exists", "a new file", "another name, or `overwrite`"
+        )
     setup, indices = _setup_of(given)
-    world, mend = setup.problem.world, LayoutRepair(setup, limits)
+    world = setup.problem.world
+    mend = LayoutRepair(setup, limits)
     half_extents = np.asarray(setup.problem.rules.geometry.half_extents)
 
     def row_of(number: int) -> pa.Table:
@@ -300,7 +341,11 @@ def repair_layouts(given: LayoutSet, out: Path, limits: RepairConfig, overwrite:
         if out.suffix == ".json":
             found = report(out, rows_of(row_of(0)))
             (only,) = found.layouts
-            record = {"pool": given.config.pool, "support": given.config.support, "is_stable": only.is_stable}
+            record = {
+                "pool": given.config.pool,
+                "support": given.config.support,
+                "is_stable": only.is_stable,
+            }
             data = json.dumps(record | {"objects": only.records()}, indent=1) + "\n"
             write_atomically(out, data.encode())
             return found
@@ -312,7 +357,9 @@ def repair_layouts(given: LayoutSet, out: Path, limits: RepairConfig, overwrite:
             "layouts": digest_of(poses),
         }
         objects = names_of(world.objects)
-        with BankWriter(out, recipe, len(given.layouts), objects, world.support, overwrite) as writer:
+        with BankWriter(
+            out, recipe, len(given.layouts), objects, world.support, overwrite
+        ) as writer:
             for block, number in blocks_of(len(given.layouts)):
                 if writer.has_block(block, number):
                     progress.update(number)
@@ -323,7 +370,9 @@ def repair_layouts(given: LayoutSet, out: Path, limits: RepairConfig, overwrite:
             bank = read_bank(writer.path)
             found = report(bank.path, bank.scenes())
             with writing(bank.path):
-                write_files(bank, len(found.layouts), setup.problem.config, False, writer.keep_digests)
+                write_files(
+                    bank, len(found.layouts), setup.problem.config, False, writer.keep_digests
+                )
                 write_card(read_bank(bank.path))
                 with file_whole(bank.path / "repair.csv") as fresh:
                     pyarrow.csv.write_csv(found.rows, fresh)
@@ -364,7 +413,9 @@ def _compare(
     """A layout before and after."""
     placed = dict(zip(row.objects, row.poses.astype(float), strict=True))
     is_placed = np.array([names[index] in placed for index in indices])
-    poses = np.array([placed.get(names[i], pose) for i, pose in zip(indices, layout.poses, strict=True)])
+    poses = np.array(
+        [placed.get(names[i], pose) for i, pose in zip(indices, layout.poses, strict=True)]
+    )
     reasons = tuple(
         "" if there else reason_without_place(asset, pose, support, max_shift)
         for asset, pose, there in zip(layout.objects, layout.poses, is_placed, strict=True)

@@ -101,7 +101,9 @@ class Sampler:
         if not isinstance(self.recipe, _Recipe):
             given = f"recipe = {self.recipe!r} of a sampler that it did not make"
             raise ConfigError(given, "None", "that call, which makes a sampler with its recipe")
-        if any(mine is not made for mine, made in zip(self._parts(), self.recipe.parts, strict=True)):
+        if any(
+            mine is not made for mine, made in zip(self._parts(), self.recipe.parts, strict=True)
+        ):
             object.__setattr__(self, "recipe", None)
 
     def _parts(self) -> tuple[Any, ...]:
@@ -152,7 +154,9 @@ class Sampler:
             )
         shelves, method = self.shelves
         setup = draw(shelves)
-        drawn = replace(self, problem=setup.problem, steps=sampler_of(setup, method), start=setup.start)
+        drawn = replace(
+            self, problem=setup.problem, steps=sampler_of(setup, method), start=setup.start
+        )
         return drawn._made_by(_put_on_shelf, self.recipe, setup.problem.world.names)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -195,13 +199,16 @@ class Sampler:
         check_key(key)
         check_call(region, keep_out, start)
         region, keep_out, start = as_float32((region, keep_out, start))
-        rules, support = self.steps.rules, self._support
+        rules = self.steps.rules
+        support = self._support
         if region is not None and rules.surfaces is not None:
             raise ConfigError(
                 "a region in a call, with several surfaces", "their own regions", "one `surface`"
             )
         if region is not None and rules.polygon is not None:
-            raise ConfigError("a region in a call, with a polygon for a region", "the polygon", "a rectangle")
+            raise ConfigError(
+                "a region in a call, with a polygon for a region", "the polygon", "a rectangle"
+            )
         fits = jnp.bool_(True) if region is None else region_fits(region, rules.region, support)
         if start is not None:
             fits &= start_fits(start, rules.num_started)
@@ -213,7 +220,8 @@ class Sampler:
         )
 
         def advance(drawing: _Drawing) -> _Drawing:
-            episode, num_draws = self.steps.step_one(drawing.episode)[0], drawing.num_draws
+            episode = self.steps.step_one(drawing.episode)[0]
+            num_draws = drawing.num_draws
             if not self.max_retries:
                 return drawing.replace(episode=episode)
             again = fits & episode.is_over & ~episode.is_success & (num_draws <= self.max_retries)
@@ -224,7 +232,8 @@ class Sampler:
 
         first = varying_alike(_Drawing(begin(key), jnp.int32(1)))
         last = jax.lax.while_loop(lambda drawing: ~drawing.episode.is_over, advance, first)
-        scene, (cloud, mask) = scene_of(last.episode), self._cloud(last.episode)
+        scene = scene_of(last.episode)
+        (cloud, mask) = self._cloud(last.episode)
         return scene.replace(
             is_success=scene.is_success & fits,
             verdict=jnp.where(fits, scene.verdict, int(Verdict.OUTSIDE)),
@@ -239,7 +248,9 @@ class Sampler:
         """f32[N, 3], world frame, and bool[N]; None for no points."""
         if not self.num_scene_points:
             return None, None
-        seen = observe(self.steps.rules, episode, ObservationConfig(num_scene_points=self.num_scene_points))
+        seen = observe(
+            self.steps.rules, episode, ObservationConfig(num_scene_points=self.num_scene_points)
+        )
         cloud = jax.vmap(episode.region.T_world_region.apply)(jnp.asarray(seen["scene_cloud"]))
         return cloud, jnp.asarray(seen["scene_mask"])
 
@@ -266,11 +277,15 @@ class Sampler:
         shape = np.shape(sampled.is_success)
         if len(shape) > 1 or not 0 <= index < (shape[0] if shape else 1):
             nothing = "scenes, of which these are none"
-            allowed = range_text(0, (*shape, 1)[0] - 1, nothing) if len(shape) < 2 else "one leading axis"
+            allowed = (
+                range_text(0, (*shape, 1)[0] - 1, nothing) if len(shape) < 2 else "one leading axis"
+            )
             raise ConfigError(f"scene {index} of scenes of shape {shape}", allowed)
         if shape:
             sampled = jax.tree.map(lambda leaf: leaf[index], sampled)
-        world, config, own = self.problem.world, self.problem.config, self.steps.rules.engine
+        world = self.problem.world
+        config = self.problem.config
+        own = self.steps.rules.engine
         if own is not None and sampled.shelf is not None and int(sampled.shelf) != int(own):
             raise ConfigError(
                 "scenes of another shelf than this sampler's",
@@ -308,7 +323,9 @@ class _InCompiledCode:
         self.support = support
 
     def __getattr__(self, name: str) -> Any:
-        raise ConfigError(f"{name!r} of a sampler in compiled code", "calls of it", "the sampler outside")
+        raise ConfigError(
+            f"{name!r} of a sampler in compiled code", "calls of it", "the sampler outside"
+        )
 
 
 def _flatten_sampler(sampler: Sampler) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
@@ -368,7 +385,12 @@ def make_sampler(
         max_retries=max_retries,
         num_scene_points=num_scene_points,
         shelves=None if shelves is None else (shelves, method),
-    )._made_by(make_sampler, **asked.overrides(), max_retries=max_retries, num_scene_points=num_scene_points)
+    )._made_by(
+        make_sampler,
+        **asked.overrides(),
+        max_retries=max_retries,
+        num_scene_points=num_scene_points,
+    )
 
 
 def set_up_bank(spec: SceneSpec, seed: int) -> tuple[Method, Setup, Shelves | None]:

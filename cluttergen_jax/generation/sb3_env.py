@@ -21,13 +21,15 @@ class SB3VecEnv(VecEnv):
     def __init__(self, envs: GymnasiumVectorEnv) -> None:
         self.envs = envs
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
-        self._reward, self._length = np.zeros(envs.num_envs), np.zeros(envs.num_envs, int)
+        self._reward = np.zeros(envs.num_envs)
+        self._length = np.zeros(envs.num_envs, int)
 
     def reset(self) -> Any:
         """New episodes; with the seed of `seed`, if it was called."""
         obs, _ = self.envs.reset(seed=self._seeds[0])
         self._reset_seeds()
-        self._reward[:], self._length[:] = 0, 0
+        self._reward[:] = 0
+        self._length[:] = 0
         return obs
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -48,7 +50,8 @@ class SB3VecEnv(VecEnv):
         info = {name: infos["final_info"][name][index].item() for name in names}
         info["terminal_observation"] = infos["final_obs"][index]
         info["episode"] = {"r": float(self._reward[index]), "l": int(self._length[index])}
-        self._reward[index], self._length[index] = 0, 0
+        self._reward[index] = 0
+        self._length[index] = 0
         return info
 
     def close(self) -> None:
@@ -63,7 +66,9 @@ class SB3VecEnv(VecEnv):
         """Sets it for all scenes."""
         setattr(self.envs, attr_name, value)
 
-    def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **named: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *arguments: Any, indices: Any = None, **named: Any
+    ) -> list[Any]:
         """Calls a method of the environment beneath once."""
         return [getattr(self.envs, method_name)(*arguments, **named)] * self._num_of(indices)
 

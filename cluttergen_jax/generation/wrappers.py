@@ -58,7 +58,8 @@ class FlatObservation(Wrapper):
 
     def _flat(self, state: State) -> State:
         seen: Any = state.obs
-        rules, history = self.env.rules, seen["history"]
+        rules = self.env.rules
+        history = seen["history"]
         parts = [
             seen["region"],
             jax.nn.one_hot(seen["focus"], rules.geometry.num_objects),
@@ -71,7 +72,9 @@ class FlatObservation(Wrapper):
             history["trajectory"],
             seen.get("heights", jnp.zeros(0)),
         ]
-        return state.replace(obs=jnp.concatenate([part.astype(jnp.float32).reshape(-1) for part in parts]))
+        return state.replace(
+            obs=jnp.concatenate([part.astype(jnp.float32).reshape(-1) for part in parts])
+        )
 
     @property
     def observation_size(self) -> int:
@@ -97,7 +100,8 @@ class OnSurface(Wrapper):
     @with_own_settings
     def step(self, state: State, action: Array) -> State:
         """One attempt with `action`, f32[3]."""
-        rules, episode = self.rules, state.pipeline_state.episode
+        rules = self.rules
+        episode = state.pipeline_state.episode
         height = rules.geometry.half_extents[rules.focus(episode), 2] + CLEARANCE
         z = jnp.minimum(height / rules.height_range(episode), 1.0)
         return self.env.step(state, jnp.stack([action[0], action[1], z, action[2]]))
@@ -117,11 +121,16 @@ class ActionRange(Wrapper):
     def __init__(self, env: Any, low: float, high: float) -> None:
         super().__init__(env)
         if not low < high:
-            raise ConfigError(f"action_range = ({low}, {high})", "two numbers that rise", "(-1.0, 1.0)")
-        self.low, self.high = float(low), float(high)
+            raise ConfigError(
+                f"action_range = ({low}, {high})", "two numbers that rise", "(-1.0, 1.0)"
+            )
+        self.low = float(low)
+        self.high = float(high)
 
     @with_own_settings
     def step(self, state: State, action: Array) -> State:
         """See `PlacementEnv.step`."""
         action = as_float32(action)
-        return self.env.step(state, jnp.clip((action - self.low) / (self.high - self.low), 0.0, 1.0))
+        return self.env.step(
+            state, jnp.clip((action - self.low) / (self.high - self.low), 0.0, 1.0)
+        )

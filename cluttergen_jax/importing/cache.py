@@ -27,7 +27,16 @@ masses, checks, colours or the files that hold them. Every cached body is then m
 
 _HASHING = 120
 """Seconds of a processor that all files of an object may take to be read."""
-_LIBRARIES = ("mujoco", "coacd", "manifold3d", "trimesh", "numpy", "scipy", "fast-simplification", "pillow")
+_LIBRARIES = (
+    "mujoco",
+    "coacd",
+    "manifold3d",
+    "trimesh",
+    "numpy",
+    "scipy",
+    "fast-simplification",
+    "pillow",
+)
 
 # Beside a mesh file, what may give it its colours.
 _COMPANIONS = (".mtl", ".png", ".jpg", ".jpeg", ".bin")
@@ -46,7 +55,12 @@ def source_files(source: ObjectFile) -> set[Path]:
     """
     files = {file.resolve() for file in (source.path, *source.parts)}
     if source.kind != "mesh" and isinstance(model := model_file(source.path, True), ModelFile):
-        files |= model.files | model.includes | model.shared | {source.path.parent.resolve() / "label.json"}
+        files |= (
+            model.files
+            | model.includes
+            | model.shared
+            | {source.path.parent.resolve() / "label.json"}
+        )
     return files | {each.resolve() for file in files if file.is_file() for each in companions(file)}
 
 

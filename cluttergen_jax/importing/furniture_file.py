@@ -34,7 +34,9 @@ def find_furniture(path: str | Path) -> tuple[ObjectFile, list[str]]:
     places = list(dict.fromkeys(source.path for source in sources))
     if len(places) > 1:
         names = ", ".join(str(each.relative_to(file)) for each in places[:_MOST_NAMED])
-        raise AssetError(f"{file} holds {len(places)} pieces of furniture ({names})", "one", str(places[0]))
+        raise AssetError(
+            f"{file} holds {len(places)} pieces of furniture ({names})", "one", str(places[0])
+        )
     first = sources[0]
     if body:
         if first.kind == "mesh" and first.path.suffix.lower() not in _GLTF:
@@ -68,7 +70,9 @@ def _furniture_of(bodies: Sequence[str], facts: Sequence[BodyFacts]) -> tuple[li
     if len(facts) != len(bodies):
         return list(bodies), []
     why = {
-        body: reason for body, each in zip(bodies, facts, strict=True) if (reason := _why_no_furniture(each))
+        body: reason
+        for body, each in zip(bodies, facts, strict=True)
+        if (reason := _why_no_furniture(each))
     }
     taken = [body for body in bodies if body not in why]
     if not taken:

@@ -35,17 +35,25 @@ from cluttergen_jax.importing.surfaces import find_surfaces
 _CELLS = 96
 _AIR = 0.15
 """Metres of air over a level that counts here."""
-_TOUCHES, _SPREAD, _COVERS, _CLEAR = 0.3, 0.3, 0.5, 0.2
-"""Of what stands on legs: at most so much of its shadow touches the floor, the hull of that is at least so
-much of the shadow's, the level covers so much of it, and what is above the space between legs is so much of
-the height from the floor."""
-_PER_LEVEL, _MOST_LEVELS = 0.25, 5
+# Of what stands on legs: at most so much of its shadow touches the floor, the hull of that is at least so
+# much of the shadow's, the level covers so much of it, and what is above the space between legs is so much of
+# the height from the floor.
+_TOUCHES = 0.3
+_SPREAD = 0.3
+_COVERS = 0.5
+_CLEAR = 0.2
+
+_PER_LEVEL = 0.25
+_MOST_LEVELS = 5
 _USUAL = ("y", "z")
 """The axes that programs have up which write files that do not say."""
-_STATED_LEAD, _UNSTATED_LEAD, _CLEAR_LEAD = 3.0, 1.5, 1.25
-_LOW, _LEG = 0.25, 0.3
-"""Of a table on its top: the height of its plate, over the whole height, and the side of a leg, over the
-plate's."""
+_STATED_LEAD = 3.0
+_UNSTATED_LEAD = 1.5
+_CLEAR_LEAD = 1.25
+# Of a table on its top: the height of its plate, over the whole height, and the side of a leg, over the
+# plate's.
+_LOW = 0.25
+_LEG = 0.3
 
 
 @dataclass(frozen=True)
@@ -98,7 +106,9 @@ def _look_closer(mesh: Mesh, look: Look) -> Look:
     if not wide:
         return look
     low, high = max(wide, key=np.prod).tolist()
-    return replace(look, sides=(low, high), score=float(sum(map(np.prod, wide))), num_levels=len(wide))
+    return replace(
+        look, sides=(low, high), score=float(sum(map(np.prod, wide))), num_levels=len(wide)
+    )
 
 
 def _who(reason: str) -> str:
@@ -112,7 +122,8 @@ def choose_up(looks: Mapping[str, Look], stated: str, is_stated: bool) -> tuple[
       looks: by axis of the file.
       stated: the axis that the file or its format has up; is_stated: whether it says so.
     """
-    own, others = looks[stated], [axis for axis in looks if axis != stated]
+    own = looks[stated]
+    others = [axis for axis in looks if axis != stated]
     if not is_stated and max(looks[axis].num_levels for axis in _USUAL):
         others = [axis for axis in _USUAL if axis != stated]
     ranked = sorted(others, key=lambda axis: -_rank(looks[axis], axis))
@@ -179,7 +190,8 @@ def looks_of(mesh: Mesh, up: str) -> dict[str, Look]:
         along = int(np.abs(direction).argmax())
         solid, outside = (np.moveaxis(each, along, 2) for each in (voxels.solid, voxels.outside))
         if direction[along] < 0:
-            solid, outside = solid[:, :, ::-1], outside[:, :, ::-1]
+            solid = solid[:, :, ::-1]
+            outside = outside[:, :, ::-1]
         found[axis] = _look(solid, outside, voxels.pitch)
     return found
 
@@ -216,9 +228,12 @@ def _look(solid: np.ndarray, outside: np.ndarray, pitch: float) -> Look:
     )
 
 
-def _levels(solid: np.ndarray, outside: np.ndarray, pitch: float) -> list[tuple[int, int, int, int]]:
+def _levels(
+    solid: np.ndarray, outside: np.ndarray, pitch: float
+) -> list[tuple[int, int, int, int]]:
     """Of each level: the index of its cells, the largest rectangle's sides in cells, and how many cells."""
-    air, smallest = round(_AIR / pitch), NARROW_SURFACE / pitch
+    air = round(_AIR / pitch)
+    smallest = NARROW_SURFACE / pitch
     padded = np.pad(outside, ((0, 0), (0, 0), (0, air)), constant_values=True)
     free = np.ones_like(outside)
     for step in range(1, air + 1):
@@ -243,9 +258,12 @@ def _spread(cells: np.ndarray, shadow: np.ndarray) -> float:
     return 0.0 if hulls[0] is None or hulls[1] is None else float(hulls[0].volume / hulls[1].volume)
 
 
-def _is_on_its_top(solid: np.ndarray, touches: np.ndarray, shadow: np.ndarray, used: np.ndarray) -> bool:
+def _is_on_its_top(
+    solid: np.ndarray, touches: np.ndarray, shadow: np.ndarray, used: np.ndarray
+) -> bool:
     """Whether a plate lies on the floor and separate legs rise from it, to one height and spread widely."""
-    first, last = int(used[0]), int(used[-1])
+    first = int(used[0])
+    last = int(used[-1])
     height = last - first + 1
     if touches.sum() < (1 - _TOUCHES) * shadow.sum():
         return False

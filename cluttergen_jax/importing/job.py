@@ -67,7 +67,9 @@ def make_job(job: Job) -> ObjectAsset | LeftOut | str:
             # What is larger is left out as furniture, where its unit is sure.
             is_known = job.limits is not None and states_unit(job.source)
             largest = MAX_FURNITURE if is_known else MAX_SIZE
-            shape = read_shape(job.source, job.config.read, largest=largest, is_whole=job.limits is None)
+            shape = read_shape(
+                job.source, job.config.read, largest=largest, is_whole=job.limits is None
+            )
             beyond = job.limits and job.limits.why_shape_left_out(job.place, shape)
             if beyond:
                 return beyond
@@ -91,7 +93,11 @@ def _body(job: Job) -> BodyConfig:
     if job.num_lost == 1:
         other = replace(body.decomposition, seed=body.decomposition.seed + 100)
         return replace(body, decomposition=other, jitter=_JITTER)
-    return replace(body, decomposition=replace(body.decomposition, max_parts=1)) if job.num_lost else body
+    return (
+        replace(body, decomposition=replace(body.decomposition, max_parts=1))
+        if job.num_lost
+        else body
+    )
 
 
 def next_try(job: Job, fault: str) -> Job:

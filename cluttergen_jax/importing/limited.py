@@ -31,7 +31,9 @@ _SERVE = "import sys; sys.path[:] = {path!r}; from {module} import serve; serve(
 """What the process runs: modules come from where this one's do, not from the folder in which it stands."""
 
 
-def call_limited(path: Path, function: Callable[..., T], *arguments: Any, seconds: int = SECONDS) -> T:
+def call_limited(
+    path: Path, function: Callable[..., T], *arguments: Any, seconds: int = SECONDS
+) -> T:
     """What a function of this package returns, or raises, in a process with limits.
 
     Within a worker process of an import, which has limits itself, it is called there.
@@ -154,7 +156,8 @@ def serve() -> None:
     """In the process: answers questions until there are no more."""
     global _is_limited
     _is_limited = True
-    questions, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    questions = sys.stdin.buffer
+    answers = os.fdopen(os.dup(1), "wb")
     # What libraries print goes nowhere among the answers.
     os.dup2(2, 1)
     signal.signal(signal.SIGINT, signal.SIG_IGN)

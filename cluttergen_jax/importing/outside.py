@@ -39,7 +39,9 @@ def _files_outside(source: ObjectFile, given: Path) -> tuple[str, ...]:
         own.add(_package_of(real))
     files = source_files(source)
     outside = {
-        each for each in files if each.is_file() and not any(each.is_relative_to(folder) for folder in own)
+        each
+        for each in files
+        if each.is_file() and not any(each.is_relative_to(folder) for folder in own)
     }
     return tuple(sorted({public_path(each) for each in outside}))
 

@@ -61,9 +61,13 @@ class Planned:
     is_named: bool = False  # Its name was chosen by the user, and stays.
     out: str = ""  # Why the layout of its set leaves it out; empty if it does not.
     place: str = ""  # See `LeftOut.name`.
-    take: bool | None = None  # Whether the user's settings take it or leave it out; None if they do not say.
+    take: bool | None = (
+        None  # Whether the user's settings take it or leave it out; None if they do not say.
+    )
     no_model_of: str = ""  # The set in whose home it lies, and whose models are others; else empty.
-    alarms: tuple[str, ...] = ()  # What is stated beside it and not used, in words; among its source's notes.
+    alarms: tuple[
+        str, ...
+    ] = ()  # What is stated beside it and not used, in words; among its source's notes.
 
     @property
     def is_other(self) -> bool:
@@ -112,7 +116,9 @@ class _Group:
     def with_models(self) -> tuple[KnownSet, ...]:
         """The sets of which a model is there; where none is, their layout is another than was thought."""
         return tuple(
-            each for each in self.sets if any(each.is_model(s) for s in self.found.sources if each.covers(s))
+            each
+            for each in self.sets
+            if any(each.is_model(s) for s in self.found.sources if each.covers(s))
         )
 
     def has_used(self, skipped: Skipped) -> bool:
@@ -162,45 +168,68 @@ def plan_all(
             try:
                 planned.append(_plan_source(source, group, options))
             except OSError as error:
-                failures.append(Failure(source.name, f"{source.path} cannot be read ({error.strerror})"))
+                failures.append(
+                    Failure(source.name, f"{source.path} cannot be read ({error.strerror})")
+                )
             except AssetError as error:
                 failures.append(Failure(source.name, str(error)))
-    skipped = tuple(each for group in groups for each in group.found.skipped if not group.has_used(each))
+    skipped = tuple(
+        each for group in groups for each in group.found.skipped if not group.has_used(each)
+    )
     unused = tuple(f"{each.place}: {alarm}" for each in planned for alarm in each.alarms)
     others = [each for each in planned if each.is_other]
     counts = Counter(each.no_model_of for each in others)
     titles = {name: layouts()[name].title for name in counts}
     skipped += tuple(
-        Skipped(each.place, f"no model of {titles[each.no_model_of]}", is_piece=True) for each in others
+        Skipped(each.place, f"no model of {titles[each.no_model_of]}", is_piece=True)
+        for each in others
     )
     lines = tuple(describe_sets([known for group in groups for known in group.sets], counts))
     kept, left_out = _objects_among([each for each in planned if not each.is_other], take_all)
-    return Plan(name_distinctly(_as_in_pool(kept, pool)), skipped, tuple(failures), lines, left_out, unused)
+    return Plan(
+        name_distinctly(_as_in_pool(kept, pool)), skipped, tuple(failures), lines, left_out, unused
+    )
 
 
-def _objects_among(planned: list[Planned], take_all: bool) -> tuple[list[Planned], tuple[LeftOut, ...]]:
+def _objects_among(
+    planned: list[Planned], take_all: bool
+) -> tuple[list[Planned], tuple[LeftOut, ...]]:
     """What is an object, and what is left out."""
-    why = {index: ("as the settings say", "") for index, each in enumerate(planned) if each.take is False}
+    why = {
+        index: ("as the settings say", "")
+        for index, each in enumerate(planned)
+        if each.take is False
+    }
     if not take_all:
-        why |= {i: (each.out, "") for i, each in enumerate(planned) if each.out and each.take is None}
+        why |= {
+            i: (each.out, "") for i, each in enumerate(planned) if each.out and each.take is None
+        }
         rest = [index for index in range(len(planned)) if index not in why]
         found = why_no_objects([planned[index].source for index in rest])
         why |= {rest[i]: reason for i, reason in found.items() if not planned[rest[i]].take}
     left_out = tuple(LeftOut(planned[index].place, *why[index]) for index in sorted(why))
     files = {planned[index].source.path for index in why}
     kept = [each for index, each in enumerate(planned) if index not in why]
-    return [_rename_after_file(each, kept) if each.source.path in files else each for each in kept], left_out
+    return [
+        _rename_after_file(each, kept) if each.source.path in files else each for each in kept
+    ], left_out
 
 
 def _rename_after_file(planned: Planned, kept: Sequence[Planned]) -> Planned:
     """The only body without a name that is left of its file, without the number that it had there."""
     source = planned.source
-    unnamed = [each for each in kept if each.source.path == source.path and each.source.body.startswith("#")]
+    unnamed = [
+        each
+        for each in kept
+        if each.source.path == source.path and each.source.body.startswith("#")
+    ]
     if unnamed != [planned] or planned.is_named:
         return planned
     number = source.body.replace("#", "-")
     plain = source.plain.removesuffix(number)
-    return replace(planned, source=replace(source, plain=plain, label=source.label.removesuffix(number)))
+    return replace(
+        planned, source=replace(source, plain=plain, label=source.label.removesuffix(number))
+    )
 
 
 def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
@@ -214,7 +243,10 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
     found = find_all(path)
     root = path if path.is_dir() else found.files[0].parent
     sets = known_sets(root, found.files if path.is_dir() else root.iterdir(), layout)
-    folders = {root, *(each.parent for each in found.files if path.is_dir() and each.name == SETTINGS)}
+    folders = {
+        root,
+        *(each.parent for each in found.files if path.is_dir() and each.name == SETTINGS),
+    }
     lying = tuple(
         (each, here)
         for each in sorted(folders, key=lambda each: len(each.parts))
@@ -263,8 +295,12 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     said = {key: value for key, value in words.items() if key == "synset"}
     said |= {"label": words["label"]} if says_something(words.get("label", "")) else {}
     label |= {key: stated.values[key] for key in ("label", "synset") if key in stated.values}
-    naming = {key: value for key, value in {**said, **label, **values}.items() if key not in OF_READING}
-    parts = collision_files(source.path) if own.collision == "keep" and source.kind == "mesh" else ()
+    naming = {
+        key: value for key, value in {**said, **label, **values}.items() if key not in OF_READING
+    }
+    parts = (
+        collision_files(source.path) if own.collision == "keep" and source.kind == "mesh" else ()
+    )
     if stated.title:
         plain = plain_name(stated.title)
         source = replace(source, name=plain, plain=plain, label=label_of(stated.title))
@@ -287,14 +323,20 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     out = next((why for each in sets if (why := each.why_out(source))), "")
     others = (each for each in sets if each in group.with_models and each.covers(source))
     no_model_of = next((each.name for each in others if not out and not each.is_model(source)), "")
-    up = _up_axis(source, own, group if "up" in reading else None, known if options.up not in AXES else None)
+    up = _up_axis(
+        source, own, group if "up" in reading else None, known if options.up not in AXES else None
+    )
     if stated.file is not None and decision and "up" not in reading and own.up != base.up:
         up = UpAxis(own.up, f"as {stated.file.name} says")
     return Planned(own_source, own, up, "name" in naming, out, place, take, no_model_of, alarms)
 
 
 def _with_stated(
-    stated: Stated, options: ReadOptions, base: ReadOptions, reading: Mapping[str, Any], source: ObjectFile
+    stated: Stated,
+    options: ReadOptions,
+    base: ReadOptions,
+    reading: Mapping[str, Any],
+    source: ObjectFile,
 ) -> tuple[ReadOptions, str, tuple[str, ...], bool]:
     """Options with what a JSON states, a note on it, alarms on what is not used, and whether it stretches.
 
@@ -306,15 +348,23 @@ def _with_stated(
     } | reading.keys()
     if chosen & {"up", "front"}:
         chosen = chosen | {"up", "front"}
-    values = {key: value for key, value in stated.values.items() if key in OF_READING and key not in chosen}
+    values = {
+        key: value
+        for key, value in stated.values.items()
+        if key in OF_READING and key not in chosen
+    }
     alarms = [alarm for key, alarm in stated.alarms if key not in chosen]
     file = "" if stated.file is None else stated.file.name
     if "front" in values:
         up = values.get("up", base.up)
         up = up if up in AXES else own_up(source.path, source.kind).axis
         if up[-1] == values["front"][-1]:
-            alarms.append(f"{file} states front {values.pop('front')}, which is not used: {up} is up")
-    texts = {key: f"{each:.6g}" if isinstance(each, float) else str(each) for key, each in values.items()}
+            alarms.append(
+                f"{file} states front {values.pop('front')}, which is not used: {up} is up"
+            )
+    texts = {
+        key: f"{each:.6g}" if isinstance(each, float) else str(each) for key, each in values.items()
+    }
     is_stretched = "scale" in values and stated.stretch != (1.0, 1.0, 1.0)
     if is_stretched:
         x, y, z = (values["scale"] * each for each in stated.stretch)
@@ -324,7 +374,9 @@ def _with_stated(
     return replace(base, **values), decision, tuple(alarms), is_stretched
 
 
-def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: KnownSet | None) -> UpAxis:
+def _up_axis(
+    source: ObjectFile, own: ReadOptions, group: _Group | None, known: KnownSet | None
+) -> UpAxis:
     """The vertical axis of a source, and who says so: the settings of the group, its set, or the user."""
     if own.up not in AXES:
         return call_limited(source.path, own_up, source.path, source.kind)
@@ -336,13 +388,18 @@ def _up_axis(source: ObjectFile, own: ReadOptions, group: _Group | None, known: 
 def _as_in_pool(planned: list[Planned], folder: Path | None) -> list[Planned]:
     """The objects, those that a pool has already by the names that they have there."""
     try:
-        held = {} if folder is None else {a.name: a.provenance.source for a in read_pool(folder).objects}
+        held = (
+            {}
+            if folder is None
+            else {a.name: a.provenance.source for a in read_pool(folder).objects}
+        )
     except ClutterGenError:
         return planned
     free = {name: source for name, source in held.items() if name not in _chosen_names(planned)}
     named = []
     for each in planned:
-        source, pattern = each.source, re.compile(re.escape(each.source.plain) + r"(-\d+)?")
+        source = each.source
+        pattern = re.compile(re.escape(each.source.plain) + r"(-\d+)?")
         here = public_path(source.path)
         fitting = [name for name, path in free.items() if path == here and pattern.fullmatch(name)]
         if fitting and not each.is_named:
@@ -365,11 +422,15 @@ def name_distinctly(planned: Sequence[Planned]) -> tuple[Planned, ...]:
     chosen = _chosen_names(planned)
     if twice := sorted({name for name in chosen if chosen.count(name) > 1}):
         raise ConfigError(
-            f"settings with name = {twice[0]!r} for {chosen.count(twice[0])} objects", "a name for one object"
+            f"settings with name = {twice[0]!r} for {chosen.count(twice[0])} objects",
+            "a name for one object",
         )
     order = sorted(range(len(planned)), key=lambda index: not planned[index].is_named)
     sources = [(planned[i].source, planned[i].is_named) for i in order]
-    plain = [each if is_named else replace(each, name=each.plain or each.name) for each, is_named in sources]
+    plain = [
+        each if is_named else replace(each, name=each.plain or each.name)
+        for each, is_named in sources
+    ]
     names = dict(zip(order, make_names_distinct(plain), strict=True))
     return tuple(replace(each, source=names[index]) for index, each in enumerate(planned))
 

@@ -74,7 +74,8 @@ def set_pose(pool: str, name: str, pose: int) -> ObjectAsset:
         poses = _poses(asset)
         if not 0 <= pose < len(poses):
             raise PoolError(
-                f"pose {pose} of {name!r}", range_text(0, len(poses) - 1, "an object that has poses")
+                f"pose {pose} of {name!r}",
+                range_text(0, len(poses) - 1, "an object that has poses"),
             )
         if pose == 0:
             return asset

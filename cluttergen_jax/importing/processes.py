@@ -92,9 +92,13 @@ class Crew:
         watch: Watch | None = None,
         is_limited: bool = False,
     ) -> None:
-        self._function, self._num, self._limit, self._again = function, num_processes, limit, again
+        self._function = function
+        self._num = num_processes
+        self._limit = limit
+        self._again = again
         self._most_tries = most_tries if again is not None else 1
-        self._watch, self._is_limited = watch, is_limited
+        self._watch = watch
+        self._is_limited = is_limited
         self._workers: list[_Worker] = []
         self._waiting: deque[_Task] = deque()
         self._last: deque[_Task] = deque()
@@ -115,7 +119,9 @@ class Crew:
                 raise KeyboardInterrupt
             self._hand_out()
             if self._watch is not None:
-                self._watch([worker.task.index for worker in self._workers if worker.task is not None])
+                self._watch(
+                    [worker.task.index for worker in self._workers if worker.task is not None]
+                )
             for worker in self._workers_to_hear():
                 if (task := self._over(worker)) is not None:
                     num_left -= 1
@@ -145,7 +151,9 @@ class Crew:
     def _workers_to_hear(self) -> list[_Worker]:
         """Workers that have said something, have died, or have had their time."""
         busy = [worker for worker in self._workers if worker.task is not None]
-        left = [self._time_of(worker.task) - worker.seconds_used() for worker in busy if worker.began]
+        left = [
+            self._time_of(worker.task) - worker.seconds_used() for worker in busy if worker.began
+        ]
         ready = wait([worker.pipe for worker in busy], max(min([_LONGEST_WAIT, *left]), 0.0))
         return [worker for worker in busy if worker.pipe in ready or self._is_late(worker)]
 
@@ -170,13 +178,16 @@ class Crew:
             return self._retry_or_give_up(worker)
         if isinstance(said, float):
             self._num_unborn = 0
-            worker.began, worker.cpu_before = time.monotonic(), said
+            worker.began = time.monotonic()
+            worker.cpu_before = said
             return None
-        worker.task, worker.began = None, 0.0
+        worker.task = None
+        worker.began = 0.0
         task.add_cost(said.seconds, said.cpu_seconds, said.cpu_seconds)
         if said.error is not None:
             raise said.error
-        task.outcome.result, task.outcome.fault = said.result, ""
+        task.outcome.result = said.result
+        task.outcome.fault = ""
         return task
 
     def _retry_or_give_up(self, worker: _Worker, is_late: bool = False) -> _Task | None:
@@ -194,7 +205,8 @@ class Crew:
         task.tries += 1
         task.add_cost(seconds, cpu_seconds if worker.began else 0.0, used)
         outcome = task.outcome
-        outcome.is_late, outcome.is_killed = is_late, not is_late and worker.exit_code == _KILLED
+        outcome.is_late = is_late
+        outcome.is_killed = not is_late and worker.exit_code == _KILLED
         late = f"it was not done after {task.spent:.{0 if task.spent >= 10 else 1}f} s"
         outcome.fault = late if is_late else death(worker.exit_code)
         if task.tries >= (2 if outcome.is_killed else self._most_tries):
@@ -219,9 +231,11 @@ def death(exit_code: int | None) -> str:
     if exit_code is None or exit_code >= 0:
         return f"its worker process ended with status {exit_code}"
     try:
-        name, meaning = signal.Signals(-exit_code).name, signal.strsignal(-exit_code) or ""
+        name = signal.Signals(-exit_code).name
+        meaning = signal.strsignal(-exit_code) or ""
     except ValueError:
-        name, meaning = f"signal {-exit_code}", ""
+        name = f"signal {-exit_code}"
+        meaning = ""
     if name == "SIGKILL":
         return "its worker process was killed from outside (SIGKILL), perhaps for want of memory"
     if name in ("SIGTERM", "SIGINT", "SIGHUP"):
@@ -286,7 +300,8 @@ class _Worker:
         return self._process.exitcode
 
     def give(self, task: _Task) -> None:
-        self.task, self.began = task, 0.0
+        self.task = task
+        self.began = 0.0
         self._say(task.job)
 
     def _say(self, what: Any) -> None:
@@ -296,7 +311,8 @@ class _Worker:
 
     def seconds_used(self) -> float:
         """Seconds of its task so far: the processor's, where the system reports them."""
-        passed, cpu = time.monotonic() - self.began, _cpu_seconds(self._process.pid)
+        passed = time.monotonic() - self.began
+        cpu = _cpu_seconds(self._process.pid)
         return passed if cpu is None else max(cpu - self.cpu_before, passed / _PATIENCE)
 
     def kill(self) -> None:
@@ -315,7 +331,12 @@ class _Worker:
             self._process.kill()
         self._process.join()
         after = os.times()
-        used = after.children_user + after.children_system - before.children_user - before.children_system
+        used = (
+            after.children_user
+            + after.children_system
+            - before.children_user
+            - before.children_system
+        )
         return max(used - self.cpu_before, 0.0)
 
 
@@ -368,8 +389,10 @@ def _serve(pipe: Connection, is_limited: bool) -> None:
 
 
 def _run_job(function: Callable[[Any], Any], job: Any) -> _Done:
-    start, cpu_start = time.perf_counter(), time.process_time()
-    result, failure = None, None
+    start = time.perf_counter()
+    cpu_start = time.process_time()
+    result = None
+    failure = None
     try:
         result = function(job)
     except Exception as error:

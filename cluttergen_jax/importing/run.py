@@ -57,7 +57,13 @@ def _outcomes(
     """What became of each job as they come, from processes of this machine, or of a cluster unwatched."""
     if config.cluster is None:
         crew = Crew(
-            make_job, config.jobs or os.cpu_count() or 1, config.time_limit, next_try, NUM_TRIES, watch, True
+            make_job,
+            config.jobs or os.cpu_count() or 1,
+            config.time_limit,
+            next_try,
+            NUM_TRIES,
+            watch,
+            True,
         )
         with closing(crew):
             yield from crew.outcomes(jobs)
@@ -66,7 +72,9 @@ def _outcomes(
     settings = {"OMP_NUM_THREADS": "1"}
     lost = Outcome(fault=f"its worker on the cluster ended, {MOST_DEATHS} times")
     make = partial(_maker, config.time_limit)
-    with closing(each_on(config.cluster, make, jobs, "object", settings=settings, if_lost=lost)) as done:
+    with closing(
+        each_on(config.cluster, make, jobs, "object", settings=settings, if_lost=lost)
+    ) as done:
         yield from done
 
 
@@ -183,7 +191,9 @@ def import_sources(
         with hold_pool(user_root() / pool_name):
             read_pool(user_pool_folder(pool_name))
     known = None if config.force and not config.add else user_root() / pool_name
-    planned = plan_all(sources, config.object.read, config.settings, known, config.layout, config.take_all)
+    planned = plan_all(
+        sources, config.object.read, config.settings, known, config.layout, config.take_all
+    )
     with hold_pool(user_root() / pool_name):
         _check_name_is_free(known, planned.objects, config)
     jobs, unreadable = _jobs(planned.objects, config)
@@ -204,7 +214,9 @@ def import_sources(
     kept = [each for each in planned.objects if each.source.name in made.keys() - beyond.keys()]
     failures = (*planned.failures, *unreadable, *lost)
     called = _final_names(planned.objects, kept)
-    objects = tuple(replace(made[name], name=called[name]) for name in (each.source.name for each in kept))
+    objects = tuple(
+        replace(made[name], name=called[name]) for name in (each.source.name for each in kept)
+    )
     path = _write(pool_name, objects, config) if objects else None
     return ImportReport(
         path,
@@ -225,10 +237,15 @@ def _final_names(planned: Sequence[Planned], kept: Sequence[Planned]) -> dict[st
 
     Of the others, one whose name is taken now gets its file behind it.
     """
-    names = {old.source.name: new.source.name for old, new in zip(kept, name_distinctly(kept), strict=True)}
+    names = {
+        old.source.name: new.source.name
+        for old, new in zip(kept, name_distinctly(kept), strict=True)
+    }
     taken = set(names.values())
     others = {each.source.name: each.place for each in planned if each.source.name not in names}
-    return names | {name: f"{name} ({place})" if name in taken else name for name, place in others.items()}
+    return names | {
+        name: f"{name} ({place})" if name in taken else name for name, place in others.items()
+    }
 
 
 def _check_writable(folder: Path) -> None:
@@ -247,7 +264,9 @@ def _check_name(name: str) -> None:
         )
 
 
-def _check_name_is_free(known: Path | None, planned: Sequence[Planned], config: ImportConfig) -> None:
+def _check_name_is_free(
+    known: Path | None, planned: Sequence[Planned], config: ImportConfig
+) -> None:
     """Refuses, before any work, a pool's name that other objects have."""
     if known is None or not known.exists() or config.force or config.add or not planned:
         return
@@ -269,7 +288,8 @@ def _name_error(name: str) -> PoolError:
 
 def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], list[Failure]]:
     """What there is to make, and the files that cannot be read."""
-    jobs, failures = [], []
+    jobs = []
+    failures = []
     for each in planned:
         own = replace(config.object, read=each.options)
         limits = None if config.take_all or each.take else config.limits
@@ -277,7 +297,9 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
             key = cache.cache_key(each.source, own, limits is None)
             jobs.append(Job(each.source, key, own, limits=limits, place=each.place))
         except OSError as error:
-            failures.append(Failure(each.source.name, f"{error.filename} cannot be read ({error.strerror})"))
+            failures.append(
+                Failure(each.source.name, f"{error.filename} cannot be read ({error.strerror})")
+            )
         except AssetError as error:
             failures.append(Failure(each.source.name, str(error)))
     return jobs, failures
@@ -285,14 +307,20 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
 
 def _load_cached(jobs: Sequence[Job]) -> dict[str, ObjectAsset]:
     pairs = ((job.source, cache.load(job.key, job.source.name)) for job in jobs)
-    return {source.name: _with_source(source, asset) for source, asset in pairs if asset is not None}
+    return {
+        source.name: _with_source(source, asset) for source, asset in pairs if asset is not None
+    }
 
 
 def _removed_meanwhile(
     jobs: Sequence[Job], made: Mapping[str, ObjectAsset], others: Collection[str]
 ) -> list[Failure]:
     """Those that were made, and that another import with `force` has removed from the cache since."""
-    names = [job.source.name for job in jobs if job.source.name not in made and job.source.name not in others]
+    names = [
+        job.source.name
+        for job in jobs
+        if job.source.name not in made and job.source.name not in others
+    ]
     reason = "another import removed it from the cache meanwhile. Try: the same command again"
     return [Failure(name, reason) for name in names]
 
@@ -300,7 +328,9 @@ def _removed_meanwhile(
 def _with_source(source: ObjectFile, asset: ObjectAsset) -> ObjectAsset:
     """A cached body that says where it is from now: the same file may lie in several folders."""
     where = {"source": public_path(source.path)} if source.provenance is None else {}
-    notes = tuple(note for note in asset.notes if not note.startswith(NOTE)) + outside_note(source.outside)
+    notes = tuple(note for note in asset.notes if not note.startswith(NOTE)) + outside_note(
+        source.outside
+    )
     provenance = replace(asset.provenance, outside=source.outside, **where)
     return replace(asset, provenance=provenance, notes=notes)
 
@@ -328,14 +358,17 @@ def _make(
         say = partial(print, file=sys.stderr, flush=True) if progress is None else progress.say
         if progress is not None:
             at_once = (
-                f"{min(num_processes, len(jobs))} at a time" if config.cluster is None else "on a cluster"
+                f"{min(num_processes, len(jobs))} at a time"
+                if config.cluster is None
+                else "on a cluster"
             )
             progress.say(f"importing {len(jobs)} objects, {at_once}")
         watch = None if progress is None else partial(_show_at_work, progress, jobs)
         try:
             with closing(_outcomes(jobs, config, watch)) as outcomes:
                 for index, outcome in outcomes:
-                    job, cost = jobs[index], Cost(outcome.seconds, outcome.cpu_seconds)
+                    job = jobs[index]
+                    cost = Cost(outcome.seconds, outcome.cpu_seconds)
                     costs[job.source.name] = cost
                     reason = _store_result(job, outcome)
                     if reason:
@@ -348,7 +381,11 @@ def _make(
         except KeyboardInterrupt:
             say(f"{len(costs) - len(reasons)} of {len(jobs)} objects were made and are kept")
             raise
-    return [Failure(jobs[index].source.name, reasons[index]) for index in sorted(reasons)], beyond, costs
+    return (
+        [Failure(jobs[index].source.name, reasons[index]) for index in sorted(reasons)],
+        beyond,
+        costs,
+    )
 
 
 def _show_at_work(progress: Progress, jobs: Sequence[Job], indices: list[int]) -> None:
@@ -405,11 +442,14 @@ def _write(name: str, objects: tuple[ObjectAsset, ...], config: ImportConfig) ->
         return write_pool(path, pool, overwrite=config.force or config.add)
 
 
-def _merge_pool(old: Pool, objects: tuple[ObjectAsset, ...], config: ImportConfig) -> tuple[ObjectAsset, ...]:
+def _merge_pool(
+    old: Pool, objects: tuple[ObjectAsset, ...], config: ImportConfig
+) -> tuple[ObjectAsset, ...]:
     """The old objects, new ones in place of those of the same name, then the rest."""
     if old.tier != config.object.body.tier:
         raise PoolError(
-            f"pool {old.name!r} is of tier {old.tier}, not {config.object.body.tier}", f"tier={old.tier!r}"
+            f"pool {old.name!r} is of tier {old.tier}, not {config.object.body.tier}",
+            f"tier={old.tier!r}",
         )
     new = {asset.name: asset for asset in objects}
     changed = [n for n in old.names if n in new and object_hash(new[n]) != object_hash(old[n])]

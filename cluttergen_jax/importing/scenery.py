@@ -31,7 +31,9 @@ from cluttergen_jax.importing.readers.mjcf_compile import parse_mjcf
 from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
 from cluttergen_jax.importing.readers.xml_tree import Element, parse_xml, plain_tag
 
-_JOINT, _GEOM, _PULL = mujoco.mjtJoint, mujoco.mjtGeom, mujoco.mjtTrn
+_JOINT = mujoco.mjtJoint
+_GEOM = mujoco.mjtGeom
+_PULL = mujoco.mjtTrn
 _TIES = (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
 _WORLD = ("", "world")
 _MOVABLE = ("revolute", "prismatic", "continuous", "revolute2", "universal", "screw", "ball")
@@ -95,7 +97,8 @@ def _link(joint: Element, tag: str) -> str:
 
 
 def _joints_above(link: str, above: dict[str, tuple[str, int]]) -> int:
-    count, seen = 0, set()
+    count = 0
+    seen = set()
     while link in above and link not in seen:
         seen.add(link)
         link, own = above[link]
@@ -108,7 +111,11 @@ def _facts(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> BodyFacts:
     placed = [each for each in _geoms_below(root) if each.geom.type != _GEOM.mjGEOM_PLANE]
     paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)} - {""}
     hitting = [each for each in placed if _collides(each.geom) or each.geom.name in paired]
-    seen = [each for each in placed if each.geom.group < _NUM_SEEN_GROUPS and _rgba(spec, each.geom)[3] > 0]
+    seen = [
+        each
+        for each in placed
+        if each.geom.group < _NUM_SEEN_GROUPS and _rgba(spec, each.geom)[3] > 0
+    ]
     shown = seen or hitting
     names = {body.name for body in bodies} - {""}
     mocaps = tuple(body.name for body in spec.worldbody.bodies if body.mocap and body.name)
@@ -185,7 +192,9 @@ def _has_motor(spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody]) -> bool:
 
 def _rgba(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> np.ndarray:
     material = spec.material(geom.material) if geom.material else None
-    return material.rgba if material is not None and np.array_equal(geom.rgba, _UNSAID) else geom.rgba
+    return (
+        material.rgba if material is not None and np.array_equal(geom.rgba, _UNSAID) else geom.rgba
+    )
 
 
 def _form(spec: mujoco.MjSpec, placed: _Placed) -> tuple[object, ...]:
@@ -209,7 +218,9 @@ def _mesh(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh) -> tuple[str, list[float]]:
     places = (folder / spec.meshdir / mesh.file, folder / mesh.file)
     file = next((each for each in places if mesh.file and each.is_file()), None)
     content = np.asarray(mesh.uservert).tobytes() if file is None else file.read_bytes()
-    return hashlib.sha256(mesh.file.encode() * (not content) + content).hexdigest(), list(mesh.scale)
+    return hashlib.sha256(mesh.file.encode() * (not content) + content).hexdigest(), list(
+        mesh.scale
+    )
 
 
 def _digest(parts: Iterator[object]) -> str:
@@ -281,7 +292,8 @@ def _why_alone(body: _Body) -> str:
     if _GRIPPER.search((body.source.body.removeprefix("#") or body.source.path.stem).lower()):
         return "a robot's gripper, finger or hand, by its name"
     if facts is None:
-        path, is_robot = body.source.path, False
+        path = body.source.path
+        is_robot = False
         if body.source.kind in ("urdf", "sdf"):
             with suppress(AssetError):
                 is_robot = call_limited(path, has_limbs, path, MIN_CHAIN)
@@ -331,7 +343,9 @@ def _is_twin(other: _Body, ghost: _Body) -> bool:
     named = [each.source.body.removeprefix("#") or each.source.path.stem for each in (other, ghost)]
     is_namesake = named[0].lower() == _GHOST.sub("", named[1].lower())
     return is_namesake or (
-        other.facts is not None and ghost.facts is not None and other.facts.shape == ghost.facts.shape
+        other.facts is not None
+        and ghost.facts is not None
+        and other.facts.shape == ghost.facts.shape
     )
 
 
@@ -347,7 +361,9 @@ def _in_many_files(bodies: Sequence[_Body]) -> dict[int, tuple[str, str]]:
             continue
         here = list(files[body.folder].values())
         count = _num_files(body.facts.shape, here)
-        has_others = any(each.shape and _num_files(each.shape, here) < count for each in body.siblings)
+        has_others = any(
+            each.shape and _num_files(each.shape, here) < count for each in body.siblings
+        )
         if count >= max(2, len(here) / 2) and has_others:
             reasons[i] = "stands alike in several files", ""
     return reasons

@@ -27,7 +27,8 @@ from cluttergen_jax.importing.readers.source import label_of
 from cluttergen_jax.importing.settings import did_you_mean
 from cluttergen_jax.schema import convert, parse_yaml
 
-AUTO, NONE = "auto", "none"
+AUTO = "auto"
+NONE = "none"
 _DEFAULTS = ReadOptions()
 
 
@@ -83,12 +84,17 @@ class KnownSet:
         """Whether a source is one of the set's models; any is where its layout names none."""
         path = source.path.resolve()
         place = os.path.relpath(path, self.home).replace(os.sep, "/")
-        patterns = (each.replace("{folder}", escape(path.parent.name)) for each in self.layout.models)
+        patterns = (
+            each.replace("{folder}", escape(path.parent.name)) for each in self.layout.models
+        )
         return not self.layout.models or any(fnmatchcase(place, each) for each in patterns)
 
     def read(self, options: ReadOptions, found: Mapping[str, str]) -> ReadOptions:
         """Options with the set's values, and with what was found, wherever the user has left the default."""
-        values = {**self.layout.values, **{key: value for key, value in found.items() if key != "label"}}
+        values = {
+            **self.layout.values,
+            **{key: value for key, value in found.items() if key != "label"},
+        }
         free = [key for key in values if getattr(options, key) == getattr(_DEFAULTS, key)]
         return replace(options, **{key: values[key] for key in free})  # type: ignore[arg-type]
 
@@ -145,7 +151,9 @@ def describe_sets(sets: Sequence[KnownSet], num_others: Mapping[str, int]) -> It
         untried = () if layout.tried else ("known from public lists of files alone",)
         note = (layout.note,) if layout.note else ()
         count = num_others.get(name, 0)
-        others = (f"{count} other {'file' if count == 1 else 'files'} there no objects of their own",)
+        others = (
+            f"{count} other {'file' if count == 1 else 'files'} there no objects of their own",
+        )
         parts = (f"{layout.title} in {where}", *values, *note, *untried, *(others if count else ()))
         yield f"recognised: {', '.join(parts)}"
 
@@ -155,7 +163,9 @@ def _homes(layout: Layout, files: Sequence[Path]) -> list[Path]:
     homes: list[set[Path]] = []
     for sign in layout.signs:
         steps = [each.split("/") for each in sign.split("|")]
-        homes.append({home for each in steps for file in files if (home := _home(file, each)) is not None})
+        homes.append(
+            {home for each in steps for file in files if (home := _home(file, each)) is not None}
+        )
     return sorted(set.intersection(*homes))
 
 

@@ -72,7 +72,9 @@ class Settings:
     @cached_property
     def _globs(self) -> tuple[str, ...]:
         """The patterns that can fit what they do not spell."""
-        return tuple(each for each in self.tables if each != DEFAULT and any(sign in each for sign in "*?["))
+        return tuple(
+            each for each in self.tables if each != DEFAULT and any(sign in each for sign in "*?[")
+        )
 
     def of(self, source: ObjectFile, root: Path) -> dict[str, Any]:
         """The keys and values for one source, found below the folder `root`."""
@@ -93,7 +95,9 @@ class Settings:
         return [
             node
             for file, _, node in pairs
-            if node and not any(sign in node for sign in "*?[") and any(_fits(name, file) for name in names)
+            if node
+            and not any(sign in node for sign in "*?[")
+            and any(_fits(name, file) for name in names)
         ]
 
     def check_used(self, groups: Sequence[tuple[Path, Found]]) -> None:
@@ -104,23 +108,32 @@ class Settings:
         Raises:
           ConfigError: it names the pattern, and what is spelt nearly like it.
         """
-        known = [name for root, found in groups for source in found.sources for name in _names(source, root)]
+        known = [
+            name
+            for root, found in groups
+            for source in found.sources
+            for name in _names(source, root)
+        ]
         patterns = [pattern for pattern in self.tables if pattern != DEFAULT]
         there = set(known)
         unused = [
             each
             for each in patterns
-            if each not in there and not (each in self._globs and any(_fits(name, each) for name in known))
+            if each not in there
+            and not (each in self._globs and any(_fits(name, each) for name in known))
         ]
         if not unused or (self.is_list and len(unused) < len(patterns)):
             return
-        skipped = {Path(each.name).name: each.reason for _, found in groups for each in found.skipped}
+        skipped = {
+            Path(each.name).name: each.reason for _, found in groups for each in found.skipped
+        }
         wrong = unused[0]
         reason = next((why for name, why in skipped.items() if _fits(name, Path(wrong).name)), None)
         why = f" (it is skipped: {reason})" if reason else did_you_mean(wrong, known)
         raise ConfigError(
             f"{self.path}: [{wrong!r}] fits no object{why}",
-            "paths or names of files that are imported, such as " + ", ".join(sorted(set(known))[:5]),
+            "paths or names of files that are imported, such as "
+            + ", ".join(sorted(set(known))[:5]),
         )
 
 
@@ -143,7 +156,9 @@ def read_settings(path: Path) -> Settings:
     except OSError as error:
         raise ConfigError(f"settings {path} cannot be read ({error.strerror})") from error
     except SchemaError as error:
-        raise ConfigError(f"settings {path}: {error}", "a file of TOML, or a table of CSV") from error
+        raise ConfigError(
+            f"settings {path}: {error}", "a file of TOML, or a table of CSV"
+        ) from error
     except (ValueError, csv.Error) as error:
         kind = "a table of CSV" if is_list else "TOML"
         raise ConfigError(f"settings {path} are not {kind}: {error}") from error
@@ -161,7 +176,8 @@ def _rows_of(path: Path, text: str) -> dict[str, dict[str, Any]]:
     columns = [column.strip() for column in rows.fieldnames or ()]
     if _FILE not in columns or len(set(columns)) < len(columns) or len(columns) < 2:
         raise ConfigError(
-            f"{path}: columns {', '.join(columns) or 'none'}", f"{_FILE}, and some of {', '.join(KEYS)}"
+            f"{path}: columns {', '.join(columns) or 'none'}",
+            f"{_FILE}, and some of {', '.join(KEYS)}",
         )
     rows.fieldnames = columns
     found: dict[str, dict[str, Any]] = {}
@@ -170,7 +186,9 @@ def _rows_of(path: Path, text: str) -> dict[str, dict[str, Any]]:
         if not pattern or pattern in found or "" in row or None in row.values():
             given = f"{path}, line {rows.line_num}: {pattern or 'no file'!r}"
             raise ConfigError(given, f"each file once, and {len(columns)} cells in a row")
-        found[pattern] = {key: _cell(key, cell.strip()) for key, cell in row.items() if cell.strip()}
+        found[pattern] = {
+            key: _cell(key, cell.strip()) for key, cell in row.items() if cell.strip()
+        }
     return found
 
 
@@ -190,25 +208,36 @@ def _check_table(path: Path, pattern: str, table: Any) -> dict[str, Any]:
         raise ConfigError(
             f"{path}: {pattern} = {table!r} outside a table", f"tables: [{DEFAULT}], ['mug.obj']"
         )
-    values: dict[str, Any] = {_OTHER_SPELLING.get(str(key), str(key)): value for key, value in table.items()}
+    values: dict[str, Any] = {
+        _OTHER_SPELLING.get(str(key), str(key)): value for key, value in table.items()
+    }
     for key, value in values.items():
         if key not in KEYS:
             hint = "a pattern in quotes, as ['mug.obj']" if isinstance(value, dict) else ""
-            raise ConfigError(f"{where}: key {key!r}{did_you_mean(key, KEYS)}", ", ".join(KEYS), hint)
-        if key in ("licence", "attribution", *_OF_NAMING) and not (isinstance(value, str) and value.strip()):
+            raise ConfigError(
+                f"{where}: key {key!r}{did_you_mean(key, KEYS)}", ", ".join(KEYS), hint
+            )
+        if key in ("licence", "attribution", *_OF_NAMING) and not (
+            isinstance(value, str) and value.strip()
+        ):
             raise ConfigError(f"{where}: {key} = {value!r}", "a text")
     if not isinstance(values.get(TAKE, True), bool):
         raise ConfigError(f"{where}: {TAKE} = {values[TAKE]!r}", "true, false")
     if "name" in values and (pattern == DEFAULT or not NAME_PATTERN.fullmatch(values["name"])):
-        raise ConfigError(f"{where}: name = {values['name']!r}", "one object's name of a-z, 0-9, '_' and '-'")
+        raise ConfigError(
+            f"{where}: name = {values['name']!r}", "one object's name of a-z, 0-9, '_' and '-'"
+        )
     if values.get("name") == RESERVED:
         raise ConfigError(
-            f"{where}: name = {RESERVED!r}", f"any other name: {RESERVED!r} is what stands under all"
+            f"{where}: name = {RESERVED!r}",
+            f"any other name: {RESERVED!r} is what stands under all",
         )
     try:
         replace(ReadOptions(), **{key: value for key, value in values.items() if key in OF_READING})
     except ClutterGenError as error:
-        raise ConfigError(f"{where}: {error.given.removeprefix('ReadOptions.')}", error.allowed) from error
+        raise ConfigError(
+            f"{where}: {error.given.removeprefix('ReadOptions.')}", error.allowed
+        ) from error
     return values
 
 
@@ -220,7 +249,11 @@ def settings_for(folder: Path) -> Settings | None:
 
 def place_of(source: ObjectFile, root: Path) -> str:
     """A source's path from the folder `root` on, with "#" and the body where its file holds several."""
-    path = source.path.relative_to(root).as_posix() if source.path.is_relative_to(root) else source.path.name
+    path = (
+        source.path.relative_to(root).as_posix()
+        if source.path.is_relative_to(root)
+        else source.path.name
+    )
     return f"{path}#{source.body.removeprefix('#')}" if source.body else path
 
 

@@ -7,7 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluttergen_jax.assets.body import MAX_TILT, NOT_STABLE, BodyConfig, object_variants, turned_variants
+from cluttergen_jax.assets.body import (
+    MAX_TILT,
+    NOT_STABLE,
+    BodyConfig,
+    object_variants,
+    turned_variants,
+)
 from cluttergen_jax.assets.config import NUM_TRIALS
 from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
 from cluttergen_jax.assets.object import ObjectAsset
@@ -23,7 +29,9 @@ MIN_RATE = 0.99
 _BLOCK = 64
 
 
-def measured_object(shape: Shape, config: BodyConfig | None = None, trials: int = NUM_TRIALS) -> ObjectAsset:
+def measured_object(
+    shape: Shape, config: BodyConfig | None = None, trials: int = NUM_TRIALS
+) -> ObjectAsset:
     """The body of a shape that stands best, its solo rate measured.
 
     Of the variants that `object_variants` offers the first is taken that stands in a quarter as many
@@ -52,7 +60,8 @@ def _steadiest(variants: Iterable[ObjectAsset], trials: int, seed: int) -> Objec
         engine = _engine(asset)
         rate, _ = solo_stability(asset, max(trials // 4, 8), seed + 1, engine)
         if rate > best_rate:
-            best, best_rate = (asset, engine), rate
+            best = (asset, engine)
+            best_rate = rate
         if rate == 1.0:
             break
     assert best is not None
@@ -101,10 +110,12 @@ def solo_stability(
 def solo_poses(asset: ObjectAsset, top: float, trials: int, seed: int) -> np.ndarray:
     """f32[trials, 1, 7]: the object frame upright over the origin, random yaw, 0 to 3 mm above `top`."""
     rng = np.random.default_rng(seed)
-    yaw, gap = rng.uniform(0, 2 * np.pi, trials), rng.uniform(0, MAX_GAP, trials)
+    yaw = rng.uniform(0, 2 * np.pi, trials)
+    gap = rng.uniform(0, MAX_GAP, trials)
     poses = np.zeros((trials, 1, 7), np.float32)
     poses[:, 0, 2] = top + asset.half_extents[2] + gap
-    poses[:, 0, 3], poses[:, 0, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+    poses[:, 0, 3] = np.cos(yaw / 2)
+    poses[:, 0, 6] = np.sin(yaw / 2)
     return poses
 
 

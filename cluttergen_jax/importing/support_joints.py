@@ -66,8 +66,16 @@ def estimates_of(joints: Sequence[Joint]) -> list[str]:
     for what in ("mass", "damping", "friction", "armature"):
         names = tuple(joint.name for joint in joints if getattr(joint, what) is None)
         missing.setdefault(names, []).append(what)
-    said = [f"{', '.join(what)} of {', '.join(map(repr, names))}" for names, what in missing.items() if names]
-    return [f"its file states none, so exports as mjcf-joints estimate: {'; '.join(said)}"] if said else []
+    said = [
+        f"{', '.join(what)} of {', '.join(map(repr, names))}"
+        for names, what in missing.items()
+        if names
+    ]
+    return (
+        [f"its file states none, so exports as mjcf-joints estimate: {'; '.join(said)}"]
+        if said
+        else []
+    )
 
 
 def _limits_of(joint: Joint) -> tuple[float, float] | None:

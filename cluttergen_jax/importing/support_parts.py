@@ -25,9 +25,13 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.progress import Progress
 
-_SMALL, _MINOR = 0.03, 0.25
-_MOST_VERTICES, _MOST_PLANES = 64, 48
-_FILLS, _SHEET, _SPACE = 0.97, 0.001, 0.5
+_SMALL = 0.03
+_MINOR = 0.25
+_MOST_VERTICES = 64
+_MOST_PLANES = 48
+_FILLS = 0.97
+_SHEET = 0.001
+_SPACE = 0.5
 _HAIR = 0.002
 _BOX = 0.985
 """The share of its box that a board with broken edges fills at least."""
@@ -62,15 +66,20 @@ def collision_of(
             hull = _hull_if_convex(mesh)
             if hull is not None:
                 hulls.append(hull)
-            elif _size(mesh.vertices) < _MINOR and not any(_is_above(mesh.vertices, s) for s in surfaces):
+            elif _size(mesh.vertices) < _MINOR and not any(
+                _is_above(mesh.vertices, s) for s in surfaces
+            ):
                 hulls.append(sound_points(mesh.vertices))
             elif not any(is_inside(mesh.vertices, each) for each in hulls):
                 try:
                     hulls += _cut(solid_of([mesh]), yaw)
                 except AssetError as error:
-                    notes.append(f"a piece at {mesh.bounds.mean(0).round(2)} does not collide: {error.given}")
+                    notes.append(
+                        f"a piece at {mesh.bounds.mean(0).round(2)} does not collide: {error.given}"
+                    )
             progress.update()
-    boxes, parts = [], []
+    boxes = []
+    parts = []
     for points in _without_inner([each for each in hulls if _size(each) >= _SMALL]):
         box = as_box(points, yaw)
         if box is None:
@@ -83,7 +92,9 @@ def collision_of(
 def cut_off(points: np.ndarray, T_world_surface: np.ndarray, height: float) -> np.ndarray | None:
     """What of a convex part, f64[V, 3], is below a height in a surface's frame; None if nothing is."""
     normal = T_world_surface[:3, 2]
-    below = Manifold.hull_points(points).trim_by_plane(-normal, -(normal @ T_world_surface[:3, 3] + height))
+    below = Manifold.hull_points(points).trim_by_plane(
+        -normal, -(normal @ T_world_surface[:3, 3] + height)
+    )
     vertices = np.array(below.to_mesh64().vert_properties)[:, :3]
     hull = hull_of(vertices) if len(vertices) > 3 else None
     return None if hull is None else vertices[hull.vertices]
@@ -95,7 +106,9 @@ def _components(mesh: Mesh) -> list[Mesh]:
         return []
     edges = np.concatenate([mesh.faces[:, :2], mesh.faces[:, 1:]])
     shape = (len(mesh.vertices),) * 2
-    _, label = connected_components(coo_array((np.ones(len(edges)), edges.T), shape=shape), directed=False)
+    _, label = connected_components(
+        coo_array((np.ones(len(edges)), edges.T), shape=shape), directed=False
+    )
     own = label[mesh.faces[:, 0]]
     found = []
     for each in np.unique(own):
@@ -135,11 +148,14 @@ def _rectangular(mesh: Mesh) -> list[np.ndarray] | None:
     if not straight.all() or max(map(len, planes)) > _MOST_PLANES:
         return None
     # Planes are a cell apart: lines through the cells' middles meet no edge.
-    index = np.stack([np.abs(mesh.vertices[:, k, None] - planes[k]).argmin(1) for k in range(3)], axis=1)
+    index = np.stack(
+        [np.abs(mesh.vertices[:, k, None] - planes[k]).argmin(1) for k in range(3)], axis=1
+    )
     shape = np.array([len(each) - 1 for each in planes])
     if shape.min() < 1:
         return None
-    grid, turn = Mesh(index.astype(np.float64), mesh.faces), np.zeros((*shape[:2], shape[2] + 1), int)
+    grid = Mesh(index.astype(np.float64), mesh.faces)
+    turn = np.zeros((*shape[:2], shape[2] + 1), int)
     up = np.sign(grid.normals[:, 2]).astype(int)
     # Beside the cells' middles, so that no line meets the diagonal of a face.
     lower = np.array([-0.1283, -0.2917])
@@ -149,14 +165,22 @@ def _rectangular(mesh: Mesh) -> list[np.ndarray] | None:
         np.add.at(turn, place, up[face])
     is_solid = np.cumsum(turn, axis=2)[:, :, :-1] < 0
     return [
-        np.array([(x, y, z) for x in planes[0][[a, b]] for y in planes[1][[c, d]] for z in planes[2][[e, f]]])
+        np.array(
+            [
+                (x, y, z)
+                for x in planes[0][[a, b]]
+                for y in planes[1][[c, d]]
+                for z in planes[2][[e, f]]
+            ]
+        )
         for a, b, c, d, e, f in _blocks(is_solid)
     ]
 
 
 def _blocks(solid: np.ndarray) -> list[tuple[int, int, int, int, int, int]]:
     """Disjoint blocks of cells that fill the True cells of a bool[X, Y, Z], each grown along z, x, then y."""
-    rest, found = solid.copy(), []
+    rest = solid.copy()
+    found = []
     while rest.any():
         x, y, z = np.argwhere(rest)[0]
         ends = [x + 1, y + 1, z + 1]
@@ -175,11 +199,13 @@ def _blocks(solid: np.ndarray) -> list[tuple[int, int, int, int, int, int]]:
 def as_box(points: np.ndarray, yaw: float) -> Box | None:
     """The box that the hull of points is, its sides along the furniture's; None if it is none."""
     local = points @ yaw_matrix(yaw)
-    low, high = local.min(0), local.max(0)
+    low = local.min(0)
+    high = local.max(0)
     hull = hull_of(points)
     if hull is None or hull.volume < _BOX * (high - low).prod():
         return None
-    center, half = (yaw_matrix(yaw) @ ((low + high) / 2)).tolist(), ((high - low) / 2).tolist()
+    center = (yaw_matrix(yaw) @ ((low + high) / 2)).tolist()
+    half = ((high - low) / 2).tolist()
     return Box((center[0], center[1], center[2]), (half[0], half[1], half[2]), yaw)
 
 
@@ -201,7 +227,9 @@ def is_inside(points: np.ndarray, other: np.ndarray) -> bool:
     if (points.min(0) < other.min(0) - _HAIR).any() or (points.max(0) > other.max(0) + _HAIR).any():
         return False
     hull = hull_of(other)
-    return hull is not None and bool((points @ hull.equations[:, :3].T + hull.equations[:, 3]).max() < _HAIR)
+    return hull is not None and bool(
+        (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max() < _HAIR
+    )
 
 
 def _without_inner(hulls: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -23,16 +23,24 @@ from cluttergen_jax.importing.surfaces import FoundSurface
 
 _START = 0.005
 """Metres over a surface from which on something hangs over it."""
-_INSET, _SHARE = 0.01, 0.02
-"""Of a region: metres from its edges, and the share of it, that do not count."""
-_LESS, _LESS_SHARE = 0.02, 0.1
-"""Metres, and the share of what is seen, by which parts may leave less."""
-_CELL, _VOXELS = 0.005, 140
+# Of a region: metres from its edges, and the share of it, that do not count.
+_INSET = 0.01
+_SHARE = 0.02
+
+# Metres, and the share of what is seen, by which parts may leave less.
+_LESS = 0.02
+_LESS_SHARE = 0.1
+
+_CELL = 0.005
+_VOXELS = 140
 _INSETS = (0.0, 0.005, 0.01, 0.02)
 """Metres."""
-_MOST_COLUMNS, _MISSING, _MOST_PARTS = 8, 0.05, 400
-_THIN, _GRAIN = 0.001, 1e-7
-"""Metres and cubic metres: thinner and smaller pieces of a part are dropped."""
+_MOST_COLUMNS = 8
+_MISSING = 0.05
+_MOST_PARTS = 400
+# Metres and cubic metres: thinner and smaller pieces of a part are dropped.
+_THIN = 0.001
+_GRAIN = 1e-7
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,10 @@ def air_over(mesh: Mesh, support: SupportAsset, surface: Surface) -> Air:
         hangs = is_hit & (height > _START)
         over[window] = np.where(hangs, np.minimum(over[window], height), over[window])
     heights = surface_heights(support, surface, _CELL)
-    x, y = (heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5) for k in (0, 1))
+    x, y = (
+        heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5)
+        for k in (0, 1)
+    )
     xy = rotate_in_plane(
         np.stack(np.meshgrid(x, y, indexing="ij"), -1) - surface.region.center, -surface.region.yaw
     )
@@ -122,12 +133,16 @@ class Column:
         """Normals f64[3] that point out of the box, world frame, and offsets: the board below first."""
         following = np.roll(self.corners, -1, axis=0)
         sides = [
-            (np.array([y1 - y0, x0 - x1, 0.0]) / math.hypot(x1 - x0, y1 - y0), np.array([x0, y0, 0.0]))
+            (
+                np.array([y1 - y0, x0 - x1, 0.0]) / math.hypot(x1 - x0, y1 - y0),
+                np.array([x0, y0, 0.0]),
+            )
             for (x0, y0), (x1, y1) in zip(self.corners, following, strict=True)
         ]
         up = np.array([0.0, 0.0, 1.0])
         local = [(-up, np.zeros(3)), *sides, (up, self.height * up)]
-        R, shift = self.T_world_surface[:3, :3], self.T_world_surface[:3, 3]
+        R = self.T_world_surface[:3, :3]
+        shift = self.T_world_surface[:3, 3]
         return [(R @ normal, float(R @ normal @ (R @ point + shift))) for normal, point in local]
 
 
@@ -143,7 +158,8 @@ def columns_over(samples: np.ndarray, found: FoundSurface, surface: Surface) -> 
     local = (samples - T[:3, 3]) @ T[:3, :3]
     local = local[local[:, 2] > 2 * _START]
     top = float(local[:, 2].max(initial=0.0)) + 2 * _START
-    low, high = surface.polygon.min(0), surface.polygon.max(0)
+    low = surface.polygon.min(0)
+    high = surface.polygon.max(0)
     local = local[((local[:, :2] > low) & (local[:, :2] < high)).all(1)]
     yaw = surface.region.yaw
     flat = rotate_in_plane(local[:, :2], -yaw)
@@ -152,7 +168,8 @@ def columns_over(samples: np.ndarray, found: FoundSurface, surface: Surface) -> 
         ends = rotate_in_plane(found.corners(span), -yaw)
         highest = _LESS
         for inset in _INSETS:
-            low, high = ends.min(0) + inset, ends.max(0) - inset
+            low = ends.min(0) + inset
+            high = ends.max(0) - inset
             if (high - low).min() < _LESS:
                 break
             is_over = ((flat > low + _START / 2) & (flat < high - _START / 2)).all(1)
@@ -182,7 +199,8 @@ def without_air(parts: list[np.ndarray], columns: list[Column]) -> list[np.ndarr
 def _around(points: np.ndarray, column: Column) -> list[np.ndarray]:
     """A part itself if it is not in the box, or the convex pieces of it that are around it."""
     local = (points - column.T_world_surface[:3, 3]) @ column.T_world_surface[:3, :3]
-    low, high = column.corners.min(0), column.corners.max(0)
+    low = column.corners.min(0)
+    high = column.corners.max(0)
     is_beside = (local[:, :2].max(0) <= low).any() or (local[:, :2].min(0) >= high).any()
     if is_beside or local[:, 2].max() <= _THIN or local[:, 2].min() >= column.height:
         return [points]

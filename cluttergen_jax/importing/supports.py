@@ -72,7 +72,11 @@ _READING = 120
 
 
 def write_table(
-    path: str | Path, name: str | None, options: ReadOptions, force: bool, joints: Mapping[str, float]
+    path: str | Path,
+    name: str | None,
+    options: ReadOptions,
+    force: bool,
+    joints: Mapping[str, float],
 ) -> SupportAsset:
     """The support of a table's file, among the user's own; see `cluttergen_jax.import_support`."""
     source, of_bodies = find_furniture(path)
@@ -88,10 +92,18 @@ def write_table(
             "name='my_table'",
         )
     source = replace(source, outside=files_outside(source, source.path))
-    shape, of_pose = call_limited(source.path, read_upright, source, options, joints, seconds=_READING)
+    shape, of_pose = call_limited(
+        source.path, read_upright, source, options, joints, seconds=_READING
+    )
     support, notes = support_with_notes(shape)
     of_file = [note for note in shape.notes if not note.startswith(_OF_MASS)]
-    said = [*outside_note(source.outside), *of_bodies, *of_pose, *map(_with_option, of_file), *notes]
+    said = [
+        *outside_note(source.outside),
+        *of_bodies,
+        *of_pose,
+        *map(_with_option, of_file),
+        *notes,
+    ]
     said += [*estimates_of(support.joints), *_alarms(support)]
     for note in _together(said):
         print(note, file=sys.stderr)
@@ -113,7 +125,9 @@ def _together(notes: Sequence[str]) -> list[str]:
     alike: dict[str, list[str]] = {}
     for note in notes:
         alike.setdefault(_NAMED.sub("", note), []).append(note)
-    return [first + (f" ({len(rest)} more like it)" if rest else "") for first, *rest in alike.values()]
+    return [
+        first + (f" ({len(rest)} more like it)" if rest else "") for first, *rest in alike.values()
+    ]
 
 
 def _alarms(support: SupportAsset) -> list[str]:
@@ -146,8 +160,11 @@ _MAX_CELLS = 300
 _MIN_AREA = 0.01
 _SHEET = 0.005
 """Metres: a thinner board is not trusted to carry: boxes so thick are laid below it."""
-_SMOOTH, _MOSTLY = 0.0005, 0.98
-_HAIR, _BULGE, _MORE = 0.001, 0.02, 1.05
+_SMOOTH = 0.0005
+_MOSTLY = 0.98
+_HAIR = 0.001
+_BULGE = 0.02
+_MORE = 1.05
 
 
 def support_from_mesh(shape: Shape) -> SupportAsset:
@@ -178,7 +195,9 @@ def support_with_notes(shape: Shape) -> tuple[SupportAsset, list[str]]:
     support, notes = _without_joints(shape, whole, shift)
     if not shape.joints:
         return support, notes
-    return with_joints(support, [each.transform(np.eye(3), 1.0, shift) for each in shape.joints]), notes
+    return with_joints(
+        support, [each.transform(np.eye(3), 1.0, shift) for each in shape.joints]
+    ), notes
 
 
 def _without_joints(shape: Shape, whole: Mesh, shift: np.ndarray) -> tuple[SupportAsset, list[str]]:
@@ -203,7 +222,9 @@ def _without_joints(shape: Shape, whole: Mesh, shift: np.ndarray) -> tuple[Suppo
     # The largest at that height, and more than is open to the sky: what hangs over some of it is real here.
     top = max((each for each in found if _is_top(each.surface, height)), key=_area, default=None)
     level = [box for box in table.boxes if box.center[2] < height]
-    if top is not None and _area(top) > _MORE * sum(4 * math.prod(box.half_extents[:2]) for box in level):
+    if top is not None and _area(top) > _MORE * sum(
+        4 * math.prod(box.half_extents[:2]) for box in level
+    ):
         own = replace(top.surface, region=table.region, position=(0.0, 0.0, height))
         return _several(shape, shift, own, [replace(top, surface=own), *others], notes)
     depth = _THICKNESS if top is None else max(top.thickness, _SHEET)
@@ -265,7 +286,8 @@ def _several(
     names = ["top", *(f"shelf_{number}" for number in range(1, len(surfaces)))]
     surfaces = [replace(surface, name=name) for surface, name in zip(surfaces, names, strict=True)]
     covers = [(surfaces[0], [box_mesh(box).vertices for box in level])] if level else []
-    solids, lost = [], []
+    solids = []
+    lost = []
     for group in moved_together(shape.joints, [piece.mesh for piece in pieces]):
         boxes, parts, notes_of_group = collision_of(group, yaw, surfaces)
         solids += [box_mesh(box).vertices for box in boxes] + parts
@@ -281,12 +303,18 @@ def _several(
     whole = join_meshes([piece.mesh for piece in pieces])
     first = _support_of(shape, pieces, surfaces, plates + solids, yaw)
     before = [air_over(whole, first, surface) for surface in surfaces]
-    by_name = {surface.name: each for each, surface in zip(found, surfaces[-len(found) :], strict=True)}
+    by_name = {
+        surface.name: each for each, surface in zip(found, surfaces[-len(found) :], strict=True)
+    }
     short = [
-        each for each, air in zip(surfaces, before, strict=True) if air.is_short and each.name in by_name
+        each
+        for each, air in zip(surfaces, before, strict=True)
+        if air.is_short and each.name in by_name
     ]
     samples = surface_samples(whole) if short else np.zeros((0, 3))
-    columns = [column for each in short for column in columns_over(samples, by_name[each.name], each)]
+    columns = [
+        column for each in short for column in columns_over(samples, by_name[each.name], each)
+    ]
     if columns:
         solids = without_air(plates + solids, columns)
         first = _support_of(shape, pieces, surfaces, solids, yaw)
@@ -306,7 +334,11 @@ def _several(
 
 
 def _support_of(
-    shape: Shape, pieces: tuple[Piece, ...], surfaces: list[Surface], solids: list[np.ndarray], yaw: float
+    shape: Shape,
+    pieces: tuple[Piece, ...],
+    surfaces: list[Surface],
+    solids: list[np.ndarray],
+    yaw: float,
 ) -> SupportAsset:
     """A support whose collision are the hulls of points f64[V, 3] each: boxes where they are."""
     boxes = [box for points in solids if (box := as_box(points, yaw)) is not None]
@@ -335,15 +367,21 @@ def _between(box: Box, low: float, high: float) -> Box:
 def _is_flat(support: SupportAsset, surface: Surface, found: FoundSurface) -> bool:
     """Whether the collision has a surface where the mesh has it."""
     heights = surface_heights(support, surface)
-    x, y = (heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5) for k in (0, 1))
+    x, y = (
+        heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5)
+        for k in (0, 1)
+    )
     is_on = found.is_on(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
     return bool(is_on.any() and (np.abs(heights.ground[is_on]) <= _SMOOTH).mean() >= _MOSTLY)
 
 
 def _plates(found: FoundSurface) -> list[np.ndarray]:
     """f64[8, 3] each: boards that cover a surface."""
-    T, depth = found.surface.T_world_surface, max(found.thickness, _SHEET)
-    flat = [np.column_stack([plate, np.full(4, z)]) for plate in found.plates for z in (0.0, -depth)]
+    T = found.surface.T_world_surface
+    depth = max(found.thickness, _SHEET)
+    flat = [
+        np.column_stack([plate, np.full(4, z)]) for plate in found.plates for z in (0.0, -depth)
+    ]
     pairs = [np.concatenate(flat[k : k + 2]) for k in range(0, len(flat), 2)]
     return [points @ T[:3, :3].T + T[:3, 3] for points in pairs]
 
@@ -354,7 +392,8 @@ def _lowered(points: np.ndarray, surface: Surface) -> np.ndarray | None:
     local = (points - T[:3, 3]) @ T[:3, :3]
     end = float(local[:, 2].max())
     ends_there = -_SMOOTH - _HAIR <= end <= _BULGE and local[:, 2].mean() < 0
-    low, high = surface.polygon.min(0), surface.polygon.max(0)
+    low = surface.polygon.min(0)
+    high = surface.polygon.max(0)
     is_over = (local[:, :2].max(0) > low).all() and (local[:, :2].min(0) < high).all()
     return cut_off(points, T, -_HAIR) if ends_there and is_over else points
 
@@ -394,7 +433,8 @@ def _view(mesh: Mesh, top: float) -> Overhead:
     Cell borders fall on the top's own sides, so a rectangular top is met exactly.
     """
     points = _top_vertices(mesh, top)
-    lower, upper = points.min(0), points.max(0)
+    lower = points.min(0)
+    upper = points.max(0)
     shape = _cells(upper - lower, PITCH)
     cell = (upper - lower) / shape
     more = np.ceil(_RIM / cell).astype(int)
@@ -402,7 +442,9 @@ def _view(mesh: Mesh, top: float) -> Overhead:
     walls = mesh.faces[mesh.vertices[mesh.faces, 2].max(1) > top + _SAME_HEIGHT]
     if len(walls) == 0:
         return view
-    samples, _ = trimesh.remesh.subdivide_to_size(mesh.vertices, walls, float(cell.min()) / 2, max_iter=20)
+    samples, _ = trimesh.remesh.subdivide_to_size(
+        mesh.vertices, walls, float(cell.min()) / 2, max_iter=20
+    )
     samples = samples[samples[:, 2] > top + _SAME_HEIGHT]
     # A rim's inner face lies on a cell's border: it belongs to the cell farther out.
     outwards = 0.001 * np.sign(samples[:, :2] - (lower + upper) / 2)

@@ -28,11 +28,14 @@ from cluttergen_jax.assets.support_map import Span, cells_below, cover, largest_
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.geometry import rotate_in_plane, yaw_matrix
 
-_STEEPEST, _LEVEL = math.radians(10.05), math.radians(0.5)
+_STEEPEST = math.radians(10.05)
+_LEVEL = math.radians(0.5)
 _NARROW_GAP = 0.02
 _FLAT = 0.003
-_PITCH, _MOST_CELLS = 0.01, 300
-_VOXELS, _PASSAGE = 140, 0.012
+_PITCH = 0.01
+_MOST_CELLS = 300
+_VOXELS = 140
+_PASSAGE = 0.012
 _FEWEST = 4
 
 
@@ -67,11 +70,16 @@ class FoundSurface:
         inner = ndimage.binary_erosion(self.mask, np.ones((3, 3)))
         local = (rotate_in_plane(xy, -self.surface.region.yaw) - self.lower) / self.cell
         index = np.clip(local.astype(int), 0, np.array(self.mask.shape) - 1)
-        return inner[index[..., 0], index[..., 1]] & (local >= 0).all(-1) & (local < self.mask.shape).all(-1)
+        return (
+            inner[index[..., 0], index[..., 1]]
+            & (local >= 0).all(-1)
+            & (local < self.mask.shape).all(-1)
+        )
 
 
 def _corners(span: Span, lower: np.ndarray, cell: np.ndarray, yaw: float) -> np.ndarray:
-    low, high = lower + cell * (span[0], span[2]), lower + cell * (span[1], span[3])
+    low = lower + cell * (span[0], span[2])
+    high = lower + cell * (span[1], span[3])
     return rotate_in_plane(np.array([low, (high[0], low[1]), high, (low[0], high[1])]), yaw)
 
 
@@ -118,7 +126,9 @@ def find_surfaces(mesh: Mesh, yaw: float) -> tuple[list[FoundSurface], list[str]
 
 def _plane(spots: np.ndarray) -> np.ndarray:
     """f64[3]: the plane z = fit . (x, y, 1) nearest to points."""
-    return np.linalg.lstsq(np.column_stack([spots[:, :2], np.ones(len(spots))]), spots[:, 2], rcond=None)[0]
+    return np.linalg.lstsq(
+        np.column_stack([spots[:, :2], np.ones(len(spots))]), spots[:, 2], rcond=None
+    )[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +151,12 @@ class _Layers:
         pitch = max(_PITCH, float((upper - lower).max()) / _MOST_CELLS)
         shape = np.maximum(np.ceil((upper - lower) / pitch - 1e-9), 1).astype(int)
         normals = mesh.normals
-        is_level = np.abs(normals[:, 2]) > math.cos(_STEEPEST) * np.linalg.norm(normals, axis=1) - 1e-9
-        cells, heights, level = [np.zeros(0, int)], [np.zeros(0)], [np.zeros(0, bool)]
+        is_level = (
+            np.abs(normals[:, 2]) > math.cos(_STEEPEST) * np.linalg.norm(normals, axis=1) - 1e-9
+        )
+        cells = [np.zeros(0, int)]
+        heights = [np.zeros(0)]
+        level = [np.zeros(0, bool)]
         number = np.arange(shape.prod()).reshape(shape)
         for face, window, over, is_hit in cells_below(mesh, lower, lower + pitch * shape, shape):
             cells.append(number[window][is_hit])
@@ -150,11 +164,14 @@ class _Layers:
             level.append(np.full(len(cells[-1]), is_level[face]))
         cell, height, flat = (np.concatenate(each) for each in (cells, heights, level))
         order = np.lexsort((height, cell))
-        cell, height, flat = cell[order], height[order], flat[order]
+        cell = cell[order]
+        height = height[order]
+        flat = flat[order]
         rank = np.arange(len(cell)) - np.searchsorted(cell, cell)
         z = np.full((rank.max(initial=0) + 1, shape.prod()), np.nan)
         carries = np.zeros(z.shape, bool)
-        z[rank, cell], carries[rank, cell] = height, flat
+        z[rank, cell] = height
+        carries[rank, cell] = flat
         above = np.concatenate([z[1:], np.full((1, z.shape[1]), np.nan)])
         carries &= ~(above - z < SURFACE_AIR)
         layers = _Layers(lower, pitch, z.reshape(-1, *shape), carries.reshape(-1, *shape))
@@ -176,10 +193,14 @@ class _Layers:
             reach = far * math.tan(_STEEPEST) * self.pitch + 0.001
             z, own = (np.moveaxis(each, axis + 1, 1) for each in (self.z, number))
             for one, other in product(used, used):
-                here, there = own[one, :-far], own[other, far:]
-                is_one = (here >= 0) & (there >= 0) & (np.abs(z[one, :-far] - z[other, far:]) <= reach)
+                here = own[one, :-far]
+                there = own[other, far:]
+                is_one = (
+                    (here >= 0) & (there >= 0) & (np.abs(z[one, :-far] - z[other, far:]) <= reach)
+                )
                 pairs.append(np.stack([here[is_one], there[is_one]], axis=1))
-        edges, count = np.concatenate(pairs), int(self.carries.sum())
+        edges = np.concatenate(pairs)
+        count = int(self.carries.sum())
         graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
         _, label = connected_components(graph, directed=False)
         spots = self.spots()[self.carries]
@@ -196,7 +217,10 @@ def _is_reached(voxels: Voxels, layers: _Layers) -> np.ndarray:
     regions, _ = ndimage.label(near == 0)
     outside = (regions == regions[0, 0, 0]).view(np.uint8)
     inner = slice(2 * more + 1, -2 * more - 1)
-    reached = ndimage.maximum_filter(outside, 2 * more + 3).view(bool)[inner, inner, inner] & voxels.outside
+    reached = (
+        ndimage.maximum_filter(outside, 2 * more + 3).view(bool)[inner, inner, inner]
+        & voxels.outside
+    )
     spots = layers.spots() + np.array([0.0, 0.0, radius + voxels.pitch])
     is_there = np.isfinite(layers.z)
     result = np.zeros(layers.z.shape, bool)
@@ -214,7 +238,8 @@ def _measure(
     def local(points: np.ndarray) -> np.ndarray:
         return (points - surface.position) @ inverse.T
 
-    flat, seeds = Mesh(local(mesh.vertices), mesh.faces), local(spots)[:, :2]
+    flat = Mesh(local(mesh.vertices), mesh.faces)
+    seeds = local(spots)[:, :2]
     above = samples[:, 2] - samples[:, :2] @ fit[:2] - fit[2]
     risen = local(samples[(above > 0.0) & (above < 2 * SURFACE_AIR)])
     is_low = np.abs(flat.corners[:, :, 2]).max(1) <= _FLAT
@@ -222,13 +247,15 @@ def _measure(
     near = cKDTree(seeds).query(corners)[0] <= 2 * pitch if len(corners) else np.zeros(0, bool)
     # Cell borders fall on the surface's own sides, where it has any.
     ends = np.concatenate([seeds, corners[near]])
-    lower, upper = ends.min(0), ends.max(0)
+    lower = ends.min(0)
+    upper = ends.max(0)
     if (upper - lower).min() < SURFACE_WIDTH:
         return []
     shape = np.maximum(np.ceil((upper - lower) / _PITCH - 1e-6), 1).astype(int)
     shape = np.minimum(shape, _MOST_CELLS)
     cell = (upper - lower) / shape
-    mask, below = np.zeros(shape, bool), np.full(shape, -np.inf)
+    mask = np.zeros(shape, bool)
+    below = np.full(shape, -np.inf)
     upright = Mesh(flat.vertices, flat.faces[flat.corners[:, :, 2].max(1) <= _FLAT])
     for _, window, over, is_hit in cells_below(upright, lower, upper, shape):
         mask[window] |= is_hit & (np.abs(over) <= _FLAT)
@@ -257,7 +284,9 @@ def _measure(
         if 2 * half.min() < SURFACE_WIDTH - 1e-9 or 4 * half.prod() < SURFACE_AREA - 1e-9:
             continue
         center = _corners(span, lower, cell, yaw).mean(0)
-        region = Rectangle((float(center[0]), float(center[1])), (float(half[0]), float(half[1])), yaw)
+        region = Rectangle(
+            (float(center[0]), float(center[1])), (float(half[0]), float(half[1])), yaw
+        )
         outline, *holes = outline_of_cells(own, lower, cell, 1.1 * float(cell.max()))
         rings = turned(outline), tuple(map(turned, holes))
         one = replace(surface, region=region, outline=rings[0], holes=rings[1])

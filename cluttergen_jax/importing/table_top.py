@@ -66,10 +66,14 @@ class Limits:
             reason = "furniture by its size, 2 m or more (`cluttergen import --support` takes it)"
             return LeftOut(name, reason, detail)
         if sides.max() > self.size - _HAIR:
-            reason = f"too large for the usual table: a side of {self.size:g} m or more (`max_size`)"
+            reason = (
+                f"too large for the usual table: a side of {self.size:g} m or more (`max_size`)"
+            )
             return LeftOut(name, reason, detail)
         if mass > self.mass:
-            return LeftOut(name, f"too heavy for a table: more than {self.mass:g} kg (`max_mass`)", detail)
+            return LeftOut(
+                name, f"too heavy for a table: more than {self.mass:g} kg (`max_mass`)", detail
+            )
         return None
 
     def why_shape_left_out(self, name: str, shape: Shape) -> LeftOut | None:

@@ -68,14 +68,18 @@ class FootprintFeatures(struct.PyTreeNode, eq=False):
         cell = region_side / _CELLS_OF_REGION
         points = np.asarray(cloud, np.float64)[..., :2] / cell
         angles = (np.arange(num_turns) + 0.5) / num_turns * 2 * np.pi / symmetry
-        cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        cos = np.cos(angles)[:, None]
+        sin = np.sin(angles)[:, None]
         heights = np.asarray(cloud, np.float64)[..., 2]
         underside = np.full((len(points), num_turns, _SIDE, _SIDE), np.inf)
         turn = np.arange(num_turns)[:, None]
         for picture, xy, z in zip(underside, points, heights, strict=True):
-            x, y = cos * xy[:, 0] - sin * xy[:, 1], sin * xy[:, 0] + cos * xy[:, 1]
+            x = cos * xy[:, 0] - sin * xy[:, 1]
+            y = sin * xy[:, 0] + cos * xy[:, 1]
             for sign in (1, -1)[:symmetry]:
-                np.minimum.at(picture, (turn, _pixel(sign * x), _pixel(sign * y)), z - z.min() - _UNSURE)
+                np.minimum.at(
+                    picture, (turn, _pixel(sign * x), _pixel(sign * y)), z - z.min() - _UNSURE
+                )
         pictures = np.isfinite(underside).astype(np.float64)
         pictures /= pictures.sum((2, 3), keepdims=True)
         below = np.pad(pictures.cumsum(2).cumsum(3), [(0, 0), (0, 0), (1, 0), (1, 0)])
@@ -99,17 +103,22 @@ class FootprintFeatures(struct.PyTreeNode, eq=False):
         Args:
           observation: of `placement.observation.observe`, without a leading axis.
         """
-        half, focus = observation["region"][:2] / self.cell, observation["focus"]
+        half = observation["region"][:2] / self.cell
+        focus = observation["focus"]
         middle = (jnp.arange(self.num_cells) + 0.5) / self.num_cells * 2 - 1
-        x, y = middle * half[0], middle * half[1]
-        return jnp.stack([self._over(observation, focus, x, y), self._beyond(focus, half, x, y)], axis=-1)
+        x = middle * half[0]
+        y = middle * half[1]
+        return jnp.stack(
+            [self._over(observation, focus, x, y), self._beyond(focus, half, x, y)], axis=-1
+        )
 
     def _over(self, observation: Mapping[str, Any], focus: Array, x: Array, y: Array) -> Array:
         """f32[G, G, T]: the correlation at x and y, f32[G], cells; an inverse transform at these alone."""
         taken = self._occupancy(observation["T_region_object"], observation["is_placed"])
         product = jnp.sum(jnp.fft.rfft2(taken) * jnp.asarray(self.spectrum)[focus], axis=1)
         x, y = (jnp.clip(axis, -_SIDE // 2, _SIDE // 2 - 1) for axis in (x, y))
-        wave, half_wave = np.fft.fftfreq(_SIDE), np.fft.rfftfreq(_SIDE)
+        wave = np.fft.fftfreq(_SIDE)
+        half_wave = np.fft.rfftfreq(_SIDE)
         twice = np.where((half_wave == 0) | (half_wave == 0.5), 1.0, 2.0)
         along = jnp.exp(2j * jnp.pi * x[:, None] * wave) / _SIDE
         across = jnp.exp(2j * jnp.pi * y[:, None] * half_wave) * twice / _SIDE
@@ -118,7 +127,9 @@ class FootprintFeatures(struct.PyTreeNode, eq=False):
     def _beyond(self, focus: Array, half: Array, x: Array, y: Array) -> Array:
         """f32[G, G, T]: what of the footprint is outside of the region's rectangle."""
         below = jnp.asarray(self.below)[focus]
-        low, high = ((_SIDE // 2 + 0.5 + sign * half[:, None] - jnp.stack([x, y])) for sign in (-1, 1))
+        low, high = (
+            (_SIDE // 2 + 0.5 + sign * half[:, None] - jnp.stack([x, y])) for sign in (-1, 1)
+        )
         (i0, j0), (i1, j1) = (
             jnp.clip(jnp.rint(corner), 0, _SIDE).astype(jnp.int32) for corner in (low, high)
         )
@@ -208,7 +219,9 @@ class Agent(struct.PyTreeNode, eq=False):
         size = self.config.scene_features + self.config.object_features
         blank |= {"encoded": jnp.zeros((1, size))}
         params = jax.jit(self.network.init)(key, self.cloud, self.half_extents, blank)["params"]
-        weights = cloud_encoder.init_encoder(self.encoder, key_encoder, self.cloud, self.half_extents)
+        weights = cloud_encoder.init_encoder(
+            self.encoder, key_encoder, self.cloud, self.half_extents
+        )
         return {"params": params | {ENCODER: weights}}
 
     def apply(self, params: Params, observation: Any) -> tuple[ActionDistribution, Array]:

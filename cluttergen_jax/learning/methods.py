@@ -23,8 +23,9 @@ from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.types import Start
 
-DEFAULT_METHOD, FALLBACK_METHOD = "guided", "spread"
-"""What a user gets unasked; the second where no checkpoint of the first is embedded."""
+# What a user gets unasked; the second where no checkpoint of the first is embedded.
+DEFAULT_METHOD = "guided"
+FALLBACK_METHOD = "spread"
 
 
 class Method(NamedTuple):
@@ -78,7 +79,9 @@ def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Ch
     _check_known(method)
     if method not in VARIANTS:
         if given is not None:
-            raise ConfigError(f"`checkpoint` with method {method!r}, which has none", ", ".join(VARIANTS))
+            raise ConfigError(
+                f"`checkpoint` with method {method!r}, which has none", ", ".join(VARIANTS)
+            )
         return None
     if given is None:
         return read_checkpoint(find_policy(method, without_exclusions(pool)))

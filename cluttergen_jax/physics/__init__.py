@@ -34,7 +34,9 @@ def make_physics(
         return NativePhysics(layout, config, num_threads)
     if config.robust_tilt:
         raise ConfigError(
-            f"engine {engine!r} with robust", "native, for robust scenes", "engine='native', or robust=False"
+            f"engine {engine!r} with robust",
+            "native, for robust scenes",
+            "engine='native', or robust=False",
         )
     # MJX takes a second to import, and only who asks for it pays.
     with silent_import():

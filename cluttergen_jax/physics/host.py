@@ -19,7 +19,9 @@ from cluttergen_jax.progress import COMPILING
 from cluttergen_jax.types import Array, Piling, Settling, Standing, Verdict
 
 
-def empty_settling(xp: Any, batch: tuple[int, ...], num_objects: int, config: StabilityConfig) -> Settling:
+def empty_settling(
+    xp: Any, batch: tuple[int, ...], num_objects: int, config: StabilityConfig
+) -> Settling:
     """The report of scenes that were not judged: verdict NONE, everything else zero."""
     return Settling(
         verdict=xp.full(batch, int(Verdict.NONE), dtype=xp.int32),
@@ -115,9 +117,12 @@ class OneScenePhysics:
     compiling = COMPILING
     """What to say before its programs are compiled."""
 
-    def __init__(self, config: StabilityConfig, settle_one: HostFunction, stand_one: HostFunction) -> None:
+    def __init__(
+        self, config: StabilityConfig, settle_one: HostFunction, stand_one: HostFunction
+    ) -> None:
         self.config = config
-        self._settle_one, self._stand_one = settle_one, stand_one
+        self._settle_one = settle_one
+        self._stand_one = stand_one
 
     def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
         """See `protocol.Physics.settle`."""
@@ -131,7 +136,9 @@ class OneScenePhysics:
     def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
         """See `protocol.Physics.stand`."""
         return self._stand_one(
-            jnp.asarray(poses, jnp.float32), jnp.asarray(is_placed, bool), jnp.asarray(is_active, bool)
+            jnp.asarray(poses, jnp.float32),
+            jnp.asarray(is_placed, bool),
+            jnp.asarray(is_active, bool),
         )
 
 
@@ -146,7 +153,9 @@ class BatchEngine(Protocol):
         """`protocol.Physics.settle` for each of them."""
         ...
 
-    def stand_batch(self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray) -> Standing:
+    def stand_batch(
+        self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray
+    ) -> Standing:
         """`protocol.Physics.stand` for each of them."""
         ...
 
@@ -172,7 +181,9 @@ class HostPhysics(OneScenePhysics):
     def __init__(self, num_objects: int, config: StabilityConfig) -> None:
         settling, standing = _report_shapes(num_objects, config)
         super().__init__(
-            config, host_function(self.settle_batch, settling), host_function(self.stand_batch, standing)
+            config,
+            host_function(self.settle_batch, settling),
+            host_function(self.stand_batch, standing),
         )
         self._piling = jax.eval_shape(lambda: empty_piling(jnp, (), num_objects))
 
@@ -216,8 +227,11 @@ class NumberedEngines:
       make: the engine of a number.
     """
 
-    def __init__(self, num_objects: int, config: StabilityConfig, make: Callable[[int], BatchEngine]) -> None:
-        self.config, self._make = config, make
+    def __init__(
+        self, num_objects: int, config: StabilityConfig, make: Callable[[int], BatchEngine]
+    ) -> None:
+        self.config = config
+        self._make = make
         self._lock = threading.RLock()
         self._at_hand: tuple[int, BatchEngine] | None = None
         settling, standing = _report_shapes(num_objects, config)
@@ -258,7 +272,8 @@ class _Numbered(HostPhysics):
     """`protocol.Physics` of one number."""
 
     def __init__(self, engines: NumberedEngines, number: Array) -> None:
-        self._engines, self._number = engines, number
+        self._engines = engines
+        self._number = number
         settle, stand = (partial(each, number) for each in (engines.settle_one, engines.stand_one))
         OneScenePhysics.__init__(self, engines.config, settle, stand)
 
@@ -317,7 +332,9 @@ def _flatten_axes(function: HostFunction) -> HostFunction:
         arrays = [np.asarray(array) for array in args]
         batch = arrays[-1].shape
         num_scenes = int(np.prod(batch))
-        result = function(*(array.reshape((num_scenes, *array.shape[len(batch) :])) for array in arrays))
+        result = function(
+            *(array.reshape((num_scenes, *array.shape[len(batch) :])) for array in arrays)
+        )
         return jax.tree.map(lambda array: array.reshape((*batch, *array.shape[1:])), result)
 
     return call
@@ -362,7 +379,9 @@ def one_scene(batched: BatchFunction) -> BatchFunction:
     return one
 
 
-def _broadcast(axis_size: int, is_batched: list[bool], args: tuple[Array, ...]) -> tuple[Array, ...]:
+def _broadcast(
+    axis_size: int, is_batched: list[bool], args: tuple[Array, ...]
+) -> tuple[Array, ...]:
     return tuple(
         arg if has_axis else jnp.broadcast_to(arg, (axis_size, *arg.shape))
         for arg, has_axis in zip(args, is_batched, strict=True)

@@ -36,7 +36,9 @@ class Layout:
 
     @staticmethod
     def of(
-        model: mujoco.MjModel, top: float, compile_walled: Callable[[], mujoco.MjModel] | None = None
+        model: mujoco.MjModel,
+        top: float,
+        compile_walled: Callable[[], mujoco.MjModel] | None = None,
     ) -> Layout:
         """Reads the layout of a model whose only joints are the objects' free joints."""
         body_index = np.asarray(model.jnt_bodyid, np.int32)

@@ -22,7 +22,9 @@ def silent_import() -> Iterator[None]:
         with redirect_stdout(said):
             yield
     finally:
-        others = [line for line in said.getvalue().splitlines() if not line.startswith("Failed to import")]
+        others = [
+            line for line in said.getvalue().splitlines() if not line.startswith("Failed to import")
+        ]
         print("".join(f"{line}\n" for line in others), end="")
 
 

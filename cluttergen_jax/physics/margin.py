@@ -76,7 +76,8 @@ def _left_of(side: tuple[Point, Point]) -> float:
 def _distance(side: tuple[Point, Point]) -> float:
     """From the origin to a side."""
     (x0, y0), (x1, y1) = side
-    dx, dy = x1 - x0, y1 - y0
+    dx = x1 - x0
+    dy = y1 - y0
     along = min(max(-(x0 * dx + y0 * dy) / (dx * dx + dy * dy), 0.0), 1.0)
     return math.hypot(x0 + along * dx, y0 + along * dy)
 
@@ -84,7 +85,8 @@ def _distance(side: tuple[Point, Point]) -> float:
 def bearers_of(layout: Layout, data: mujoco.MjData, index: int) -> np.ndarray:
     """The objects that press object `index` upwards, in a scene whose contacts are computed: bool[K]."""
     contact = data.contact
-    pair, lift = layout.geom_object[contact.geom], contact.frame[:, 2]
+    pair = layout.geom_object[contact.geom]
+    lift = contact.frame[:, 2]
     carried, carrier = np.where(lift > 0, pair.T[::-1], pair.T)
     bears = np.zeros(layout.num_objects + 1, bool)
     bears[carrier[(carried == index) & (np.abs(lift) >= MIN_LIFT) & (contact.dist < 0)]] = True
@@ -101,14 +103,18 @@ def margins_of(layout: Layout, data: mujoco.MjData, objects: np.ndarray) -> np.n
       f64[n], metres; -inf for what nothing carries.
     """
     contact = data.contact
-    pair, lift = layout.geom_object[contact.geom], contact.frame[:, 2]
+    pair = layout.geom_object[contact.geom]
+    lift = contact.frame[:, 2]
     # A contact's normal points from the first geom to the second, which it presses that way.
     carried = np.where(lift > 0, pair[:, 1], pair[:, 0])
     carried[(np.abs(lift) < MIN_LIFT) | (contact.dist > 0)] = -1
     position = contact.pos[:, :2]
     centers = data.xipos[layout.body_index[objects], :2]
     return np.array(
-        [support_margin(position[carried == k] - center) for k, center in zip(objects, centers, strict=True)]
+        [
+            support_margin(position[carried == k] - center)
+            for k, center in zip(objects, centers, strict=True)
+        ]
     )
 
 
@@ -130,7 +136,9 @@ class OverlapProbe:
           f64[K + 1, K + 1], metres, symmetric, index K for the support, zero where apart; None if there was
           no room for all contacts.
         """
-        model, data, num_objects = self._layout.model, self._data, self._layout.num_objects
+        model = self._layout.model
+        data = self._data
+        num_objects = self._layout.num_objects
         mujoco.mj_resetData(model, data)
         data.qpos[:] = np.where(is_placed[:, None], poses, self._parked).ravel()
         try:

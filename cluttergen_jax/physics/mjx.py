@@ -120,7 +120,9 @@ class MjxPhysics(OneScenePhysics):
         if impl == "jax" and jax.default_backend() == "cpu":
             self.compiling = _SLOW.format(number=layout.model.ngeom)
 
-    def settle_batch(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
+    def settle_batch(
+        self, poses: Array, is_placed: Array, focus: Array, is_active: Array
+    ) -> Settling:
         """`settle` for scenes with one leading axis."""
         start, is_sound = start_poses(self.layout, poses, is_placed, is_active)
         is_focus = jnp.arange(self.layout.num_objects) == focus[:, None]
@@ -130,11 +132,14 @@ class MjxPhysics(OneScenePhysics):
 
     def _release(self, batch: _Batch) -> _Attempts:
         num_scenes, num_objects = batch.is_placed.shape
-        rows, focus = jnp.arange(num_scenes), jnp.argmax(batch.is_focus, axis=1)
+        rows = jnp.arange(num_scenes)
+        focus = jnp.argmax(batch.is_focus, axis=1)
         trajectory = jnp.zeros((num_scenes, self.config.last_step + 1, 13), jnp.float32)
         return _Attempts(
             batch=batch,
-            data=self.scenes.release(batch.start, batch.is_focus & batch.is_judged[:, None], is_attempt=True),
+            data=self.scenes.release(
+                batch.start, batch.is_focus & batch.is_judged[:, None], is_attempt=True
+            ),
             track=stability.new_track(jnp, (num_scenes,), num_objects, jnp.float32),
             trajectory=trajectory.at[:, 0, :7].set(batch.start[rows, focus]),
             overflowed=jnp.zeros(num_scenes, bool),
@@ -142,15 +147,20 @@ class MjxPhysics(OneScenePhysics):
         )
 
     def _attempt_step(self, run: _Attempts) -> _Attempts:
-        scenes, config, batch, running = self.scenes, self.config, run.batch, run.is_running
-        rows, focus = jnp.arange(len(running)), jnp.argmax(batch.is_focus, axis=1)
+        scenes = self.scenes
+        config = self.config
+        batch = run.batch
+        running = run.is_running
+        rows = jnp.arange(len(running))
+        focus = jnp.argmax(batch.is_focus, axis=1)
         data = scenes.step(run.data, running[:, None] & batch.is_placed, batch.is_focus)
         is_finite = scenes.is_finite(data)
         data = scenes.halt_diverged(data, is_finite, batch.start)
         velocity = scenes.velocity(data, focus)
         is_neighbour = batch.is_placed & ~batch.is_focus
         shift, turn = (
-            each * is_neighbour for each in stability.displacement(jnp, scenes.poses(data), batch.start)
+            each * is_neighbour
+            for each in stability.displacement(jnp, scenes.poses(data), batch.start)
         )
         motion = stability.step_motion(jnp, velocity, run.track.velocity, config)
         after = stability.advance(jnp, run.track, motion, shift, turn, config)
@@ -193,11 +203,18 @@ class MjxPhysics(OneScenePhysics):
         poses: Array,
         is_active: Array,
     ) -> Settling:
-        start, is_placed, is_focus = run.batch.start, run.batch.is_placed, run.batch.is_focus
+        start = run.batch.start
+        is_placed = run.batch.is_placed
+        is_focus = run.batch.is_focus
         num_scenes, num_objects = is_placed.shape
-        track, is_finite, config = run.track, run.is_finite & run.batch.is_judged, self.config
-        final = jnp.where((is_placed & is_finite[:, None])[..., None], self.scenes.poses(run.data), poses)
-        is_at_rest, focus = track.is_quiet & is_finite & ~run.overflowed, jnp.argmax(is_focus, axis=1)
+        track = run.track
+        is_finite = run.is_finite & run.batch.is_judged
+        config = self.config
+        final = jnp.where(
+            (is_placed & is_finite[:, None])[..., None], self.scenes.poses(run.data), poses
+        )
+        is_at_rest = track.is_quiet & is_finite & ~run.overflowed
+        focus = jnp.argmax(is_focus, axis=1)
         contacts, lost = self._contacts(self.scenes.poses(run.data), start, is_focus, is_at_rest)
         both = overlaps(contacts, self.layout, 2 * num_scenes).reshape(2, num_scenes, -1)
         # What was lost may be anybody's.
@@ -207,7 +224,9 @@ class MjxPhysics(OneScenePhysics):
             track,
             is_focus=is_focus,
             is_neighbour=is_placed & ~is_focus,
-            is_below=below_top(jnp, final, self.layout.center_of_mass.astype(np.float32), self.layout.top),
+            is_below=below_top(
+                jnp, final, self.layout.center_of_mass.astype(np.float32), self.layout.top
+            ),
             penetrates=stability.penetrates(jnp, both[0], both[1], config),
             overflowed=overflowed,
             is_finite=is_finite,
@@ -229,7 +248,9 @@ class MjxPhysics(OneScenePhysics):
             penetration=mask_scenes(jnp, depths.max(axis=(1, 2)), ~overflowed & is_at_rest),
             is_quiet=is_quiet,
             margin=mask_scenes(jnp, margin, is_at_rest),
-            touches=mask_scenes(jnp, (depths[jnp.arange(num_scenes), focus] > 0)[:, :-1], is_at_rest),
+            touches=mask_scenes(
+                jnp, (depths[jnp.arange(num_scenes), focus] > 0)[:, :-1], is_at_rest
+            ),
             bears=mask_scenes(jnp, bearers(contacts, self.layout, focus), is_at_rest),
         )
 
@@ -261,15 +282,21 @@ class MjxPhysics(OneScenePhysics):
         )
 
     def _check_step(self, run: _Checks) -> _Checks:
-        scenes, batch, running, before = self.scenes, run.batch, run.is_running, run.standing
+        scenes = self.scenes
+        batch = run.batch
+        running = run.is_running
+        before = run.standing
         may_move = running[:, None] & batch.is_placed
         data = scenes.step(run.data, may_move, is_awake=may_move)
         is_finite = scenes.is_finite(data)
         data = scenes.halt_diverged(data, is_finite, batch.start)
         shift, turn = stability.displacement(jnp, scenes.poses(data), batch.start)
         num_steps = before.num_steps + 1
-        shift, turn = jnp.maximum(before.shift, shift), jnp.maximum(before.turn, turn)
-        verdict = stability.verdict_of_scene(jnp, num_steps, shift, turn, batch.is_placed, self.config)
+        shift = jnp.maximum(before.shift, shift)
+        turn = jnp.maximum(before.turn, turn)
+        verdict = stability.verdict_of_scene(
+            jnp, num_steps, shift, turn, batch.is_placed, self.config
+        )
         verdict = jnp.where(scenes.has_overflowed(data), int(Verdict.OVERFLOW), verdict)
         verdict = jnp.where(is_finite, verdict, int(Verdict.NON_FINITE))
         after = Standing(verdict=verdict, num_steps=num_steps, shift=shift, turn=turn)

@@ -41,7 +41,8 @@ def overlaps(contacts: ContactRows, layout: Layout, num_scenes: int) -> Array:
 def bearers(contacts: ContactRows, layout: Layout, focus: Array) -> Array:
     """bool[N, K]: who presses each scene's focus object, i32[N], upwards."""
     carried, carrier = _carried_and_carrier(contacts, layout)
-    num_objects, num_scenes = layout.num_objects, len(focus)
+    num_objects = layout.num_objects
+    num_scenes = len(focus)
     presses = _presses(contacts) & (carried == focus[jnp.minimum(contacts.scene, num_scenes - 1)])
     bears = jnp.zeros((num_scenes, num_objects + 1), bool)
     return bears.at[contacts.scene, carrier].max(presses, mode="drop")[:, :-1]

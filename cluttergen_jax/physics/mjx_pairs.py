@@ -49,7 +49,8 @@ def faces_first() -> Iterator[None]:
 
 def _preferring_faces(original: Callable[..., Any]) -> Callable[..., tuple[Array, Array, Array]]:
     def test(*args: Array) -> tuple[Array, Array, Array]:
-        shape, (edges_a, *rest) = args[:-4], args[-4:]
+        shape = args[:-4]
+        (edges_a, *rest) = args[-4:]
         # Edges without length are never taken: what the faces alone say. Both in one go compile as one.
         both = jnp.stack([edges_a, jnp.repeat(edges_a[:, :1], 2, axis=1)])
         found = jax.vmap(lambda edges: original(*shape, edges, *rest))(both)
@@ -65,8 +66,9 @@ _POINTS = 4
 """Contacts that MJX's function gives of a pair."""
 _BLOCK = 8
 """Pairs side by side; more are no faster, and take memory."""
-_NEAR_PAIRS, _CONTACTS = 24, 48
-"""For each object: pairs that are looked at, and contacts that are kept, the deepest."""
+# For each object: pairs that are looked at, and contacts that are kept, the deepest.
+_NEAR_PAIRS = 24
+_CONTACTS = 48
 
 
 class _Shapes(struct.PyTreeNode):
@@ -99,7 +101,9 @@ class Pairs:
         found = [(one, two) for one, two, _ in collision_driver.geom_pairs(model)]
         # MJX takes the one with fewer corners first.
         sizes = [len(shape.vert) for shape in shapes]
-        self._geom = np.array([sorted(pair, key=lambda geom: sizes[geom]) for pair in found]).reshape(-1, 2)
+        self._geom = np.array(
+            [sorted(pair, key=lambda geom: sizes[geom]) for pair in found]
+        ).reshape(-1, 2)
         self._condim = int(model.geom_condim.max(initial=1))
         self._num_near = min(len(found), _NEAR_PAIRS * num_objects)
         self._num_contacts = min(_POINTS * self._num_near, _CONTACTS * num_objects)
@@ -109,7 +113,8 @@ class Pairs:
         """While MJX's data is made or a step is traced, this stands in place of MJX's collisions."""
         with faces_first():
             before = collision_driver.collision, collision_driver.make_condim
-            collision_driver.collision, collision_driver.make_condim = self.find_contacts, self._condims
+            collision_driver.collision = self.find_contacts
+            collision_driver.make_condim = self._condims
             try:
                 yield
             finally:
@@ -140,8 +145,10 @@ class Pairs:
             return collision_convex._convex_convex(one, two)
 
         dist, pos, normal = jax.lax.map(touch, geom, batch_size=_BLOCK)
-        dist, geom = dist.ravel(), jnp.repeat(geom, _POINTS, axis=0)
-        pos, normal = pos.reshape(-1, 3), normal.reshape(-1, 3)
+        dist = dist.ravel()
+        geom = jnp.repeat(geom, _POINTS, axis=0)
+        pos = pos.reshape(-1, 3)
+        normal = normal.reshape(-1, 3)
         if self._num_contacts < len(dist):
             deepest = jax.lax.top_k(-dist, self._num_contacts)[1]
             dist, pos, normal, geom = (each[deepest] for each in (dist, pos, normal, geom))
@@ -171,17 +178,22 @@ class Pairs:
 
     def _convex_at(self, model: mjx.Model, data: mjx.Data, geom: Array) -> ConvexInfo:
         shape = jax.tree.map(lambda array: jnp.asarray(array)[geom], self._shapes)
-        return ConvexInfo(data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], **vars(shape))
+        return ConvexInfo(
+            data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], **vars(shape)
+        )
 
     def _gaps(self, model: mjx.Model, data: mjx.Data) -> Array:
         """f32[P], metres: at most the distance of each pair, from one's box to the other's ball."""
-        center, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
+        center = model.geom_aabb[:, :3]
+        half = model.geom_aabb[:, 3:]
         middle = data.geom_xpos + jnp.einsum("gij,gj->gi", data.geom_xmat, center)
         radius = jnp.linalg.norm(half, axis=-1)
 
         def gap(box: np.ndarray, ball: np.ndarray) -> Array:
             away = jnp.einsum("pji,pj->pi", data.geom_xmat[box], middle[ball] - middle[box])
-            return jnp.linalg.norm(jnp.maximum(jnp.abs(away) - half[box], 0.0), axis=-1) - radius[ball]
+            return (
+                jnp.linalg.norm(jnp.maximum(jnp.abs(away) - half[box], 0.0), axis=-1) - radius[ball]
+            )
 
         one, two = self._geom.T
         return jnp.maximum(gap(one, two), gap(two, one))
@@ -204,11 +216,15 @@ def _with_one_size(shapes: list[_Shapes]) -> _Shapes:
 
     def stack(*arrays: np.ndarray) -> np.ndarray:
         rows = max(len(array) for array in arrays)
-        return np.stack([np.concatenate([a, np.repeat(a[:1], rows - len(a), axis=0)]) for a in arrays])
+        return np.stack(
+            [np.concatenate([a, np.repeat(a[:1], rows - len(a), axis=0)]) for a in arrays]
+        )
 
     width = max(shape.face.shape[1] for shape in shapes)
     even = [
-        shape.replace(face=np.pad(shape.face, ((0, 0), (0, width - shape.face.shape[1]), (0, 0)), "edge"))
+        shape.replace(
+            face=np.pad(shape.face, ((0, 0), (0, width - shape.face.shape[1]), (0, 0)), "edge")
+        )
         for shape in shapes
     ]
     return jax.tree.map(stack, *even)

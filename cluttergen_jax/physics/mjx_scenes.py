@@ -83,7 +83,8 @@ class MjxScenes:
     def __init__(self, layout: Layout, impl: str, options: WarpOptions = WARP_DEFAULTS) -> None:
         if impl not in IMPLEMENTATIONS:
             raise ConfigError(f"impl = {impl!r}", " or ".join(IMPLEMENTATIONS))
-        self._layout, self._is_warp = layout, impl == "warp"
+        self._layout = layout
+        self._is_warp = impl == "warp"
         self._options = options if self._is_warp else WARP_DEFAULTS
         if not self._is_warp:
             model = layout.model.__copy__()
@@ -97,11 +98,14 @@ class MjxScenes:
             return
         if not mjx_warp.WARP_INSTALLED:
             raise MissingExtraError("gpu", "the Warp engine")
-        contacts, rows = options.num_contacts, options.num_rows
+        contacts = options.num_contacts
+        rows = options.num_rows
         if contacts is None or rows is None:
             measured = room_for(layout)
-            contacts, rows = contacts or measured[0], rows or measured[1]
-        self._num_contacts, num_rows = contacts, rows
+            contacts = contacts or measured[0]
+            rows = rows or measured[1]
+        self._num_contacts = contacts
+        num_rows = rows
         model = _sleeping(layout.model) if options.sleeps else layout.model
 
         def blank(of: mujoco.MjModel, num_awake: int | None = None) -> mjx.Data:
@@ -109,7 +113,9 @@ class MjxScenes:
             sizes = {"naconmax": self._num_contacts, "njmax": num_rows, "nvmax": nvmax}
             return mjx.make_data(of, impl="warp", **sizes)
 
-        self._awake, self._model = (_put(each, options.graph_mode) for each in (layout.model, model))
+        self._awake, self._model = (
+            _put(each, options.graph_mode) for each in (layout.model, model)
+        )
         self._blank = blank(layout.model)
         self._whole = blank(model)
         self._partly = blank(model, options.num_awake) if options.sleeps else self._whole
@@ -232,7 +238,8 @@ class MjxScenes:
         # MJX dispatches all but this function to Warp by itself, and it can be imported with Warp alone.
         from mujoco.mjx.warp.collision_driver import collision
 
-        model, data = self._awake, self._start_at(self._blank, poses)
+        model = self._awake
+        data = self._start_at(self._blank, poses)
         for stage in (mjx.kinematics, collision):
             data = jax.vmap(stage, in_axes=(None, 0))(model, data)
         impl = data._impl
@@ -263,13 +270,19 @@ class MjxScenes:
         )
 
 
-def start_poses(layout: Layout, poses: Array, is_placed: Array, is_active: Array) -> tuple[Array, Array]:
+def start_poses(
+    layout: Layout, poses: Array, is_placed: Array, is_active: Array
+) -> tuple[Array, Array]:
     """The poses to simulate, f32[N, K, 7], unit quaternions, unplaced objects parked; and bool[N], is sound.
 
     Scenes that are inactive or have a pose that is not finite are parked whole.
     """
     length = norm(jnp, poses[..., 3:])
-    is_sound = jnp.isfinite(poses).all(axis=-1) & (length > 1e-3) & (jnp.abs(poses) < _MAX_STATE).all(axis=-1)
+    is_sound = (
+        jnp.isfinite(poses).all(axis=-1)
+        & (length > 1e-3)
+        & (jnp.abs(poses) < _MAX_STATE).all(axis=-1)
+    )
     is_scene_sound = (is_sound | ~is_placed).all(axis=-1)
     is_used = (is_placed & (is_active & is_scene_sound)[:, None])[..., None]
     unit = poses.at[..., 3:].divide(jnp.where(is_sound, length, 1.0)[..., None])
@@ -279,7 +292,9 @@ def start_poses(layout: Layout, poses: Array, is_placed: Array, is_active: Array
 def _put(model: mujoco.MjModel, graph_mode: str | None) -> mjx.Model:
     """The model on the device. Warp need not print what is read from `overflow` after every step."""
     mode = None if graph_mode is None else mjx_warp.types.GraphMode[graph_mode]
-    return mjx.put_model(model, impl="warp", graph_mode=mode).tree_replace({"opt._impl.warn_overflow": 0})
+    return mjx.put_model(model, impl="warp", graph_mode=mode).tree_replace(
+        {"opt._impl.warn_overflow": 0}
+    )
 
 
 def _sleeping(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -302,21 +317,24 @@ def room_for(layout: Layout, num_scenes: int = 8, num_steps: int = 60) -> tuple[
     All objects are dropped at once, close together, and the most that MuJoCo ever counts is taken.
     """
     rng = np.random.default_rng(0)
-    most_contacts, most_rows = _LEAST_CONTACTS / _ROOM_MARGIN, 0.0
+    most_contacts = _LEAST_CONTACTS / _ROOM_MARGIN
+    most_rows = 0.0
     with silent_log():
         for _ in range(num_scenes):
             data = mujoco.MjData(layout.model)
             data.qpos[:] = _crowd(layout, rng).ravel()
             for _ in range(num_steps):
                 mujoco.mj_step(layout.model, data)
-                most_contacts, most_rows = max(most_contacts, data.ncon), max(most_rows, data.nefc)
+                most_contacts = max(most_contacts, data.ncon)
+                most_rows = max(most_rows, data.nefc)
     # A contact has at most six rows (pyramidal, condim 4), should the engines count contacts differently.
     return int(_ROOM_MARGIN * most_contacts), int(_ROOM_MARGIN * max(most_rows, 6 * most_contacts))
 
 
 def _crowd(layout: Layout, rng: np.random.Generator) -> np.ndarray:
     """f64[K, 7]: upright objects, any yaw, in a heap over the middle of the support."""
-    model, num_objects = layout.model, layout.num_objects
+    model = layout.model
+    num_objects = layout.num_objects
     support = layout.geom_object == num_objects
     center = model.geom_pos[support, :2].mean(0)
     reach = np.zeros(num_objects)
@@ -330,5 +348,6 @@ def _crowd(layout: Layout, rng: np.random.Generator) -> np.ndarray:
     poses = np.zeros((num_objects, 7))
     poses[:, :2] = center + rng.uniform(-spread, spread, (num_objects, 2)) / 2
     poses[:, 2] = layout.top + reach * rng.uniform(0.5, 1.5, num_objects)
-    poses[:, 3], poses[:, 6] = np.cos(yaw), np.sin(yaw)
+    poses[:, 3] = np.cos(yaw)
+    poses[:, 6] = np.sin(yaw)
     return poses

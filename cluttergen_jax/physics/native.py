@@ -43,8 +43,10 @@ PILES_AT_ONCE = 16
 _FEW = 4
 """Steps made at once where the next one may decide a scene: some are in vain, but calls cost, too."""
 
-_OTHER_STEPS, _OTHER_SHIFT, _OTHER_TURN = 30, 0.0005, math.radians(0.5)
-"""The first stage with the other detector, with which all settle a little anew: what moved less stands."""
+# The first stage with the other detector, with which all settle a little anew: what moved less stands.
+_OTHER_STEPS = 30
+_OTHER_SHIFT = 0.0005
+_OTHER_TURN = math.radians(0.5)
 
 _MOST_NUMBERS = 2_000_000
 """Recorded at one time, 8 bytes each."""
@@ -77,11 +79,16 @@ class NativePhysics(HostPhysics):
     """
 
     def __init__(
-        self, layout: Layout, config: StabilityConfig, num_threads: int = 0, max_simulations: int = 128
+        self,
+        layout: Layout,
+        config: StabilityConfig,
+        num_threads: int = 0,
+        max_simulations: int = 128,
     ) -> None:
         super().__init__(layout.num_objects, config)
         self.layout = layout
-        self._num_threads, self.max_simulations = num_threads, max_simulations
+        self._num_threads = num_threads
+        self.max_simulations = max_simulations
         self._model = sleeping_model(layout.model)
         self._cache: OrderedDict[int, Simulations] = OrderedDict()
         self.probe = OverlapProbe(layout)
@@ -105,12 +112,16 @@ class NativePhysics(HostPhysics):
                     attempt.disturb(result, block)
         return result
 
-    def stand_batch(self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray) -> Standing:
+    def stand_batch(
+        self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray
+    ) -> Standing:
         """`stand` for N scenes held in NumPy arrays with one leading axis."""
         with self._lock, silent_log():
             return self.stand_block(poses, is_placed, is_active)
 
-    def stand_block(self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray) -> Standing:
+    def stand_block(
+        self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray
+    ) -> Standing:
         """`stand_batch` for what holds the engine already, and is silent."""
         result = empty_standing(np, (len(poses),), self.layout.num_objects)
         is_sound = _is_sound(poses, is_placed)
@@ -133,13 +144,16 @@ class NativePhysics(HostPhysics):
                 block = indices[start : start + PILES_AT_ONCE]
                 if self._walled is None:
                     self._walled = walled_simulations(self.layout, PILES_AT_ONCE, self._num_threads)
-                made = Piler(self, self._walled, PileRequest(*(each[block] for each in asked))).run()
+                made = Piler(
+                    self, self._walled, PileRequest(*(each[block] for each in asked))
+                ).run()
                 for into, each in zip(jax.tree.leaves(result), jax.tree.leaves(made), strict=True):
                     into[block] = each
         return result
 
     def _blocks(self, is_wanted: np.ndarray) -> list[np.ndarray]:
-        indices, size = np.flatnonzero(is_wanted), self.max_simulations
+        indices = np.flatnonzero(is_wanted)
+        size = self.max_simulations
         return [indices[start : start + size] for start in range(0, len(indices), size)]
 
     def simulations(self, num_scenes: int) -> Simulations:
@@ -159,7 +173,12 @@ class NativePhysics(HostPhysics):
             self._walled = None
 
     def at_rest(
-        self, before: np.ndarray, after: np.ndarray, is_placed: np.ndarray, focus: int, is_moved: np.ndarray
+        self,
+        before: np.ndarray,
+        after: np.ndarray,
+        is_placed: np.ndarray,
+        focus: int,
+        is_moved: np.ndarray,
     ) -> AtRest | None:
         """What contacts tell of one scene at rest; None if there was no room for them.
 
@@ -169,10 +188,12 @@ class NativePhysics(HostPhysics):
         depths = self.probe.depths(after, is_placed)
         if depths is None:
             return None
-        deepest, margin = float(depths.max()), np.full(len(is_placed), np.inf)
+        deepest = float(depths.max())
+        margin = np.full(len(is_placed), np.inf)
         moved = np.flatnonzero(is_moved)
         margin[moved] = self.probe.margins(moved)
-        touches, bears = depths[focus, :-1] > 0, self.probe.bearers(focus)
+        touches = depths[focus, :-1] > 0
+        bears = self.probe.bearers(focus)
         # No pair is allowed less than this, whatever it overlapped by before.
         if deepest <= min(self.config.max_added_penetration, self.config.max_penetration):
             return AtRest(False, deepest, margin, touches, bears)
@@ -195,7 +216,9 @@ class NativePhysics(HostPhysics):
         running = np.arange(len(block))
         while running.size:
             at = block[running]
-            motion = sims.run(running, self._steps_to_verdict(int(result.num_steps[at[0]]), len(at), config))
+            motion = sims.run(
+                running, self._steps_to_verdict(int(result.num_steps[at[0]]), len(at), config)
+            )
             shift, turn = stability.displacement(np, motion.poses, start[running, None])
             is_made = np.arange(shift.shape[1]) < (motion.num_steps - ~motion.is_finite)[:, None]
             counts = is_placed[running, None] & is_made[..., None]
@@ -203,7 +226,12 @@ class NativePhysics(HostPhysics):
             result.shift[at] = np.maximum(result.shift[at], np.where(counts, shift, 0.0).max(1))
             result.turn[at] = np.maximum(result.turn[at], np.where(counts, turn, 0.0).max(1))
             verdict = stability.verdict_of_scene(
-                np, result.num_steps[at], result.shift[at], result.turn[at], is_placed[running], config
+                np,
+                result.num_steps[at],
+                result.shift[at],
+                result.turn[at],
+                is_placed[running],
+                config,
             )
             verdict[motion.overflowed] = Verdict.OVERFLOW
             verdict[~motion.is_finite] = Verdict.NON_FINITE
@@ -214,7 +242,8 @@ class NativePhysics(HostPhysics):
         self, poses: np.ndarray, is_placed: np.ndarray, result: Standing, block: np.ndarray
     ) -> None:
         """The same check with the other detector, of scenes that stand with the first; added to `result`."""
-        sims, other = self.simulations(len(block)), empty_standing(np, (len(block),), len(is_placed[0]))
+        sims = self.simulations(len(block))
+        other = empty_standing(np, (len(block),), len(is_placed[0]))
         config = replace(
             self.config, stand_steps=_OTHER_STEPS, stand_shift=_OTHER_SHIFT, stand_turn=_OTHER_TURN
         )
@@ -239,17 +268,24 @@ class _Attempt:
     def __init__(
         self, engine: NativePhysics, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray
     ) -> None:
-        num, num_objects = len(poses), engine.layout.num_objects
-        self.engine, self.poses, self.is_placed, self.focus = engine, poses, is_placed, focus
+        num = len(poses)
+        num_objects = engine.layout.num_objects
+        self.engine = engine
+        self.poses = poses
+        self.is_placed = is_placed
+        self.focus = focus
         self.rows = np.arange(num)
         self.is_neighbour = is_placed & (np.arange(num_objects) != focus[:, None])
         self.sims = engine.simulations(num)
-        self.start = self.sims.release(poses, is_placed, never_sleeps=is_placed & ~self.is_neighbour)
+        self.start = self.sims.release(
+            poses, is_placed, never_sleeps=is_placed & ~self.is_neighbour
+        )
         self.track = stability.new_track(np, (num,), num_objects, np.float64)
         self.trajectory = np.zeros((num, engine.config.last_step + 1, 13), np.float32)
         self.trajectory[:, 0, :7] = self.start[self.rows, focus]
         self.final = self.start.copy()
-        self.overflowed, self.is_finite = np.zeros(num, bool), np.ones(num, bool)
+        self.overflowed = np.zeros(num, bool)
+        self.is_finite = np.ones(num, bool)
 
     def run(self) -> None:
         """Steps until every scene of the block is decided."""
@@ -259,13 +295,16 @@ class _Attempt:
 
     def _steps_to_verdict(self, running: np.ndarray) -> int:
         """How many steps to make at once: until the first scene can be decided, or a few more."""
-        config, track = self.engine.config, self.track
+        config = self.engine.config
+        track = self.track
         left = config.last_step - int(track.step[running[0]])
         return min(left, max(_FEW, config.quiet_steps - int(track.hold[running].max())))
 
     def _judge(self, running: np.ndarray, motion: Motion) -> np.ndarray:
         """Judges the steps that were made, one after another; returns those still running."""
-        num, rows, focus = len(running), np.arange(len(running)), self.focus[running]
+        num = len(running)
+        rows = np.arange(len(running))
+        focus = self.focus[running]
         velocity = motion.velocities[rows, :, focus]
         velocity[..., 3:] = rotate(np, motion.poses[rows, :, focus, 3:], velocity[..., 3:])
         shift, turn = stability.displacement(np, motion.poses, self.start[running, None])
@@ -274,11 +313,16 @@ class _Attempt:
         # Of all steps at once: calls cost more than numbers.
         before = np.concatenate([track.velocity[:, None], velocity[:, :-1]], axis=1)
         steps = stability.step_motion(np, velocity, before, self.engine.config)
-        shift, turn = shift * is_neighbour[:, None], turn * is_neighbour[:, None]
-        first, num_steps, is_running = int(track.step[0]), np.zeros(num, int), np.ones(num, bool)
+        shift = shift * is_neighbour[:, None]
+        turn = turn * is_neighbour[:, None]
+        first = int(track.step[0])
+        num_steps = np.zeros(num, int)
+        is_running = np.ones(num, bool)
         for step in range(velocity.shape[1]):
             made = stability.StepMotion(*(field[:, step] for field in steps))
-            after = stability.advance(np, track, made, shift[:, step], turn[:, step], self.engine.config)
+            after = stability.advance(
+                np, track, made, shift[:, step], turn[:, step], self.engine.config
+            )
             track = after if is_running.all() else _where_running(is_running, after, track)
             num_steps += is_running
             has_failed = (motion.overflowed | ~motion.is_finite) & (num_steps == motion.num_steps)
@@ -298,7 +342,8 @@ class _Attempt:
 
     def report(self, result: Settling, block: np.ndarray) -> None:
         """Writes the block's verdicts and motions into `result`."""
-        engine, track = self.engine, self.track
+        engine = self.engine
+        track = self.track
         final = np.where(self.is_placed[..., None], self.final, self.poses).astype(np.float32)
         final[~self.is_finite] = self.poses[~self.is_finite]
         penetrates = self._look_at_rest(final, result, block)
@@ -340,20 +385,31 @@ class _Attempt:
         is_moved = self.is_placed & (~self.is_neighbour | (self.track.shift >= MIN_SHIFT))
         for row in np.flatnonzero(self.track.is_quiet & self.is_finite & ~self.overflowed):
             found = self.engine.at_rest(
-                self.poses[row], final[row], self.is_placed[row], int(self.focus[row]), is_moved[row]
+                self.poses[row],
+                final[row],
+                self.is_placed[row],
+                int(self.focus[row]),
+                is_moved[row],
             )
             if found is None:
                 self.overflowed[row] = True
             else:
-                penetrates[row], at = found.penetrates, block[row]
-                result.penetration[at], result.margin[at] = found.penetration, found.margin
-                result.touches[at], result.bears[at] = found.touches, found.bears
+                penetrates[row] = found.penetrates
+                at = block[row]
+                result.penetration[at] = found.penetration
+                result.margin[at] = found.margin
+                result.touches[at] = found.touches
+                result.bears[at] = found.bears
         return penetrates
 
 
-def _where_running(is_running: np.ndarray, after: stability.Track, track: stability.Track) -> stability.Track:
+def _where_running(
+    is_running: np.ndarray, after: stability.Track, track: stability.Track
+) -> stability.Track:
     """The track of those that run after a step, and of the others as it was."""
-    return stability.Track(*(where(np, is_running, *pair) for pair in zip(after, track, strict=True)))
+    return stability.Track(
+        *(where(np, is_running, *pair) for pair in zip(after, track, strict=True))
+    )
 
 
 def _is_sound(poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:

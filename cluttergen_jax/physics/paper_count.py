@@ -39,7 +39,8 @@ class PaperCount:
             return np.concatenate([self._count(poses[part], is_placed[part]) for part in parts])
 
     def _count(self, poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
-        config, num_scenes = self._config, len(poses)
+        config = self._config
+        num_scenes = len(poses)
         self._sims.release(poses, is_placed, never_sleeps=is_placed)
         motion = self._sims.run(np.arange(num_scenes), config.decision_step)
         velocity = motion.velocities

@@ -28,31 +28,42 @@ from cluttergen_jax.types import Piling, Verdict
 if TYPE_CHECKING:
     from cluttergen_jax.physics.native import NativePhysics
 
-GAP, FALL = 24, 160
-"""Steps between two releases, and after the last one, before the walls are taken away."""
+# Steps between two releases, and after the last one, before the walls are taken away.
+GAP = 24
+FALL = 160
 
-FRICTION, DRAG, TURNING_DRAG = 0.6, 1.0, 5.0
-"""Between the walls: share of all friction coefficients; 1/s by which speeds and angular speeds decay.
-Without drag some piles diverge: what is light spins faster and faster."""
+# Between the walls: share of all friction coefficients; 1/s by which speeds and angular speeds decay.
+# Without drag some piles diverge: what is light spins faster and faster.
+FRICTION = 0.6
+DRAG = 1.0
+TURNING_DRAG = 5.0
 
-SHAKE, SHAKE_FRICTION, SHAKE_TURNING_DRAG = 120, 0.7, 2.0
-"""Steps of the first rounds without walls, share of friction and drag in them: what slides later slides now.
-Drag on speeds makes them less thorough."""
+# Steps of the first rounds without walls, share of friction and drag in them: what slides later slides now.
+# Drag on speeds makes them less thorough.
+SHAKE = 120
+SHAKE_FRICTION = 0.7
+SHAKE_TURNING_DRAG = 2.0
 
-REST, REST_SHIFT, REST_TURN = 240, 0.0005, math.radians(0.5)
-"""Steps of a round of rest, and what it may move at most: metres, radians."""
+# Steps of a round of rest, and what it may move at most: metres, radians.
+REST = 240
+REST_SHIFT = 0.0005
+REST_TURN = math.radians(0.5)
 
-MAX_ROUNDS, MAX_CHECKS = 4, 3
-"""Rounds of rest since the last release after which what still moves is let fall again; and last checks after
-which a pile is given up."""
+# Rounds of rest since the last release after which what still moves is let fall again; and last checks after
+# which a pile is given up.
+MAX_ROUNDS = 4
+MAX_CHECKS = 3
 
-CREEP_SHIFT, CREEP_TURN = 0.001, math.radians(1)
-"""Metres and radians that an object may move in the last check: a fifth of what `verify` allows in five times
-as long. What leans and rolls in a heap goes on as it began."""
+# Metres and radians that an object may move in the last check: a fifth of what `verify` allows in five times
+# as long. What leans and rolls in a heap goes on as it began.
+CREEP_SHIFT = 0.001
+CREEP_TURN = math.radians(1)
 
-_GAP_ABOVE, _INSET, _WAITING = 0.002, 0.001, 20.0
-"""Metres: between a box that is let go and those below it; of the walls of air inside the region, so that
-they are touched and not a bin's walls; height above the top at which objects wait."""
+# Metres: between a box that is let go and those below it; of the walls of air inside the region, so that
+# they are touched and not a bin's walls; height above the top at which objects wait.
+_GAP_ABOVE = 0.002
+_INSET = 0.001
+_WAITING = 20.0
 
 _NEVER = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 
@@ -109,14 +120,19 @@ class Piler:
     """
 
     def __init__(self, engine: NativePhysics, walled: Simulations, asked: PileRequest) -> None:
-        self.engine, self.walled, self.asked = engine, walled, asked
-        num, num_objects = len(asked.order), engine.layout.num_objects
+        self.engine = engine
+        self.walled = walled
+        self.asked = asked
+        num = len(asked.order)
+        num_objects = engine.layout.num_objects
         self.plain = engine.simulations(num)
         self.result = empty_piling(np, (num,), num_objects)
         self.poses = np.tile(engine.layout.parked, (num, 1, 1))
         self.stage = np.full(num, int(_Stage.RELEASE))
-        self.rounds, self.checks = np.zeros(num, int), np.zeros(num, int)
-        is_slot, rows = asked.order >= 0, np.arange(num)
+        self.rounds = np.zeros(num, int)
+        self.checks = np.zeros(num, int)
+        is_slot = asked.order >= 0
+        rows = np.arange(num)
         self.is_member = np.zeros((num, num_objects), bool)
         self.is_member[rows[:, None], np.maximum(asked.order, 0)] |= is_slot
         self.is_pending = self.is_member.copy()
@@ -141,7 +157,8 @@ class Piler:
 
     def _release(self, rows: np.ndarray) -> None:
         """Lets go of what is pending, one object after another, between the walls."""
-        sims, ids = self.walled, np.arange(len(rows))
+        sims = self.walled
+        ids = np.arange(len(rows))
         self._stand_walls(rows)
         is_there = self.is_member[rows] & ~self.is_pending[rows]
         sims.release(self.poses[rows], is_there, is_there, self._waiting(rows))
@@ -152,7 +169,9 @@ class Piler:
             slot = turns[:, turn]
             at = np.flatnonzero(is_due[ids, slot])
             which = order[at, slot[at]]
-            sims.rouse(at, which, self._pose_above(rows[at], which, slot[at], sims.poses(at), is_there[at]))
+            sims.rouse(
+                at, which, self._pose_above(rows[at], which, slot[at], sims.poses(at), is_there[at])
+            )
             is_there[at, which] = True
             self.result.releases[rows[at], which] += 1
             self._latest[rows[at]] = which
@@ -174,7 +193,8 @@ class Piler:
         position, quaternion = self.walled.planes(AIR_WALLS)
         region = self.asked.region[rows].astype(np.float64)
         for index, name in enumerate(AIR_WALLS):
-            axis, sign = "xy".index(name[-1]), 1.0 if name[-2] == "+" else -1.0
+            axis = "xy".index(name[-1])
+            sign = 1.0 if name[-2] == "+" else -1.0
             inward = np.zeros(3)
             inward[axis] = -sign
             # From z to the inward normal: a right angle about z x inward.
@@ -194,7 +214,12 @@ class Piler:
         return poses
 
     def _pose_above(
-        self, rows: np.ndarray, which: np.ndarray, slot: np.ndarray, poses: np.ndarray, is_there: np.ndarray
+        self,
+        rows: np.ndarray,
+        which: np.ndarray,
+        slot: np.ndarray,
+        poses: np.ndarray,
+        is_there: np.ndarray,
     ) -> np.ndarray:
         """f64[n, 7]: where to let go of one object of each scene: in the region, above all that is there."""
         draw = self.asked.draws[rows, self.result.releases[rows, which], slot].astype(np.float64)
@@ -206,7 +231,8 @@ class Piler:
         local = np.concatenate([draw[:, 4:] * room, np.zeros((len(rows), 1))], axis=1)
         xy = (region[:, :3] + rotate(np, region[:, 3:7], local))[:, :2]
         quaternion = product(region[:, 3:7], turn)
-        own, others = _reach(quaternion, half[np.arange(len(rows)), which]), _reach(poses[..., 3:], half)
+        own = _reach(quaternion, half[np.arange(len(rows)), which])
+        others = _reach(poses[..., 3:], half)
         gap = np.abs(poses[..., :2] - xy[:, None]) - others[..., :2] - own[:, None, :2]
         is_below = is_there & (gap < 0).all(-1)
         top = np.where(is_below, poses[..., 2] + others[..., 2], self.engine.layout.top).max(1)
@@ -227,7 +253,8 @@ class Piler:
 
     def _rest(self, rows: np.ndarray) -> None:
         """A round of rest; its first steps are enough where they are those of a scene that stands."""
-        config, start = self.engine.config, self.poses[rows].astype(np.float32)
+        config = self.engine.config
+        start = self.poses[rows].astype(np.float32)
         self.poses[rows] = start
         overflowed, is_finite = self._round(rows, config.stand_steps)
         is_moving = self._moves(rows, start, config.stand_shift, config.stand_turn)
@@ -235,7 +262,9 @@ class Piler:
         # What stands so is checked, and saved, as it was.
         self.poses[rows[is_good]] = start[is_good]
         self._go_on(rows[is_good], _Stage.CHECK)
-        rows, start, ids = rows[~is_good], start[~is_good], np.flatnonzero(~is_good)
+        rows = rows[~is_good]
+        start = start[~is_good]
+        ids = np.flatnonzero(~is_good)
         if not rows.size:
             return
         self._advance(self.plain, rows, ids, REST - config.stand_steps)
@@ -245,10 +274,16 @@ class Piler:
         self.rounds[rows] += 1
         is_moving = self._moves(rows, start, REST_SHIFT, REST_TURN)
         self._go_on(rows[~is_moving.any(1)], _Stage.CHECK)
-        is_late = is_moving.any(1) & (self.rounds[rows] >= MAX_ROUNDS) & (self.stage[rows] == _Stage.REST)
-        self._release_again(rows[is_late], is_moving[is_late], np.full(is_late.sum(), Verdict.UNSETTLED))
+        is_late = (
+            is_moving.any(1) & (self.rounds[rows] >= MAX_ROUNDS) & (self.stage[rows] == _Stage.REST)
+        )
+        self._release_again(
+            rows[is_late], is_moving[is_late], np.full(is_late.sum(), Verdict.UNSETTLED)
+        )
 
-    def _moves(self, rows: np.ndarray, start: np.ndarray, max_shift: float, max_turn: float) -> np.ndarray:
+    def _moves(
+        self, rows: np.ndarray, start: np.ndarray, max_shift: float, max_turn: float
+    ) -> np.ndarray:
         """bool[n, K]: which objects are farther than that from where they were: metres, radians."""
         shift, turn = stability.displacement(np, self.poses[rows], start)
         return ((shift > max_shift) | (turn > max_turn)) & self.is_member[rows]
@@ -272,12 +307,15 @@ class Piler:
 
     def _round(self, rows: np.ndarray, num_steps: int) -> tuple[np.ndarray, np.ndarray]:
         """A round without walls, from rest; as `_take_poses`."""
-        ids, is_member = np.arange(len(rows)), self.is_member[rows]
+        ids = np.arange(len(rows))
+        is_member = self.is_member[rows]
         self.plain.release(self.poses[rows], is_member, never_sleeps=is_member)
         self._advance(self.plain, rows, ids, num_steps)
         return self._take_poses(self.plain, rows, ids)
 
-    def _advance(self, sims: Simulations, rows: np.ndarray, ids: np.ndarray, num_steps: int) -> None:
+    def _advance(
+        self, sims: Simulations, rows: np.ndarray, ids: np.ndarray, num_steps: int
+    ) -> None:
         """Steps simulations `ids` of the scenes `rows`."""
         sims.advance(ids, num_steps)
         self.result.num_steps[rows] += num_steps
@@ -304,16 +342,19 @@ class Piler:
 
     def _release_again(self, rows: np.ndarray, which: np.ndarray, verdict: np.ndarray) -> None:
         """Lets go of objects, bool[n, K], once more; or gives up scenes in which that was done too often."""
-        releases, most = self.result.releases[rows], self.asked.draws.shape[1]
+        releases = self.result.releases[rows]
+        most = self.asked.draws.shape[1]
         is_spent = (which & (releases >= most)).any(1)
         is_spent |= releases.sum(1) + which.sum(1) > self.asked.budget[rows]
-        self.is_pending[rows], self.stage[rows] = which, _Stage.RELEASE
+        self.is_pending[rows] = which
+        self.stage[rows] = _Stage.RELEASE
         for row, each in zip(rows[is_spent], verdict[is_spent], strict=True):
             self._give_up(np.array([row]), Verdict(int(each)))
 
     def _outside(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """bool[n, K] each: which objects lie outside of the region or below the top, and which below."""
-        poses, layout = self.poses[rows], self.engine.layout
+        poses = self.poses[rows]
+        layout = self.engine.layout
         region = self.asked.region[rows, None].astype(np.float64)
         away = poses[..., :3] - region[..., :3]
         local = rotate(np, region[..., 3:7] * [1, -1, -1, -1], away)
@@ -330,7 +371,8 @@ class Piler:
 
     def _look_at_rest(self) -> None:
         """Overlaps and contacts of the piles that stand; what overlaps too much does not."""
-        config, probe = self.engine.config, self.engine.probe
+        config = self.engine.config
+        probe = self.engine.probe
         allowed = min(config.max_added_penetration, config.max_penetration)
         for row in np.flatnonzero(self.result.verdict == int(Verdict.STABLE)):
             depths = probe.depths(self.poses[row], self.is_member[row])

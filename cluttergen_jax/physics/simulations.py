@@ -84,7 +84,8 @@ class Simulations:
         # MuJoCo sizes by itself even all objects at one point fit; in one made small by hand all start awake.
         self._starts_asleep = model.narena >= _ROOMY
         self._num_objects = layout.num_objects
-        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._qpos = self._batch.bind("qpos")
+        self._qvel = self._batch.bind("qvel")
         self._raised = np.zeros(size, bool)
 
     def release(
@@ -106,7 +107,9 @@ class Simulations:
         num = len(poses)
         ids = np.arange(num)
         self._policy[:num] = np.where(
-            never_sleeps, int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER), int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)
+            never_sleeps,
+            int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER),
+            int(mujoco.mjtSleepPolicy.mjSLEEP_INIT),
         )
         start = np.where(is_placed[..., None], poses, self._parked if parked is None else parked)
         start[..., 3:] /= np.linalg.norm(start[..., 3:], axis=-1, keepdims=True)
@@ -131,7 +134,9 @@ class Simulations:
     def planes(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """Where geoms of the world body stand, to be written: f64[size, N, 3] and f64[size, N, 4]."""
         first = self._batch.model.geom(names[0]).id
-        return tuple(self._batch.expand(f)[:, first : first + len(names)] for f in ("geom_pos", "geom_quat"))
+        return tuple(
+            self._batch.expand(f)[:, first : first + len(names)] for f in ("geom_pos", "geom_quat")
+        )
 
     @contextmanager
     def lower_friction(self, friction: float, drag: float, turning_drag: float) -> Iterator[None]:
@@ -201,16 +206,21 @@ class Simulations:
         A thread keeps one simulation in its cache for all of its steps, and is called once: half the cost of
         as many calls of `step`.
         """
-        num, num_objects = len(ids), self._num_objects
+        num = len(ids)
+        num_objects = self._num_objects
         # What is not recorded, because a step raised an error, stays NaN.
         qpos = np.full((num, num_steps, 7 * num_objects), np.nan)
         qvel = np.full((num, num_steps, 6 * num_objects), np.nan)
         try:
-            self._batch.rollout(num_steps, record=("qpos", "qvel"), ids=ids, out={"qpos": qpos, "qvel": qvel})
+            self._batch.rollout(
+                num_steps, record=("qpos", "qvel"), ids=ids, out={"qpos": qpos, "qvel": qvel}
+            )
         except SimulationError as error:
             self._raised[error.ids] = True
-        warned, raised = self._batch.warning[ids, :, 1], self._raised[ids]
-        overflowed, diverged = warned[:, _FULL].any(1) | raised, warned[:, _BAD].any(1)
+        warned = self._batch.warning[ids, :, 1]
+        raised = self._raised[ids]
+        overflowed = warned[:, _FULL].any(1) | raised
+        diverged = warned[:, _BAD].any(1)
         is_finite = np.isfinite(qpos).all(-1) & np.isfinite(qvel).all(-1) | raised[:, None]
         made = np.where(is_finite.all(1), num_steps, is_finite.argmin(1) + 1)
         for row in np.flatnonzero(overflowed | diverged):

@@ -164,7 +164,9 @@ def verdict_of_attempt(
     if config.judge_neighbours:
         went_far = (track.shift > config.max_shift) | (track.turn > config.max_turn)
         verdict = xp.where(track.is_quiet & penetrates, int(Verdict.PENETRATING), verdict)
-        verdict = xp.where(xp.any(is_neighbour & went_far, axis=-1), int(Verdict.DISPLACED), verdict)
+        verdict = xp.where(
+            xp.any(is_neighbour & went_far, axis=-1), int(Verdict.DISPLACED), verdict
+        )
         fell = fell | xp.any(is_neighbour & is_below, axis=-1)
     verdict = xp.where(fell, int(Verdict.FELL), verdict)
     verdict = xp.where(overflowed, int(Verdict.OVERFLOW), verdict)

@@ -49,7 +49,8 @@ class Acceptance:
         if self.config.min_margin:
             is_poor = (verdict == Verdict.STABLE) & ~self.is_supported(episode, focus, settling)
             verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
-        pose, half_extents = settling.poses[focus], self.geometry.half_extents[focus]
+        pose = settling.poses[focus]
+        half_extents = self.geometry.half_extents[focus]
         inside = is_inside(pose, half_extents, episode.region, self.config.containment)
         support_map = map_below(self.geometry, episode.surface, focus)
         inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
@@ -74,7 +75,9 @@ class Acceptance:
             is_stacked = jnp.any(settling.bears & episode.is_placed)
             num_stacked = jnp.sum(episode.is_placed & (episode.support_graph.level > 0))
             is_one_more = is_stacked & (num_stacked >= self.config.most_stacked)
-            verdict = jnp.where((verdict == Verdict.STABLE) & is_one_more, int(Verdict.UNRELATED), verdict)
+            verdict = jnp.where(
+                (verdict == Verdict.STABLE) & is_one_more, int(Verdict.UNRELATED), verdict
+            )
         if self.related is None:
             return verdict
         is_related = self._is_related(self.related, episode, focus, settling)
@@ -91,7 +94,9 @@ class Acceptance:
         carriers = carriers_of(related, episode.roles, focus, episode.is_placed)
         is_carried = jnp.all(settling.bears | ~carriers)
         openings = openings_of(self.geometry, poses)
-        return is_carried & holds_among(related, episode.roles, boxes, openings, is_placed, episode.region)
+        return is_carried & holds_among(
+            related, episode.roles, boxes, openings, is_placed, episode.region
+        )
 
     def is_in_polygon(self, pose: Array, half_extents: Array) -> Array:
         """bool: whether an object, its pose f32[7] in the polygon's frame, is in it as far as is asked."""
@@ -109,7 +114,9 @@ class Acceptance:
         if episode.surface is None:
             shares = shares_beyond(self.support_map, self.geometry, settling.poses)
         else:
-            each = jax.vmap(lambda one: shares_beyond(one, self.geometry, settling.poses))(self.support_map)
+            each = jax.vmap(lambda one: shares_beyond(one, self.geometry, settling.poses))(
+                self.support_map
+            )
             shares = each[jnp.maximum(episode.surface, 0), jnp.arange(each.shape[1])]
         return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
 

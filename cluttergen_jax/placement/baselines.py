@@ -77,10 +77,8 @@ class Random(struct.PyTreeNode, eq=False):
         if self.rules.polygon is not None:
             xy = self._in_polygon(key_position, region)
         yaw = jax.random.uniform(key_turn, maxval=2 * jnp.pi)
-        height, height_range = (
-            self.rules.body(episode).height + CLEARANCE,
-            self.rules.height_range(episode),
-        )
+        height = self.rules.body(episode).height + CLEARANCE
+        height_range = self.rules.height_range(episode)
         if self.rules.config.height == "free":
             # `fold_in` of 0 or 1 would be a key of the split again, and the height a copy of x.
             height = jax.random.uniform(jax.random.fold_in(key, 2), maxval=height_range)

@@ -31,7 +31,9 @@ class Boxes(struct.PyTreeNode):
         """From half extents f32[N, 3] and world poses f32[N, 7]."""
         T_world_object = from_pose(poses)
         turn = T_world_object.rotation().as_matrix()
-        return Boxes(T_world_object.translation(), jnp.swapaxes(turn, -1, -2) * half_extents[..., None])
+        return Boxes(
+            T_world_object.translation(), jnp.swapaxes(turn, -1, -2) * half_extents[..., None]
+        )
 
     def reach(self, directions: Array) -> Array:
         """f32[N, D]: how far each box extends from its centre along unit vectors f32[D, 3]."""
@@ -76,8 +78,10 @@ class Views(struct.PyTreeNode):
     def of(boxes: Boxes) -> Views:
         """From the ring of cameras: `NUM_CAMERAS` around, `CAMERA_ELEVATION` up."""
         angle = 2 * np.pi * np.arange(NUM_CAMERAS) / NUM_CAMERAS
-        cos, sin = np.cos(angle), np.sin(angle)
-        up, out = np.sin(CAMERA_ELEVATION), np.cos(CAMERA_ELEVATION)
+        cos = np.cos(angle)
+        sin = np.sin(angle)
+        up = np.sin(CAMERA_ELEVATION)
+        out = np.cos(CAMERA_ELEVATION)
         right = jnp.asarray(np.stack([-sin, cos, 0 * cos], axis=1), jnp.float32)
         above = jnp.asarray(np.stack([-up * cos, -up * sin, out + 0 * cos], axis=1), jnp.float32)
         towards = jnp.asarray(np.stack([out * cos, out * sin, up + 0 * cos], axis=1), jnp.float32)
@@ -105,7 +109,9 @@ def gaps(ours: Boxes, theirs: Boxes) -> Array:
         ],
         axis=2,
     )
-    offset = jnp.abs(jnp.einsum("nkdx,nkx->nkd", directions, ours.center[:, None] - theirs.center[None]))
+    offset = jnp.abs(
+        jnp.einsum("nkdx,nkx->nkd", directions, ours.center[:, None] - theirs.center[None])
+    )
     wide = jnp.abs(jnp.einsum("nkdx,nax->nkda", directions, ours.sides)).sum(-1)
     wide += jnp.abs(jnp.einsum("nkdx,kax->nkda", directions, theirs.sides)).sum(-1)
     return jnp.maximum(jnp.max(offset - wide, axis=-1), 0.0)
@@ -118,7 +124,9 @@ def _axes(boxes: Boxes) -> Array:
     # A box that stands on its first side is turned as its second one.
     along = jnp.where((length[:, :1] > 1e-6), flat[:, 0], flat[:, 1])
     along /= jnp.maximum(jnp.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
-    x, y, zero = along[:, 0], along[:, 1], jnp.zeros_like(along[:, 0])
+    x = along[:, 0]
+    y = along[:, 1]
+    zero = jnp.zeros_like(along[:, 0])
     return jnp.stack([jnp.stack([x, y, zero], -1), jnp.stack([-y, x, zero], -1)], axis=1)
 
 
@@ -159,7 +167,9 @@ def spacing_of(half_extents: Array, poses: Array, is_there: Array) -> tuple[Arra
     Args:
       half_extents: f32[K, 3], metres; poses: f32[K, 7], world; is_there: bool[K].
     """
-    boxes = Boxes.of(half_extents, jnp.where(is_there[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3]))
+    boxes = Boxes.of(
+        half_extents, jnp.where(is_there[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])
+    )
     number = jnp.maximum(is_there.sum(), 1)
     hidden = jnp.where(is_there, 1.0 - seen_shares(Views.of(boxes), is_there).mean(1), 0.0)
     return nearest_gaps(boxes, is_there).sum() / number, hidden.sum() / number

@@ -76,7 +76,9 @@ def scene_cloud(
     counts = chosen >= 0
     turn = jnp.where(counts[:, None], T_region_object[chosen, 3:], jnp.array(_NOT_TURNED))
     poses = jaxlie.SE3.from_rotation_and_translation(jaxlie.SO3(turn), T_region_object[chosen, :3])
-    points = jax.vmap(lambda pose, cloud: jax.vmap(pose.apply)(cloud))(poses, clouds[chosen, : layout.share])
+    points = jax.vmap(lambda pose, cloud: jax.vmap(pose.apply)(cloud))(
+        poses, clouds[chosen, : layout.share]
+    )
     is_point = jnp.repeat(counts, layout.share)
     top = jnp.asarray(even_points(layout.num_ground)) * half_extents
     top = jnp.concatenate([top, jnp.zeros((layout.num_ground, 1))], axis=1)

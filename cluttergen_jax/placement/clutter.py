@@ -47,12 +47,18 @@ class Clutter:
         if isinstance(given, str):
             given = _parse_text(given)
         if not isinstance(given, Mapping):
-            raise ConfigError(f"clutter = {given!r}", "text or a mapping of names to numbers", _EXAMPLE)
+            raise ConfigError(
+                f"clutter = {given!r}", "text or a mapping of names to numbers", _EXAMPLE
+            )
         if not any(value is not None for value in given.values()):
-            raise ConfigError("clutter that asks for nothing", f"one or more of {', '.join(NAMES)}", _EXAMPLE)
+            raise ConfigError(
+                "clutter that asks for nothing", f"one or more of {', '.join(NAMES)}", _EXAMPLE
+            )
         for name in given:
             if name not in NAMES:
-                raise ConfigError(f"clutter {name!r}", ", ".join(NAMES), _EXAMPLE, closest(name, NAMES))
+                raise ConfigError(
+                    f"clutter {name!r}", ", ".join(NAMES), _EXAMPLE, closest(name, NAMES)
+                )
         return Clutter(**{name: _check_value(name, value) for name, value in given.items()})
 
     @property
@@ -64,11 +70,18 @@ class Clutter:
     def check(self, num_objects: int) -> None:
         """Refuses what no scene of so many objects can have (ConfigError)."""
         pairs = num_objects * (num_objects - 1) // 2
-        most = {"stack": num_objects - 1, "contained": num_objects - 1, "depth": pairs, "contacts": pairs}
+        most = {
+            "stack": num_objects - 1,
+            "contained": num_objects - 1,
+            "depth": pairs,
+            "contacts": pairs,
+        }
         for name, value in self.targets.items():
             if value > most.get(name, math.inf):
                 given = f"clutter {name}={value:g} with {num_objects} objects"
-                raise ConfigError(given, range_text(0, most[name]), f"clutter='{name}={most[name]}'")
+                raise ConfigError(
+                    given, range_text(0, most[name]), f"clutter='{name}={most[name]}'"
+                )
 
     def __str__(self) -> str:
         return ",".join(f"{name}={value:g}" for name, value in self.targets.items())
@@ -86,7 +99,9 @@ def _parse_text(text: str) -> dict[str, float]:
         if not equals:
             raise ConfigError(f"clutter {part!r}", "NAME=VALUE, with commas between", _EXAMPLE)
         if name in targets:
-            raise ConfigError(f"clutter {text!r}, where {name} comes twice", "every name once", _EXAMPLE)
+            raise ConfigError(
+                f"clutter {text!r}, where {name} comes twice", "every name once", _EXAMPLE
+            )
         try:
             targets[name] = float(value)
         except ValueError:
@@ -97,9 +112,10 @@ def _parse_text(text: str) -> dict[str, float]:
 def _check_value(name: str, value: object) -> float | None:
     if value is None:
         return None
-    is_number = isinstance(value, Real) and not isinstance(value, bool)
-    if not is_number or not 0 <= float(value) <= _MOST.get(name, math.inf) or math.isinf(float(value)):  # type: ignore[arg-type]
-        raise ConfigError(
-            f"clutter {name}={value!r}", _ALLOWED.get(name, "a finite number, 0 or more"), _EXAMPLE
-        )
-    return float(value)  # type: ignore[arg-type]
+    allowed = _ALLOWED.get(name, "a finite number, 0 or more")
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise ConfigError(f"clutter {name}={value!r}", allowed, _EXAMPLE)
+    number = float(value)
+    if not 0 <= number <= _MOST.get(name, math.inf) or math.isinf(number):
+        raise ConfigError(f"clutter {name}={value!r}", allowed, _EXAMPLE)
+    return number

@@ -22,17 +22,22 @@ MAX_MARGIN = 0.1
 MIN_MARGIN = 0.003
 """Metres of support margin that what is generated has by default (`PlacementConfig.min_margin`)."""
 MAX_BUDGET = 10_000
-CLEARANCE, MAX_CLEARANCE = 0.003, 0.1
-"""Metres between objects that are packed, unless another is asked for; and at most."""
+# Metres between objects that are packed, unless another is asked for; and at most.
+CLEARANCE = 0.003
+MAX_CLEARANCE = 0.1
+
 RUIN_AFTER = 5
 """Failed attempts in a row after which a scene is partly taken apart, where that is done."""
 ORDER_POWER = 4.0
 """Of a footprint in the weights of the order "weighted"."""
 _ALWAYS_RECORDED = 8
 """So many fields come first in every record; the others where they are not at their defaults."""
-CONTAINMENTS, ORDERS, REWARDS = get_args(Containment), get_args(Order), get_args(Reward)
+CONTAINMENTS = get_args(Containment)
+ORDERS = get_args(Order)
+REWARDS = get_args(Reward)
 OVERHANGS = get_args(Overhang)
-HEIGHTS, POSES = get_args(Height), get_args(Poses)
+HEIGHTS = get_args(Height)
+POSES = get_args(Poses)
 
 
 @dataclass(frozen=True)
@@ -109,7 +114,9 @@ class PlacementConfig:
         if not 1 <= self.max_attempts <= MAX_ATTEMPTS:
             raise ConfigError(f"max_attempts = {self.max_attempts}", f"1 to {MAX_ATTEMPTS}", "5")
         if not 0 <= self.history_stride <= 240:
-            raise ConfigError(f"history_stride = {self.history_stride}", "0 to 240", "1, or 12 on a CPU")
+            raise ConfigError(
+                f"history_stride = {self.history_stride}", "0 to 240", "1, or 12 on a CPU"
+            )
         if not (isinstance(self.min_margin, Real) and 0 <= self.min_margin <= MAX_MARGIN):
             raise ConfigError(
                 f"min_margin = {self.min_margin!r}",
@@ -126,7 +133,9 @@ class PlacementConfig:
                 f"{min(RUIN_AFTER, self.max_attempts)}, or 0 to take nothing away",
             )
         is_whole = isinstance(self.budget, Integral)
-        if self.budget is not None and not (is_whole and self.num_objects <= self.budget <= MAX_BUDGET):
+        if self.budget is not None and not (
+            is_whole and self.num_objects <= self.budget <= MAX_BUDGET
+        ):
             raise ConfigError(
                 f"budget = {self.budget!r}",
                 f"{self.num_objects} to {MAX_BUDGET} attempts a scene, at least one for each object",
@@ -154,7 +163,9 @@ class PlacementConfig:
                 raise ConfigError(f"{name} = {value!r}", "True, False", f"{name}=True")
         if self.tidy and (self.natural or self.clutter is not None):
             raise ConfigError(
-                "tidy with `natural` or `clutter`, which weigh a draw", "one or the other", "tidy=False"
+                "tidy with `natural` or `clutter`, which weigh a draw",
+                "one or the other",
+                "tidy=False",
             )
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))

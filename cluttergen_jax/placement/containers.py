@@ -35,7 +35,8 @@ def is_in(subjects: Boxes, openings: Boxes) -> Array:
     opening, as what stands across it is, and the opening faces upwards.
     """
     wide, room = (
-        jnp.sort(jnp.linalg.norm(each.sides[..., :2], axis=-1))[:, 1:] for each in (subjects, openings)
+        jnp.sort(jnp.linalg.norm(each.sides[..., :2], axis=-1))[:, 1:]
+        for each in (subjects, openings)
     )
     is_narrow = jnp.all(wide <= _MOST_WIDE * room, axis=1)
     low = subjects.center[:, 2] - reach_up(subjects)
@@ -45,7 +46,11 @@ def is_in(subjects: Boxes, openings: Boxes) -> Array:
     up = openings.sides[:, 2]
     is_upright = up[:, 2] > _MOST_TILTED * jnp.linalg.norm(up, axis=-1)
     return (
-        is_over(subjects.center, openings, 1.0) & (low < rim - BELOW_RIM) & is_above & is_narrow & is_upright
+        is_over(subjects.center, openings, 1.0)
+        & (low < rim - BELOW_RIM)
+        & is_above
+        & is_narrow
+        & is_upright
     )
 
 
@@ -54,7 +59,9 @@ def pairs_in(subjects: Boxes, openings: Boxes) -> Array:
 
     def one_in_all(center: Array, sides: Array) -> Array:
         shape = openings.center.shape
-        return is_in(Boxes(jnp.broadcast_to(center, shape), jnp.broadcast_to(sides, (*shape, 3))), openings)
+        return is_in(
+            Boxes(jnp.broadcast_to(center, shape), jnp.broadcast_to(sides, (*shape, 3))), openings
+        )
 
     return jax.vmap(one_in_all)(subjects.center, subjects.sides)
 
@@ -73,7 +80,9 @@ def num_contained(half_extents: Array, hollows: Hollows, poses: Array, is_there:
     """
     poses = jnp.where(is_there[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])
     is_container = hollows.is_container
-    return is_contained(Boxes.of(half_extents, poses), hollows.boxes(poses), is_there, is_container).sum()
+    return is_contained(
+        Boxes.of(half_extents, poses), hollows.boxes(poses), is_there, is_container
+    ).sum()
 
 
 def draw_contents(
@@ -86,7 +95,8 @@ def draw_contents(
     Args:
       is_taken: bool[K], what stands there already; num_slots: objects that are to be placed.
     """
-    hollows, area = geometry.hollows, footprint_area(geometry.half_extents)
+    hollows = geometry.hollows
+    area = footprint_area(geometry.half_extents)
     assert hollows is not None
     room = 4 * _FULL * hollows.half_extents[:, 0] * hollows.half_extents[:, 1]
 
@@ -99,7 +109,8 @@ def draw_contents(
         allowed &= (filled == 0) | (filled + area[:, None] <= room)
         noise = jax.random.gumbel(jax.random.fold_in(key, place), allowed.shape)
         chosen = jnp.argmax(jnp.where(allowed, noise, -jnp.inf))
-        content, container = chosen // len(area), chosen % len(area)
+        content = chosen // len(area)
+        container = chosen % len(area)
         is_any = jnp.any(allowed)
         return (
             is_content.at[content].max(is_any),
@@ -108,5 +119,7 @@ def draw_contents(
         )
 
     nothing = jnp.zeros(len(area), bool)
-    is_content, is_container, _ = jax.lax.fori_loop(0, number, add, (nothing, nothing, jnp.zeros(len(area))))
+    is_content, is_container, _ = jax.lax.fori_loop(
+        0, number, add, (nothing, nothing, jnp.zeros(len(area)))
+    )
     return is_content, is_container

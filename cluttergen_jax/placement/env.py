@@ -66,7 +66,9 @@ class PlacementEnv(Env):
     keep_out: KeepOut | None = None
 
     @with_own_settings
-    def reset(self, rng: Array, scene: Start | None = None, keep_out: KeepOut | None = None) -> State:
+    def reset(
+        self, rng: Array, scene: Start | None = None, keep_out: KeepOut | None = None
+    ) -> State:
         """A new episode on an empty support, or around `scene`, outside `keep_out` (both optional).
 
         Args:

@@ -42,8 +42,12 @@ class HeightMap(struct.PyTreeNode):
         """i32[...]: the cells of points f32[...] in the flattened map; off the map, one of its border."""
         shape = self.height.shape
         # Clipped before it is cut to whole numbers, so that nothing negative is rounded towards zero.
-        i = jnp.clip((x - self.corner[0]) * (1 / self.cell[0]), 0.0, shape[0] - 1.0).astype(jnp.int32)
-        j = jnp.clip((y - self.corner[1]) * (1 / self.cell[1]), 0.0, shape[1] - 1.0).astype(jnp.int32)
+        i = jnp.clip((x - self.corner[0]) * (1 / self.cell[0]), 0.0, shape[0] - 1.0).astype(
+            jnp.int32
+        )
+        j = jnp.clip((y - self.corner[1]) * (1 / self.cell[1]), 0.0, shape[1] - 1.0).astype(
+            jnp.int32
+        )
         return i * shape[1] + j
 
     def at(self, index: Array) -> Array:
@@ -92,7 +96,9 @@ class HeightMapper(struct.PyTreeNode):
         cell, shape = map_cells(half + reach, _FINEST_CELL)
         return HeightMapper(geometry, support_map, cell, shape)
 
-    def __call__(self, region: Region, poses: Array, is_placed: Array, with_owner: bool = False) -> HeightMap:
+    def __call__(
+        self, region: Region, poses: Array, is_placed: Array, with_owner: bool = False
+    ) -> HeightMap:
         """The map of one scene: poses f32[K, 7], world; is_placed bool[K].
 
         With owners, heights are whole micrometres.
@@ -114,7 +120,9 @@ class HeightMapper(struct.PyTreeNode):
         height = jnp.where(is_placed[owner][:, None], z, VOID)
         if bare.ceiling is not None:
             # What lies on a board above is none of this surface's obstacles.
-            height = jnp.where(z > bare.ceiling.reshape(-1).at[index].get(mode="clip"), VOID, height)
+            height = jnp.where(
+                z > bare.ceiling.reshape(-1).at[index].get(mode="clip"), VOID, height
+            )
         if with_owner:
             return self._with_owner(bare, index, height, owner)
         raised = bare.height.reshape(-1).at[index.reshape(-1)].max(height.reshape(-1), mode="drop")
@@ -125,8 +133,11 @@ class HeightMapper(struct.PyTreeNode):
         nobody = self.geometry.num_objects
         packed = _pack(bare.height, jnp.int32(nobody)).reshape(-1)
         points = _pack(height, owner[:, None])
-        packed = packed.at[index.reshape(-1)].max(points.reshape(-1), mode="drop").reshape(self.shape)
-        micrometres, owner = packed >> _OWNER_BITS, packed & (2**_OWNER_BITS - 1)
+        packed = (
+            packed.at[index.reshape(-1)].max(points.reshape(-1), mode="drop").reshape(self.shape)
+        )
+        micrometres = packed >> _OWNER_BITS
+        owner = packed & (2**_OWNER_BITS - 1)
         height = jnp.where(micrometres <= -_DEEPEST, VOID, micrometres * 1e-6)
         return bare.replace(height=_with_void_border(height), owner=owner)
 
@@ -134,18 +145,24 @@ class HeightMapper(struct.PyTreeNode):
         """The heights of the support itself."""
         support_map = self.support_map
         T = support_map.place(region.T_world_region)
-        turn, shift = T.rotation().as_matrix()[:2, :2], T.translation()[:2] - support_map.corner
-        x, y = (corner[axis] + self.cell[axis] * (jnp.arange(self.shape[axis]) + 0.5) for axis in (0, 1))
+        turn = T.rotation().as_matrix()[:2, :2]
+        shift = T.translation()[:2] - support_map.corner
+        x, y = (
+            corner[axis] + self.cell[axis] * (jnp.arange(self.shape[axis]) + 0.5) for axis in (0, 1)
+        )
         i, j = (
             jnp.clip(
-                ((turn[axis, 0] * x + shift[axis])[:, None] + turn[axis, 1] * y) * (1 / support_map.cell),
+                ((turn[axis, 0] * x + shift[axis])[:, None] + turn[axis, 1] * y)
+                * (1 / support_map.cell),
                 0.0,
                 support_map.height.shape[axis] - 1.0,
             ).astype(jnp.int32)
             for axis in (0, 1)
         )
-        flat, index = support_map.height.reshape(-1), i * support_map.height.shape[1] + j
-        height, ceiling = _with_void_border(flat.at[index].get(mode="clip")), None
+        flat = support_map.height.reshape(-1)
+        index = i * support_map.height.shape[1] + j
+        height = _with_void_border(flat.at[index].get(mode="clip"))
+        ceiling = None
         if support_map.ceiling is not None:
             ceiling = support_map.ceiling.reshape(-1).at[index].get(mode="clip")
         return HeightMap(height, corner, self.cell, ceiling=ceiling)

@@ -23,8 +23,10 @@ from cluttergen_jax.placement.types import Geometry, Hollows
 from cluttergen_jax.types import Array
 
 _CELL = 0.0072
-_PLACES, _TURNS = 7, 4
-"""Along each side of a hollow, and of half a turn, at which it is looked whether an object fits."""
+# Along each side of a hollow, and of half a turn, at which it is looked whether an object fits.
+_PLACES = 7
+_TURNS = 4
+
 _TRIED = 16
 """Draws of objects that fit into others, to know how many there can be."""
 _LEAST_TRUST = 0.6
@@ -39,14 +41,20 @@ def find_hollows(objects: Sequence[ObjectAsset], geometry: Geometry) -> Hollows:
     fits = np.zeros((len(objects), len(objects)), bool)
     reach = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects) + 3 * _CELL
     steps = (np.arange(_PLACES) + 0.5) / _PLACES * 2 - 1
-    grid = np.stack(np.meshgrid(steps, steps, np.pi * np.arange(_TURNS) / _TURNS), -1).reshape(-1, 3)
+    grid = np.stack(np.meshgrid(steps, steps, np.pi * np.arange(_TURNS) / _TURNS), -1).reshape(
+        -1, 3
+    )
     *bodies, owner = _bodies_of(geometry)
     for index in np.flatnonzero(is_container).tolist():
-        at = Candidates(jnp.array(grid[:, :2] * half[index, :2] + center[index, :2]), jnp.array(grid[:, 2]))
+        at = Candidates(
+            jnp.array(grid[:, :2] * half[index, :2] + center[index, :2]), jnp.array(grid[:, 2])
+        )
         rim = center[index, 2] + half[index, 2] + objects[index].half_extents[2]
         opening = jnp.array([*np.sort(half[index, :2]), rim])
         heights = _map_of(geometry, index, reach)
-        np.logical_or.at(fits[:, index], owner, np.asarray(_fit_into(heights, at, tuple(bodies), opening)))
+        np.logical_or.at(
+            fits[:, index], owner, np.asarray(_fit_into(heights, at, tuple(bodies), opening))
+        )
         fits[index, index] = False
     # A bowl in a pot takes the place of many things; it has to where nothing else fits.
     is_leaf = np.logical_not(fits.any(0))
@@ -57,25 +65,36 @@ def find_hollows(objects: Sequence[ObjectAsset], geometry: Geometry) -> Hollows:
     )
 
 
-def check_contained(asked: float, num_objects: int, names: Sequence[str], geometry: Geometry) -> None:
+def check_contained(
+    asked: float, num_objects: int, names: Sequence[str], geometry: Geometry
+) -> None:
     """Refuses more objects inside of others than fit into any (ConfigError)."""
-    hollows, number = geometry.hollows, math.ceil(asked)
+    hollows = geometry.hollows
+    number = math.ceil(asked)
     assert hollows is not None
     nothing = jnp.zeros(geometry.num_objects, bool)
     keys = jax.random.split(jax.random.key(0), _TRIED)
-    drawn = jax.vmap(lambda key: draw_contents(key, geometry, nothing, number, num_objects)[0].sum())(keys)
+    drawn = jax.vmap(
+        lambda key: draw_contents(key, geometry, nothing, number, num_objects)[0].sum()
+    )(keys)
     if (most := int(drawn.max())) < number:
         named = [names[index] for index in np.flatnonzero(hollows.fits.any(0)).tolist()]
-        given = (
-            f"clutter contained={asked:g} with {num_objects} objects of which up to {most} fit into others"
+        given = f"clutter contained={asked:g} with {num_objects} objects"
+        given += f" of which up to {most} fit into others"
+        found = (
+            f"up to {most}, in {', '.join(named)}"
+            if most
+            else "objects of which some fit into others"
         )
-        found = f"up to {most}, in {', '.join(named)}" if most else "objects of which some fit into others"
-        raise ConfigError(given, found, "more bowls, pots or pans and smaller objects, as of dining+kitchen")
+        raise ConfigError(
+            given, found, "more bowls, pots or pans and smaller objects, as of dining+kitchen"
+        )
 
 
 def with_upright_containers(geometry: Geometry) -> Geometry:
     """The same objects, where those into which others fit are always released upright."""
-    found, hollows = geometry.orientations, geometry.hollows
+    found = geometry.orientations
+    hollows = geometry.hollows
     if found is None or hollows is None:
         return geometry
     upright = jnp.where(jnp.arange(found.log_weight.shape[1]) == 0, 0.0, -jnp.inf)
@@ -90,13 +109,16 @@ def _hollow_box(asset: ObjectAsset) -> tuple[np.ndarray, np.ndarray]:
     hollow = hollow_of(asset)
     if hollow is None:
         return np.zeros(3), asset.half_extents * [INNER, INNER, 1.0]
-    low, high = hollow.points.min(0) - hollow.pitch / 2, hollow.points.max(0) + hollow.pitch / 2
+    low = hollow.points.min(0) - hollow.pitch / 2
+    high = hollow.points.max(0) + hollow.pitch / 2
     return (low + high) / 2, (high - low) / 2
 
 
 def _map_of(geometry: Geometry, index: int, reach: float) -> HeightMap:
     """The heights of one object above the floor on which it stands, in its own frame."""
-    surface = np.asarray(geometry.surface)[np.asarray(geometry.surface_owner) == index].reshape(-1, 3)
+    surface = np.asarray(geometry.surface)[np.asarray(geometry.surface_owner) == index].reshape(
+        -1, 3
+    )
     side = 2 * int(np.ceil(reach / _CELL))
     height = np.full((side, side), VOID, np.float32)
     cells = np.clip(np.floor(surface[:, :2] / _CELL).astype(int) + side // 2, 1, side - 2)
@@ -110,11 +132,16 @@ def _bodies_of(geometry: Geometry) -> tuple[UnderSide, Array, np.ndarray]:
     found = geometry.orientations
     if found is None:
         under = UnderSide(
-            geometry.column_xy, geometry.column_bottom, geometry.is_column, geometry.center_of_mass[:, :2]
+            geometry.column_xy,
+            geometry.column_bottom,
+            geometry.is_column,
+            geometry.center_of_mass[:, :2],
         )
         return under, geometry.half_extents, np.arange(geometry.num_objects)
     owner, which = np.nonzero(np.asarray(found.is_one)[:, :MAX_RESTING])
-    under = UnderSide(found.column_xy, found.column_bottom, found.is_column, found.center_of_mass[..., :2])
+    under = UnderSide(
+        found.column_xy, found.column_bottom, found.is_column, found.center_of_mass[..., :2]
+    )
     under, half = jax.tree.map(lambda leaf: leaf[owner, which], (under, found.half_extents))
     return under, half, owner
 

@@ -56,8 +56,11 @@ def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> Observ
       heights: f32[G, G], metres, where asked for (`height_grid`).
       scene_cloud: f32[N, 3], scene_mask: bool[N], object_cloud: f32[M, 3] (object frame), where asked for.
     """
-    region, focus = episode.region, rules.focus(episode)
-    local = jax.vmap(lambda pose: to_pose(region.T_world_region.inverse() @ from_pose(pose)))(episode.poses)
+    region = episode.region
+    focus = rules.focus(episode)
+    local = jax.vmap(lambda pose: to_pose(region.T_world_region.inverse() @ from_pose(pose)))(
+        episode.poses
+    )
     local = jnp.where(episode.is_placed[:, None], local, 0.0)
     observation: Observation = {
         "region": jnp.append(region.half_extents, rules.height_range(episode)),

@@ -59,7 +59,8 @@ def make_orientations(
         spread = [_Pose(_quaternion_of(upright_turn(up)), 1.0) for up in _spread()]
         lying = [[*(replace(pose, weight=0.0) for pose in poses), *spread] for poses in lying]
     bodies = [
-        [_Body.of(asset, pose, cut) for pose in poses] for asset, poses in zip(objects, lying, strict=True)
+        [_Body.of(asset, pose, cut) for pose in poses]
+        for asset, poses in zip(objects, lying, strict=True)
     ]
     return _stacked(bodies, number)
 
@@ -154,7 +155,8 @@ def _height(asset: ObjectAsset, matrix: np.ndarray) -> float:
 def _spread() -> np.ndarray:
     """f64[N, 3]: unit vectors spread evenly over the sphere (Fibonacci's lattice)."""
     place = np.arange(NUM_SPREAD) + 0.5
-    z, angle = 1 - 2 * place / NUM_SPREAD, np.pi * (1 + 5**0.5) * place
+    z = 1 - 2 * place / NUM_SPREAD
+    angle = np.pi * (1 + 5**0.5) * place
     flat = np.sqrt(1 - z**2)
     return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
 
@@ -229,7 +231,10 @@ def _stacked(bodies: list[list[_Body]], number: int) -> Orientations:
         surface=np.concatenate(
             [
                 np.stack(
-                    [body.surface[np.minimum(np.arange(rows), len(body.surface) - 1)] for body in each],
+                    [
+                        body.surface[np.minimum(np.arange(rows), len(body.surface) - 1)]
+                        for body in each
+                    ],
                     axis=1,
                 )
                 for each, rows in zip(full, runs, strict=True)

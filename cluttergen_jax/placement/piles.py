@@ -54,18 +54,22 @@ class PileSampler(BlockSampler, eq=False):
             is_due & ~episode.is_over,
         )
 
-    def finish_pile(self, before: Episode, asking: Episode, piling: Piling) -> tuple[Episode, Transition]:
+    def finish_pile(
+        self, before: Episode, asking: Episode, piling: Piling
+    ) -> tuple[Episode, Transition]:
         """The episode after its pile was made, or as it was before where none was, and what came of it."""
         is_made = piling.verdict != Verdict.NONE
         verdict = self._judge_places(asking, piling)
         is_stable = verdict == Verdict.STABLE
         is_filled = is_stable | (verdict == Verdict.CREPT)
         last = jnp.where(is_filled, int(Verdict.STABLE), verdict)
-        slots, counts = jnp.maximum(asking.object_index, 0), asking.counts
+        slots = jnp.maximum(asking.object_index, 0)
+        counts = asking.counts
         is_slot = asking.object_index >= 0
         is_member = jnp.any((slots == jnp.arange(len(piling.releases))[:, None]) & is_slot, axis=1)
         releases, steps = (
-            jnp.where(is_slot, each[slots], 0).astype(jnp.int32) for each in (piling.releases, piling.steps)
+            jnp.where(is_slot, each[slots], 0).astype(jnp.int32)
+            for each in (piling.releases, piling.steps)
         )
         # All releases but the last of each object ended outside.
         again = jnp.maximum(releases - 1, 0).sum()
@@ -86,14 +90,20 @@ class PileSampler(BlockSampler, eq=False):
                 attempts=releases,
                 steps=steps,
                 rest_steps=jnp.where(is_filled, steps, 0),
-                verdicts=counts.verdicts.at[Verdict.OUTSIDE].add(again).at[last].add((releases > 0).sum()),
+                verdicts=counts.verdicts.at[Verdict.OUTSIDE]
+                .add(again)
+                .at[last]
+                .add((releases > 0).sum()),
                 simulated_steps=piling.num_steps + piling.check_steps,
                 reward=jnp.float32(0),
             ),
         )
         config = self.rules.physics.config
         settling = empty_settling(jnp, (), len(piling.releases), config).replace(
-            verdict=last.astype(jnp.int32), num_steps=piling.num_steps, poses=piling.poses, is_quiet=is_filled
+            verdict=last.astype(jnp.int32),
+            num_steps=piling.num_steps,
+            poses=piling.poses,
+            is_quiet=is_filled,
         )
         transition = Transition(
             slot=asking.first_slot,
@@ -105,16 +115,21 @@ class PileSampler(BlockSampler, eq=False):
             reward=jnp.float32(0),
             is_made=is_made,
         )
-        return jax.tree.map(lambda new, old: jnp.where(is_made, new, old), after, before), transition
+        return jax.tree.map(
+            lambda new, old: jnp.where(is_made, new, old), after, before
+        ), transition
 
     def _judge_places(self, episode: Episode, piling: Piling) -> Array:
         """The pile's verdict once the queried region and keep-out boxes have their say, i32."""
         half = self.rules.geometry.half_extents
 
         def lies_well(index: Array) -> Array:
-            pose, size = piling.poses[index], half[index]
+            pose = piling.poses[index]
+            size = half[index]
             inside = is_inside(pose, size, episode.region, self.rules.config.containment)
             return (index < 0) | (inside & ~is_kept_out(pose, size, episode.keep_out))
 
         is_well = jnp.all(jax.vmap(lies_well)(episode.object_index))
-        return jnp.where((piling.verdict == Verdict.STABLE) & ~is_well, int(Verdict.OUTSIDE), piling.verdict)
+        return jnp.where(
+            (piling.verdict == Verdict.STABLE) & ~is_well, int(Verdict.OUTSIDE), piling.verdict
+        )

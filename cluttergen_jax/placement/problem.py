@@ -158,12 +158,17 @@ def area_asked(config: ProblemConfig, support: SupportAsset) -> float:
     return abs(ring_area(config.polygon)) if config.polygon else area_of(support)
 
 
-def check_crowding(objects: Sequence[ObjectAsset], config: ProblemConfig, support: SupportAsset) -> None:
+def check_crowding(
+    objects: Sequence[ObjectAsset], config: ProblemConfig, support: SupportAsset
+) -> None:
     """Refuses more objects than can be hoped to find room in the region (ConfigError)."""
-    region, num_objects = config.region or support.region, config.placement.num_objects
+    region = config.region or support.region
+    num_objects = config.placement.num_objects
     if config.is_piled and (depth := rim_height(region, support)) > 0:
         _check_volume(objects, num_objects, region, depth)
-    elif (crowded := crowding(objects, num_objects, region, area_asked(config, support))) > MOST_CROWDED:
+    elif (
+        crowded := crowding(objects, num_objects, region, area_asked(config, support))
+    ) > MOST_CROWDED:
         x, y = region.half_extents
         area = area_asked(config, support)
         numbers = range(num_objects - 1, 0, -1)
@@ -172,14 +177,23 @@ def check_crowding(objects: Sequence[ObjectAsset], config: ProblemConfig, suppor
             f"{num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
             f"smallest ones' footprints cover {crowded:.1f} times its area",
             f"{MOST_CROWDED:g} times at most; beyond about once, scenes begin to fail",
-            f"num_objects={most}, or a larger region" if most else "smaller objects or a larger region",
+            f"num_objects={most}, or a larger region"
+            if most
+            else "smaller objects or a larger region",
         )
 
 
-def _check_volume(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, depth: float) -> None:
+def _check_volume(
+    objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, depth: float
+) -> None:
     """Refuses a pile whose smallest objects' hulls alone are larger than what holds them."""
-    hulls = [ConvexHull(np.concatenate([part.vertices for part in asset.parts])).volume for asset in objects]
-    sizes = np.sort(np.tile(hulls, -(-num_objects // len(hulls))).reshape(-1, len(hulls)), axis=1).ravel()
+    hulls = [
+        ConvexHull(np.concatenate([part.vertices for part in asset.parts])).volume
+        for asset in objects
+    ]
+    sizes = np.sort(
+        np.tile(hulls, -(-num_objects // len(hulls))).reshape(-1, len(hulls)), axis=1
+    ).ravel()
     room = 4 * float(np.prod(region.half_extents)) * depth * MOST_FULL
     filled = np.cumsum(sizes[:num_objects])
     if filled[-1] > room:
@@ -218,7 +232,9 @@ def compose(
         raise ConfigError(given, "one `surface`", f"surface={support.asked[0][0].name!r}")
     region = config.region or support.region
     if min(region.half_extents) * 2 < SMALLEST_REGION:
-        raise ConfigError(f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`")
+        raise ConfigError(
+            f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`"
+        )
     cut = columns_of if sizes is None else sizes.cut
     world = make_world([*objects, *standing], support, config.stability, config.contact, cut)
     physics: Physics | NumberedEngines
@@ -228,7 +244,9 @@ def compose(
         if support.named:
             # Resting poses are those on a level table with room above it.
             table = cuboid_table()
-            layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
+            layout = compile_layout(
+                world.names, world.objects, table, config.stability, config.contact
+            )
         orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
     geometry = geometry_of(world, orientations)
     asked = clutter.contained if clutter is not None else None
@@ -239,12 +257,15 @@ def compose(
             check_contained(asked, wanted, world.names, geometry)
         geometry = with_upright_containers(geometry)
     if sizes is None:
-        physics = make_physics(world.layout, config.stability, config.engine, num_threads=config.num_threads)
+        physics = make_physics(
+            world.layout, config.stability, config.engine, num_threads=config.num_threads
+        )
     else:
         physics = sizes.physics
         runs = geometry.surface if orientations is None else orientations.surface
         geometry = pad_geometry(geometry, NUM_COLUMN_SAMPLES, _round_up(len(runs)))
-    surfaces, usual = None, _largest_region(region, config.change, support)
+    surfaces = None
+    usual = _largest_region(region, config.change, support)
     if support.named and len(support.asked) > 1:
         rectangles = [support.on_surface(each.name) for each, _ in support.asked]
         surfaces = SurfaceSet.of(
@@ -289,7 +310,9 @@ def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -
         )
 
 
-def crowding(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, area: float = 0.0) -> float:
+def crowding(
+    objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, area: float = 0.0
+) -> float:
     """The area that the smallest `num_objects` objects cover at least, seen from above, over the region's.
 
     `area` is taken in place of that, where it is more than 0.
@@ -298,7 +321,9 @@ def crowding(objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle
     areas = sorted(float(ConvexHull(points).volume) for points in plans)
     # Of objects that may stand there more than once, all are there before any comes again.
     rounds, rest = divmod(num_objects, len(areas))
-    return (rounds * sum(areas) + sum(areas[:rest])) / (area or 4 * float(np.prod(region.half_extents)))
+    return (rounds * sum(areas) + sum(areas[:rest])) / (
+        area or 4 * float(np.prod(region.half_extents))
+    )
 
 
 def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rectangle:
@@ -312,7 +337,9 @@ def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:
     """A rectangle on a support's top as the decision process sees it."""
     top, surface = plane_of(support)
     given = (rectangle.center, rectangle.half_extents, rectangle.yaw, top)
-    return make_region(*on_device(tuple(map(np.array, given if surface is None else (*given, surface)))))
+    return make_region(
+        *on_device(tuple(map(np.array, given if surface is None else (*given, surface))))
+    )
 
 
 def plane_of(support: SupportAsset) -> tuple[float, tuple[float, ...] | None]:

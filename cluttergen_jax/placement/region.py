@@ -117,7 +117,9 @@ def action_of_pose(position: Array, yaw: Array, region: Region, height_range: Ar
 
 def box_corners(pose: Array, half_extents: Array) -> Array:
     """The eight world corners of an object's box: f32[8, 3] from f32[7] and f32[3]."""
-    signs = jnp.stack(jnp.meshgrid(*[jnp.array([-1.0, 1.0])] * 3, indexing="ij"), axis=-1).reshape(8, 3)
+    signs = jnp.stack(jnp.meshgrid(*[jnp.array([-1.0, 1.0])] * 3, indexing="ij"), axis=-1).reshape(
+        8, 3
+    )
     return jax.vmap(from_pose(pose).apply)(signs * half_extents)
 
 
@@ -134,8 +136,10 @@ def is_inside(pose: Array, half_extents: Array, region: Region, containment: str
 
 def is_in_polygon(xy: Array, polygon: Array) -> Array:
     """bool[...]: whether points f32[..., 2] are within a polygon f32[E, 2], by the edges to their right."""
-    start, end = polygon, jnp.roll(polygon, -1, axis=0)
-    x, y = xy[..., 0, None], xy[..., 1, None]
+    start = polygon
+    end = jnp.roll(polygon, -1, axis=0)
+    x = xy[..., 0, None]
+    y = xy[..., 1, None]
     is_level = (start[:, 1] > y) != (end[:, 1] > y)
     rise = jnp.where(start[:, 1] == end[:, 1], 1.0, end[:, 1] - start[:, 1])
     crossing = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
@@ -151,10 +155,13 @@ def is_kept_out(pose: Array, half_extents: Array, keep_out: KeepOut) -> Array:
     def meets(center: Array, half: Array, yaw: Array) -> Array:
         side = jnp.array([jnp.cos(yaw), jnp.sin(yaw)])
         box = center + (
-            jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * half @ jnp.stack([side, _perpendicular(side)])
+            jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+            * half
+            @ jnp.stack([side, _perpendicular(side)])
         )
         axes = jnp.stack([side, _perpendicular(side), heading, _perpendicular(heading)])
-        ours, theirs = corners @ axes.T, box @ axes.T
+        ours = corners @ axes.T
+        theirs = box @ axes.T
         return jnp.all((ours.min(0) <= theirs.max(0)) & (theirs.min(0) <= ours.max(0)))
 
     return jnp.any(jax.vmap(meets)(keep_out.center, keep_out.half_extents, keep_out.yaw))
@@ -202,7 +209,9 @@ def find_change(name: str) -> RegionChange:
     """The change called `name`; ConfigError where there is none."""
     if name not in REGION_CHANGES:
         raise ConfigError(
-            f"region change {name!r}", ", ".join(REGION_CHANGES), meant=closest(name, REGION_CHANGES)
+            f"region change {name!r}",
+            ", ".join(REGION_CHANGES),
+            meant=closest(name, REGION_CHANGES),
         )
     return REGION_CHANGES[name]
 
@@ -248,12 +257,16 @@ def draw_region(
         jnp.array(base.half_extents) + growth, jnp.minimum(SMALLEST_HALF, min(base.half_extents))
     )
     yaw = base.yaw + turn
-    cos, sin = jnp.abs(jnp.cos(yaw - bounds.yaw)), jnp.abs(jnp.sin(yaw - bounds.yaw))
+    cos = jnp.abs(jnp.cos(yaw - bounds.yaw))
+    sin = jnp.abs(jnp.sin(yaw - bounds.yaw))
     room = jnp.array(bounds.half_extents)
     half = _fit_half_extents(half, cos, sin, room)
     reach = jnp.stack([cos * half[0] + sin * half[1], sin * half[0] + cos * half[1]])
     to_world = jnp.array(
-        [[math.cos(bounds.yaw), -math.sin(bounds.yaw)], [math.sin(bounds.yaw), math.cos(bounds.yaw)]]
+        [
+            [math.cos(bounds.yaw), -math.sin(bounds.yaw)],
+            [math.sin(bounds.yaw), math.cos(bounds.yaw)],
+        ]
     )
     offset = to_world.T @ (jnp.array(base.center) + shift - jnp.array(bounds.center))
     slack = jnp.maximum(room - reach, 0.0)
@@ -266,7 +279,8 @@ def _fit_half_extents(half: Array, cos: Array, sin: Array, room: Array) -> Array
     """The largest half extents f32[2], none above `half`, of a turned rectangle that fits into `room`."""
     first = half[0] * jnp.linspace(1 / _TRIED, 1.0, _TRIED)
     second = jnp.minimum(
-        (room[0] - cos * first) / jnp.maximum(sin, _TINY), (room[1] - sin * first) / jnp.maximum(cos, _TINY)
+        (room[0] - cos * first) / jnp.maximum(sin, _TINY),
+        (room[1] - sin * first) / jnp.maximum(cos, _TINY),
     )
     second = jnp.minimum(second, half[1])
     best = jnp.argmax(first * second)

@@ -57,7 +57,9 @@ class RelatedObjects(struct.PyTreeNode):
 
     @staticmethod
     def of(
-        relations: Sequence[Relation], roles: Sequence[tuple[str, str]], facts: Sequence[ObjectFacts]
+        relations: Sequence[Relation],
+        roles: Sequence[tuple[str, str]],
+        facts: Sequence[ObjectFacts],
     ) -> RelatedObjects:
         """For a world of objects.
 
@@ -96,14 +98,20 @@ class RelatedObjects(struct.PyTreeNode):
         """i32[Q]: an object for each role, drawn one after another among those that are left."""
         noise = jax.random.gumbel(key, self.candidates.shape)
 
-        def give(state: tuple[Array, Array, Array], role: Array) -> tuple[tuple[Array, Array, Array], None]:
+        def give(
+            state: tuple[Array, Array, Array], role: Array
+        ) -> tuple[tuple[Array, Array, Array], None]:
             objects, is_taken, is_stuck = state
             rank = jnp.where(self.candidates[role] & ~is_taken, noise[role], -jnp.inf)
             chosen = jnp.argmax(rank).astype(jnp.int32)
             is_stuck |= ~jnp.isfinite(rank[chosen])
             return (objects.at[role].set(chosen), is_taken.at[chosen].set(True), is_stuck), None
 
-        first = (jnp.zeros_like(self.possible), jnp.zeros(self.candidates.shape[1], bool), jnp.bool_(False))
+        first = (
+            jnp.zeros_like(self.possible),
+            jnp.zeros(self.candidates.shape[1], bool),
+            jnp.bool_(False),
+        )
         (objects, _, is_stuck), _ = jax.lax.scan(give, first, self.turn)
         return jnp.where(is_stuck, self.possible, objects)
 
@@ -114,7 +122,9 @@ class RelatedObjects(struct.PyTreeNode):
           objects: i32[Q], of each role.
         """
         number = self.candidates.shape[1]
-        return jnp.full(number, self.num_roles, jnp.int32).at[objects].set(jnp.arange(self.num_roles))
+        return (
+            jnp.full(number, self.num_roles, jnp.int32).at[objects].set(jnp.arange(self.num_roles))
+        )
 
     def pairs(self, objects: Array, focus: Array) -> tuple[Array, Array, Array, Array]:
         """What the relations say of one object.
@@ -124,7 +134,8 @@ class RelatedObjects(struct.PyTreeNode):
           table); bool[R], the other is the table.
         """
         full = jnp.append(objects, 0)
-        subject, reference = full[self.subject], full[self.reference]
+        subject = full[self.subject]
+        reference = full[self.reference]
         is_table = self.reference == self.num_roles
         is_subject = subject == focus
         is_reference = (reference == focus) & ~is_table
@@ -139,7 +150,8 @@ def relate_objects(
     Raises:
       ConfigError: a role fits no object, or there are too few.
     """
-    relations, roles = parse_relations(config.relations), config.roles
+    relations = parse_relations(config.relations)
+    roles = config.roles
     if not relations and not roles:
         return objects, None
     conditions = conditions_of(roles, relations)
@@ -165,11 +177,14 @@ def hold(
     turn = T_region_world.rotation().as_matrix()
     offset = (subjects.center - references.center) @ turn.T
     gap = jax.vmap(lambda one, two: gaps(_alone(one), _alone(two))[0, 0])(subjects, references)
-    x, y = offset[:, 0], offset[:, 1]
+    x = offset[:, 0]
+    y = offset[:, 1]
     is_near = gap <= related.gap
     # Seen by one who stands at the region's -y side and looks along +y.
-    to_the_right, to_the_back = _in_cone(x, y), _in_cone(y, x)
-    to_the_left, to_the_front = _in_cone(-x, y), _in_cone(-y, x)
+    to_the_right = _in_cone(x, y)
+    to_the_back = _in_cone(y, x)
+    to_the_left = _in_cone(-x, y)
+    to_the_front = _in_cone(-y, x)
     over = is_over(subjects.center, references, 1.0)
     by_kind = {
         "on": jnp.ones_like(over),
@@ -213,7 +228,12 @@ def _is_aligned(related: RelatedObjects, subjects: Boxes, references: Boxes, tur
 
 
 def holds_among(
-    related: RelatedObjects, objects: Array, boxes: Boxes, openings: Boxes, is_placed: Array, region: Region
+    related: RelatedObjects,
+    objects: Array,
+    boxes: Boxes,
+    openings: Boxes,
+    is_placed: Array,
+    region: Region,
 ) -> Array:
     """bool: every relation holds of which both objects are placed, but for "on".
 
@@ -221,9 +241,13 @@ def holds_among(
       objects: i32[Q], of each role; boxes, openings: K; is_placed: bool[K].
     """
     full = jnp.append(objects, 0)
-    subject, reference = full[related.subject], full[related.reference]
-    is_there = is_placed[subject] & (is_placed[reference] | (related.reference == related.num_roles))
-    take, opening = _taker(boxes), _taker(openings)(reference)
+    subject = full[related.subject]
+    reference = full[related.reference]
+    is_there = is_placed[subject] & (
+        is_placed[reference] | (related.reference == related.num_roles)
+    )
+    take = _taker(boxes)
+    opening = _taker(openings)(reference)
     return jnp.all(hold(related, take(subject), take(reference), opening, region) | ~is_there)
 
 
@@ -252,11 +276,13 @@ def allowed_at(
     is_subject, is_reference, other, is_table = related.pairs(objects, focus)
     counts = (is_subject | is_reference) & (is_placed[other] | is_table)
     # What is in a thing comes after it.
-    others, opening = _taker(placed)(other), _taker(openings)(other)
+    others = _taker(placed)(other)
+    opening = _taker(openings)(other)
 
     def at(center: Array, sides: Array) -> Array:
         own = Boxes(
-            jnp.broadcast_to(center, others.center.shape), jnp.broadcast_to(sides, others.sides.shape)
+            jnp.broadcast_to(center, others.center.shape),
+            jnp.broadcast_to(sides, others.sides.shape),
         )
 
         def pick(one: Boxes, two: Boxes) -> Boxes:
@@ -265,7 +291,8 @@ def allowed_at(
                 jnp.where(is_subject[:, None, None], one.sides, two.sides),
             )
 
-        subjects, references = pick(own, others), pick(others, own)
+        subjects = pick(own, others)
+        references = pick(others, own)
         is_well = hold(related, subjects, references, opening, region)
         is_well &= (related.kind != ON) | is_over(subjects.center, references, 1.0)
         return jnp.all(is_well | ~counts)
@@ -274,7 +301,12 @@ def allowed_at(
 
 
 def leaves_room(
-    related: RelatedObjects, objects: Array, focus: Array, xy: Array, half_extents: Array, region: Region
+    related: RelatedObjects,
+    objects: Array,
+    focus: Array,
+    xy: Array,
+    half_extents: Array,
+    region: Region,
 ) -> Array:
     """bool[N]: whether the region goes on where things would be that come beside the current object later.
 
@@ -282,9 +314,14 @@ def leaves_room(
       objects: i32[Q]; focus: i32; xy: f32[N, 2], candidates in the region frame; half_extents: f32[K, 3].
     """
     full = jnp.append(objects, 0)
-    subject, reference = full[related.subject], full[related.reference]
+    subject = full[related.subject]
+    reference = full[related.reference]
     direction = jnp.array(_DIRECTIONS)[related.kind]
-    asks = (reference == focus) & (related.reference < related.num_roles) & jnp.any(direction != 0, axis=1)
+    asks = (
+        (reference == focus)
+        & (related.reference < related.num_roles)
+        & jnp.any(direction != 0, axis=1)
+    )
     radius = half_extents[:, :2].mean(1)
     away = radius[focus] + radius[subject] + _ROOM
     there = xy[:, None] + away[:, None] * direction
@@ -292,7 +329,12 @@ def leaves_room(
 
 
 _ROOM = 0.01
-_SIDES = {"left_of": (-1.0, 0.0), "right_of": (1.0, 0.0), "in_front_of": (0.0, -1.0), "behind": (0.0, 1.0)}
+_SIDES = {
+    "left_of": (-1.0, 0.0),
+    "right_of": (1.0, 0.0),
+    "in_front_of": (0.0, -1.0),
+    "behind": (0.0, 1.0),
+}
 _DIRECTIONS = [_SIDES.get(kind, (0.0, 0.0)) for kind in KINDS]
 
 

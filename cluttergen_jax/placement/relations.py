@@ -62,7 +62,9 @@ class Relation:
             subject, kind, reference = reference, "on", subject
         if kind not in KINDS:
             allowed = ", ".join((*KINDS, _UNDER))
-            raise ConfigError(f"{kind!r} in relation {text!r}", allowed, _HINT, closest(kind, KINDS))
+            raise ConfigError(
+                f"{kind!r} in relation {text!r}", allowed, _HINT, closest(kind, KINDS)
+            )
         if subject == reference:
             raise ConfigError(f"relation {text!r} of an object to itself", "two objects", _HINT)
         if TABLE in (subject, reference) and (kind != "aligned" or subject == TABLE):
@@ -94,7 +96,9 @@ def parse_relations(texts: Sequence[str]) -> tuple[Relation, ...]:
       ConfigError: one is not understood, or they go round in a circle: a on b, b on a.
     """
     if isinstance(texts, str):
-        raise ConfigError(f"relations = {texts!r}", "a sequence of texts", f"relations=({texts!r},)")
+        raise ConfigError(
+            f"relations = {texts!r}", "a sequence of texts", f"relations=({texts!r},)"
+        )
     found = tuple(dict.fromkeys(map(Relation.parse, texts)))
     if len(found) > MOST_RELATIONS:
         raise ConfigError(f"{len(found)} relations", f"up to {MOST_RELATIONS}", "fewer")
@@ -117,7 +121,9 @@ def order_of(relations: Sequence[Relation]) -> tuple[str, ...]:
         return tuple(TopologicalSorter(graph).static_order())
     except CycleError as error:
         circle = " -> ".join(error.args[1])
-        raise ConfigError(f"relations that go round in a circle: {circle}", "an order of placing") from None
+        raise ConfigError(
+            f"relations that go round in a circle: {circle}", "an order of placing"
+        ) from None
 
 
 def parse_roles(given: str | Mapping[str, str]) -> tuple[tuple[str, str], ...]:
@@ -147,7 +153,9 @@ def parse_roles(given: str | Mapping[str, str]) -> tuple[tuple[str, str], ...]:
     return tuple(pairs)
 
 
-def conditions_of(roles: Sequence[tuple[str, str]], relations: Sequence[Relation]) -> dict[str, str]:
+def conditions_of(
+    roles: Sequence[tuple[str, str]], relations: Sequence[Relation]
+) -> dict[str, str]:
     """The condition of each role: as given, else its own name is the condition; "any" is *."""
     conditions = dict(roles)
     for name in order_of(relations):
@@ -159,7 +167,8 @@ def _no_candidate(name: str, condition: str, known: Sequence[str]) -> ConfigErro
     """The error for a role that no object can take."""
     names = [each for each in known if each not in (name, "any")]
     if name == condition:
-        given, allowed = f"no object is called {name!r}", ", ".join(dict.fromkeys(names))
+        given = f"no object is called {name!r}"
+        allowed = ", ".join(dict.fromkeys(names))
         return ConfigError(given, allowed, meant=closest(name, names))
     given = f"role {name!r} is {condition!r}, which no object fulfils"
     allowed = "a name, a pattern or a condition that one of the objects fulfils"

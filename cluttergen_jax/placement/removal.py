@@ -27,11 +27,15 @@ def choose_removal(episode: Episode, geometry: Geometry, is_started: Array) -> A
     key = jax.random.fold_in(jax.random.fold_in(episode.key, 2), episode.counts.attempts.sum())
     key_center, key_share = jax.random.split(key)
     is_mine = episode.is_placed & ~is_started
-    center = jnp.argmax(jax.random.gumbel(key_center, is_mine.shape) + jnp.where(is_mine, 0.0, -jnp.inf))
+    center = jnp.argmax(
+        jax.random.gumbel(key_center, is_mine.shape) + jnp.where(is_mine, 0.0, -jnp.inf)
+    )
     offset = episode.poses[:, :2] - episode.poses[center, :2]
     order = jnp.argsort(jnp.where(is_mine, jnp.sum(offset**2, axis=1), jnp.inf))
     area = footprint_area(geometry.half_extents)
-    focus = jnp.maximum(episode.object_index[jnp.minimum(episode.slot, len(episode.object_index) - 1)], 0)
+    focus = jnp.maximum(
+        episode.object_index[jnp.minimum(episode.slot, len(episode.object_index) - 1)], 0
+    )
     wanted = area[focus] * jax.random.uniform(key_share, minval=_SHARE[0], maxval=_SHARE[1])
     freed = jnp.cumsum(area[order])
     is_taken = freed - area[order] < wanted
@@ -50,7 +54,8 @@ def remove(
     """
     is_mine = episode.is_placed & ~episode.is_started
     which = supported_by(which & is_mine, episode.support_graph.leans_on & is_mine[:, None])
-    slots, index = jnp.arange(len(episode.object_index)), jnp.maximum(episode.object_index, 0)
+    slots = jnp.arange(len(episode.object_index))
+    index = jnp.maximum(episode.object_index, 0)
     is_kept = (slots < episode.slot) & ~which[index]
     group = jnp.where(is_kept, 0, jnp.where(slots == episode.slot, 1, 2))
     last = 3

@@ -29,18 +29,27 @@ _UPRIGHT = np.cos(1e-3)
 _CELL = 0.007
 _SHARED = 0.05
 """Share of the smaller footprint from which one of two objects counts as above the other."""
-_CARRIED, _NEAR = 0.25, 0.025
-"""What is over an object with this share of its own footprint, within so many metres, lies on it."""
+# What is over an object with this share of its own footprint, within so many metres, lies on it.
+_CARRIED = 0.25
+_NEAR = 0.025
+
 _MOST = 0.5
 _DRAGGED = 0.01
 """Metres that an object may be moved without what lies on it."""
-_RINGS, _ANGLES = 0.003, 12
-"""Metres between circles of places that are tried, and places on each."""
-_FIRST_STEP, _PRECISION = 0.002, 0.0005
-_ATTEMPTS, _PASSES, _APART = 16, 4, 0.005
-"""Attempts for an object, passes for a layout; metres between attempts, twice as many after each four."""
-_STILL, _TOUCHES = 0.0005, 0.001
-"""Metres: a layout that moves less in the final check, and overlaps less, is left as it is."""
+# Metres between circles of places that are tried, and places on each.
+_RINGS = 0.003
+_ANGLES = 12
+
+_FIRST_STEP = 0.002
+_PRECISION = 0.0005
+# Attempts for an object, passes for a layout; metres between attempts, twice as many after each four.
+_ATTEMPTS = 16
+_PASSES = 4
+_APART = 0.005
+
+# Metres: a layout that moves less in the final check, and overlaps less, is left as it is.
+_STILL = 0.0005
+_TOUCHES = 0.001
 
 
 @dataclass(frozen=True)
@@ -73,7 +82,8 @@ class LayoutRepair:
     """
 
     def __init__(self, setup: Setup, config: RepairConfig) -> None:
-        self.setup, self.config = setup, config
+        self.setup = setup
+        self.config = config
         self._probe = OverlapProbe(setup.problem.world.layout)
 
     def __call__(self, objects: Sequence[int], poses: np.ndarray) -> SceneBatch:
@@ -137,7 +147,8 @@ class LayoutRepair:
 
     def _place_one(self, layout: _Layout, hand: HandScene, each: int, skipped: int) -> bool:
         """Whether an object found a stable place near its own, or near what carried it."""
-        given, limit = layout.given[each], self.config.max_shift
+        given = layout.given[each]
+        limit = self.config.max_shift
         tried: list[np.ndarray] = []
         for pose in self._places(layout, hand, each):
             apart = _APART * 2 ** (len(tried) // 4)
@@ -164,7 +175,9 @@ class LayoutRepair:
                 pose = start.copy()
                 pose[:2] += radius * np.cos(angle), radius * np.sin(angle)
                 if self._let_down(hand, each, pose):
-                    waiting.append((float(np.linalg.norm(pose[:3] - start[:3])), len(waiting), pose))
+                    waiting.append(
+                        (float(np.linalg.norm(pose[:3] - start[:3])), len(waiting), pose)
+                    )
             waiting.sort()
             # What is farther away in plan is farther away.
             while waiting and waiting[0][0] <= radius + _RINGS:
@@ -173,7 +186,8 @@ class LayoutRepair:
 
     def _let_down(self, hand: HandScene, each: int, pose: np.ndarray) -> bool:
         """Lifts or lowers a pose, in place, to where it is just free of all else; whether there is one."""
-        poses, is_placed = hand.poses.astype(float), hand.is_placed.copy()
+        poses = hand.poses.astype(float)
+        is_placed = hand.is_placed.copy()
         is_placed[each] = True
 
         def overlaps(z: float) -> bool:
@@ -181,7 +195,8 @@ class LayoutRepair:
             depths = self._probe.depths(poses, is_placed)
             return depths is None or bool((depths[each] > 0).any())
 
-        z, step = float(pose[2]), _FIRST_STEP
+        z = float(pose[2])
+        step = _FIRST_STEP
         was = overlaps(z)
         sign = 1.0 if was else -1.0
         while step <= 2 * self.config.max_shift and overlaps(z + sign * step) == was:
@@ -204,9 +219,11 @@ class _Layout:
     """
 
     def __init__(self, setup: Setup, objects: Sequence[int], given: np.ndarray) -> None:
-        self.given, self._objects = given, list(objects)
+        self.given = given
+        self._objects = list(objects)
         self._upright = given.copy()
-        world, cells = setup.problem.world, dict[int, Cells]()
+        world = setup.problem.world
+        cells = dict[int, Cells]()
         for each in objects:
             self._upright[each, 3:] = put_upright(given[each, 3:])
             cells[each] = _cells_of(*_columns_of(world, each, self._upright[each]))
@@ -219,7 +236,10 @@ class _Layout:
                 if each == other:
                     continue
                 share, lift, gap = _compare(cells[each], cells[other])
-                if share > _SHARED * min(1.0, len(cells[other][0]) / len(cells[each][0])) and lift > 0:
+                if (
+                    share > _SHARED * min(1.0, len(cells[other][0]) / len(cells[each][0]))
+                    and lift > 0
+                ):
                     self._below[each].add(other)
                     if share >= _CARRIED and abs(gap) <= _NEAR:
                         shares[other] = share
@@ -228,7 +248,8 @@ class _Layout:
 
     def order(self, first: dict[int, int]) -> list[int]:
         """The objects, each after those below it; among the others those of the least `first` come first."""
-        left, order = set(self._objects), []
+        left = set(self._objects)
+        order = []
         while left:
             free = [each for each in left if not self._below[each] & left] or list(left)
             order.append(min(free, key=lambda each: (first[each], self._lowest[each], each)))
@@ -237,7 +258,8 @@ class _Layout:
 
     def wish(self, each: int, poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
         """f64[7]: where an object would like to be now that others are at `poses`, f[K, 7]."""
-        pose, carrier = self._upright[each].copy(), self._carrier.get(each)
+        pose = self._upright[each].copy()
+        carrier = self._carrier.get(each)
         if carrier is not None and is_placed[carrier]:
             moved = poses[carrier, :2] - self.given[carrier, :2]
             if np.linalg.norm(moved) > _DRAGGED:
@@ -252,8 +274,11 @@ def _columns_of(world: World, each: int, pose: np.ndarray) -> tuple[np.ndarray, 
         ends = np.c_[profile.xy, profile.bottom], np.c_[profile.xy, profile.top]
         return transform_points(pose, ends[0]), transform_points(pose, ends[1])
     # Columns are those of the resting pose. Of what lies otherwise its box has to do.
-    points = transform_points(pose, np.concatenate([part.vertices for part in world.objects[each].parts]))
-    low, high = points.min(0), points.max(0)
+    points = transform_points(
+        pose, np.concatenate([part.vertices for part in world.objects[each].parts])
+    )
+    low = points.min(0)
+    high = points.max(0)
     grid = np.stack(np.meshgrid(*np.linspace(low[:2], high[:2], 9).T), -1).reshape(-1, 2)
     return np.c_[grid, np.full(len(grid), low[2])], np.c_[grid, np.full(len(grid), high[2])]
 
@@ -265,7 +290,8 @@ Cells = tuple[np.ndarray, np.ndarray, np.ndarray]
 def _cells_of(bottom: np.ndarray, top: np.ndarray) -> Cells:
     x, y = np.floor(bottom[:, :2] / _CELL).astype(np.int64).T
     cells, place = np.unique((x << 32) + y, return_inverse=True)
-    low, high = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
+    low = np.full(len(cells), np.inf)
+    high = np.full(len(cells), -np.inf)
     np.minimum.at(low, place, bottom[:, 2])
     np.maximum.at(high, place, top[:, 2])
     return cells, low, high

@@ -128,7 +128,9 @@ class Rules(struct.PyTreeNode, eq=False):
             attempt=jnp.int32(0),
             poses=start.poses,
             is_placed=start.is_placed,
-            history=empty_history(config.max_attempts if self.history_rows else 0, self.history_rows),
+            history=empty_history(
+                config.max_attempts if self.history_rows else 0, self.history_rows
+            ),
             counts=Counts(
                 attempts=jnp.zeros(self.num_slots, jnp.int32),
                 steps=jnp.zeros(self.num_slots, jnp.int32),
@@ -143,7 +145,9 @@ class Rules(struct.PyTreeNode, eq=False):
             drift=jnp.float32(0),
             support_graph=empty_graph(self.geometry),
             roles=roles,
-            surface=None if self.surfaces is None else jnp.full(self.geometry.num_objects, -1, jnp.int32),
+            surface=None
+            if self.surfaces is None
+            else jnp.full(self.geometry.num_objects, -1, jnp.int32),
         )
         episode = self._with_surface(episode, jax.random.fold_in(key, 5))
         return self._with_orientation(episode, jax.random.fold_in(key, 3))
@@ -197,7 +201,9 @@ class Rules(struct.PyTreeNode, eq=False):
         """The episode with an orientation drawn for its current object, where not all are upright."""
         if self.geometry.orientations is None:
             return episode
-        return episode.replace(orientation=self.geometry.orientations.draw(key, self.focus(episode)))
+        return episode.replace(
+            orientation=self.geometry.orientations.draw(key, self.focus(episode))
+        )
 
     def _with_surface(self, episode: Episode, key: Array) -> Episode:
         """The episode with a surface drawn for its current object, where there are several."""
@@ -250,10 +256,13 @@ class Rules(struct.PyTreeNode, eq=False):
         focus = self.focus(episode)
         quaternion = self.body(episode).quaternion
         proposed = pose_of_action(action, episode.region, self.height_range(episode), quaternion)
-        poses, is_placed = episode.poses.at[focus].set(proposed), episode.is_placed.at[focus].set(True)
+        poses = episode.poses.at[focus].set(proposed)
+        is_placed = episode.is_placed.at[focus].set(True)
         return poses, is_placed, focus, ~episode.is_over
 
-    def judge(self, episode: Episode, action: Array, settling: Settling) -> tuple[Episode, Transition, Array]:
+    def judge(
+        self, episode: Episode, action: Array, settling: Settling
+    ) -> tuple[Episode, Transition, Array]:
         """Judges what settled, and commits or reverts it.
 
         Returns:
@@ -261,7 +270,8 @@ class Rules(struct.PyTreeNode, eq=False):
           slot, so that the last check is due.
         """
         is_active = ~episode.is_over
-        focus, height_range = self.focus(episode), self.height_range(episode)
+        focus = self.focus(episode)
+        height_range = self.height_range(episode)
         verdict = self.acceptance.verdict(episode, focus, settling)
         is_stable = verdict == Verdict.STABLE
         is_last = episode.slot + 1 >= episode.num_slots
@@ -287,12 +297,16 @@ class Rules(struct.PyTreeNode, eq=False):
         )
         return after, transition, is_stable & is_last & is_active
 
-    def _push(self, episode: Episode, action: Array, height_range: Array, settling: Settling) -> Episode:
+    def _push(
+        self, episode: Episode, action: Array, height_range: Array, settling: Settling
+    ) -> Episode:
         """The episode with the attempt at the end of the object's history."""
         if not self.history_rows:
             return episode
         rows = settling.trajectory[:: self.config.history_stride][: self.history_rows]
-        row, history, num_steps = episode.attempt, episode.history, settling.num_steps
+        row = episode.attempt
+        history = episode.history
+        num_steps = settling.num_steps
         if self.history_steps is not None:
             num_steps = jnp.minimum(num_steps, self.history_steps)
         region = jnp.append(episode.region.half_extents, height_range)
@@ -306,7 +320,9 @@ class Rules(struct.PyTreeNode, eq=False):
             )
         )
 
-    def _commit(self, episode: Episode, focus: Array, settling: Settling, is_stable: Array) -> Episode:
+    def _commit(
+        self, episode: Episode, focus: Array, settling: Settling, is_stable: Array
+    ) -> Episode:
         """Stable: the settled poses of all stay and the next slot begins. Else: as it was before."""
         is_focus = jnp.arange(self.geometry.num_objects) == focus
         is_placed = episode.is_placed | is_focus
@@ -320,7 +336,9 @@ class Rules(struct.PyTreeNode, eq=False):
             slot=episode.slot + is_stable.astype(jnp.int32),
             attempt=attempt,
             support_graph=jax.tree.map(
-                lambda new, old: jnp.where(is_stable, new, old), support_graph, episode.support_graph
+                lambda new, old: jnp.where(is_stable, new, old),
+                support_graph,
+                episode.support_graph,
             ),
             history=jax.tree.map(
                 lambda rows: jnp.where(is_stable, jnp.zeros_like(rows), rows), episode.history
@@ -355,7 +373,9 @@ class Rules(struct.PyTreeNode, eq=False):
         stays = episode.is_started
         if episode.surface is not None:
             stays |= episode.surface != episode.surface[self.focus(episode)]
-        ruined = remove(episode, choose_removal(episode, self.geometry, stays), self.geometry, self.related)
+        ruined = remove(
+            episode, choose_removal(episode, self.geometry, stays), self.geometry, self.related
+        )
         # What could not be filled again within the budget is not worth taking apart.
         is_ruined = (episode.attempt >= config.ruin_after) & ~self._is_spent(ruined)
         after = jax.tree.map(lambda new, old: jnp.where(is_ruined, new, old), ruined, episode)
@@ -381,12 +401,21 @@ class Rules(struct.PyTreeNode, eq=False):
     def _retry(self, episode: Episode, standing: Standing, is_filled: Array) -> Episode:
         """What moved in the last check is taken away and comes again, if attempts are left."""
         limits = self.physics.config
-        moved = (standing.shift > limits.stand_full_shift) | (standing.turn > limits.stand_full_turn)
+        moved = (standing.shift > limits.stand_full_shift) | (
+            standing.turn > limits.stand_full_turn
+        )
         moved &= episode.is_placed & ~episode.is_started
-        fewer = remove(episode, moved, self.geometry, self.related).replace(is_over=jnp.bool_(False))
+        fewer = remove(episode, moved, self.geometry, self.related).replace(
+            is_over=jnp.bool_(False)
+        )
         key = jax.random.fold_in(jax.random.fold_in(episode.key, 6), episode.counts.attempts.sum())
         fewer = self._with_draws(fewer, key)
-        again = is_filled & (standing.verdict == Verdict.CREPT) & jnp.any(moved) & ~self._is_spent(fewer)
+        again = (
+            is_filled
+            & (standing.verdict == Verdict.CREPT)
+            & jnp.any(moved)
+            & ~self._is_spent(fewer)
+        )
         return jax.tree.map(lambda new, old: jnp.where(again, new, old), fewer, episode)
 
 

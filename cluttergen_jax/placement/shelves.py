@@ -46,7 +46,8 @@ from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import World, columns_of
 from cluttergen_jax.types import Array
 
-_KEPT_WORLDS, _KEPT_COLUMNS = 2, 512
+_KEPT_WORLDS = 2
+_KEPT_COLUMNS = 512
 _SHELF = 3
 """Folded into the key of a block's first scene, for the block's shelf. `Rules.begin` folds it in for that
 scene's first orientation, too, where these are drawn."""
@@ -123,7 +124,10 @@ class ShelfWorlds:
                 "the native engine",
                 "engine='native', or up to 200 `objects` and no `shelf`",
             )
-        self.config, self.support, self.keep_out, self._read = config, support, keep_out, read
+        self.config = config
+        self.support = support
+        self.keep_out = keep_out
+        self._read = read
         engines = NumberedEngines(config.shelf, config.stability, self._make_engine)
         self._sizes = WorldSizes(engines, radius, lru_cache(_KEPT_COLUMNS)(columns_of))
         self._names: list[tuple[str, ...]] = []
@@ -189,9 +193,12 @@ class Shelves:
         support: SupportAsset,
         keep_out: Sequence[Rectangle] = (),
     ) -> None:
-        self.pool, self.config = pool, config
+        self.pool = pool
+        self.config = config
         self._weights = weights_of(pool.facts, config.weights)
-        self._groups = [getattr(each, config.balance) for each in pool.facts] if config.balance else None
+        self._groups = (
+            [getattr(each, config.balance) for each in pool.facts] if config.balance else None
+        )
         most = int((self._weights > 0).sum())
         if not 1 <= config.shelf <= most:
             raise ConfigError(
@@ -213,7 +220,9 @@ class Shelves:
         self._check_sizes(support, region)
         sides = 2 if config.placement.poses == "upright" else 3
         sizes = [0.5 * float(np.linalg.norm(each.size[:sides])) for each in pool.facts]
-        self._worlds = ShelfWorlds(config, support, max(sizes), keep_out_of(keep_out), pool.__getitem__)
+        self._worlds = ShelfWorlds(
+            config, support, max(sizes), keep_out_of(keep_out), pool.__getitem__
+        )
         self._numbers = {name: number for number, name in enumerate(pool.names)}
         self._latest: tuple[tuple[str, ...], Setup] | None = None
 
@@ -223,10 +232,16 @@ class Shelves:
         Only those whose box looks too large are read (ConfigError).
         """
         config = self.config
-        drawn = [each for each, weight in zip(self.pool.facts, self._weights, strict=True) if weight > 0]
+        drawn = [
+            each for each, weight in zip(self.pool.facts, self._weights, strict=True) if weight > 0
+        ]
         free = max((surface.free_height for surface, _ in support.asked), default=math.inf)
         short = 2 * min(region.half_extents)
-        large = [each.name for each in drawn if math.hypot(*each.size) > short or each.size[2] + ROOM > free]
+        large = [
+            each.name
+            for each in drawn
+            if math.hypot(*each.size) > short or each.size[2] + ROOM > free
+        ]
         objects = [self.pool[name] for name in large]
         check_surface(objects, support, config.placement, config.contact, config.region is not None)
         check_room(objects, support, region, config.placement, config.is_piled)

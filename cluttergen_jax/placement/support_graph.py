@@ -30,7 +30,9 @@ def graph_after_settling(graph: SupportGraph, is_focus: Array, settling: Settlin
     return SupportGraph(
         leans_on=jnp.where(is_focus[:, None], settling.touches, leans_on),
         level=jnp.where(is_focus, highest + 1, graph.level).astype(jnp.int32),
-        margin=jnp.where(is_moved | is_focus, jnp.maximum(settling.margin, -MAX_MARGIN), graph.margin),
+        margin=jnp.where(
+            is_moved | is_focus, jnp.maximum(settling.margin, -MAX_MARGIN), graph.margin
+        ),
     )
 
 
@@ -55,4 +57,6 @@ def supported_by(which: Array, leans_on: Array) -> Array:
         now, _ = state
         return now | jnp.any(leans_on & now, axis=1), now
 
-    return jax.lax.while_loop(lambda state: jnp.any(state[0] != state[1]), widen, (which, which & False))[0]
+    return jax.lax.while_loop(
+        lambda state: jnp.any(state[0] != state[1]), widen, (which, which & False)
+    )[0]

@@ -110,7 +110,8 @@ def shares_beyond(support_map: SupportMap, geometry: Geometry, poses: Array) -> 
     """
     points, is_point = _footprints(geometry, poses)
     T_map_object = support_map.place(from_pose(poses))
-    turn, shift = T_map_object.rotation().as_matrix()[:, :2], T_map_object.translation()[:, None, :2]
+    turn = T_map_object.rotation().as_matrix()[:, :2]
+    shift = T_map_object.translation()[:, None, :2]
     xy = jnp.einsum("kab,kpb->kpa", turn, points) + shift
     return share_beyond(support_map, xy, is_point)
 
@@ -121,7 +122,8 @@ def _footprints(geometry: Geometry, poses: Array) -> tuple[Array, Array]:
     if found is None:
         points = jnp.concatenate([geometry.column_xy, geometry.column_bottom[..., None]], axis=-1)
         return points, geometry.is_column
-    rows, which = jnp.arange(geometry.num_objects), geometry.orientations_at(poses)
+    rows = jnp.arange(geometry.num_objects)
+    which = geometry.orientations_at(poses)
     points = jnp.concatenate(
         [found.column_xy[rows, which], found.column_bottom[rows, which][..., None]], axis=-1
     )

@@ -24,8 +24,10 @@ from cluttergen_jax.types import Array
 ROOM = 0.003
 """Metres that have to be free above the tallest object under a board."""
 _LEAST_FREE = 0.02
-_TOUCHING, _STANDS = 1e-4, 0.0005
-"""Metres: of a base's points, and of a margin that holds."""
+# Metres: of a base's points, and of a margin that holds.
+_TOUCHING = 1e-4
+_STANDS = 0.0005
+
 _TURNS = 16
 _FAR = 100.0
 """Metres, more than any support measures."""
@@ -48,7 +50,10 @@ class SurfaceSet(struct.PyTreeNode):
 
     @staticmethod
     def of(
-        support: SupportAsset, objects: Sequence[ObjectAsset], regions: Sequence[Region], is_upright: bool
+        support: SupportAsset,
+        objects: Sequence[ObjectAsset],
+        regions: Sequence[Region],
+        is_upright: bool,
     ) -> SurfaceSet:
         """Those that a support is asked for, and their regions.
 
@@ -106,10 +111,18 @@ class SurfaceSet(struct.PyTreeNode):
 
         above, beyond = jax.vmap(height)(self.regions)
         is_over = (above >= 0) & (beyond <= 0)
-        return jnp.argmin(jnp.where(is_over, above, _FAR + jnp.abs(above) + beyond)).astype(jnp.int32)
+        return jnp.argmin(jnp.where(is_over, above, _FAR + jnp.abs(above) + beyond)).astype(
+            jnp.int32
+        )
 
     def beside_container(
-        self, key: Array, episode: Episode, focus: Array, geometry: Geometry, asked: float, drawn: Array
+        self,
+        key: Array,
+        episode: Episode,
+        focus: Array,
+        geometry: Geometry,
+        asked: float,
+        drawn: Array,
     ) -> Array:
         """i32: a surface with something into which the current object fits, while more is to be inside.
 
@@ -154,7 +167,8 @@ def check_surface(
         raise ConfigError("a region with several surfaces", "the surfaces' own regions", hint)
     if placement.poses != "upright":
         return
-    friction, slope = contact.friction[0], min(surface.tilt for surface in surfaces)
+    friction = contact.friction[0]
+    slope = min(surface.tilt for surface in surfaces)
     fallen = [each.name for each in objects if not _stands_on_slope(each, slope, friction)]
     if fallen:
         raise ConfigError(

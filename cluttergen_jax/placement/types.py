@@ -94,14 +94,17 @@ class SupportMap(struct.PyTreeNode):
 
     def is_under(self, xy: Array) -> Array:
         """bool[...]: whether the support is below points f32[..., 2] of the map, to half a cell."""
-        return self.height.reshape(-1).at[self.index_of(xy[..., 0], xy[..., 1])].get(mode="clip") > VOID
+        return (
+            self.height.reshape(-1).at[self.index_of(xy[..., 0], xy[..., 1])].get(mode="clip")
+            > VOID
+        )
 
     def index_of(self, x: Array, y: Array) -> Array:
         """i32[...]: the cells of points f32[...] of the map, in the flattened map."""
         i, j = (
-            jnp.clip((value - self.corner[k]) * (1 / self.cell), 0.0, self.height.shape[k] - 1.0).astype(
-                jnp.int32
-            )
+            jnp.clip(
+                (value - self.corner[k]) * (1 / self.cell), 0.0, self.height.shape[k] - 1.0
+            ).astype(jnp.int32)
             for k, value in enumerate((x, y))
         )
         return i * self.height.shape[1] + j
@@ -373,7 +376,9 @@ class Episode(struct.PyTreeNode):
     def is_started(self) -> Array:
         """bool[K]: the objects that stood there when the episode began."""
         is_started = jnp.arange(len(self.object_index))[:, None] < self.first_slot
-        return jnp.any(is_started & (self.object_index[:, None] == jnp.arange(len(self.is_placed))), axis=0)
+        return jnp.any(
+            is_started & (self.object_index[:, None] == jnp.arange(len(self.is_placed))), axis=0
+        )
 
 
 class Transition(struct.PyTreeNode):

@@ -109,7 +109,9 @@ def make_world(
       ConfigError: there are no objects, or more than MAX_OBJECTS.
     """
     if not 1 <= len(objects) <= MAX_OBJECTS:
-        raise ConfigError(f"a world of {len(objects)} objects", f"1 to {MAX_OBJECTS}", "a smaller pool")
+        raise ConfigError(
+            f"a world of {len(objects)} objects", f"1 to {MAX_OBJECTS}", "a smaller pool"
+        )
     names = unique_names([asset.name for asset in objects])
     columns = {id(asset): cut(asset) for asset in objects}
     return World(

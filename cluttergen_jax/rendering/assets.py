@@ -33,8 +33,10 @@ from cluttergen_jax.rendering.picture import distinct_colour, render_model
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.sheet import contact_sheet
 
-_WIDTH, _HEIGHT = 480, 240
-_SHEET_SAMPLES, _FEWEST_SAMPLES = 200, 6
+_WIDTH = 480
+_HEIGHT = 240
+_SHEET_SAMPLES = 200
+_FEWEST_SAMPLES = 6
 _SHADOWS = 1024
 """Pixels of a shadow map a side: enough for so small a picture."""
 
@@ -97,7 +99,9 @@ def render_object(
     )
 
 
-def object_sheet(objects: Sequence[ObjectAsset], columns: int = 4, samples: int | None = None) -> np.ndarray:
+def object_sheet(
+    objects: Sequence[ObjectAsset], columns: int = 4, samples: int | None = None
+) -> np.ndarray:
     """A contact sheet: every object's surfaces beside its collision parts, and its name beneath.
 
     Args:
@@ -124,7 +128,8 @@ def support_sheet(
     """
     spec, qpos = scene_spec((), np.zeros((0, 7)), support)
     points = np.concatenate([piece.mesh.vertices for piece in collision_pieces(support)])
-    trails, spots = [], []
+    trails = []
+    spots = []
     for number, surface in enumerate(support.surfaces):
         rgb = distinct_colour(number)[:3]
         rings = [(np.array(ring), 0.004) for ring in (surface.outline, *surface.holes)]
@@ -134,13 +139,24 @@ def support_sheet(
         spots.append(transform_points(surface.pose, np.array([*surface.region.center, 0.0])))
     images = []
     draw = partial(
-        render_model, spec.compile(), qpos, width=width, height=height, focus=points, samples=samples
+        render_model,
+        spec.compile(),
+        qpos,
+        width=width,
+        height=height,
+        focus=points,
+        samples=samples,
     )
     for view in (_SURFACE_VIEW, replace(_SURFACE_VIEW, azimuth=_SURFACE_VIEW.azimuth + 180.0)):
         image = draw(camera=view, trails=trails)
         seen = fit_camera(points, view, width, height).project(np.array(spots))[0]
         labels = [
-            Ring((float(x), float(y)), (2.0, 2.0), distinct_colour(number)[:3], f"{number + 1} {each.name}")
+            Ring(
+                (float(x), float(y)),
+                (2.0, 2.0),
+                distinct_colour(number)[:3],
+                f"{number + 1} {each.name}",
+            )
             for number, ((x, y), each) in enumerate(zip(seen, support.surfaces, strict=True))
         ]
         images.append(with_rings(image, labels))
@@ -164,7 +180,9 @@ def scene_spec(
     """
     poses = np.asarray(poses, np.float64)
     if poses.shape != (len(assets), 7):
-        raise ConfigError(f"poses of shape {poses.shape} for {len(assets)} objects", f"({len(assets)}, 7)")
+        raise ConfigError(
+            f"poses of shape {poses.shape} for {len(assets)} objects", f"({len(assets)}, 7)"
+        )
     names = [f"{index:02d}-{asset.name}" for index, asset in enumerate(assets)]
     contact = ContactConfig()
     spec = populated_spec(

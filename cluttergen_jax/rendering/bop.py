@@ -89,7 +89,11 @@ class BopDataset:
         ids = add_models(self.folder, objects)
         scene = self.folder / self.split / f"{number:06d}"
         sensor = InstanceSensor(objects, support, surfaces=not picture.hulls)
-        records: dict[str, dict[int, Any]] = {"scene_camera": {}, "scene_gt": {}, "scene_gt_info": {}}
+        records: dict[str, dict[int, Any]] = {
+            "scene_camera": {},
+            "scene_gt": {},
+            "scene_gt_info": {},
+        }
         with ExitStack() as stack:
             fresh = stack.enter_context(folder_whole(scene))
             if is_drawn:
@@ -99,7 +103,9 @@ class BopDataset:
                 if is_drawn:
                     renderer.camera = camera
                     rgb = renderer.picture([RenderStyle(pose) for pose in poses])
-                    write_atomically(fresh / "rgb" / f"{view:06d}.png", png_of(Image.fromarray(rgb)))
+                    write_atomically(
+                        fresh / "rgb" / f"{view:06d}.png", png_of(Image.fromarray(rgb))
+                    )
                 image, instances = sensor.sense(poses, camera)
                 data = depth_png(image.depth, DEPTH_SCALE / 1000)
                 write_atomically(fresh / "depth" / f"{view:06d}.png", data)
@@ -123,7 +129,9 @@ class BopDataset:
                     for asset, pose in zip(objects, poses, strict=True)
                 ]
                 is_valid = np.isfinite(image.depth)
-                records["scene_gt_info"][view] = [_info_record(each, is_valid) for each in instances]
+                records["scene_gt_info"][view] = [
+                    _info_record(each, is_valid) for each in instances
+                ]
             for name, record in records.items():
                 write_atomically(fresh / f"{name}.json", lines(record))
             if origin is not None:
@@ -235,7 +243,9 @@ def drawn_pieces(asset: ObjectAsset) -> tuple[Piece, ...]:
 
 def model_ply(asset: ObjectAsset) -> bytes:
     """The surfaces as one ASCII PLY: millimetres, object frame, normals and colours at the vertices."""
-    rows, faces, count = [], [], 0
+    rows = []
+    faces = []
+    count = 0
     for piece in drawn_pieces(asset):
         surface = shade(piece.mesh, piece.uv)
         colour = np.tile(np.array(piece.rgba[:3]), (len(surface.vertices), 1))
@@ -248,7 +258,11 @@ def model_ply(asset: ObjectAsset) -> bytes:
     header = ["ply", "format ascii 1.0", f"element vertex {count}"]
     header += [f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")]
     header += [f"property uchar {name}" for name in ("red", "green", "blue")]
-    header += [f"element face {sum(map(len, faces))}", "property list uchar int vertex_indices", "end_header"]
+    header += [
+        f"element face {sum(map(len, faces))}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
     buffer.write("\n".join(header) + "\n")
     np.savetxt(buffer, np.concatenate(rows), fmt=["%.5f"] * 6 + ["%d"] * 3)
     triangles = np.concatenate(faces)
@@ -258,11 +272,14 @@ def model_ply(asset: ObjectAsset) -> bytes:
 
 def _extent(vertices: np.ndarray) -> dict[str, float]:
     """Bounding box and diameter, the largest distance between two vertices f[V, 3]; millimetres."""
-    low, high = vertices.min(0), vertices.max(0)
+    low = vertices.min(0)
+    high = vertices.max(0)
     corners = vertices[ConvexHull(vertices).vertices]
     record = {"diameter": float(pdist(corners).max())}
     record |= {f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)}
-    return record | {f"size_{axis}": float(value) for axis, value in zip("xyz", high - low, strict=True)}
+    return record | {
+        f"size_{axis}": float(value) for axis, value in zip("xyz", high - low, strict=True)
+    }
 
 
 def _symmetries(pieces: Sequence[Piece]) -> dict[str, list]:
@@ -271,7 +288,9 @@ def _symmetries(pieces: Sequence[Piece]) -> dict[str, list]:
     record: dict[str, list] = {}
     if len(found.axes):
         point = _plain(1000 * found.point)
-        record["symmetries_continuous"] = [{"axis": _plain(axis), "offset": point} for axis in found.axes]
+        record["symmetries_continuous"] = [
+            {"axis": _plain(axis), "offset": point} for axis in found.axes
+        ]
     if len(found.motions):
         scaled = found.motions * [[1.0, 1.0, 1.0, 1000.0]]
         record["symmetries_discrete"] = [_plain(motion) for motion in scaled]

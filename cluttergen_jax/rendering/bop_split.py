@@ -91,7 +91,9 @@ class BopSplit:
             number, there = known
             _check_alike(self.folder, number, there, origin)
             return Place(number, there.has_colour or not origin.has_colour)
-        is_free = origin.source == (self._first or origin.source) and origin.scene not in self._taken
+        is_free = (
+            origin.source == (self._first or origin.source) and origin.scene not in self._taken
+        )
         number = origin.scene if is_free else max(self._taken) + 1
         self._keep(number, origin)
         return Place(number, False)

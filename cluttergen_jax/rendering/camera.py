@@ -25,7 +25,8 @@ def drawn_points(model: mujoco.MjModel, data: mujoco.MjData, is_drawn: np.ndarra
     """
     points = [np.zeros((0, 3))]
     for geom in np.flatnonzero(is_drawn & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)):
-        center, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        center = model.geom_aabb[geom, :3]
+        half = model.geom_aabb[geom, 3:]
         rotation = data.geom_xmat[geom].reshape(3, 3)
         points.append(corners(center - half, center + half) @ rotation.T + data.geom_xpos[geom])
     return np.concatenate(points)
@@ -33,7 +34,8 @@ def drawn_points(model: mujoco.MjModel, data: mujoco.MjData, is_drawn: np.ndarra
 
 def axes(azimuth: float, elevation: float) -> np.ndarray:
     """f64[3, 3]: rows are the camera's right, up and forward in the world; angles in degrees."""
-    az, el = math.radians(azimuth), math.radians(elevation)
+    az = math.radians(azimuth)
+    el = math.radians(elevation)
     forward = np.array([math.cos(el) * math.cos(az), math.cos(el) * math.sin(az), math.sin(el)])
     right = np.array([math.sin(az), -math.cos(az), 0.0])
     return np.stack([right, np.cross(right, forward), forward])
@@ -63,7 +65,8 @@ def fit_eye(points: np.ndarray, view: CameraView, aspect: float) -> np.ndarray:
     depth = np.min(-(low + high) / (2 * tangents))
     ahead = seen[:, 2] - depth
     sides = [
-        _center(seen[:, k], ahead, high[k] + t * depth, -low[k] - t * depth) for k, t in enumerate(tangents)
+        _center(seen[:, k], ahead, high[k] + t * depth, -low[k] - t * depth)
+        for k, t in enumerate(tangents)
     ]
     return np.array([*sides, depth]) @ turn
 
@@ -96,15 +99,19 @@ def orbit_camera(camera: Camera) -> mujoco.MjvCamera:
     seen = mujoco.MjvCamera()
     seen.azimuth = math.degrees(math.atan2(forward[1], forward[0]))
     seen.elevation = math.degrees(math.asin(np.clip(forward[2], -1.0, 1.0)))
-    seen.distance, seen.lookat = 1.0, camera.eye + forward
+    seen.distance = 1.0
+    seen.lookat = camera.eye + forward
     return seen
 
 
 def set_view(scene: mujoco.MjvScene, camera: Camera) -> None:
     """Makes a scene that has been updated for `orbit_camera` be seen by exactly this camera."""
-    K, rotation = camera.K, camera.rotation
+    K = camera.K
+    rotation = camera.rotation
     for seen in scene.camera:
-        seen.pos, seen.forward, seen.up = camera.eye, rotation[:, 2], -rotation[:, 1]
+        seen.pos = camera.eye
+        seen.forward = rotation[:, 2]
+        seen.up = -rotation[:, 1]
         near = seen.frustum_near
         seen.frustum_width = near * camera.width / 2 / K[0, 0]
         seen.frustum_center = near * (camera.width / 2 - K[0, 2]) / K[0, 0]

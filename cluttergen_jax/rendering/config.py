@@ -25,7 +25,10 @@ class QualityConfig:
     smoothing: int
 
 
-QUALITIES: dict[Quality, QualityConfig] = {"draft": QualityConfig(1, 4), "fine": QualityConfig(10, 0)}
+QUALITIES: dict[Quality, QualityConfig] = {
+    "draft": QualityConfig(1, 4),
+    "fine": QualityConfig(10, 0),
+}
 """A draft has sharp shadows and smooth edges; a fine picture soft shadows, for some five times the time."""
 _VIEW_LIMITS = {
     "azimuth": (-3600, 3600, " degrees"),
@@ -83,5 +86,7 @@ class FilmConfig:
                 raise ConfigError(f"{name} = {getattr(self, name)}", "a finite number above zero")
         if self.fps * self.seconds > MAX_FRAMES:
             raise ConfigError(
-                f"a film of {self.fps * self.seconds:.0f} frames", f"{MAX_FRAMES} at most", "fewer `seconds`"
+                f"a film of {self.fps * self.seconds:.0f} frames",
+                f"{MAX_FRAMES} at most",
+                "fewer `seconds`",
             )

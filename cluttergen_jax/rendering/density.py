@@ -10,7 +10,12 @@ from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.overlay import with_caption
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, SceneRenderer, scene_renderer
+from cluttergen_jax.rendering.scene_renderer import (
+    PictureConfig,
+    RenderStyle,
+    SceneRenderer,
+    scene_renderer,
+)
 from cluttergen_jax.sensing.rays import SUPPORT
 
 NUM_PROPOSALS = 2048
@@ -22,7 +27,8 @@ _BLUR = 1.8
 _NEAR_TOP = 0.002
 _FAINTEST = 0.05
 """Of the density's peak, below which points are left out."""
-_FAINT, _STRONG = np.array([80.0, 205.0, 255.0]), np.array([70.0, 10.0, 150.0])
+_FAINT = np.array([80.0, 205.0, 255.0])
+_STRONG = np.array([70.0, 10.0, 150.0])
 _MOST_OPAQUE = 0.85
 
 
@@ -34,7 +40,9 @@ def density_of(proposals: np.ndarray, side: int = SIDE) -> np.ndarray:
     """
     if len(proposals) == 0:
         raise ConfigError("no proposals", "at least one", f"num_proposals={NUM_PROPOSALS}")
-    counts, _, _ = np.histogram2d(proposals[:, 0], proposals[:, 1], bins=side, range=((0, 1), (0, 1)))
+    counts, _, _ = np.histogram2d(
+        proposals[:, 0], proposals[:, 1], bins=side, range=((0, 1), (0, 1))
+    )
     # What lies at the region's edge stays inside it.
     smooth = gaussian_filter(counts, _BLUR * side / SIDE, mode="nearest")
     return smooth / smooth.max()
@@ -67,16 +75,23 @@ def density_figure(
     asked = [surface for surface, _ in recording.support.asked] if recording.support.named else []
     if len(asked) > 1 or not all(surface.is_level for surface in asked):
         what = f"{len(asked)} surfaces" if len(asked) > 1 else "a slope"
-        raise ConfigError(f"a heat map of {recording.title}, on {what}", "scenes on one level surface")
+        raise ConfigError(
+            f"a heat map of {recording.title}, on {what}", "scenes on one level surface"
+        )
     picture = picture or PictureConfig(width=1200, height=900)
     attempt = _attempt_at(recording, object_index)
     if attempt.proposals is None:
-        raise ConfigError(f"{recording.title} without proposals", "a recording with `num_proposals`")
+        raise ConfigError(
+            f"{recording.title} without proposals", "a recording with `num_proposals`"
+        )
     standing = np.flatnonzero(attempt.is_placed)
     objects = [recording.objects[index] for index in standing]
-    region, top = recording.region, recording.support.top
+    region = recording.region
+    top = recording.support.top
     corners = np.column_stack([region.corners, np.full(4, top)])
-    points = np.concatenate([close_points(objects, attempt.poses[standing], recording.support), corners])
+    points = np.concatenate(
+        [close_points(objects, attempt.poses[standing], recording.support), corners]
+    )
     with scene_renderer(objects, recording.support, points, picture) as renderer:
         styles = [RenderStyle(pose) for pose in attempt.poses[standing]]
         image = renderer.picture(styles)
@@ -125,7 +140,8 @@ def heat_points(recording: Replay, attempt: Attempt) -> tuple[np.ndarray, np.nda
       f32[M, 3], metres, world frame; their colours uint8[M, 3]; and how far apart neighbours are, metres.
     """
     assert attempt.proposals is not None
-    density, region = density_of(attempt.proposals), recording.region
+    density = density_of(attempt.proposals)
+    region = recording.region
     side = len(density)
     along = (np.arange(side) + 0.5) / side * 2 - 1
     local = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1) * region.half_extents

@@ -18,7 +18,8 @@ from cluttergen_jax.rendering.scene_renderer import (
 )
 
 GREEN = (0.13, 0.55, 0.25)
-_GHOST_ALPHA, _GHOST_TINT = 0.6, 0.72
+_GHOST_ALPHA = 0.6
+_GHOST_TINT = 0.72
 
 
 def closed_loop_slot(recording: Replay, min_failures: int = 2) -> int:
@@ -35,7 +36,9 @@ def closed_loop_slot(recording: Replay, min_failures: int = 2) -> int:
         attempts = recording.last_turn(int(index))
         if len(attempts) > min_failures and attempts[-1].is_stable:
             crowd = int(attempts[-1].is_placed.sum())
-            candidates.append((not _is_scattered(recording, attempts), crowd, len(attempts), int(index)))
+            candidates.append(
+                (not _is_scattered(recording, attempts), crowd, len(attempts), int(index))
+            )
     if not candidates:
         most = max((len(recording.last_turn(int(i))) - 1 for i in recording.placed), default=0)
         raise ConfigError(
@@ -48,7 +51,8 @@ def closed_loop_slot(recording: Replay, min_failures: int = 2) -> int:
 
 def _is_scattered(recording: Replay, attempts: tuple[Attempt, ...]) -> bool:
     """Whether an attempt ended farther from the region's middle than its corners are, or high above it."""
-    region, top = recording.region, recording.support.top
+    region = recording.region
+    top = recording.support.top
     ends = np.array([each.trajectory[-1, :3] for each in attempts])
     away = np.linalg.norm(ends[:, :2] - region.center, axis=1)
     height = np.abs(ends[:, 2] - top)
@@ -77,13 +81,18 @@ def closed_loop_figure(
     *failed, last = attempts
     others = np.flatnonzero(last.is_placed)
     actors = [recording.objects[i] for i in others] + [recording.objects[index]] * len(attempts)
-    standing = [RenderStyle(pose) for pose in last.settled[others]] + [RenderStyle(last.settled[index])]
-    ghosts = [RenderStyle(each.trajectory[-1, :7], _GHOST_ALPHA, RED, _GHOST_TINT) for each in failed]
+    standing = [RenderStyle(pose) for pose in last.settled[others]] + [
+        RenderStyle(last.settled[index])
+    ]
+    ghosts = [
+        RenderStyle(each.trajectory[-1, :7], _GHOST_ALPHA, RED, _GHOST_TINT) for each in failed
+    ]
     styles = [*standing, *ghosts]
     trails = [trail for each in failed for trail in trails_of(each)]
     poses = np.array([style.pose for style in styles])
     points = np.concatenate(
-        [close_points(actors, poses, recording.support), *(trail.points for trail in trails)], axis=0
+        [close_points(actors, poses, recording.support), *(trail.points for trail in trails)],
+        axis=0,
     )
     with scene_renderer(actors, recording.support, points, picture) as renderer:
         image = renderer.picture(styles, trails)
@@ -91,12 +100,15 @@ def closed_loop_figure(
         rings = []
         for order, pose in enumerate([*(ghost.pose for ghost in ghosts), last.settled[index]]):
             outline, _ = renderer.camera.project(transform_points(pose, vertices))
-            rgb, room = RED if order < len(failed) else GREEN, renderer.config.height / 90
+            rgb = RED if order < len(failed) else GREEN
+            room = renderer.config.height / 90
             rings.append(ring_around(outline, rgb, str(order + 1), room))
     return with_rings(image, rings)
 
 
-def trails_of(attempt: Attempt, num_steps: int | None = None, alpha: float = 0.9) -> tuple[Trail, Trail]:
+def trails_of(
+    attempt: Attempt, num_steps: int | None = None, alpha: float = 0.9
+) -> tuple[Trail, Trail]:
     """An attempt's path up to a step, and a dot where it began."""
     points = attempt.trajectory[: None if num_steps is None else num_steps + 1, :3]
     dot = points[:1] + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1e-4]])

@@ -67,7 +67,8 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
     for place, of_attempt in enumerate(segments):
         for kind, seconds in of_attempt.items():
             # Rounding the clock, not each segment, keeps the film as long as it was meant to be.
-            first, clock = round(clock * config.fps), clock + seconds / speedup
+            first = round(clock * config.fps)
+            clock = clock + seconds / speedup
             count = round(clock * config.fps) - first
             for number in range(count):
                 frames.append(_frame(recording, place, kind, (number + 1) / count, config))
@@ -76,16 +77,23 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
     return [*frames, *[end] * max(1, round(hold * config.fps))]
 
 
-def _standing(recording: Replay, poses: np.ndarray, is_placed: np.ndarray) -> tuple[RenderStyle | None, ...]:
-    return tuple(RenderStyle(poses[i]) if is_placed[i] else None for i in range(len(recording.objects)))
+def _standing(
+    recording: Replay, poses: np.ndarray, is_placed: np.ndarray
+) -> tuple[RenderStyle | None, ...]:
+    return tuple(
+        RenderStyle(poses[i]) if is_placed[i] else None for i in range(len(recording.objects))
+    )
 
 
 def _frame(recording: Replay, place: int, kind: str, progress: float, config: FilmConfig) -> Frame:
     attempt = recording.attempts[place]
     styles = list(_standing(recording, attempt.poses, attempt.is_placed))
-    row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(kind, attempt.num_steps)
+    row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(
+        kind, attempt.num_steps
+    )
     pose = attempt.trajectory[row, :7].astype(np.float64)
-    alpha, strength = 1.0, 0.0
+    alpha = 1.0
+    strength = 0.0
     trails: tuple[Trail, ...] = ()
     if kind == "approach":
         pose[2] += config.lift * (1.0 - progress) ** 2
@@ -102,18 +110,25 @@ def _frame(recording: Replay, place: int, kind: str, progress: float, config: Fi
     return Frame(tuple(styles), trails, *words)
 
 
-def _words(recording: Replay, place: int, kind: str) -> tuple[str, tuple[float, float, float] | None]:
+def _words(
+    recording: Replay, place: int, kind: str
+) -> tuple[str, tuple[float, float, float] | None]:
     attempt = recording.attempts[place]
     asset = recording.objects[attempt.object_index]
     text = f"{asset.label or asset.name}, attempt {attempt.ordinal}"
     if kind in ("approach", "settle"):
         taken = len(recording.taken_away(place))
         return text + (f" ({taken} taken away)" if taken else ""), None
-    return (f"{text}: stands", GREEN) if attempt.is_stable else (f"{text}: {attempt.verdict.sentence}", RED)
+    return (
+        (f"{text}: stands", GREEN)
+        if attempt.is_stable
+        else (f"{text}: {attempt.verdict.sentence}", RED)
+    )
 
 
 def _ending(recording: Replay) -> tuple[str, tuple[float, float, float]]:
-    placed, tried = len(recording.placed), len(recording.attempts)
+    placed = len(recording.placed)
+    tried = len(recording.attempts)
     text = f"{placed} objects, {tried} attempts"
     if recording.is_success:
         return f"{text}: the scene stands", GREEN
@@ -136,11 +151,14 @@ def replay(
     points = _end_points(recording)
     with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
         renderer.camera = camera or renderer.camera
-        image, shown = None, None
+        image = None
+        shown = None
         for frame in frames:
             # The end stands still: it is drawn once.
             if image is None or frame is not shown:
-                image = with_caption(renderer.picture(frame.styles, frame.trails), frame.caption, frame.dot)
+                image = with_caption(
+                    renderer.picture(frame.styles, frame.trails), frame.caption, frame.dot
+                )
                 shown = frame
             yield image
 
@@ -179,7 +197,8 @@ def _with_size_of(picture: PictureConfig, camera: Camera | None) -> PictureConfi
 
 def _rotate_about(camera: Camera, middle: Sequence[float], angle: float) -> Camera:
     """The camera somewhere else on its circle around a vertical axis through `middle` (x, y), metres."""
-    turn, (cos, sin) = np.eye(4), (math.cos(angle), math.sin(angle))
+    turn = np.eye(4)
+    (cos, sin) = (math.cos(angle), math.sin(angle))
     turn[:2, :2] = [[cos, -sin], [sin, cos]]
     turn[:2, 3] = middle - turn[:2, :2] @ middle
     return replace(camera, T_world_camera=turn @ camera.T_world_camera)

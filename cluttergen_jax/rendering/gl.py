@@ -15,7 +15,9 @@ from typing import Any
 
 from cluttergen_jax.errors import ClutterGenError
 
-_BACKENDS = {"Linux": ("egl", "osmesa", "glfw"), "Darwin": ("cgl", "glfw")}.get(platform.system(), ("glfw",))
+_BACKENDS = {"Linux": ("egl", "osmesa", "glfw"), "Darwin": ("cgl", "glfw")}.get(
+    platform.system(), ("glfw",)
+)
 _ANY = ("", "enable", "enabled", "on", "true", "1")
 _SAME = {"glx": "glfw", "wgl": "glfw"}
 _OFF = ("disable", "disabled", "off", "false", "0")
@@ -64,14 +66,19 @@ def _failure(backend: str) -> str | None:
     platform_asked = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     if backend in _BY_PYOPENGL and platform_asked not in ("", backend):
         return f"PYOPENGL_PLATFORM={platform_asked} rules it out"
-    command, env = [sys.executable, "-P", "-c", _PROBE], {**os.environ, "MUJOCO_GL": backend}
+    command = [sys.executable, "-P", "-c", _PROBE]
+    env = {**os.environ, "MUJOCO_GL": backend}
     try:
-        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=_PROBE_SECONDS)
+        done = subprocess.run(
+            command, env=env, capture_output=True, text=True, timeout=_PROBE_SECONDS
+        )
     except subprocess.TimeoutExpired:
         return f"no picture within {_PROBE_SECONDS} s"
     if done.returncode == 0:
         return None
-    return _plain((done.stderr.strip().splitlines() or [f"the trial ended with code {done.returncode}"])[-1])
+    return _plain(
+        (done.stderr.strip().splitlines() or [f"the trial ended with code {done.returncode}"])[-1]
+    )
 
 
 def _plain(message: object) -> str:
@@ -106,7 +113,10 @@ def find_backend() -> str:
         )
     backend, failures = _trial(given)
     if backend is None:
-        settings = {"MUJOCO_GL": given, "PYOPENGL_PLATFORM": os.environ.get("PYOPENGL_PLATFORM", "")}
+        settings = {
+            "MUJOCO_GL": given,
+            "PYOPENGL_PLATFORM": os.environ.get("PYOPENGL_PLATFORM", ""),
+        }
         named = " and ".join(f"{name}={value}" for name, value in settings.items() if value)
         unset = "".join(f"unsetting {name}, or " for name, value in settings.items() if value)
         raise RendererError(

@@ -62,7 +62,11 @@ def _add_lights(spec: mujoco.MjSpec) -> None:
         **common,
     )
     spec.worldbody.add_light(
-        name=SKY_LIGHT, dir=(0, 0, -1), diffuse=(0.44, 0.44, 0.45), specular=(0.0, 0.0, 0.0), **common
+        name=SKY_LIGHT,
+        dir=(0, 0, -1),
+        diffuse=(0.44, 0.44, 0.45),
+        specular=(0.0, 0.0, 0.0),
+        **common,
     )
 
 

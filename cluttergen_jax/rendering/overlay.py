@@ -30,18 +30,24 @@ class Ring:
     label: str = ""
 
 
-def ring_around(pixels: np.ndarray, rgb: tuple[float, float, float], label: str, room: float) -> Ring:
+def ring_around(
+    pixels: np.ndarray, rgb: tuple[float, float, float], label: str, room: float
+) -> Ring:
     """The upright ellipse around points f[P, 2] of a picture, `room` pixels away from them.
 
     It has the shape of the points' box and is as large as it takes to hold them all.
     """
-    low, high = pixels.min(0), pixels.max(0)
-    center, half = (low + high) / 2, np.maximum((high - low) / 2, 1.0)
+    low = pixels.min(0)
+    high = pixels.max(0)
+    center = (low + high) / 2
+    half = np.maximum((high - low) / 2, 1.0)
     # A ring much thinner than long is hard to see as one.
     half = np.maximum(half, half.max() * 0.45)
     reach = np.linalg.norm((pixels - center) / half, axis=1).max()
     radii = half * reach + room
-    return Ring((float(center[0]), float(center[1])), (float(radii[0]), float(radii[1])), rgb, label)
+    return Ring(
+        (float(center[0]), float(center[1])), (float(radii[0]), float(radii[1])), rgb, label
+    )
 
 
 def with_rings(image: np.ndarray, rings: Sequence[Ring]) -> np.ndarray:
@@ -51,7 +57,8 @@ def with_rings(image: np.ndarray, rings: Sequence[Ring]) -> np.ndarray:
     draw = ImageDraw.Draw(layer)
     line = max(2.0, height / 240) * _FINE
     for ring in rings:
-        center, radii = np.array(ring.center) * _FINE, np.array(ring.radii) * _FINE
+        center = np.array(ring.center) * _FINE
+        radii = np.array(ring.radii) * _FINE
         box = [*(center - radii), *(center + radii)]
         draw.ellipse(box, outline=(255, 255, 255, 150), width=round(line * 1.8))
         inner = [box[0] + line * 0.4, box[1] + line * 0.4, box[2] - line * 0.4, box[3] - line * 0.4]
@@ -60,7 +67,9 @@ def with_rings(image: np.ndarray, rings: Sequence[Ring]) -> np.ndarray:
         if ring.label:
             _add_label(draw, ring, height)
     small = layer.resize((width, height), Image.Resampling.BOX)
-    return np.asarray(Image.alpha_composite(Image.fromarray(image).convert("RGBA"), small).convert("RGB"))
+    return np.asarray(
+        Image.alpha_composite(Image.fromarray(image).convert("RGBA"), small).convert("RGB")
+    )
 
 
 def _add_label(draw: ImageDraw.ImageDraw, ring: Ring, height: int) -> None:
@@ -78,7 +87,9 @@ def _add_label(draw: ImageDraw.ImageDraw, ring: Ring, height: int) -> None:
     draw.text((x, y), ring.label, fill=(255, 255, 255, 255), font=font, anchor="mm")
 
 
-def with_caption(image: np.ndarray, text: str, rgb: tuple[float, float, float] | None = None) -> np.ndarray:
+def with_caption(
+    image: np.ndarray, text: str, rgb: tuple[float, float, float] | None = None
+) -> np.ndarray:
     """uint8[H, W, 3]: the picture with a line of text at its lower left; `rgb` colours a dot before it."""
     if not text:
         return image
@@ -90,7 +101,9 @@ def with_caption(image: np.ndarray, text: str, rgb: tuple[float, float, float] |
     font = ImageFont.load_default(size=size)
     strip = Image.new("RGBA", (width * _FINE, round(3.2 * size)), (255, 255, 255, 0))
     draw = ImageDraw.Draw(strip)
-    left, middle, room = size, strip.height / 2, 0.55 * size
+    left = size
+    middle = strip.height / 2
+    room = 0.55 * size
     dot = 0.36 * size if rgb is not None else 0.0
     start = left + room + 2.8 * dot
     end = start + draw.textlength(text, font=font) + room

@@ -13,7 +13,13 @@ from cluttergen_jax.assets.mjcf import COLLISION_GROUP, VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.camera import drawn_points, fit_camera
 from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, Trail, check_size, open_renderer, set_range
+from cluttergen_jax.rendering.renderer import (
+    HIDDEN_GROUP,
+    Trail,
+    check_size,
+    open_renderer,
+    set_range,
+)
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.sensing.camera import Camera
 
@@ -25,7 +31,9 @@ DEFAULT_VIEW = CameraView()
 def distinct_colour(index: int) -> tuple[float, float, float, float]:
     """The colour of the index-th part: neighbours in the row differ in hue and in brightness."""
     hue = (0.08 + index * 0.618034) % 1.0
-    red, green, blue = colorsys.hsv_to_rgb(hue, (0.62, 0.45, 0.75)[index % 3], (0.92, 0.80, 0.68)[index % 3])
+    red, green, blue = colorsys.hsv_to_rgb(
+        hue, (0.62, 0.45, 0.75)[index % 3], (0.92, 0.80, 0.68)[index % 3]
+    )
     return red, green, blue, 1.0
 
 
@@ -59,7 +67,8 @@ def _named_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
         names = [model.camera(i).name for i in range(model.ncam)]
         raise ConfigError(f"camera={name!r}", f"a CameraView, or one of {names}")
     camera = mujoco.MjvCamera()
-    camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, index
+    camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+    camera.fixedcamid = index
     return camera
 
 
@@ -109,11 +118,15 @@ def render_model(
     view = camera if isinstance(camera, CameraView) else DEFAULT_VIEW
     content = drawn_points(model, data, is_drawn)
     if len(content) == 0:
-        raise ConfigError("a model with nothing to draw", "geoms of group 2, or of group 3 with hulls=True")
+        raise ConfigError(
+            "a model with nothing to draw", "geoms of group 2, or of group 3 with hulls=True"
+        )
     content = np.concatenate([content, *(trail.points for trail in trails)])
     reach = set_range(model, content, view, width, height)
     if isinstance(camera, CameraView):
-        eye: Camera | mujoco.MjvCamera = fit_camera(content if focus is None else focus, view, width, height)
+        eye: Camera | mujoco.MjvCamera = fit_camera(
+            content if focus is None else focus, view, width, height
+        )
     else:
         eye = _named_camera(model, camera)
     with open_renderer(model, width, height) as renderer:

@@ -17,7 +17,10 @@ from cluttergen_jax.progress import track
 from cluttergen_jax.rendering.assets import render_object
 from cluttergen_jax.rendering.gl import gl_context
 
-_WIDTH, _HEIGHT, _SAMPLES, _JPEG = 400, 200, 4, 82
+_WIDTH = 400
+_HEIGHT = 200
+_SAMPLES = 4
+_JPEG = 82
 _STYLE = """
 body { font: 14px/1.45 system-ui, sans-serif; margin: 1.5em auto; max-width: 1300px; color: #28303a; }
 input[type=search] { font: inherit; padding: .3em .6em; width: 22em; }
@@ -84,7 +87,8 @@ def _card(asset: ObjectAsset) -> str:
     flags = "".join(f'<p class="flag">{html.escape(flag)}</p>' for flag in asset.flags)
     notes = "".join(f"<p>{html.escape(note)}</p>" for note in asset.notes)
     size = " x ".join(f"{2000 * half:.0f}" for half in asset.half_extents)
-    quality, provenance = asset.quality, asset.provenance
+    quality = asset.quality
+    provenance = asset.provenance
     measured = [f"{size} mm", f"{asset.mass:.3g} kg", f"{len(asset.parts)} parts"]
     if quality.deviation is not None:
         measured.append(f"deviation {100 * quality.deviation:.1f} %")

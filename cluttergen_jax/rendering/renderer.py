@@ -21,7 +21,8 @@ from cluttergen_jax.rendering.lighting import KEY_DIRECTION, KEY_LIGHT, SKY_LIGH
 from cluttergen_jax.sensing.camera import Camera
 
 HIDDEN_GROUP = 5
-MAX_SIDE, MAX_SAMPLES = 8192, 4096
+MAX_SIDE = 8192
+MAX_SAMPLES = 4096
 _MAX_EXTRA = 4000
 _GOLDEN = 0.6180339887498949
 _EVERYTHING = mujoco.mjtCatBit.mjCAT_ALL.value
@@ -67,8 +68,12 @@ def thresholds(samples: int) -> np.ndarray:
 class Renderer:
     """See `open_renderer`. The model's groups and colours may be changed between pictures."""
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int, context: mujoco.MjrContext) -> None:
-        self.model, self.width, self.height = model, width, height
+    def __init__(
+        self, model: mujoco.MjModel, width: int, height: int, context: mujoco.MjrContext
+    ) -> None:
+        self.model = model
+        self.width = width
+        self.height = height
         self._context = context
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + _MAX_EXTRA)
         self._option = mujoco.MjvOption()
@@ -79,7 +84,8 @@ class Renderer:
 
     def set_size(self, width: int, height: int) -> None:
         """The next pictures are of this size, no larger than the first one's."""
-        self.width, self.height = width, height
+        self.width = width
+        self.height = height
         self._rect = mujoco.MjrRect(0, 0, width, height)
 
     def average(
@@ -104,7 +110,8 @@ class Renderer:
         Returns:
           uint8[height, width, 3].
         """
-        groups, limits = self.model.geom_group.copy(), thresholds(samples)
+        groups = self.model.geom_group.copy()
+        limits = thresholds(samples)
         pixels = np.empty((self.height, self.width, 3), np.uint8)
         total = np.zeros((self.height, self.width, 3), np.uint32)
         try:
@@ -151,8 +158,10 @@ class Renderer:
             if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
                 geom_of[geom.segid + 1] = geom.objid
         # MuJoCo's depth runs from 0 at the far plane to 1 at the near one, even in the inverse of distance.
-        extent, planes = self.model.stat.extent, self.model.vis.map
-        near, far = planes.znear * extent, planes.zfar * extent
+        extent = self.model.stat.extent
+        planes = self.model.vis.map
+        near = planes.znear * extent
+        far = planes.zfar * extent
         inverse = raw.astype(np.float64) * (1 / near - 1 / far) + 1 / far
         depth = np.where(raw > 0, 1 / inverse, np.inf).astype(np.float32)
         return np.flipud(depth).copy(), np.flipud(geom_of[number]).copy()
@@ -167,7 +176,8 @@ class Renderer:
         self._scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 1
 
     def _add(self, trail: Trail) -> None:
-        scene, capsule = self._scene, mujoco.mjtGeom.mjGEOM_CAPSULE
+        scene = self._scene
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
         rgba = np.array([*trail.rgb, 1.0], np.float32)
         points = np.asarray(trail.points, np.float64)
         for start, end in itertools.pairwise(points):
@@ -196,7 +206,9 @@ def open_renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[Re
             context.free()
 
 
-def set_range(model: mujoco.MjModel, points: np.ndarray, view: CameraView, width: int, height: int) -> float:
+def set_range(
+    model: mujoco.MjModel, points: np.ndarray, view: CameraView, width: int, height: int
+) -> float:
     """Fits clipping planes, shadow map and buffer to what is drawn; returns the content's radius, metres.
 
     Args:
@@ -207,9 +219,11 @@ def set_range(model: mujoco.MjModel, points: np.ndarray, view: CameraView, width
     model.stat.center = (points.min(0) + points.max(0)) / 2
     # A smaller shadow map, or a nearer far plane, leaves speckles on the floor.
     model.vis.map.shadowclip = 4.0
-    model.vis.map.znear, model.vis.map.zfar = 0.05, 500.0
+    model.vis.map.znear = 0.05
+    model.vis.map.zfar = 500.0
     model.vis.global_.fovy = view.field_of_view
-    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    model.vis.global_.offwidth = width
+    model.vis.global_.offheight = height
     return reach
 
 
@@ -224,7 +238,8 @@ def _around(direction: np.ndarray, u: float, v: float, spread: float) -> np.ndar
     side = np.cross(direction, [0.0, 0.0, 1.0])
     side /= np.linalg.norm(side)
     other = np.cross(direction, side)
-    radius, turn = spread * math.sqrt(u), 2 * math.pi * v
+    radius = spread * math.sqrt(u)
+    turn = 2 * math.pi * v
     tilted = direction + radius * (math.cos(turn) * side + math.sin(turn) * other)
     return tilted / np.linalg.norm(tilted)
 
@@ -244,7 +259,8 @@ def shift_lights(
     """
     key = yaw_matrix(yaw) @ KEY_DIRECTION
     key /= np.linalg.norm(key)
-    height, turn = 0.5 + 0.5 * u[2], 2 * math.pi * u[3]
+    height = 0.5 + 0.5 * u[2]
+    turn = 2 * math.pi * u[3]
     ring = math.sqrt(1.0 - height**2)
     directions = {
         KEY_LIGHT: _around(key, u[0], u[1], _KEY_SPREAD),

@@ -77,8 +77,9 @@ class PictureConfig:
         check_size(self.width, self.height, self.samples)
 
 
-_HIGH_RIM, _INTO = 0.05, -55.0
-"""Metres; degrees of elevation."""
+# Metres; degrees of elevation.
+_HIGH_RIM = 0.05
+_INTO = -55.0
 
 
 class SceneRenderer:
@@ -99,7 +100,10 @@ class SceneRenderer:
         content: np.ndarray,
         camera: Camera,
     ) -> None:
-        self.model_renderer, self.data, self.config, self.reach = model_renderer, data, picture, reach
+        self.model_renderer = model_renderer
+        self.data = data
+        self.config = picture
+        self.reach = reach
         self.content = content
         self.camera = camera
         model = model_renderer.model
@@ -112,7 +116,8 @@ class SceneRenderer:
 
     def fit(self, points: np.ndarray) -> None:
         """Fits light, shadows and camera to another scene, of which f64[P, 3] are all places of things."""
-        model, config = self.model_renderer.model, self.config
+        model = self.model_renderer.model
+        config = self.config
         self.content = np.concatenate([self._fixed, points])
         self.reach = set_range(model, self.content, config.view, config.width, config.height)
         self.camera = _fit_camera(self.content, points, config)
@@ -122,7 +127,10 @@ class SceneRenderer:
         self.camera = fit_camera(points, view, self.config.width, self.config.height)
 
     def picture(
-        self, styles: Sequence[RenderStyle | None], trails: Sequence[Trail] = (), light_yaw: float = 0.0
+        self,
+        styles: Sequence[RenderStyle | None],
+        trails: Sequence[Trail] = (),
+        light_yaw: float = 0.0,
     ) -> np.ndarray:
         """uint8[height, width, 3]: one style per object; None leaves it out.
 
@@ -153,15 +161,19 @@ class SceneRenderer:
         model.geom_group[:] = np.where(alpha[model.geom_bodyid] > 0, groups, HIDDEN_GROUP)
         depth, geom = self.model_renderer.measure(self.data, self.camera)
         model.geom_group[:] = groups
-        return DepthImage(depth, geom, np.where(geom >= 0, self._label[geom], FLOOR).astype(np.int32))
+        return DepthImage(
+            depth, geom, np.where(geom >= 0, self._label[geom], FLOOR).astype(np.int32)
+        )
 
     def _apply(self, styles: Sequence[RenderStyle | None]) -> np.ndarray:
         """Poses and colours for one picture; f64[nbody], the opacity of each body."""
-        model, bodies = self.model_renderer.model, self._joint_body
+        model = self.model_renderer.model
+        bodies = self._joint_body
         if len(styles) != len(bodies):
             raise ConfigError(f"{len(styles)} styles for {len(bodies)} objects", f"{len(bodies)}")
         alpha = np.ones(model.nbody)
-        qpos, colours = self._home.copy(), self.colours.copy()
+        qpos = self._home.copy()
+        colours = self.colours.copy()
         for body, row, style in zip(bodies, qpos, styles, strict=True):
             alpha[body] = 0.0 if style is None else style.alpha
             if style is not None:
@@ -197,7 +209,8 @@ def scene_renderer(
     picture = _look_over_rim(picture, support)
     model, data, content = _make_scene_model(objects, support, points, picture, materials)
     model.vis.quality.offsamples = picture.smoothing
-    width, height = picture.width, picture.height
+    width = picture.width
+    height = picture.height
     reach = set_range(model, content, picture.view, width, height)
     with open_renderer(model, width, height) as model_renderer:
         camera = _fit_camera(content, points, picture)
@@ -205,7 +218,10 @@ def scene_renderer(
 
 
 def scene_camera(
-    objects: Sequence[ObjectAsset], support: SupportAsset | None, points: np.ndarray, picture: PictureConfig
+    objects: Sequence[ObjectAsset],
+    support: SupportAsset | None,
+    points: np.ndarray,
+    picture: PictureConfig,
 ) -> Camera:
     """The camera that `scene_renderer` of these begins with; needs no OpenGL."""
     picture = _look_over_rim(picture, support)
@@ -233,7 +249,11 @@ def _make_scene_model(
 
 def _look_over_rim(picture: PictureConfig, support: SupportAsset | None) -> PictureConfig:
     """Into what has a high rim the usual view looks from farther above."""
-    if support is None or picture.view != DEFAULT_VIEW or rim_height(support.region, support) < _HIGH_RIM:
+    if (
+        support is None
+        or picture.view != DEFAULT_VIEW
+        or rim_height(support.region, support) < _HIGH_RIM
+    ):
         return picture
     return replace(picture, view=replace(picture.view, elevation=_INTO))
 
@@ -250,7 +270,9 @@ def turntable_points(points: np.ndarray, num_turns: int = 36) -> np.ndarray:
     turn = 2 * np.pi * np.arange(num_turns) / num_turns
     ring = center[:2] + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     heights = corners(points.min(0), points.max(0))[:, 2]
-    return np.concatenate([np.column_stack([ring, np.full(num_turns, z)]) for z in np.unique(heights)])
+    return np.concatenate(
+        [np.column_stack([ring, np.full(num_turns, z)]) for z in np.unique(heights)]
+    )
 
 
 _MOST_TOGETHER = 300
@@ -295,7 +317,8 @@ class ScenePictures:
         Raises:
           RendererError: nothing here can draw.
         """
-        keys, points = _keys_of(objects), close_points(objects, poses, support)
+        keys = _keys_of(objects)
+        points = close_points(objects, poses, support)
         if self._renderer is None or not self._slots.keys() >= set(keys):
             self._open([objects, *others()], support, points)
         assert self._renderer is not None

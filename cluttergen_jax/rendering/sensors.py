@@ -67,7 +67,8 @@ def sense(
     picture = picture or PictureConfig()
     poses = np.asarray(poses, np.float64).reshape(-1, 7)
     points = close_points(objects, poses, support)
-    camera, rgb = camera or scene_camera(objects, support, points, picture), None
+    camera = camera or scene_camera(objects, support, points, picture)
+    rgb = None
     if is_drawn:
         with scene_renderer(objects, support, points, picture) as renderer:
             renderer.camera = camera
@@ -97,7 +98,9 @@ def segmentation_png(labels: np.ndarray) -> bytes:
       ConfigError: labels above 255, which a palette cannot hold.
     """
     if labels.max(initial=0) > 255:
-        raise ConfigError(f"a segmentation PNG of {labels.max() + 1} labels", "256 at most", "the NPZ file")
+        raise ConfigError(
+            f"a segmentation PNG of {labels.max() + 1} labels", "256 at most", "the NPZ file"
+        )
     image = Image.fromarray(labels.astype(np.uint8), mode="P")
     image.putpalette(palette().ravel().tolist())
     return png_of(image)
@@ -105,7 +108,9 @@ def segmentation_png(labels: np.ndarray) -> bytes:
 
 def palette() -> np.ndarray:
     """uint8[256, 3]: black for the floor, grey for the support, distinct colours for objects."""
-    colours = np.array([(0.0, 0.0, 0.0), (0.55, 0.55, 0.55), *(distinct_colour(k)[:3] for k in range(254))])
+    colours = np.array(
+        [(0.0, 0.0, 0.0), (0.55, 0.55, 0.55), *(distinct_colour(k)[:3] for k in range(254))]
+    )
     return np.round(255 * colours).astype(np.uint8)
 
 

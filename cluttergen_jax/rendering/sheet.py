@@ -50,9 +50,12 @@ def contact_sheet(
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(size=14)
     for index, image in enumerate(images):
-        left, upper = _GAP + index % columns * step_x, _GAP + index // columns * step_y
+        left = _GAP + index % columns * step_x
+        upper = _GAP + index // columns * step_y
         inset = ((width - image.shape[1]) // 2, (height - image.shape[0]) // 2)
-        sheet.paste(Image.fromarray(np.asarray(image, np.uint8)), (left + inset[0], upper + inset[1]))
+        sheet.paste(
+            Image.fromarray(np.asarray(image, np.uint8)), (left + inset[0], upper + inset[1])
+        )
         if captions is not None:
             text = captions[index]
             while len(text) > 1 and draw.textlength(text, font=font) > width:

@@ -15,7 +15,8 @@ NUM_TEXTURES = 20
 TEXTURES_OF = {"train": range(16), "val": range(16, 18), "test": range(18, NUM_TEXTURES)}
 """By split: what is chosen on the split `val` is judged on textures that are in no other."""
 _SIDE = 128
-_DARKEST, _BRIGHTEST = 0.15, 0.9
+_DARKEST = 0.15
+_BRIGHTEST = 0.9
 
 
 def table_texture(number: int) -> np.ndarray:
@@ -32,7 +33,9 @@ def table_texture(number: int) -> np.ndarray:
     soft /= soft.std()
     patterns = (
         lambda: (gaussian_filter(noise, 0.7, mode="wrap") > 0.9) * 1.0,
-        lambda: 0.5 + 0.5 * np.sin(x / 3.0 + 2 * gaussian_filter(noise, (20, 2), mode="wrap") / 0.06),
+        lambda: (
+            0.5 + 0.5 * np.sin(x / 3.0 + 2 * gaussian_filter(noise, (20, 2), mode="wrap") / 0.06)
+        ),
         lambda: np.abs(np.sin(2.5 * soft)),
         lambda: ((x // 16 + y // 16) % 2) * 1.0,
         lambda: 0.5 + 0.25 * (np.sin(x * np.pi / 2) + np.sin(y * np.pi / 2)),
@@ -49,9 +52,12 @@ def table_material(number: int) -> str:
 def add_table_materials(spec: mujoco.MjSpec) -> None:
     """Adds a material for each table texture."""
     for number in range(NUM_TEXTURES):
-        name, pixels = table_material(number), table_texture(number)
+        name = table_material(number)
+        pixels = table_texture(number)
         image = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
-        image.width, image.height, image.nchannel = _SIDE, _SIDE, 3
+        image.width = _SIDE
+        image.height = _SIDE
+        image.nchannel = 3
         image.data = pixels.tobytes()
         material = spec.add_material(name=name, specular=0.1, shininess=0.2, texrepeat=(2, 2))
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
@@ -78,14 +84,17 @@ def draw_light(rng: np.random.Generator) -> Light:
     ambient, diffuse, lamps = rng.uniform([0.1, 0.1, 0.4], [0.35, 0.5, 1.2])
     is_off = rng.uniform() < 1 / 3
     diffuse = rng.uniform(0.35, 0.9) if is_off else diffuse
-    return Light(float(ambient), float(diffuse), 0.0 if is_off else float(lamps), rng.uniform(0, 2 * np.pi))
+    return Light(
+        float(ambient), float(diffuse), 0.0 if is_off else float(lamps), rng.uniform(0, 2 * np.pi)
+    )
 
 
 def jitter_colours(rgba: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """f[N, 4]: colours f[N, 4] of surfaces, each a little brighter or darker, paler, of another tint."""
     number = len(rgba)
     grey = rgba[:, :3].mean(1, keepdims=True)
-    strength, gain = rng.uniform(0.7, 1.2, (number, 1)), rng.uniform(0.75, 1.2, (number, 1))
+    strength = rng.uniform(0.7, 1.2, (number, 1))
+    gain = rng.uniform(0.75, 1.2, (number, 1))
     tint = rng.normal(0, 0.04, (number, 3))
     colour = np.clip((grey + strength * (rgba[:, :3] - grey) + tint) * gain, 0, 1)
     return np.concatenate([colour, rgba[:, 3:]], axis=1)
@@ -101,17 +110,23 @@ class Appearance:
 
     def __init__(self, model: mujoco.MjModel, is_object: np.ndarray) -> None:
         self.model = model
-        is_table = (model.geom_group == VISUAL_GROUP) & (model.geom_bodyid == model.body("support").id)
-        self._table, self._objects = np.flatnonzero(is_table), np.flatnonzero(is_object)
+        is_table = (model.geom_group == VISUAL_GROUP) & (
+            model.geom_bodyid == model.body("support").id
+        )
+        self._table = np.flatnonzero(is_table)
+        self._objects = np.flatnonzero(is_object)
         self._floor = model.geom(FLOOR).id
         self._rgba = model.geom_rgba.copy()
         self._lamps = {name: model.light(name).diffuse.copy() for name in (KEY_LIGHT, SKY_LIGHT)}
-        self._materials = [model.material(table_material(number)).id for number in range(NUM_TEXTURES)]
+        self._materials = [
+            model.material(table_material(number)).id for number in range(NUM_TEXTURES)
+        ]
 
     def set_light(self, light: Light) -> None:
         """Light for the next pictures; how its lamps are turned is told to them."""
         headlight = self.model.vis.headlight
-        headlight.ambient[:], headlight.diffuse[:] = light.ambient, light.diffuse
+        headlight.ambient[:] = light.ambient
+        headlight.diffuse[:] = light.diffuse
         for name, diffuse in self._lamps.items():
             self.model.light(name).diffuse[:] = light.lamps * diffuse
             self.model.light(name).active[:] = light.lamps > 0

@@ -57,7 +57,9 @@ def save_film(frames: Iterable[np.ndarray], path: Path, fps: float) -> Path:
     """
     name = path.suffix.removeprefix(".")
     check_format(name)
-    write: Callable[[Iterable[np.ndarray], Path, float], None] = _write_gif if name == "gif" else _write_mp4
+    write: Callable[[Iterable[np.ndarray], Path, float], None] = (
+        _write_gif if name == "gif" else _write_mp4
+    )
     with file_whole(path) as fresh:
         write(frames, fresh, fps)
     return path
@@ -65,7 +67,9 @@ def save_film(frames: Iterable[np.ndarray], path: Path, fps: float) -> Path:
 
 def _write_gif(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
     if fps > 50:
-        raise ConfigError(f"a GIF of {fps:g} frames per second", "50 at most", "fps=20, or film='mp4'")
+        raise ConfigError(
+            f"a GIF of {fps:g} frames per second", "50 at most", "fps=20, or film='mp4'"
+        )
     images = [Image.fromarray(frame) for frame in frames]
     if not images:
         raise ConfigError("a film without frames", "at least one")
@@ -75,7 +79,9 @@ def _write_gif(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
     # A frame lasts whole hundredths of a second: those of the whole film are kept on average.
     ends = np.round(100 * np.arange(len(small) + 1) / fps).astype(int)
     lasting = (10 * np.diff(ends)).tolist()
-    small[0].save(path, save_all=True, append_images=small[1:], duration=lasting, loop=0, optimize=False)
+    small[0].save(
+        path, save_all=True, append_images=small[1:], duration=lasting, loop=0, optimize=False
+    )
 
 
 def _common_palette(images: list[Image.Image]) -> Image.Image:
@@ -95,7 +101,8 @@ def _write_mp4(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
     if first is None:
         raise ConfigError("a film without frames", "at least one")
     # H.264 stores colours for blocks of two by two pixels.
-    height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
+    height = first.shape[0] // 2 * 2
+    width = first.shape[1] // 2 * 2
     command = [find_ffmpeg(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
     command += ["-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264"]
     command += ["-crf", "18", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]

@@ -26,11 +26,15 @@ wrist: as on a robot's hand, 30 cm above the top, 60 degrees down."""
 
 SIZE = (640, 480)
 """Width and height of the picture in pixels, where a format asks for them."""
-_FOVY, _WIDE_FOVY = 45.0, 65.0
-_ELEVATION, _WRIST_ELEVATION = 30.0, 60.0
+_FOVY = 45.0
+_WIDE_FOVY = 65.0
+_ELEVATION = 30.0
+_WRIST_ELEVATION = 60.0
 _WRIST_HEIGHT = 0.30
-_TALL, _OVERHANG = 0.35, 0.10
-"""Metres that objects may rise above the top and reach beyond the region and are still seen."""
+# Metres that objects may rise above the top and reach beyond the region and are still seen.
+_TALL = 0.35
+_OVERHANG = 0.10
+
 _FLIP = np.array([1.0, -1.0, -1.0])
 """From columns right, down, forward to right, up, backward, and back."""
 
@@ -66,7 +70,8 @@ class Camera:
     def pinhole(self) -> Pinhole:
         """The same camera in OpenCV's frame, as everything that senses takes it."""
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = self.rotation * _FLIP, self.position
+        T[:3, :3] = self.rotation * _FLIP
+        T[:3, 3] = self.position
         focal = self.height / 2 / math.tan(math.radians(self.fovy) / 2)
         return Pinhole(self.width, self.height, intrinsics(self.width, self.height, focal), T)
 
@@ -121,4 +126,6 @@ def _looking(
     width, height = SIZE
     focal = height / 2 / math.tan(math.radians(fovy) / 2)
     eye = target - distance * forward
-    return Camera.of(name, Pinhole.looking(eye, target, width, height, focal, (up[0], up[1], up[2])))
+    return Camera.of(
+        name, Pinhole.looking(eye, target, width, height, focal, (up[0], up[1], up[2]))
+    )

@@ -41,9 +41,13 @@ class SceneModel:
 
     def object_index(self, asset_index: np.ndarray) -> np.ndarray:
         """i32[S, N]: the objects of scenes of these assets, i32[S, N]; -1 is padding in both."""
-        return np.where(asset_index < 0, -1, self.first[asset_index] + rank_of(asset_index)).astype(np.int32)
+        return np.where(asset_index < 0, -1, self.first[asset_index] + rank_of(asset_index)).astype(
+            np.int32
+        )
 
-    def qpos(self, object_index: np.ndarray, poses: np.ndarray, dtype: type = np.float64) -> np.ndarray:
+    def qpos(
+        self, object_index: np.ndarray, poses: np.ndarray, dtype: type = np.float64
+    ) -> np.ndarray:
         """[S, 7 K]: the configuration of scenes: their objects at `poses` [S, N, 7], the others waiting."""
         qpos = np.tile(self.model.qpos0.reshape(1, -1, 7).astype(dtype), (len(object_index), 1, 1))
         scene, slot = np.nonzero(object_index >= 0)
@@ -146,7 +150,9 @@ class SceneCollection:
         """f64[S, nbody, 6]."""
         model = self.model
         force = np.zeros((len(self.object_index), model.nbody, 6))
-        force[:, model.jnt_bodyid, :3] = np.where(self.is_present[..., None], 0.0, self.compiled.lift)
+        force[:, model.jnt_bodyid, :3] = np.where(
+            self.is_present[..., None], 0.0, self.compiled.lift
+        )
         return force
 
     def reset(self, data: mujoco.MjData, scene: int) -> None:
@@ -174,7 +180,8 @@ def collect(scenes: Sequence[Scene], *, visual: bool = False) -> SceneCollection
     assets = {asset.name: asset for scene in scenes for asset in scene.objects}
     number = {name: place for place, name in enumerate(assets)}
     shape = (len(scenes), max(len(scene.names) for scene in scenes))
-    asset_index, poses = np.full(shape, -1, np.int32), np.zeros((*shape, 7), np.float64)
+    asset_index = np.full(shape, -1, np.int32)
+    poses = np.zeros((*shape, 7), np.float64)
     for row, scene in enumerate(scenes):
         asset_index[row, : len(scene.objects)] = [number[asset.name] for asset in scene.objects]
         poses[row, : len(scene.objects)] = scene.poses
@@ -208,7 +215,9 @@ def check_alike(scenes: Iterable[Scene]) -> Iterator[Scene]:
     known: dict[str, ObjectAsset] = {}
     for scene in scenes:
         first = first or scene
-        same = first.contact == scene.contact and first.stability.timestep == scene.stability.timestep
+        same = (
+            first.contact == scene.contact and first.stability.timestep == scene.stability.timestep
+        )
         if not (same and _is_same(first.support, scene.support, support_hash)):
             raise ConfigError(
                 "scenes of different supports, contacts or time steps",
@@ -217,7 +226,9 @@ def check_alike(scenes: Iterable[Scene]) -> Iterator[Scene]:
             )
         for asset in scene.objects:
             if not _is_same(known.setdefault(asset.name, asset), asset, object_hash):
-                raise ConfigError(f"two different objects called {asset.name!r}", "scenes of one bank")
+                raise ConfigError(
+                    f"two different objects called {asset.name!r}", "scenes of one bank"
+                )
         yield scene
 
 

@@ -72,9 +72,12 @@ def _roles(model: mujoco.MjModel, data: mujoco.MjData, is_of: np.ndarray) -> Rol
 def _object(
     model: mujoco.MjModel, data: mujoco.MjData, body: int, roles: Roles, provenance: Provenance
 ) -> ObjectAsset:
-    turn, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
+    turn = data.xmat[body].reshape(3, 3)
+    origin = data.xpos[body]
     name = model.body(body).name or f"body-{body}"
-    pieces = tuple(geom_piece(model, data, i).transform(turn.T, -turn.T @ origin) for i in roles.surface)
+    pieces = tuple(
+        geom_piece(model, data, i).transform(turn.T, -turn.T @ origin) for i in roles.surface
+    )
     meshes = (geom_mesh(model, data, i) for i in roles.colliding or roles.surface)
     parts = tuple(Mesh.points(mesh.transform(turn.T, -turn.T @ origin).vertices) for mesh in meshes)
     axes = rotation_matrix(model.body_iquat[body])
@@ -109,15 +112,19 @@ def _support(
     seen = _roles(model, data, model.body_weldid == 0).surface
     pieces = tuple(geom_piece(model, data, i) for i in seen)
     placed = zip(objects, poses, strict=True)
-    corners = [transform_points(pose, part.vertices) for each, pose in placed for part in each.parts]
+    corners = [
+        transform_points(pose, part.vertices) for each, pose in placed for part in each.parts
+    ]
     standing = np.concatenate(corners)
     top = float(standing[:, 2].min())
     flat = [piece.mesh.vertices for piece in pieces] or [standing]
     level = np.concatenate(flat)
     level = level[np.abs(level[:, 2] - top) < _FLAT]
     outline = level if len(level) > 2 else standing
-    low, high = outline[:, :2].min(0), outline[:, :2].max(0)
+    low = outline[:, :2].min(0)
+    high = outline[:, :2].max(0)
     # What stands on an edge leaves no area to be seen.
-    center, half = (low + high) / 2, np.maximum((high - low) / 2, _FLAT)
+    center = (low + high) / 2
+    half = np.maximum((high - low) / 2, _FLAT)
     region = Rectangle((float(center[0]), float(center[1])), (float(half[0]), float(half[1])))
     return SupportAsset("support", "support", (), top, region, provenance, pieces)

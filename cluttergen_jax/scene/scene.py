@@ -20,7 +20,15 @@ _UNIT = 1e-3
 _NAMED = 10
 """Objects that a scene's text names."""
 KEYFRAME = "scene"
-_OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations", "disableflags")
+_OPTIONS = (
+    "timestep",
+    "gravity",
+    "cone",
+    "impratio",
+    "iterations",
+    "noslip_iterations",
+    "disableflags",
+)
 
 
 @dataclass(frozen=True)
@@ -102,7 +110,8 @@ class Scene:
     cameras: tuple[Camera, ...] = ()
 
     def __repr__(self) -> str:
-        names, verdict = ", ".join(self.names[:_NAMED]), self.origin.verdict or "unknown"
+        names = ", ".join(self.names[:_NAMED])
+        verdict = self.origin.verdict or "unknown"
         rest = f" and {len(self.names) - _NAMED} more" if len(self.names) > _NAMED else ""
         return f"Scene({names}{rest} on {self.support.name!r}; {verdict})"
 
@@ -153,10 +162,13 @@ class Scene:
             if not geom.priority:
                 geom.friction = self.contact.friction
             geom.condim = self.contact.condim
-            geom.solref, geom.solimp = self.contact.solref, self.contact.solimp
+            geom.solref = self.contact.solref
+            geom.solimp = self.contact.solimp
             geom.margin = self.stability.file_margin
         for each in self.cameras:
-            spec.worldbody.add_camera(name=each.name, pos=each.position, quat=each.quaternion, fovy=each.fovy)
+            spec.worldbody.add_camera(
+                name=each.name, pos=each.position, quat=each.quaternion, fovy=each.fovy
+            )
         spec.add_key(name=KEYFRAME, qpos=self.poses.ravel())
         spec.modelname = "cluttergen scene"
         if self.stability.both_detectors:
@@ -202,13 +214,19 @@ class Scene:
             )
         turn = np.array(quaternion, np.float64)
         if turn.shape != (4,) or not abs(np.linalg.norm(turn) - 1) <= 1e-6:
-            raise ConfigError(f"quaternion {tuple(quaternion)}", "four numbers of unit length, wxyz")
+            raise ConfigError(
+                f"quaternion {tuple(quaternion)}", "four numbers of unit length, wxyz"
+            )
         if np.shape(position) != (3,) or not np.isfinite(position).all():
             raise ConfigError(f"position {tuple(position)}", "three finite numbers, metres")
-        taken = {body.name for body in spec.bodies} & {prefix + name for name in (*self.names, "support")}
+        taken = {body.name for body in spec.bodies} & {
+            prefix + name for name in (*self.names, "support")
+        }
         if taken:
             raise ConfigError(
-                f"a model that has bodies called {sorted(taken)}", "names that are free", "another prefix"
+                f"a model that has bodies called {sorted(taken)}",
+                "names that are free",
+                "another prefix",
             )
         places = transform_points(np.concatenate([position, turn]), self.poses[:, :3])
         poses = np.concatenate([places, product(turn, self.poses[:, 3:])], axis=1)
@@ -218,4 +236,6 @@ class Scene:
         for option in _OPTIONS:
             setattr(child.option, option, getattr(spec.option, option))
         spec.attach(child, prefix=prefix, frame=spec.worldbody.add_frame(pos=position, quat=turn))
-        return Attachment(prefix, tuple(prefix + name for name in self.names), poses, prefix + KEYFRAME)
+        return Attachment(
+            prefix, tuple(prefix + name for name in self.names), poses, prefix + KEYFRAME
+        )

@@ -20,7 +20,13 @@ from typing import Literal
 import numpy as np
 from lxml import etree as ET
 
-from cluttergen_jax.assets.mjcf import COLLISION_GROUP, SHININESS, SPECULAR, VISUAL_GROUP, own_contact
+from cluttergen_jax.assets.mjcf import (
+    COLLISION_GROUP,
+    SHININESS,
+    SPECULAR,
+    VISUAL_GROUP,
+    own_contact,
+)
 from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
@@ -30,13 +36,23 @@ from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.world import unique_names
 from cluttergen_jax.scene.cameras import Camera
 
-_UNSEEN: dict[str, str] = {"contype": "0", "conaffinity": "0", "group": str(VISUAL_GROUP), "mass": "0"}
+_UNSEEN: dict[str, str] = {
+    "contype": "0",
+    "conaffinity": "0",
+    "group": str(VISUAL_GROUP),
+    "mass": "0",
+}
 
 _STRANGE = re.compile(r"[^A-Za-z0-9_-]")
-_BOARDS, _LIGHTEST, _THIN, _GRAVITY = 150.0, 0.1, 0.005, 9.81
-"""What moves on a support's joint and whose mass its file does not state weighs so much for its box, kg/m^3,
-and at least 0.1 kg. Friction in the joint that is not stated is enough for its weight."""
-_ARMATURE, _DAMPING = 0.01, 1.0
+# What moves on a support's joint and whose mass its file does not state weighs so much for its box, kg/m^3,
+# and at least 0.1 kg. Friction in the joint that is not stated is enough for its weight.
+_BOARDS = 150.0
+_LIGHTEST = 0.1
+_THIN = 0.005
+_GRAVITY = 9.81
+
+_ARMATURE = 0.01
+_DAMPING = 1.0
 
 
 def scene_xml(
@@ -66,11 +82,16 @@ def scene_xml(
     """
     root = ET.Element("mujoco", model="cluttergen scene")
     compiler = ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
-    if any(piece.texture for pieces in (support.pieces, *(o.pieces for o in objects)) for piece in pieces):
+    if any(
+        piece.texture
+        for pieces in (support.pieces, *(o.pieces for o in objects))
+        for piece in pieces
+    ):
         compiler.set("texturedir", assets_path)
     _add_options(root, stability, contact, names_detector and stability.both_detectors)
     _add_visual(root)
-    assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
+    assets = ET.SubElement(root, "asset")
+    world = ET.SubElement(root, "worldbody")
     _add_surroundings(assets, world)
     bodies = _SupportBodies(root, world, support, has_joints)
     _add_support(assets, bodies, support)
@@ -96,7 +117,8 @@ def object_xml(asset: ObjectAsset, contact: ContactConfig, images: str) -> bytes
     root = ET.Element("mujoco", model=asset.name)
     ET.SubElement(root, "compiler", angle="radian")
     ET.SubElement(ET.SubElement(root, "default"), "geom", contact_attributes(contact))
-    assets, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
+    assets = ET.SubElement(root, "asset")
+    world = ET.SubElement(root, "worldbody")
     _add_meshes(assets, asset, "")
     _add_body(assets, world, asset.name, asset, np.array([0, 0, 0, 1, 0, 0, 0]), contact, images)
     ET.indent(root)
@@ -159,7 +181,11 @@ def own_contact_attributes(asset: ObjectAsset, contact: ContactConfig) -> dict[s
 def _add_visual(root: ET._Element) -> None:
     visual = ET.SubElement(root, "visual")
     ET.SubElement(
-        visual, "headlight", ambient="0.32 0.32 0.33", diffuse="0.28 0.28 0.28", specular="0.05 0.05 0.05"
+        visual,
+        "headlight",
+        ambient="0.32 0.32 0.33",
+        diffuse="0.28 0.28 0.28",
+        specular="0.05 0.05 0.05",
     )
     ET.SubElement(visual, "global", offwidth="1280", offheight="960")
     ET.SubElement(visual, "quality", shadowsize="4096")
@@ -169,7 +195,9 @@ def _add_visual(root: ET._Element) -> None:
 
 def _add_surroundings(assets: ET._Element, world: ET._Element) -> None:
     sky = {"type": "skybox", "builtin": "gradient", "width": "256", "height": "1536"}
-    ET.SubElement(assets, "texture", sky, name="sky", rgb1="0.62 0.69 0.78", rgb2="0.90 0.905 0.915")
+    ET.SubElement(
+        assets, "texture", sky, name="sky", rgb1="0.62 0.69 0.78", rgb2="0.90 0.905 0.915"
+    )
     ET.SubElement(
         world,
         "light",
@@ -180,7 +208,9 @@ def _add_surroundings(assets: ET._Element, world: ET._Element) -> None:
         diffuse="0.62 0.61 0.59",
         specular="0.15 0.15 0.15",
     )
-    ET.SubElement(world, "geom", name="floor", type="plane", size="0 0 0.1", rgba="0.82 0.82 0.83 1")
+    ET.SubElement(
+        world, "geom", name="floor", type="plane", size="0 0 0.1", rgba="0.82 0.82 0.83 1"
+    )
 
 
 class _SupportBodies:
@@ -189,7 +219,8 @@ class _SupportBodies:
     def __init__(
         self, root: ET._Element, world: ET._Element, support: SupportAsset, has_joints: bool
     ) -> None:
-        self._support, self._joints = support, support.joints if has_joints else ()
+        self._support = support
+        self._joints = support.joints if has_joints else ()
         self._still = ET.SubElement(world, "body", name="support")
         self._moving: dict[int, ET._Element] = {}
         for number in range(len(self._joints)):
@@ -221,18 +252,27 @@ class _SupportBodies:
         name = f"support.{number}.{_STRANGE.sub('_', joint.name)}"
         body = ET.SubElement(above, "body", name=name)
         points = [self._support.pieces[piece].mesh.vertices for piece in joint.pieces]
-        low, high = np.zeros(3), np.zeros(3)
+        low = np.zeros(3)
+        high = np.zeros(3)
         if points:
-            low, high = np.concatenate(points).min(0), np.concatenate(points).max(0)
+            low = np.concatenate(points).min(0)
+            high = np.concatenate(points).max(0)
         size = np.maximum(high - low, _THIN)
         mass = max(_BOARDS * size.prod(), _LIGHTEST)
         inertia = mass / 12 * (np.square(size).sum() - np.square(size))
-        center, weight = (low + high) / 2, mass * _GRAVITY
+        center = (low + high) / 2
+        weight = mass * _GRAVITY
         inertial = {"diaginertia": _text(inertia)}
         if (stated := joint.body) is not None and joint.inertia is not None:
-            mass, center, weight = stated.mass, stated.center, stated.mass * _GRAVITY
+            mass = stated.mass
+            center = stated.center
+            weight = stated.mass * _GRAVITY
             inertial = {"fullinertia": _text(joint.inertia)}
-        holds = weight * float(np.linalg.norm(center - joint.anchor)) if joint.kind == "hinge" else weight
+        holds = (
+            weight * float(np.linalg.norm(center - joint.anchor))
+            if joint.kind == "hinge"
+            else weight
+        )
         if joint.friction is not None:
             # Where its axis lets it fall, it is held all the same: scenes were made on it at rest.
             lever = np.array([0.0, 0.0, 1.0])
@@ -268,14 +308,16 @@ def _add_support(assets: ET._Element, bodies: _SupportBodies, support: SupportAs
             group=str(COLLISION_GROUP if support.pieces else VISUAL_GROUP),
         )
     for index in range(len(support.parts)):
-        name, group = f"support.part-{index}", COLLISION_GROUP if support.pieces else VISUAL_GROUP
+        name = f"support.part-{index}"
+        group = COLLISION_GROUP if support.pieces else VISUAL_GROUP
         ET.SubElement(assets, "mesh", name=name, file=f"support/{part_name(index)}")
         body = bodies.of("parts", index)
         ET.SubElement(
             body, "geom", name=name, type="mesh", mesh=name, rgba=_text(PART_RGBA), group=str(group)
         )
     for index, piece in enumerate(support.pieces):
-        mesh, file = f"support.visual-{index}", f"support/visual-{index}.obj"
+        mesh = f"support.visual-{index}"
+        file = f"support/visual-{index}.obj"
         ET.SubElement(assets, "mesh", weightless(piece), name=mesh, file=file)
         _add_visual_geom(assets, bodies.of("pieces", index), mesh, piece, "support/")
 
@@ -286,7 +328,9 @@ def _add_meshes(assets: ET._Element, asset: ObjectAsset, folder: str) -> None:
         ET.SubElement(assets, "mesh", name=f"{asset.name}.part-{index}", file=file)
     for index, piece in enumerate(asset.pieces):
         file = f"{folder}visual-{index}.obj"
-        ET.SubElement(assets, "mesh", weightless(piece), name=f"{asset.name}.visual-{index}", file=file)
+        ET.SubElement(
+            assets, "mesh", weightless(piece), name=f"{asset.name}.visual-{index}", file=file
+        )
 
 
 def _add_body(
@@ -311,13 +355,20 @@ def _add_body(
     own = own_contact_attributes(asset, contact)
     for index in range(len(asset.parts)):
         ET.SubElement(
-            body, "geom", own, type="mesh", mesh=f"{asset.name}.part-{index}", group=str(COLLISION_GROUP)
+            body,
+            "geom",
+            own,
+            type="mesh",
+            mesh=f"{asset.name}.part-{index}",
+            group=str(COLLISION_GROUP),
         )
     for index, piece in enumerate(asset.pieces):
         _add_visual_geom(assets, body, f"{asset.name}.visual-{index}", piece, images)
 
 
-def _add_visual_geom(assets: ET._Element, body: ET._Element, mesh: str, piece: Piece, images: str) -> None:
+def _add_visual_geom(
+    assets: ET._Element, body: ET._Element, mesh: str, piece: Piece, images: str
+) -> None:
     geom = ET.SubElement(body, "geom", _UNSEEN, type="mesh", mesh=mesh, rgba=_text(piece.rgba))
     if piece.texture is None:
         return

@@ -1,6 +1,13 @@
 """What a camera sees of a scene: cameras, depth and labels by rays, noise, partial height maps; no JAX."""
 
-from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, Camera, find_preset, free, intrinsics, overhead
+from cluttergen_jax.sensing.camera import (
+    REALSENSE_FOCAL,
+    Camera,
+    find_preset,
+    free,
+    intrinsics,
+    overhead,
+)
 from cluttergen_jax.sensing.camera_plan import CameraPlan, parse_cameras
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
 from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera, merge_maps

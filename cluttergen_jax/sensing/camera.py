@@ -16,15 +16,23 @@ import numpy as np
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
 
-REALSENSE_SIZE, REALSENSE_FOCAL = (640, 480), 615.0
-"""Width, height and focal length in pixels of the depth image of an Intel RealSense D435."""
-SIZE, FOCAL = (160, 120), REALSENSE_FOCAL / 4
-"""The same at a quarter of the resolution: what pairs for learning are made with."""
+# Width, height and focal length in pixels of the depth image of an Intel RealSense D435.
+REALSENSE_SIZE = (640, 480)
+REALSENSE_FOCAL = 615.0
+
+# The same at a quarter of the resolution: what pairs for learning are made with.
+SIZE = (160, 120)
+FOCAL = REALSENSE_FOCAL / 4
 
 _OVERHEAD_HEIGHT = 0.75
 _SEEN_BEYOND = 0.03
-_SIDE_HEIGHT, _SIDE_DISTANCE, _SIDE_FIELD, _SIDE_SIZE = 0.40, 2.0, 60.0, 224
-_FREE_ELEVATION, _FREE_DISTANCE, _FREE_JITTER = (25.0, 65.0), (0.6, 1.1), 0.03
+_SIDE_HEIGHT = 0.40
+_SIDE_DISTANCE = 2.0
+_SIDE_FIELD = 60.0
+_SIDE_SIZE = 224
+_FREE_ELEVATION = (25.0, 65.0)
+_FREE_DISTANCE = (0.6, 1.1)
+_FREE_JITTER = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +55,16 @@ class Camera:
     T_world_camera: np.ndarray
 
     def __post_init__(self) -> None:
-        K, T = np.asarray(self.K, np.float64), np.asarray(self.T_world_camera, np.float64)
+        K = np.asarray(self.K, np.float64)
+        T = np.asarray(self.T_world_camera, np.float64)
         if self.width < 1 or self.height < 1:
-            raise ConfigError(f"a camera of {self.width} x {self.height} pixels", "1 pixel or more a side")
+            raise ConfigError(
+                f"a camera of {self.width} x {self.height} pixels", "1 pixel or more a side"
+            )
         if K.shape != (3, 3) or not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0):
-            raise ConfigError(f"intrinsics {K.tolist()}", "a 3 x 3 matrix with focal lengths above 0")
+            raise ConfigError(
+                f"intrinsics {K.tolist()}", "a 3 x 3 matrix with focal lengths above 0"
+            )
         if not _is_rigid(T):
             raise ConfigError(
                 f"a camera's pose {T.tolist()}",
@@ -81,14 +94,16 @@ class Camera:
         """
         forward = np.asarray(target, np.float64) - np.asarray(eye, np.float64)
         right = np.cross(forward, up)
-        length, across = float(np.linalg.norm(forward)), float(np.linalg.norm(right))
+        length = float(np.linalg.norm(forward))
+        across = float(np.linalg.norm(right))
         if not across > 1e-9 * max(length, 1e-9):
             raise ConfigError(
                 f"a camera at {np.round(eye, 4).tolist()} that looks at {np.round(target, 4).tolist()}",
                 "two places, not one above the other along `up`",
                 "another `up`",
             )
-        forward, right = forward / length, right / across
+        forward = forward / length
+        right = right / across
         T = np.eye(4)
         T[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
         T[:3, 3] = eye

@@ -15,7 +15,14 @@ import numpy as np
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.schema import SchemaError, convert, parse_written_json, read_written
-from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, REALSENSE_SIZE, Camera, free, overhead, side
+from cluttergen_jax.sensing.camera import (
+    REALSENSE_FOCAL,
+    REALSENSE_SIZE,
+    Camera,
+    free,
+    overhead,
+    side,
+)
 
 Size = tuple[int, int]
 _Side = Annotated[int, msgspec.Meta(ge=16, le=8192)]
@@ -108,12 +115,16 @@ def parse_cameras(asked: Sequence[str | Path], size: Size | None = None) -> tupl
         raise ConfigError(f"cameras = {asked!r}", "one camera or more", _HINT)
     plans: list[CameraPlan] = []
     for text in map(str, asked):
-        plans += _read_file(Path(text), size) if text.endswith(".json") else _plans_by_name(text, size)
+        plans += (
+            _read_file(Path(text), size) if text.endswith(".json") else _plans_by_name(text, size)
+        )
     names = [plan.name for plan in plans]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ConfigError(
-            f"cameras of one name: {', '.join(twice)}", "each name once", "'free:2' for two of a kind"
+            f"cameras of one name: {', '.join(twice)}",
+            "each name once",
+            "'free:2' for two of a kind",
         )
     return tuple(plans)
 
@@ -127,9 +138,12 @@ def _plans_by_name(text: str, size: Size | None) -> list[CameraPlan]:
             _HINT,
             closest(text, _NAMED),
         )
-    kind, number = match[1], int(match[2] or 1)
+    kind = match[1]
+    number = int(match[2] or 1)
     if not 1 <= number <= (_MOST if kind == "free" else 1):
-        allowed = f"free:1 to free:{_MOST}" if kind == "free" else f"one {kind}, which is always the same"
+        allowed = (
+            f"free:1 to free:{_MOST}" if kind == "free" else f"one {kind}, which is always the same"
+        )
         raise ConfigError(f"camera {text!r}", allowed, _HINT)
     names = [kind] if number == 1 else [f"{kind}-{place}" for place in range(number)]
     return [CameraPlan(name, size or REALSENSE_SIZE, kind) for name in names]
@@ -150,13 +164,20 @@ def _read_file(path: Path, size: Size | None) -> list[CameraPlan]:
         raise ConfigError(f"{path} has no camera", "one or more", _HINT)
     for each in found.cameras:
         _check(path, each)
-        if size is not None and each.K is not None and size[0] * each.height != size[1] * each.width:
+        if (
+            size is not None
+            and each.K is not None
+            and size[0] * each.height != size[1] * each.width
+        ):
             raise ConfigError(
                 f"{path}: camera {each.name!r} at {size[0]} x {size[1]}, K of {each.width} x {each.height}",
                 "a size of the same shape",
                 "`width` and `height` of K in the file, and no `size`",
             )
-    return [CameraPlan(each.name, size or (each.width, each.height), stored=each) for each in found.cameras]
+    return [
+        CameraPlan(each.name, size or (each.width, each.height), stored=each)
+        for each in found.cameras
+    ]
 
 
 def _check(path: Path, each: _Stored) -> None:
@@ -172,7 +193,9 @@ def _check(path: Path, each: _Stored) -> None:
             f"{path}: camera {each.name!r} has {sum(lenses)} of K, focal and fovy", "one of them"
         )
     if each.fovy is not None and not 1 <= each.fovy <= 170:
-        raise ConfigError(f"{path}: camera {each.name!r} with fovy = {each.fovy}", "1 to 170 degrees")
+        raise ConfigError(
+            f"{path}: camera {each.name!r} with fovy = {each.fovy}", "1 to 170 degrees"
+        )
     if each.K is not None and (each.K[0][1] or each.K[1][0] or each.K[2] != (0.0, 0.0, 1.0)):
         allowed = "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]], without skew"
         raise ConfigError(f"{path}: camera {each.name!r} with K = {each.K}", allowed)
@@ -189,7 +212,9 @@ def _check(path: Path, each: _Stored) -> None:
         )
 
 
-def _place_camera(stored: _Stored, size: Size, support: SupportAsset, rng: np.random.Generator) -> Camera:
+def _place_camera(
+    stored: _Stored, size: Size, support: SupportAsset, rng: np.random.Generator
+) -> Camera:
     width, height = size
     middle = support.region_points[0]
     origin = middle if stored.frame == "region" else np.zeros(3)
@@ -209,7 +234,9 @@ def _place_camera(stored: _Stored, size: Size, support: SupportAsset, rng: np.ra
         assert stored.eye is not None
         eye = origin + stored.eye
     else:
-        azimuth, elevation = (math.radians(rng.uniform(*each)) for each in (stored.azimuth, stored.elevation))
+        azimuth, elevation = (
+            math.radians(rng.uniform(*each)) for each in (stored.azimuth, stored.elevation)
+        )
         flat = math.cos(elevation)
         away = np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
         eye = target + rng.uniform(*stored.distance) * away

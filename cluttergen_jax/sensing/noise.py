@@ -59,7 +59,11 @@ class NoiseConfig:
         numbers = vars(self)
         if not all(math.isfinite(value) and value >= 0 for value in numbers.values()):
             raise ConfigError(f"noise {numbers}", "finite numbers, none below 0")
-        if max(self.edge_dropout, self.bleeding, self.patch) > 1 or self.grazing > 90 or self.jump == 0:
+        if (
+            max(self.edge_dropout, self.bleeding, self.patch) > 1
+            or self.grazing > 90
+            or self.jump == 0
+        ):
             raise ConfigError(
                 f"noise {numbers}", "shares up to 1, `grazing` up to 90 degrees, `jump` above 0"
             )
@@ -102,7 +106,9 @@ def noisy(
       ConfigError: the image is not the camera's.
     """
     if depth.shape != (camera.height, camera.width):
-        raise ConfigError(f"a depth image of {depth.shape}", f"{(camera.height, camera.width)}, the camera's")
+        raise ConfigError(
+            f"a depth image of {depth.shape}", f"{(camera.height, camera.width)}, the camera's"
+        )
     streams = rng.spawn(5)
     exact = np.asarray(depth, np.float64)
     is_missing = _lost_mask(exact, camera, config, streams[0])
@@ -113,16 +119,21 @@ def noisy(
     error = sigma * streams[3].standard_normal(depth.shape)
     measured = np.where(is_there, measured + error, measured)
     if config.quantum:
-        measured = np.where(is_there, np.round(measured / config.quantum) * config.quantum, measured)
+        measured = np.where(
+            is_there, np.round(measured / config.quantum) * config.quantum, measured
+        )
     measured = np.where(is_missing | (measured <= 0), np.nan, measured)
     return measured.astype(np.float32), _perturb_pose(camera, config, streams[4])
 
 
-def _jitter(depth: np.ndarray, camera: Camera, config: NoiseConfig, rng: np.random.Generator) -> np.ndarray:
+def _jitter(
+    depth: np.ndarray, camera: Camera, config: NoiseConfig, rng: np.random.Generator
+) -> np.ndarray:
     """Every pixel shows the depth of where it really looks."""
     focal = np.array([camera.K[1, 1], camera.K[0, 0]])
     offset = (
-        rng.standard_normal((2, *depth.shape)) * (config.lateral * focal / REALSENSE_FOCAL)[:, None, None]
+        rng.standard_normal((2, *depth.shape))
+        * (config.lateral * focal / REALSENSE_FOCAL)[:, None, None]
     )
     rows, columns = np.indices(depth.shape)
     rows = np.clip(np.rint(rows + offset[0]).astype(int), 0, depth.shape[0] - 1)
@@ -153,7 +164,8 @@ def _lost_mask(
     sides = rng.uniform(*_PATCH_SIDES, 2) * depth.shape
     corner = rng.uniform(size=2) * (depth.shape - sides)
     if rng.uniform() < config.patch:
-        (top, left), (bottom, right) = corner.astype(int), (corner + sides).astype(int)
+        (top, left) = corner.astype(int)
+        (bottom, right) = (corner + sides).astype(int)
         is_lost[top:bottom, left:right] = True
     return is_lost
 
@@ -164,7 +176,8 @@ def _finite(depth: np.ndarray) -> np.ndarray:
 
 def _is_jump(depth: np.ndarray, config: NoiseConfig) -> np.ndarray:
     """bool[H, W]: pixels on either side of a jump along a row or a column; a slope is none, however steep."""
-    finite, is_jump = _finite(depth), np.zeros(depth.shape, bool)
+    finite = _finite(depth)
+    is_jump = np.zeros(depth.shape, bool)
     for axis in (0, 1):
         bend = np.abs(np.diff(finite, 2, axis=axis)) > config.jump
         is_jump |= np.pad(bend, [(1, 1) if each == axis else (0, 0) for each in (0, 1)])

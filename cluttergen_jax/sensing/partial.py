@@ -35,9 +35,11 @@ _SAME_SURFACE = 0.03
 _BELOW = -0.02
 _RUN = 1024
 _HOLE = 2
-_NEAR_TOP, _ON_TOP = 0.02, 0.005
+_NEAR_TOP = 0.02
+_ON_TOP = 0.005
 _FEWEST_ON_TOP = 50
-_MOST_SHIFT, _MOST_SLOPE = 0.01, 0.035
+_MOST_SHIFT = 0.01
+_MOST_SLOPE = 0.035
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,9 @@ class Grid:
     cell: tuple[float, float]
 
     @staticmethod
-    def of(support: SupportAsset, radius: float, region: Rectangle | None = None, cell: float = CELL) -> Grid:
+    def of(
+        support: SupportAsset, radius: float, region: Rectangle | None = None, cell: float = CELL
+    ) -> Grid:
         """The cells over a region, and beyond it by an object's radius where the support goes on.
 
         Args:
@@ -68,10 +72,13 @@ class Grid:
           cell: the smallest side of a cell, metres.
         """
         if not 0.001 <= cell <= 0.1 or radius < 0:
-            raise ConfigError(f"cells of {cell} m, radius {radius} m", "0.001 to 0.1 m, a radius from 0 on")
+            raise ConfigError(
+                f"cells of {cell} m, radius {radius} m", "0.001 to 0.1 m, a radius from 0 on"
+            )
         region = region or support.region
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = yaw_matrix(region.yaw), (*region.center, support.top)
+        T[:3, :3] = yaw_matrix(region.yaw)
+        T[:3, 3] = (*region.center, support.top)
         T_map_region = T
         if support.named:
             T_map_region = T * np.array([1, 1, 0, 1])[:, None] + np.diag([0, 0, 1, 0])
@@ -83,7 +90,9 @@ class Grid:
             boxes = top_boxes(boxes_of(support), support.top)
             height, low, side = ground_heights(boxes, support.top)
         half = np.array(region.half_extents, np.float64)
-        sides, shape = map_cells(half + reach_beyond(boxes, np.linalg.inv(T_map_region), half, radius), cell)
+        sides, shape = map_cells(
+            half + reach_beyond(boxes, np.linalg.inv(T_map_region), half, radius), cell
+        )
         corner = -np.array(shape) / 2 * sides
         x, y = (corner[axis] + sides[axis] * (np.arange(shape[axis]) + 0.5) for axis in (0, 1))
         xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
@@ -97,7 +106,8 @@ class Grid:
     def columns(self) -> np.ndarray:
         """f64[W, H, 3]: the cells' middles on the top, world frame."""
         x, y = (
-            self.corner[axis] + self.cell[axis] * (np.arange(self.bare.shape[axis]) + 0.5) for axis in (0, 1)
+            self.corner[axis] + self.cell[axis] * (np.arange(self.bare.shape[axis]) + 0.5)
+            for axis in (0, 1)
         )
         flat = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros(self.bare.shape)], axis=-1)
         return flat @ self.T_world_region[:3, :3].T + self.T_world_region[:3, 3]
@@ -202,7 +212,8 @@ def level_camera(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
     # The turn that takes the plane's normal to the vertical, about the middle of the region.
     turn = Rotation.from_rotvec([plane[1], -plane[0], 0.0]).inv().as_matrix()
     correction = np.eye(4)
-    correction[:3, :3], correction[2, 3] = turn, -plane[2]
+    correction[:3, :3] = turn
+    correction[2, 3] = -plane[2]
     return replace(camera, T_world_camera=T @ correction @ np.linalg.inv(T) @ camera.T_world_camera)
 
 
@@ -254,7 +265,8 @@ def _height_of_rank(cells: np.ndarray, z: np.ndarray, count: np.ndarray, rank: i
             one[cells[top]] = top
             is_left = np.ones(len(z), bool)
             is_left[one[one >= 0]] = False
-            cells, z = cells[is_left], z[is_left]
+            cells = cells[is_left]
+            z = z[is_left]
     return found
 
 
@@ -277,7 +289,9 @@ def _carve_space(depth: np.ndarray, camera: Camera, grid: Grid, max_height: floa
     return np.concatenate(lowest).reshape(grid.bare.shape)
 
 
-def _lowest_empty(depth: np.ndarray, base: np.ndarray, rise: np.ndarray, heights: np.ndarray) -> np.ndarray:
+def _lowest_empty(
+    depth: np.ndarray, base: np.ndarray, rise: np.ndarray, heights: np.ndarray
+) -> np.ndarray:
     """f32[C]: `_carve_space` of some columns.
 
     Args:
@@ -301,18 +315,25 @@ def _lowest_empty(depth: np.ndarray, base: np.ndarray, rise: np.ndarray, heights
     return _crossing(room, shown, first, heights)
 
 
-def _crossing(room: np.ndarray, shown: np.ndarray, first: np.ndarray, heights: np.ndarray) -> np.ndarray:
+def _crossing(
+    room: np.ndarray, shown: np.ndarray, first: np.ndarray, heights: np.ndarray
+) -> np.ndarray:
     """f32[C]: where between two samples emptiness begins, if both lie before the same surface."""
     cells = np.arange(room.shape[1])
-    above, below = np.minimum(first, len(heights) - 1), np.maximum(first - 1, 0)
+    above = np.minimum(first, len(heights) - 1)
+    below = np.maximum(first - 1, 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         is_same = np.abs(shown[above, cells] - shown[below, cells]) < _SAME_SURFACE
         share = room[above, cells] / (room[above, cells] - room[below, cells])
     is_between = is_same & (above > below) & np.isfinite(share)
-    return heights[above] - np.where(is_between, _STEP * np.clip(share, 0.0, 1.0), 0.0).astype(np.float32)
+    return heights[above] - np.where(is_between, _STEP * np.clip(share, 0.0, 1.0), 0.0).astype(
+        np.float32
+    )
 
 
-def _interpolate_depth(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _interpolate_depth(
+    depth: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Depths at places in the picture, pixels; where neighbours differ much, the nearest of them.
 
     Returns:
@@ -320,13 +341,17 @@ def _interpolate_depth(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple
     """
     height, width = depth.shape
     is_inside = (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
-    x, y = np.clip(x - 0.5, 0, width - 1), np.clip(y - 0.5, 0, height - 1)
-    j, i = np.minimum(x.astype(np.int32), width - 2), np.minimum(y.astype(np.int32), height - 2)
-    flat, index = np.asarray(depth, np.float32).ravel(), (i * width + j).astype(np.intp)
+    x = np.clip(x - 0.5, 0, width - 1)
+    y = np.clip(y - 0.5, 0, height - 1)
+    j = np.minimum(x.astype(np.int32), width - 2)
+    i = np.minimum(y.astype(np.int32), height - 2)
+    flat = np.asarray(depth, np.float32).ravel()
+    index = (i * width + j).astype(np.intp)
     a, b, c, d = (flat[more:].take(index) for more in (0, 1, width, width + 1))
     low = np.minimum(np.minimum(a, b), np.minimum(c, d))
     high = np.maximum(np.maximum(a, b), np.maximum(c, d))
-    u, v = x - j, y - i
+    u = x - j
+    v = y - i
     with np.errstate(invalid="ignore"):
         mixed = (a * (1 - u) + b * u) * (1 - v) + (c * (1 - u) + d * u) * v
         return np.where(high - low < _SAME_SURFACE, mixed, low), is_inside

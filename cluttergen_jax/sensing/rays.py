@@ -17,12 +17,16 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.sensing.camera import Camera
 
-FLOOR, SUPPORT, FIRST_OBJECT = 0, 1, 2
-"""Labels: the floor or nothing, the support, then object k as 2 + k."""
+# Labels: the floor or nothing, the support, then object k as 2 + k.
+FLOOR = 0
+SUPPORT = 1
+FIRST_OBJECT = 2
+
 FARTHEST = 20.0
 """Metres along the optical axis; what is farther away is not seen."""
 
-_SENSED, _UNSEEN = 0, 5
+_SENSED = 0
+_UNSEEN = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,9 @@ class RaySensor:
         """Room for the state of one scene at a time; one for each thread."""
         return mujoco.MjData(self.model)
 
-    def pose(self, data: mujoco.MjData, poses: np.ndarray, is_placed: np.ndarray | None = None) -> None:
+    def pose(
+        self, data: mujoco.MjData, poses: np.ndarray, is_placed: np.ndarray | None = None
+    ) -> None:
         """Puts a scene into `data`.
 
         Args:
@@ -83,7 +89,9 @@ class RaySensor:
         """
         here = np.asarray(poses, np.float64).reshape(-1, 7)
         if here.shape != self._home.shape:
-            raise ConfigError(f"{len(here)} poses for {len(self._home)} objects", f"{len(self._home)}")
+            raise ConfigError(
+                f"{len(here)} poses for {len(self._home)} objects", f"{len(self._home)}"
+            )
         if is_placed is not None:
             here = np.where(np.asarray(is_placed, bool)[:, None], here, self._home)
         data.qpos[:] = here.ravel()
@@ -111,7 +119,8 @@ def cast_rays(
     # A direction is 1 m long along the optical axis, so that its multiples are depths.
     directions = camera.directions.reshape(-1, 3)
     lengths = np.linalg.norm(directions, axis=1)
-    geom, distance = np.empty(len(directions), np.int32), np.empty(len(directions))
+    geom = np.empty(len(directions), np.int32)
+    distance = np.empty(len(directions))
     mujoco.mj_multiRay(
         model,
         data,
@@ -149,7 +158,9 @@ def sensed_model(objects: Sequence[ObjectAsset], support: SupportAsset | None) -
       support: None leaves it and the floor out, so that rays meet nothing but objects.
     """
     names = [f"{index:02d}-{asset.name}" for index, asset in enumerate(objects)]
-    spec = populated_spec(names, objects, support, StabilityConfig().timestep, ContactConfig(), visual=True)
+    spec = populated_spec(
+        names, objects, support, StabilityConfig().timestep, ContactConfig(), visual=True
+    )
     if support is not None:
         spec.worldbody.add_geom(
             name="floor",
@@ -192,10 +203,13 @@ class InstanceSensor:
       surfaces: as for `RaySensor`.
     """
 
-    def __init__(self, objects: Sequence[ObjectAsset], support: SupportAsset, surfaces: bool = True) -> None:
+    def __init__(
+        self, objects: Sequence[ObjectAsset], support: SupportAsset, surfaces: bool = True
+    ) -> None:
         self._scene = RaySensor(sensed_model(objects, support), surfaces)
         self._alone = RaySensor(sensed_model(objects, None), surfaces)
-        self._scene_data, self._alone_data = self._scene.make_data(), self._alone.make_data()
+        self._scene_data = self._scene.make_data()
+        self._alone_data = self._alone.make_data()
         # Surfaces may reach a little beyond the collision parts.
         meshes = [[*(piece.mesh for piece in asset.pieces), *asset.parts] for asset in objects]
         self._points = [np.concatenate([mesh.vertices for mesh in each]) for each in meshes]
@@ -210,11 +224,16 @@ class InstanceSensor:
         ]
         return image, tuple(instances)
 
-    def _instance(self, index: int, poses: np.ndarray, camera: Camera, visible: np.ndarray) -> Instance:
+    def _instance(
+        self, index: int, poses: np.ndarray, camera: Camera, visible: np.ndarray
+    ) -> Instance:
         """Rays are cast where the object can be seen at most."""
-        width, height = camera.width, camera.height
+        width = camera.width
+        height = camera.height
         canvas = np.zeros((3 * height, 3 * width), bool)
-        left, right, upper, lower = self._window(transform_points(poses[index], self._points[index]), camera)
+        left, right, upper, lower = self._window(
+            transform_points(poses[index], self._points[index]), camera
+        )
         if left < right and upper < lower:
             shifted = camera.K - np.array([[0, 0, left], [0, 0, upper], [0, 0, 0]])
             window = replace(camera, width=right - left, height=lower - upper, K=shifted)
@@ -227,7 +246,8 @@ class InstanceSensor:
         rows, columns = np.nonzero(canvas)
         if not len(rows):
             return Instance(mask, visible, 0, None)
-        rows, columns = rows - height, columns - width
+        rows = rows - height
+        columns = columns - width
         box = int(columns.min()), int(columns.max()), int(rows.min()), int(rows.max())
         return Instance(mask.copy(), visible, len(rows), box)
 
@@ -236,7 +256,8 @@ class InstanceSensor:
 
         As in bop_toolkit, silhouettes are followed by a picture's size beyond each edge.
         """
-        width, height = camera.width, camera.height
+        width = camera.width
+        height = camera.height
         limits = np.array([[-width, 2 * width], [-height, 2 * height]])
         pixels, depth = camera.project(points)
         if (depth <= 0).all():

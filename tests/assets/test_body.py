@@ -32,13 +32,15 @@ def rotation_about(axis, degrees):
 
 
 def test_overlapping_pieces_count_once():
-    a, b = slab((0.05, 0.02, 0.02)), slab((0.05, 0.02, 0.02), (0.05, 0, 0))
+    a = slab((0.05, 0.02, 0.02))
+    b = slab((0.05, 0.02, 0.02), (0.05, 0, 0))
     assert solid_of([a, b]).volume == pytest.approx(0.15 * 0.04 * 0.04)
     assert solid_of([join_meshes([a, b])]).is_exact
 
 
 def test_a_hole_is_mended_and_a_void_is_filled():
-    ball, void = ellipsoid(np.full(3, 0.05)), ellipsoid(np.full(3, 0.02))
+    ball = ellipsoid(np.full(3, 0.05))
+    void = ellipsoid(np.full(3, 0.02))
     holed = Mesh(ball.vertices, ball.faces[1:])
     assert solid_of([holed]).volume == pytest.approx(solid_of([ball]).volume, rel=1e-3)
     hollow = join_meshes([ball, Mesh(void.vertices, void.faces[:, ::-1])])
@@ -73,7 +75,9 @@ def test_mass_and_inertia_of_a_box_and_a_cylinder():
     assert box.mass == pytest.approx(500 * 8 * half.prod())
     np.testing.assert_allclose(box.center, [1, 2, 3])
     x, y, z = half**2
-    np.testing.assert_allclose(box.inertia, box.mass / 3 * np.diag([y + z, x + z, x + y]), atol=1e-9)
+    np.testing.assert_allclose(
+        box.inertia, box.mass / 3 * np.diag([y + z, x + z, x + y]), atol=1e-9
+    )
     rod = mass_properties(cylinder(0.02, 0.1, sections=512), density=1, mass=2.0)
     side = 2.0 * (3 * 0.02**2 + 0.2**2) / 12
     np.testing.assert_allclose(np.diag(rod.inertia), [side, side, 2.0 * 0.02**2 / 2], rtol=1e-3)
@@ -89,7 +93,8 @@ def test_reduced_hulls_lie_inside_and_lose_little(seed):
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     few = reduce_vertices(points * [1, 0.6, 1.5])
     assert len(few) <= MAX_PART_VERTICES
-    whole, small = hull_of(points * [1, 0.6, 1.5]), hull_of(few)
+    whole = hull_of(points * [1, 0.6, 1.5])
+    small = hull_of(few)
     assert len(small.vertices) == len(few)
     assert is_within_parts(few * 0.999, [whole.points]).all()
     assert small.volume > 0.8 * whole.volume

@@ -37,7 +37,9 @@ def volume_of(parts):
 
 def peg(radius, height):
     """Points of a round peg, on and inside of its wall."""
-    angle, z = (each.ravel() for each in np.meshgrid(np.linspace(0, 2 * np.pi, 90), np.linspace(-1, 1, 9)))
+    angle, z = (
+        each.ravel() for each in np.meshgrid(np.linspace(0, 2 * np.pi, 90), np.linspace(-1, 1, 9))
+    )
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z * height / 2])
     return np.concatenate([ring, ring * [0.5, 0.5, 1]])
 
@@ -91,7 +93,9 @@ def test_components_are_taken_one_by_one():
     ball = manifold3d.Manifold.sphere(0.02, 24)
     dent = ball - ball.translate((0.03, 0, 0)) - ball.translate((0, 0.03, 0.01))
     meshes = [each.to_mesh64() for each in (dent, block(0.02, 0.02, 0.02).translate((-0.02, 0, 0)))]
-    found = exact_parts(solid_of([Mesh(each.vert_properties[:, :3], each.tri_verts) for each in meshes]), 32)
+    found = exact_parts(
+        solid_of([Mesh(each.vert_properties[:, :3], each.tri_verts) for each in meshes]), 32
+    )
     assert len(found.parts) == len(found.rest) == 1
     assert volume_of(found.parts) == pytest.approx(0.02**3)
 
@@ -116,7 +120,9 @@ def test_pieces_of_an_area_are_convex_and_fill_it(seed):
     rings = outlines_around(area, 0.002, 0.05)
     pieces = convex_pieces(rings)
     assert sum(map(signed_area, pieces)) == pytest.approx(sum(map(signed_area, rings)), rel=1e-6)
-    assert all(hull_of(each).volume == pytest.approx(signed_area(each), rel=1e-6) for each in pieces)
+    assert all(
+        hull_of(each).volume == pytest.approx(signed_area(each), rel=1e-6) for each in pieces
+    )
     # Around a hole, never into it.
     around = manifold3d.CrossSection(rings)
     assert (around - area).area() < 1e-9

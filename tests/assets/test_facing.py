@@ -76,9 +76,9 @@ def test_a_bowl_of_one_sheet_is_seen_from_both_sides():
     num = len(bowl.faces)
     assert len(after.faces) == 2 * num
     corners = after.vertices[after.faces]
-    outwards = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * corners.mean(1)).sum(
-        1
-    )
+    outwards = (
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * corners.mean(1)
+    ).sum(1)
     assert (outwards[:num] > 0).all()
     assert (outwards[num:] < 0).all()
     # The second side lies inside the first, where it belongs.

@@ -72,7 +72,9 @@ def test_of_a_large_pool_objects_are_read_when_they_are_asked_for(tmp_path, monk
     monkeypatch.setattr(pools, "MOST_READ", 2)
     read = []
     real = pools.read_object
-    monkeypatch.setattr(pools, "read_object", lambda folder: read.append(folder.name) or real(folder))
+    monkeypatch.setattr(
+        pools, "read_object", lambda folder: read.append(folder.name) or real(folder)
+    )
     pool = find_pool(path)
     assert isinstance(pool.objects, StoredObjects)
     assert pool.names == tuple(asset.name for asset in objects)

@@ -15,7 +15,9 @@ from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.xml import scene_xml
 from tests.helpers.worlds import TOP, box
 
-STABILITY, CONTACT, TABLE = StabilityConfig(), ContactConfig(), cuboid_table()
+STABILITY = StabilityConfig()
+CONTACT = ContactConfig()
+TABLE = cuboid_table()
 FLAT = (0.05, 0.05, 0.01)
 
 
@@ -32,7 +34,9 @@ def slid(model, degrees):
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
-    model.opt.gravity[:] = 9.81 * np.array([np.sin(np.radians(degrees)), 0, -np.cos(np.radians(degrees))])
+    model.opt.gravity[:] = 9.81 * np.array(
+        [np.sin(np.radians(degrees)), 0, -np.cos(np.radians(degrees))]
+    )
     start = data.qpos.copy().reshape(-1, 7)
     mujoco.mj_step(model, data, round(0.5 / model.opt.timestep))
     return (data.qpos.reshape(-1, 7) - start)[:, 0]
@@ -92,7 +96,8 @@ def test_what_slides_on_a_slope(tmp_path, make, frictions, degrees, moves):
 
 
 def test_it_is_kept_on_disk_and_absent_where_there_is_none(tmp_path):
-    plain, slippery = box("box", FLAT), replace(box("box", FLAT), friction=0.1)
+    plain = box("box", FLAT)
+    slippery = replace(box("box", FLAT), friction=0.1)
     for name, asset in (("plain", plain), ("slippery", slippery)):
         write_object(tmp_path / name, asset)
         assert read_object(tmp_path / name).friction == asset.friction

@@ -12,7 +12,9 @@ from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, PoolError
 
-every_table = pytest.mark.parametrize("name", [name for name in SUPPORTS if not make_support(name).named])
+every_table = pytest.mark.parametrize(
+    "name", [name for name in SUPPORTS if not make_support(name).named]
+)
 
 
 def rectangle(center, half, yaw):
@@ -32,7 +34,9 @@ def ends(box):
 def height_above(mesh, spots):
     """f64[P]: the highest crossing of the vertical line through each spot with a mesh, else -inf."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    to_b, to_c, to_p = (b - a)[None, :, :2], (c - a)[None, :, :2], spots[:, None] - a[None, :, :2]
+    to_b = (b - a)[None, :, :2]
+    to_c = (c - a)[None, :, :2]
+    to_p = spots[:, None] - a[None, :, :2]
     with np.errstate(divide="ignore", invalid="ignore"):
         area = to_b[..., 0] * to_c[..., 1] - to_b[..., 1] * to_c[..., 0]
         u = (to_p[..., 0] * to_c[..., 1] - to_p[..., 1] * to_c[..., 0]) / area
@@ -59,14 +63,21 @@ def check_drawing(support):
     vertices = np.concatenate([piece.mesh.vertices for piece in support.pieces])
     drawn = np.stack([vertices.min(0), vertices.max(0)])
     corners = np.array(
-        [[*xy, z] for box in support.boxes for xy in footprint(box).exterior.coords for z in ends(box)]
+        [
+            [*xy, z]
+            for box in support.boxes
+            for xy in footprint(box).exterior.coords
+            for z in ends(box)
+        ]
     )
     solid = np.stack([corners.min(0), corners.max(0)])
     size = drawn[1] - drawn[0]
     assert np.abs(drawn - solid).max(0) == pytest.approx(np.zeros(3), abs=0.03 * size.min())
     assert drawn[0, 2] == pytest.approx(0, abs=1e-9)
     assert np.abs(drawn.mean(0)[:2]).max() < 0.005
-    surfaces = [trimesh.Trimesh(p.mesh.vertices, p.mesh.faces, process=False) for p in support.pieces]
+    surfaces = [
+        trimesh.Trimesh(p.mesh.vertices, p.mesh.faces, process=False) for p in support.pieces
+    ]
     assert all(mesh.is_watertight for mesh in surfaces)
     spots = np.random.default_rng(1).uniform(-0.97, 0.97, (40, 2)) * support.region.half_extents
     spots = spots + support.region.center

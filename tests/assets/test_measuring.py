@@ -21,7 +21,8 @@ def test_poses_at_rest_are_those_of_releases_simulated_to_the_end():
     model = solo_model(asset)
     turns = np.random.default_rng(3).normal(size=(64, 4))[:6]
     for quaternion in turns / np.linalg.norm(turns, axis=1, keepdims=True):
-        data, corners = mujoco.MjData(model), asset.parts[0].vertices
+        data = mujoco.MjData(model)
+        corners = asset.parts[0].vertices
         lowest = (corners @ rotation_matrix(quaternion)[2]).min()
         data.qpos[:] = [0, 0, 0.002 - lowest, *quaternion]
         for _ in range(720):
@@ -37,7 +38,9 @@ def test_the_farthest_point_is_that_of_all(spread):
     rng = np.random.default_rng(0)
     others = rng.uniform(size=(3000, 3)) * [1, 1, 0]
     points = others[:500] + rng.normal(scale=spread, size=(500, 3))
-    assert _farthest(points, others) == pytest.approx(cKDTree(others).query(points)[0].max(), abs=1e-12)
+    assert _farthest(points, others) == pytest.approx(
+        cKDTree(others).query(points)[0].max(), abs=1e-12
+    )
     assert _farthest(points[:0], others) == 0.0
 
 

@@ -24,7 +24,9 @@ def solid_without(whole, *holes):
 
 def can():
     """Its lid and its foot lie 6 mm deep, 5 % of its size."""
-    return solid_without(cylinder(0.033, 0.1), cylinder(0.03, 0.012, 0.05), cylinder(0.03, 0.012, -0.05))
+    return solid_without(
+        cylinder(0.033, 0.1), cylinder(0.03, 0.012, 0.05), cylinder(0.03, 0.012, -0.05)
+    )
 
 
 def test_a_can_with_shallow_ends_has_at_most_four_parts():

@@ -15,20 +15,29 @@ from tests.helpers.shapes import make_box
 
 @pytest.fixture
 def pool():
-    return Pool("two", (make_box("tall"), make_box("flat", (0.05, 0.05, 0.01), seed=1)), licence="CC0")
+    return Pool(
+        "two", (make_box("tall"), make_box("flat", (0.05, 0.05, 0.01), seed=1)), licence="CC0"
+    )
 
 
 def test_what_is_written_is_read(tmp_path, pool):
     path = write_pool(tmp_path / "two", pool)
     again = read_pool(path)
-    assert (again.name, again.names, again.tier, again.licence) == ("two", pool.names, "standard", "CC0")
+    assert (again.name, again.names, again.tier, again.licence) == (
+        "two",
+        pool.names,
+        "standard",
+        "CC0",
+    )
     for old, new in zip(pool.objects, again.objects, strict=True):
         for field in ("label", "mass", "resting", "provenance", "quality", "flags", "tier"):
             assert getattr(old, field) == getattr(new, field)
         np.testing.assert_array_equal(old.cloud, new.cloud)
         np.testing.assert_allclose(old.inertia, new.inertia, rtol=1e-6)
         np.testing.assert_allclose(old.parts[0].vertices, new.parts[0].vertices, atol=1e-7)
-        np.testing.assert_allclose(old.pieces[0].mesh.vertices, new.pieces[0].mesh.vertices, atol=1e-6)
+        np.testing.assert_allclose(
+            old.pieces[0].mesh.vertices, new.pieces[0].mesh.vertices, atol=1e-6
+        )
         np.testing.assert_array_equal(old.pieces[0].mesh.faces, new.pieces[0].mesh.faces)
 
 

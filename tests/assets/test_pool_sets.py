@@ -22,7 +22,9 @@ def pools_of_a_user(home, monkeypatch):
     """Two pools of the user's own: a holds mug and pan, b holds another mug and a lid."""
     monkeypatch.setattr(run, "_outcomes", made_here)
     write_pool(user_root() / "a", Pool("a", (make_box("mug"), make_box("pan")), licence="CC0"))
-    write_pool(user_root() / "b", Pool("b", (make_box("mug", seed=1), make_box("lid")), licence="MIT"))
+    write_pool(
+        user_root() / "b", Pool("b", (make_box("mug", seed=1), make_box("lid")), licence="MIT")
+    )
 
 
 def test_all_but_some():
@@ -51,7 +53,8 @@ def test_what_cannot_be_put_together(text, message):
 
 
 def test_adding_to_a_pool(tmp_path):
-    crate, cube = tmp_path / "crate.obj", tmp_path / "cube.obj"
+    crate = tmp_path / "crate.obj"
+    cube = tmp_path / "cube.obj"
     trimesh.creation.box((0.08, 0.06, 0.04)).export(crate)
     trimesh.creation.box((0.05, 0.05, 0.05)).export(cube)
 

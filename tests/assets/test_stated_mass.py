@@ -28,7 +28,9 @@ URDF = """<robot name="r">
 
 
 def stated(mass, inertia=None, center=(0.0, 0.0, 0.0)):
-    inertia = UNIFORM.inertia * mass / UNIFORM.mass if inertia is None else np.asarray(inertia, float)
+    inertia = (
+        UNIFORM.inertia * mass / UNIFORM.mass if inertia is None else np.asarray(inertia, float)
+    )
     return combine_masses([MassProperties(mass, np.array(center), inertia)])
 
 

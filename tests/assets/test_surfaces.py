@@ -22,9 +22,14 @@ SEVERAL = [name for name in SUPPORTS if make_support(name).named]
 
 
 def cells_over(heights, region, inset=0.003):
-    x, y = (heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5) for k in (0, 1))
+    x, y = (
+        heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5)
+        for k in (0, 1)
+    )
     xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1) - region.center
-    return (np.abs(rotate_in_plane(xy, -region.yaw)) <= np.array(region.half_extents) - inset).all(-1)
+    return (np.abs(rotate_in_plane(xy, -region.yaw)) <= np.array(region.half_extents) - inset).all(
+        -1
+    )
 
 
 @pytest.mark.parametrize("name", SEVERAL)
@@ -53,9 +58,12 @@ def test_a_cube_stays_at_each_corner_of_each_region(name):
     for number, surface in enumerate(support.surfaces):
         reach = np.asarray(surface.region.half_extents) - half - 0.003
         for index, sign in enumerate([(-1, -1), (-1, 1), (1, -1), (1, 1), (0, 0)]):
-            local = np.array([*(np.asarray(surface.region.center) + np.asarray(sign) * reach), half, 1.0])
+            local = np.array(
+                [*(np.asarray(surface.region.center) + np.asarray(sign) * reach), half, 1.0]
+            )
             body = spec.worldbody.add_body(name=f"cube-{number}-{index}")
-            body.pos, body.quat = (surface.T_world_surface @ local)[:3], surface.quaternion
+            body.pos = (surface.T_world_surface @ local)[:3]
+            body.quat = surface.quaternion
             body.add_freejoint()
             body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(half, half, half), density=500)
     model = spec.compile()
@@ -79,7 +87,12 @@ def test_surfaces_and_parts_survive_the_disk(name, tmp_path):
 def test_a_flat_top_is_one_surface_and_its_file_is_of_the_first_format(tmp_path):
     table = cuboid_table(0.4, 0.5)
     (top,) = table.surfaces
-    assert (top.name, top.area, top.is_level, top.free_height) == ("top", pytest.approx(0.2), True, math.inf)
+    assert (top.name, top.area, top.is_level, top.free_height) == (
+        "top",
+        pytest.approx(0.2),
+        True,
+        math.inf,
+    )
     assert table.on_surface("top") is table
     record = json.loads((write_support(tmp_path / "table", table) / "support.json").read_text())
     assert record["format"] == 1
@@ -121,7 +134,9 @@ def test_what_stands_on_a_surface_is_ground_and_what_hangs_is_ceiling():
     )
     region = Rectangle((0, 0), (0.5, 0.5))
     surface = Surface("top", (0, 0, 0.1), region, tuple(map(tuple, region.corners.tolist())))
-    support = SupportAsset("s", "s", boxes, 0.1, region, cuboid_table().provenance, named=(surface,))
+    support = SupportAsset(
+        "s", "s", boxes, 0.1, region, cuboid_table().provenance, named=(surface,)
+    )
     heights = surface_heights(support, surface)
 
     def at(x, y):
@@ -135,7 +150,9 @@ def test_what_stands_on_a_surface_is_ground_and_what_hangs_is_ceiling():
     assert (heights.ground[[0, -1]] < -1).all()
     assert (heights.ground[:, [0, -1]] < -1).all()
     # The same as one convex part more: a wedge hangs where it is.
-    part = Mesh.points(np.array([(x, y, z) for x in (-0.1, 0.1) for y in (0.3, 0.5) for z in (0.25, 0.4)]))
+    part = Mesh.points(
+        np.array([(x, y, z) for x in (-0.1, 0.1) for y in (0.3, 0.5) for z in (0.25, 0.4)])
+    )
     more = SupportAsset(**{**support.__dict__, "parts": (part,)})
     assert surface_heights(more, surface).ceiling[at(0, 0.4)] == pytest.approx(0.15)
 

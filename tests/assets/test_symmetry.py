@@ -31,7 +31,11 @@ SHAPES = {
     "cylinder": (prism(64), 1, 1),
     "cone": (trimesh.creation.cone(0.04, 0.09, sections=64), 1, 0),
     "ball": (trimesh.creation.icosphere(2, 0.04), 3, 0),
-    "wedge": (trimesh.convex.convex_hull([[0, 0, 0], [0.1, 0, 0], [0, 0.06, 0], [0, 0, 0.04]]), 0, 0),
+    "wedge": (
+        trimesh.convex.convex_hull([[0, 0, 0], [0.1, 0, 0], [0, 0.06, 0], [0, 0, 0.04]]),
+        0,
+        0,
+    ),
 }
 
 

@@ -134,7 +134,9 @@ def test_large_images_are_shrunk_unless_asked(tmp_path):
 
 def test_supports_keep_their_image(tmp_path):
     vertices, faces, uv = textured.slab()
-    piece = Piece(Mesh(vertices * 5, faces), (1.0, 1.0, 1.0, 1.0), uv, Texture.of(textured.picture()))
+    piece = Piece(
+        Mesh(vertices * 5, faces), (1.0, 1.0, 1.0, 1.0), uv, Texture.of(textured.picture())
+    )
     support = support_from_mesh(Shape("tray", "tray", (piece,), SOURCE))
     back = read_support(write_support(tmp_path / "tray", support))
     assert support_hash(back) == support_hash(support)
@@ -148,12 +150,15 @@ def test_welding_keeps_seams_and_simplifying_keeps_the_image():
     ball = trimesh.creation.uv_sphere(radius=0.1, count=(60, 60))
     around = np.arctan2(ball.vertices[:, 1], ball.vertices[:, 0]) / (2 * np.pi)
     uv = np.column_stack([np.mod(around, 1), ball.vertices[:, 2] / 0.2 + 0.5])
-    corners, corner_uv = ball.vertices[ball.faces].reshape(-1, 3), uv[ball.faces].reshape(-1, 2)
+    corners = ball.vertices[ball.faces].reshape(-1, 3)
+    corner_uv = uv[ball.faces].reshape(-1, 2)
     # Triangles over the seam end at one.
     wraps = np.ptp(corner_uv[:, 0].reshape(-1, 3), axis=1) > 0.5
     low = corner_uv[:, 0].reshape(-1, 3) < 0.5
     corner_uv[:, 0] += (wraps[:, None] & low).ravel()
-    stripes = Image.fromarray(np.repeat(np.arange(256, dtype=np.uint8)[None], 64, axis=0)).convert("RGB")
+    stripes = Image.fromarray(np.repeat(np.arange(256, dtype=np.uint8)[None], 64, axis=0)).convert(
+        "RGB"
+    )
     faces = np.arange(len(corners)).reshape(-1, 3)
     piece = Piece(Mesh(corners, faces), (1.0, 1.0, 1.0, 1.0), corner_uv, Texture.of(stripes))
     (small,) = simplify_pieces([piece], max_textured=3000)

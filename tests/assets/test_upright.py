@@ -48,9 +48,14 @@ def test_a_box_rests_on_each_side_and_tips_over_an_edge():
 def test_poses_turn_with_the_body(seed):
     points = np.random.default_rng(seed).normal(size=(40, 3)) * (0.03, 0.05, 0.02)
     turn = Rotation.random(random_state=seed).as_matrix()
-    before, after = stances(points, np.zeros(3)), stances(points @ turn.T, np.zeros(3))
-    np.testing.assert_allclose([each.tip for each in before], [each.tip for each in after], atol=1e-6)
-    np.testing.assert_allclose([turn @ each.up for each in before], [each.up for each in after], atol=1e-6)
+    before = stances(points, np.zeros(3))
+    after = stances(points @ turn.T, np.zeros(3))
+    np.testing.assert_allclose(
+        [each.tip for each in before], [each.tip for each in after], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        [turn @ each.up for each in before], [each.up for each in after], atol=1e-6
+    )
 
 
 LIES = Rotation.from_euler("x", 90, degrees=True).as_matrix()

@@ -14,7 +14,9 @@ def as_mesh(tri):
 
 
 def random_rotation(seed):
-    return trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).uniform(size=3))[:3, :3]
+    return trimesh.transformations.random_rotation_matrix(
+        np.random.default_rng(seed).uniform(size=3)
+    )[:3, :3]
 
 
 def open_box(half=(0.05, 0.04, 0.03), wall=0.004):
@@ -23,7 +25,9 @@ def open_box(half=(0.05, 0.04, 0.03), wall=0.004):
     slabs = [((x, y, wall), (0, 0, wall))]
     slabs += [((wall, y, z), (side * (x - wall), 0, z)) for side in (-1, 1)]
     slabs += [((x, wall, z), (0, side * (y - wall), z)) for side in (-1, 1)]
-    return join_meshes([Mesh(box(np.array(h)).vertices + c, box(np.array(h)).faces) for h, c in slabs])
+    return join_meshes(
+        [Mesh(box(np.array(h)).vertices + c, box(np.array(h)).faces) for h, c in slabs]
+    )
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -38,7 +38,9 @@ def pools(tmp_path_factory):
     root = tmp_path_factory.mktemp("pools")
     small = [box(f"box-{number}", (0.02, 0.02, 0.02)) for number in range(3)]
     extra = {"long": box("plank", (0.2, 0.15, 0.01)), "tall": box("pole", (0.02, 0.02, 0.4))}
-    return {name: write_pool(root / name, Pool(name, (*small, each))) for name, each in extra.items()}
+    return {
+        name: write_pool(root / name, Pool(name, (*small, each))) for name, each in extra.items()
+    }
 
 
 def outcome(words, capsys):
@@ -55,7 +57,9 @@ def follow(words, said):
     """The words of a command, changed as an error advises."""
     if meant := re.search(r"'([^']*)'.*Did you mean '([^']*)'\?", said):
         # The misspelt name, wherever it is among the words.
-        return [re.sub(rf"(?<![\w-]){re.escape(meant[1])}(?![\w-])", meant[2], word) for word in words]
+        return [
+            re.sub(rf"(?<![\w-]){re.escape(meant[1])}(?![\w-])", meant[2], word) for word in words
+        ]
     hint = said.partition("Try: ")[2].strip().rstrip(".")
     if found := re.match(r"(?:leaving out )?--no-([a-z-]+)", hint):
         return [word for word in words if word != f"--{found[1]}"]
@@ -158,7 +162,8 @@ QUICK = [
 
 
 @pytest.mark.parametrize(
-    "asked", [asked if asked in QUICK else pytest.param(asked, marks=pytest.mark.slow) for asked in REFUSED]
+    "asked",
+    [asked if asked in QUICK else pytest.param(asked, marks=pytest.mark.slow) for asked in REFUSED],
 )
 def test_the_advice_of_generate_works(asked, capsys, tmp_path, pools):
     asked = asked.replace("LONG", str(pools["long"])).replace("TALL", str(pools["tall"]))
@@ -179,7 +184,9 @@ def hints():
         tree = ast.parse(path.read_text())
         # Hints that several errors share have a name.
         shared = {
-            ast.unparse(each.targets[0]): each.value for each in tree.body if isinstance(each, ast.Assign)
+            ast.unparse(each.targets[0]): each.value
+            for each in tree.body
+            if isinstance(each, ast.Assign)
         }
         for node in ast.walk(tree):
             if not isinstance(node, ast.Call) or not ast.unparse(node.func).endswith("Error"):
@@ -192,7 +199,8 @@ def hints():
 
 
 def test_commands_and_options_that_hints_name_exist():
-    commands, options = 0, 0
+    commands = 0
+    options = 0
     for place, text in hints():
         for name, more in re.findall(r"cluttergen ([a-z][a-z-]*)((?: [a-z]+)?)", text):
             commands += 1

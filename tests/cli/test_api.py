@@ -109,7 +109,11 @@ def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monk
             ["generate", "--threads", "-1"],
         ),
         (lambda: cluttergen_jax.generate(num_scenes=0), "num_scenes = 0", ["generate", "-n", "0"]),
-        (lambda: cluttergen_jax.verify("x.xml", jobs=-1), "jobs = -1", ["verify", "x.xml", "--jobs", "-1"]),
+        (
+            lambda: cluttergen_jax.verify("x.xml", jobs=-1),
+            "jobs = -1",
+            ["verify", "x.xml", "--jobs", "-1"],
+        ),
         (
             lambda: cluttergen_jax.train(memory_limit=-1.0),
             "memory_limit = -1.0",
@@ -121,7 +125,13 @@ def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monk
             ["generate", "--method", "drop", "--checkpoint", policy],
         ),
     ]
-    flags = ["--threads -1", "--num-scenes 0", "--jobs -1", "--memory-limit -1.0", "--checkpoint with method"]
+    flags = [
+        "--threads -1",
+        "--num-scenes 0",
+        "--jobs -1",
+        "--memory-limit -1.0",
+        "--checkpoint with method",
+    ]
     for (call, said, words), flag in zip(doors, flags, strict=True):
         with pytest.raises(ConfigError, match=re.escape(said)) as raised:
             call()
@@ -133,7 +143,10 @@ def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monk
 
 def test_flags_stand_for_arguments_and_not_for_what_is_quoted_of_a_file():
     said = 'cup.urdf: <mesh scale="0.1 0.1">, not 1 < 2; `scale` or scale = -1'
-    assert with_flags(said, Import) == 'cup.urdf: <mesh scale="0.1 0.1">, not 1 < 2; --scale or --scale -1'
+    assert (
+        with_flags(said, Import)
+        == 'cup.urdf: <mesh scale="0.1 0.1">, not 1 < 2; --scale or --scale -1'
+    )
 
 
 def test_the_library_speaks_of_no_flags():

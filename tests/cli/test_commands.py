@@ -26,7 +26,18 @@ from cluttergen_jax.placement.region import REGION_CHANGES
 from cluttergen_jax.scene.export.bank_folder import BANK_FORMATS
 from cluttergen_jax.scene.export.formats import FORMATS
 
-HEAVY = {"jax", "mujoco", "flax", "brax", "scipy", "trimesh", "coacd", "pyarrow", "matplotlib", "PIL"}
+HEAVY = {
+    "jax",
+    "mujoco",
+    "flax",
+    "brax",
+    "scipy",
+    "trimesh",
+    "coacd",
+    "pyarrow",
+    "matplotlib",
+    "PIL",
+}
 EXPLAINED = """
 import json, sys
 from cluttergen_jax.cli.main import main
@@ -49,7 +60,9 @@ def imported(*commands):
 
 def test_help_imports_nothing_heavy():
 
-    found = imported(["--help"], ["--version"], ["generat"], *([name, "--help"] for name in COMMANDS))
+    found = imported(
+        ["--help"], ["--version"], ["generat"], *([name, "--help"] for name in COMMANDS)
+    )
     assert found.pop("--help") == found.pop("--version") == found.pop("generat") == []
     assert set(found) == {f"{name} --help" for name in COMMANDS}
     assert {each for modules in found.values() for each in modules} <= {"tyro", "numpy"}
@@ -116,7 +129,10 @@ def test_a_misspelt_command_is_told_what_was_meant(capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--num-objects", "50"], "50 objects asked for, 10 chosen of pool 'dining'. Allowed: 1 to 10,"),
+        (
+            ["--num-objects", "50"],
+            "50 objects asked for, 10 chosen of pool 'dining'. Allowed: 1 to 10,",
+        ),
         (
             ["--num-objects", "3", "--objects", "mug", "bowl"],
             "3 objects asked for, 2 chosen of pool 'dining'",
@@ -124,7 +140,9 @@ def test_a_misspelt_command_is_told_what_was_meant(capsys):
         (["--support", "table-0.1x0.1"], "footprints cover 10.6 times its area"),
     ],
 )
-def test_a_request_that_cannot_be_met_is_refused_at_once(words, said, tmp_path, capsys, monkeypatch):
+def test_a_request_that_cannot_be_met_is_refused_at_once(
+    words, said, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr(generate, "run_blocks", None)
     assert main(["generate", *words, "--out", str(tmp_path / "bank")]) == 2
     assert said in capsys.readouterr().err
@@ -145,12 +163,17 @@ def test_what_samples_scenes_loads_neither_trainers_nor_importers():
 def test_what_a_command_compiles_the_next_one_finds(tmp_path):
     """All of `generate` is kept on disk: a program that calls back into Python could not be."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
-    environment |= {"CLUTTERGEN_HOME": str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    environment |= {
+        "CLUTTERGEN_HOME": str(tmp_path),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
     programs = []
     for seed in ("0", "1"):
         words = ["generate", "--method", "clear", "-n", "1", "--max-files", "0", "--seed", seed]
         words = [sys.executable, "-m", "cluttergen_jax", *words, "--out", str(tmp_path / seed)]
         subprocess.run(words, env=environment, capture_output=True, check=True)
         programs.append({path.name for path in tmp_path.glob("programs/*/*-cache")})
-    assert {"jit_propose", "jit_judge", "jit_conclude"} <= {name.split("-")[0] for name in programs[0]}
+    assert {"jit_propose", "jit_judge", "jit_conclude"} <= {
+        name.split("-")[0] for name in programs[0]
+    }
     assert programs[0] == programs[1]

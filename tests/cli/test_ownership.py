@@ -75,14 +75,20 @@ WRITERS = {
     "perception data": Writing("perception data --pool {trio} --arm 0 --out {out}"),
     "perception train": Writing("perception train {out} --out {out}"),
     "perception eval": Writing("perception eval {out} --out {out}"),
-    "robot grasps": Writing("robot grasps {trio} --out {out}.parquet", "{out}.parquet", is_beside=True),
+    "robot grasps": Writing(
+        "robot grasps {trio} --out {out}.parquet", "{out}.parquet", is_beside=True
+    ),
     "robot place": Writing("robot place {bank} --out {out}", "{out}/place"),
-    "robot place bank": Writing("robot place --pool {trio} --num-objects 2 --out {out}", "{out}/bank"),
+    "robot place bank": Writing(
+        "robot place --pool {trio} --num-objects 2 --out {out}", "{out}/bank"
+    ),
     "robot dataset": Writing("robot dataset {bank} --out {out}"),
     "rearrange": Writing("rearrange --pool dining --out {out}", "{out}/paper"),
     "import": Writing("import {file} --pool new --time-limit 60", "{pools}/new", is_beside=True),
     "import add": Writing("import {file} --pool mine --add", "{pools}/mine", is_beside=True),
-    "import support": Writing("import --support {table} --name desk", "{supports}/desk", is_beside=True),
+    "import support": Writing(
+        "import --support {table} --name desk", "{supports}/desk", is_beside=True
+    ),
     "pool pose": Writing("pool pose mine tall 1", "{pools}/mine", is_beside=True),
     "pool remove": Writing("pool remove mine", "{pools}/mine", is_beside=True),
     "inspect": Writing("inspect {trio} --out {out}.png", "{out}.png", is_beside=True),
@@ -109,7 +115,10 @@ def places(tmp_path, home, monkeypatch, made_bank):
     for module in (pools, supports):
         # What waits for others is refused at once here.
         monkeypatch.setattr(module, "PATIENCE", 0.0)
-    found = {name: tmp_path / name for name in ("out", "bank", "hub", "layout.json", "cube.obj", "table.obj")}
+    found = {
+        name: tmp_path / name
+        for name in ("out", "bank", "hub", "layout.json", "cube.obj", "table.obj")
+    }
     found = {name.partition(".")[0]: path for name, path in found.items()}
     shutil.copytree(made_bank, found["bank"])
     found |= {"pools": user_root(), "supports": user_supports(), "policies": pulled_root()}
@@ -241,7 +250,8 @@ sys.exit(main(sys.argv[3:]))
 
 def run_at_once(tmp_path, *commands):
     """Runs command lines in processes that begin together: of each its status, and its errors."""
-    go, ready = tmp_path / "go", [tmp_path / f"ready-{number}" for number in range(len(commands))]
+    go = tmp_path / "go"
+    ready = [tmp_path / f"ready-{number}" for number in range(len(commands))]
     started = [
         subprocess.Popen(
             [sys.executable, "-c", AT_ONCE, str(mark), str(go), *shlex.split(words)],
@@ -310,9 +320,8 @@ def test_of_two_at_once_one_wins_or_both_do(name, places, tmp_path):
 @pytest.mark.timeout(1200)
 def test_two_trainings_at_once_leave_one_run(places, tmp_path):
     """Both said "done", one policy was lost, and progress.csv mixed both."""
-    words = (
-        "train --pool {trio} --num-objects 2 --num-attempts 3200 --num-envs 16 --eval-episodes 0 --out {out}"
-    )
+    words = "train --pool {trio} --num-objects 2 --num-attempts 3200 --num-envs 16"
+    words += " --eval-episodes 0 --out {out}"
     assert_one_wins(run_at_once(tmp_path, words.format(**places), words.format(**places)))
     with (places["out"] / "progress.csv").open() as file:
         updates = [float(row["update"]) for row in csv.DictReader(file)]
@@ -334,18 +343,26 @@ def test_two_imports_into_one_pool_lose_no_object(places, tmp_path):
     words = [f"import {tmp_path / name}.obj --pool new" for name in names]
     results = run_at_once(tmp_path, *words)
     assert_one_wins(results)
-    assert [status for status, _ in results].count(0) == len(read_pool(user_root() / "new").names) == 1
+    assert (
+        [status for status, _ in results].count(0) == len(read_pool(user_root() / "new").names) == 1
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_changes_of_one_pool_at_once_are_all_made(places, tmp_path):
-    words = ["pool pose mine tall 1", "pool pose mine box 1", f"import {places['file']} --pool mine --add"]
+    words = [
+        "pool pose mine tall 1",
+        "pool pose mine box 1",
+        f"import {places['file']} --pool mine --add",
+    ]
     before = read_pool(user_root() / "mine")
     assert [status for status, _ in run_at_once(tmp_path, *words)] == [0, 0, 0]
     after = read_pool(user_root() / "mine")
     assert after.names == (*before.names, "cube")
-    changed = [name for name in before.names if object_hash(before[name]) != object_hash(after[name])]
+    changed = [
+        name for name in before.names if object_hash(before[name]) != object_hash(after[name])
+    ]
     assert changed == ["box", "tall"]
     results = run_at_once(tmp_path, "pool remove mine", "pool remove mine")
     assert sorted(status for status, _ in results) == [0, 2]

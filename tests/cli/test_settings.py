@@ -65,7 +65,9 @@ def test_regions_lie_on_the_top_however_they_and_it_are_turned(region, fits, tur
     x, y = region.center
     center = (x * math.cos(turn) - y * math.sin(turn), x * math.sin(turn) + y * math.cos(turn))
     region = replace(region, center=center, yaw=region.yaw + turn)
-    table = replace(own, boxes=(replace(own.boxes[0], yaw=turn),), region=replace(own.region, yaw=turn))
+    table = replace(
+        own, boxes=(replace(own.boxes[0], yaw=turn),), region=replace(own.region, yaw=turn)
+    )
     if fits:
         check_region(region, table)
         return
@@ -129,7 +131,10 @@ def test_a_file_in_the_place_of_the_folder_is_explained(words, tmp_path, monkeyp
         (["render", "bank", "--sheet", "--columns", "0"], "--columns 0. Allowed: 1 to 1000"),
         (["render", "bank", "--bop", "--views", "99999"], "--views 99999. Allowed: 1 to 10000"),
         (["render", "bank", "--samples", "100000"], "1 to 4096 samples"),
-        (["render", "bank", "--no-picture"], "--no-picture, and nothing else is asked for. Allowed: one or"),
+        (
+            ["render", "bank", "--no-picture"],
+            "--no-picture, and nothing else is asked for. Allowed: one or",
+        ),
         (["robot", "place", "--task", "lift", "--noise", "1"], "Try: --task place"),
         (["view", "bank", "--place"], "source 'bank' with --place"),
         (["evaluate", "--bank", "bank"], "Try: --suite downstream."),
@@ -137,7 +142,10 @@ def test_a_file_in_the_place_of_the_folder_is_explained(words, tmp_path, monkeyp
         (["evaluate", "--workers", "2"], "--workers 2 without --cluster. Allowed:"),
         (["pull", "me/bank", "--hub", "ftp://x"], "no hub at ftp://x"),
         (["pull", "me/bank", "--hub", "taken"], "Try: another --hub"),
-        (["view", "bank", "--host", "no.such.host.invalid"], "--host no.such.host.invalid cannot be"),
+        (
+            ["view", "bank", "--host", "no.such.host.invalid"],
+            "--host no.such.host.invalid cannot be",
+        ),
     ],
 )
 def test_what_cannot_be_meant_is_refused_in_the_words_of_the_command(

@@ -20,9 +20,18 @@ REDIRECTIONS = ("<&-", ">&-", "2>&-", "2>/dev/full", "2>&1 | head -c 0")
 
 def shell(redirection, *words):
     """What a command line answers whose streams are redirected so; its own status, not that of a pipe."""
-    command = ["bash", "-c", f'"$@" {redirection}; exit "${{PIPESTATUS[0]}}"', "bash", sys.executable]
+    command = [
+        "bash",
+        "-c",
+        f'"$@" {redirection}; exit "${{PIPESTATUS[0]}}"',
+        "bash",
+        sys.executable,
+    ]
     return subprocess.run(
-        [*command, "-m", "cluttergen_jax", *map(str, words)], capture_output=True, text=True, check=False
+        [*command, "-m", "cluttergen_jax", *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
@@ -32,7 +41,9 @@ def made(folder, redirection):
     quickly = ("--allow-unchecked", "--seconds", "0.1", "--jobs", "1")
     done = shell(redirection, "verify", folder, *quickly)
     assert done.returncode == 0, (redirection, done.stderr)
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+    }
 
 
 @pytest.mark.parametrize(
@@ -47,7 +58,10 @@ def test_a_bank_is_verified_whatever_becomes_of_the_streams(tmp_path, redirectio
 
 
 def test_an_error_has_its_status_without_streams():
-    assert [shell(each, "list", "--no-such").returncode for each in ("2>&-", "<&- >&- 2>&-")] == [2, 2]
+    assert [shell(each, "list", "--no-such").returncode for each in ("2>&-", "<&- >&- 2>&-")] == [
+        2,
+        2,
+    ]
 
 
 def test_output_that_is_full_is_said_of_the_output():
@@ -80,7 +94,10 @@ def test_what_cannot_be_read_is_not_said_of_the_folder_that_is_written(tmp_path)
         writing(tmp_path / "work" / "bank"),
     ):
         (tmp_path / "elsewhere" / "one").read_bytes()
-    with pytest.raises(BankError, match=r"bank cannot be written"), writing(tmp_path / "work" / "bank"):
+    with (
+        pytest.raises(BankError, match=r"bank cannot be written"),
+        writing(tmp_path / "work" / "bank"),
+    ):
         (tmp_path / "work" / "bank" / "one").read_bytes()
 
 
@@ -89,7 +106,10 @@ def test_what_cannot_be_read_is_not_said_of_the_folder_that_is_written(tmp_path)
     [
         ({"weights": "*=0"}, "no object of pool 'dining' is drawn"),
         ({"weights": "*=0", "shelf": 3}, "no object of pool 'dining' is drawn"),
-        ({"weights": "mug*=0", "num_objects": 10}, "10 objects of 9 with a weight above 0. Allowed: 1 to 9"),
+        (
+            {"weights": "mug*=0", "num_objects": 10},
+            "10 objects of 9 with a weight above 0. Allowed: 1 to 9",
+        ),
         ({"shelf": 0}, "shelf = 0. Allowed: 1 to 10"),
     ],
 )
@@ -108,7 +128,9 @@ def test_a_range_of_one_number_or_of_none_is_no_range():
     ]
 
 
-@pytest.mark.parametrize("options", [{"budget": 0}, {"budget": 0, "num_objects": 4}, {"ruin_after": 10}])
+@pytest.mark.parametrize(
+    "options", [{"budget": 0}, {"budget": 0, "num_objects": 4}, {"ruin_after": 10}]
+)
 def test_an_error_names_no_option_that_was_not_given(options):
     with pytest.raises(ConfigError) as error:
         SceneSpec("dining", **options)
@@ -117,7 +139,9 @@ def test_an_error_names_no_option_that_was_not_given(options):
 
 
 def test_an_option_that_was_not_given_is_said_to_be_so():
-    error = ConfigError("batch = 8 with seed = 0 and num_objects = 10 with num_scenes = 5", "seed = 1")
+    error = ConfigError(
+        "batch = 8 with seed = 0 and num_objects = 10 with num_scenes = 5", "seed = 1"
+    )
     text = error_with_flags(error, Generate(seed=0, num_scenes=5))
     assert text == (
         "batch = 8 with --seed 0 (the default) and --num-objects 10 (not given) with --num-scenes 5. "

@@ -21,7 +21,9 @@ def file(tmp_path):
     """A desk of our own as a bare mesh, in centimetres, somewhere."""
     mesh = join_meshes([piece.mesh for piece in DESK.pieces])
     path = tmp_path / "Old Desk.obj"
-    trimesh.Trimesh(100 * (mesh.vertices + np.array([3, -2, 0])), mesh.faces, process=False).export(path)
+    trimesh.Trimesh(100 * (mesh.vertices + np.array([3, -2, 0])), mesh.faces, process=False).export(
+        path
+    )
     return path
 
 
@@ -38,7 +40,16 @@ def test_a_table_is_imported_listed_and_carries_objects(file, tmp_path, capsys):
     assert main(["list"]) == 0
     assert "  old_desk\n" in capsys.readouterr().out
     bank = tmp_path / "bank"
-    asked = ["--support", "old_desk", "--objects", "soup_can", "--method", "random", "--max-files", "0"]
+    asked = [
+        "--support",
+        "old_desk",
+        "--objects",
+        "soup_can",
+        "--method",
+        "random",
+        "--max-files",
+        "0",
+    ]
     assert main(["generate", "-n", "4", *asked, "--out", str(bank)]) == 0
     scenes = read_bank(bank)
     assert scenes.support.name == "old_desk"
@@ -60,7 +71,9 @@ def test_a_name_stands_for_one_table(file, tmp_path, capsys):
     assert find_support("mine").top == pytest.approx(DESK.top, abs=1e-5)
     assert main([*other, "--force"]) == 0
     assert find_support("mine").top == pytest.approx(0.5)
-    np.testing.assert_allclose(sorted(find_support("mine").region.half_extents), [0.15, 0.2], atol=1e-6)
+    np.testing.assert_allclose(
+        sorted(find_support("mine").region.half_extents), [0.15, 0.2], atol=1e-6
+    )
     assert [each.name for each in user_supports().iterdir()] == ["mine"]
 
 

@@ -63,7 +63,10 @@ HUGE = 10**12
         (lambda folder: cg.perception_data(folder, num_views=HUGE), "num_views.*1000000"),
         (lambda folder: cg.perception_data(folder, num_views=0), "num_views"),
         (lambda folder: cg.placer_data(folder, support="tilted_board_5"), "slopes by 5 degrees"),
-        (lambda folder: cg.placer_data(folder, spec=cg.SceneSpec(support="rack", surface="all")), "2 surf"),
+        (
+            lambda folder: cg.placer_data(folder, spec=cg.SceneSpec(support="rack", surface="all")),
+            "2 surf",
+        ),
         (lambda folder: cg.perception_data(folder, split="tests"), "split"),
         (lambda folder: cg.perception_data(folder, arm=1.5), "arm"),
         (lambda folder: cg.perception_data(folder, arm=0.0, num_objects=99), "num_objects"),

@@ -57,7 +57,9 @@ def test_a_view_is_what_its_camera_sees(bank, plain):
     scenes = {scene.origin.index: scene for scene in read_scenes(bank)}
     for row in rows[::4]:
         scene = scenes[row["scene"]]
-        camera = Camera(*SIZE, np.reshape(row["K"], (3, 3)), np.reshape(row["T_world_camera"], (4, 4)))
+        camera = Camera(
+            *SIZE, np.reshape(row["K"], (3, 3)), np.reshape(row["T_world_camera"], (4, 4))
+        )
         seen, instances = InstanceSensor(scene.objects, scene.support).sense(scene.poses, camera)
         np.testing.assert_array_equal(image(row["label"]), seen.label)
         depth = np.where(np.isfinite(seen.depth), np.round(1000 * seen.depth), 0)
@@ -114,7 +116,9 @@ def test_scenes_keep_their_split_and_none_is_in_two(bank, plain, tmp_path):
     grown = {"splits": "train=0.6, test=0.4", **PLAIN}
 
     def scenes_of(dataset):
-        return {split: {row["scene"] for row in rows_of(dataset, split)} for split in ("train", "test")}
+        return {
+            split: {row["scene"] for row in rows_of(dataset, split)} for split in ("train", "test")
+        }
 
     part = scenes_of(cg.make_dataset(bank.path, tmp_path / "set", num_scenes=3, **grown))
     whole = cg.make_dataset(bank.path, tmp_path / "set", **grown)
@@ -131,13 +135,20 @@ def test_scenes_keep_their_split_and_none_is_in_two(bank, plain, tmp_path):
 def plan_of(index, is_success, shares, seed=0, num_scenes=None, rounds=(), monkeypatch=None):
     """The plan of a dataset of a bank of which only these numbers are known."""
     table = pa.table({"index": index, "is_success": is_success})
-    monkeypatch.setattr(maker, "read_bank", lambda path: SimpleNamespace(tables=lambda columns: [table]))
+    monkeypatch.setattr(
+        maker, "read_bank", lambda path: SimpleNamespace(tables=lambda columns: [table])
+    )
     config = ViewConfig(parse_cameras(["overhead"], None), seed)
     return maker.DatasetPlan.of(["bank"], shares, num_scenes, config, (), rounds)
 
 
 def split_of(plan):
-    return {scene: split for shard in plan.shards for split, some in shard.scenes.items() for scene in some}
+    return {
+        scene: split
+        for shard in plan.shards
+        for split, some in shard.scenes.items()
+        for scene in some
+    }
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -160,7 +171,11 @@ def test_shares_of_scenes_are_exact(number, shares, counts, seed, monkeypatch):
 def test_a_seed_decides_which_scenes_are_where(monkeypatch):
     def split(seed):
         plan = plan_of(
-            np.arange(40), np.ones(40, bool), {"train": 0.5, "test": 0.5}, seed, monkeypatch=monkeypatch
+            np.arange(40),
+            np.ones(40, bool),
+            {"train": 0.5, "test": 0.5},
+            seed,
+            monkeypatch=monkeypatch,
         )
         return tuple(split_of(plan).items())
 
@@ -171,7 +186,8 @@ def test_no_scene_changes_its_split_when_blocks_come_between_or_after(monkeypatc
     shares = {"train": 0.75, "val": 0.15, "test": 0.1}
     rng = np.random.default_rng(0)
     good = rng.uniform(size=1000) < 0.6
-    rounds, before = (), {}
+    rounds = ()
+    before = {}
     for index in (
         np.arange(100, 200),
         np.arange(400),
@@ -179,13 +195,16 @@ def test_no_scene_changes_its_split_when_blocks_come_between_or_after(monkeypatc
         np.arange(1000),
     ):
         plan = plan_of(index, good[index], shares, rounds=rounds, monkeypatch=monkeypatch)
-        now, rounds = split_of(plan), plan.rounds
+        now = split_of(plan)
+        rounds = plan.rounds
         assert now.keys() == set(index[good[index]].tolist())
         assert before.items() <= now.items()
         for split, share in shares.items():
             assert abs(plan.num_views()[split] - share * len(now)) < 1
         before = now
-    assert rounds == plan_of(index, good[index], shares, rounds=rounds, monkeypatch=monkeypatch).rounds
+    assert (
+        rounds == plan_of(index, good[index], shares, rounds=rounds, monkeypatch=monkeypatch).rounds
+    )
 
 
 def test_a_dataset_with_shares_of_an_earlier_version_is_not_continued(bank, tmp_path):
@@ -224,7 +243,11 @@ def test_tar_files_have_what_rows_have(bank, plain, tmp_path):
     assert told == {name: value for name, value in row.items() if name in told}
     # Files of one view follow each other, as the readers of such files need it.
     keys = [name.split(".")[0] for name in names]
-    assert len([k for k, each in enumerate(keys) if k == 0 or keys[k - 1] != each]) == len(set(keys)) == 15
+    assert (
+        len([k for k, each in enumerate(keys) if k == 0 or keys[k - 1] != each])
+        == len(set(keys))
+        == 15
+    )
 
 
 def test_bop_has_the_cameras_that_are_asked_for(bank, tmp_path):
@@ -235,7 +258,9 @@ def test_bop_has_the_cameras_that_are_asked_for(bank, tmp_path):
     assert (made.path / "train" / "000001" / "mask_visib" / "000002_000001.png").is_file()
     each = {"eye": [1, 0, 1], "width": 64}
     cameras = tmp_path / "cameras.json"
-    cameras.write_text(json.dumps({"cameras": [{"name": "a", **each}, {"name": "b", **each, "height": 64}]}))
+    cameras.write_text(
+        json.dumps({"cameras": [{"name": "a", **each}, {"name": "b", **each, "height": 64}]})
+    )
     with pytest.raises(ConfigError, match="cameras of different sizes"):
         cg.make_dataset(bank.path, tmp_path / "sizes", form="bop", cameras=[cameras], colour=False)
 
@@ -244,7 +269,10 @@ def test_bop_has_the_cameras_that_are_asked_for(bank, tmp_path):
 def test_colours_vary_as_asked_and_do_not_depend_on_other_scenes(bank, tmp_path):
     asked = {"cameras": ("overhead",), "size": SIZE, "seed": 3}
     plain, varied = (
-        [image(row["rgb"]) for row in rows_of(cg.make_dataset(bank.path, tmp_path / name, **asked, **more))]
+        [
+            image(row["rgb"])
+            for row in rows_of(cg.make_dataset(bank.path, tmp_path / name, **asked, **more))
+        ]
         for name, more in (("plain", {}), ("varied", {"vary": ("texture", "light", "colour")}))
     )
     assert all(each.shape == (48, 64, 3) for each in plain)

@@ -46,7 +46,9 @@ def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path)
     assert "## What scenes are good for" in page
     assert "### Stable placement from one camera's view" in page
     assert "| random | 0.5 |" in page
-    assert f"`cluttergen evaluate --suite downstream`, {result['date']}, 10 or 20 trials a row" in page
+    assert (
+        f"`cluttergen evaluate --suite downstream`, {result['date']}, 10 or 20 trials a row" in page
+    )
 
 
 @pytest.fixture(scope="module")

@@ -54,7 +54,8 @@ def test_scenes_stay_at_rest_beside_a_robot_at_home(bank, worlds, physics):
     assert not world.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_NATIVECCD
     assert world.model.nkey == 0
     scenes = {scene.origin.index: scene for scene in cg.read_scenes(bank.bank)}
-    data, limits = mujoco.MjData(world.model), StabilityConfig()
+    data = mujoco.MjData(world.model)
+    limits = StabilityConfig()
     for seed in range(2):
         state = world.reset(seed)
         scene = world.scene(state)
@@ -95,7 +96,8 @@ def test_a_robot_stands_where_it_is_told_to(bank):
 
 def test_an_episode_is_randomized_about_the_model_whatever_was_before_it(bank):
     world = cg.with_robot(bank, physics="learning", randomization=RANDOM)
-    own, data = world.model.body_mass.copy(), mujoco.MjData(world.model)
+    own = world.model.body_mass.copy()
+    data = mujoco.MjData(world.model)
     first = world.reset(3)
     for seed in range(6):
         world.put(data, world.reset(seed))
@@ -110,15 +112,20 @@ def test_an_episode_is_randomized_about_the_model_whatever_was_before_it(bank):
 @pytest.mark.slow
 def test_what_is_randomized_stays_in_its_range_and_is_drawn_by_the_key(bank):
     world = cg.with_robot(bank, physics="learning", randomization=RANDOM)
-    model, bodies = world.model, world.bodies
+    model = world.model
+    bodies = world.bodies
     friction = model.geom_friction.copy()
-    mass, inertia, texture = model.body_mass.copy(), model.body_inertia.copy(), model.geom_matid.copy()
+    mass = model.body_mass.copy()
+    inertia = model.body_inertia.copy()
+    texture = model.geom_matid.copy()
     fields = jax.jit(jax.vmap(world.reset))(jax.random.split(jax.random.key(0), 16)).fields
     factor = np.asarray(fields["body_mass"])[:, bodies] / mass[bodies]
     assert 0.5 <= factor.min() < 0.8
     assert 1.5 < factor.max() <= 2.0 + 1e-6
     np.testing.assert_allclose(
-        np.asarray(fields["body_inertia"])[:, bodies], factor[..., None] * inertia[bodies], rtol=1e-5
+        np.asarray(fields["body_inertia"])[:, bodies],
+        factor[..., None] * inertia[bodies],
+        rtol=1e-5,
     )
     others = np.setdiff1d(np.arange(model.nbody), bodies)
     np.testing.assert_allclose(
@@ -135,10 +142,15 @@ def test_what_is_randomized_stays_in_its_range_and_is_drawn_by_the_key(bank):
         world.put(data, world.reset(seed))
     mujoco.mj_step(model, data, 100)
     # Its own constants would be the same, up to rounding.
-    kept = {name: getattr(model, name).copy() for name in ("body_invweight0", "dof_invweight0", "dof_M0")}
+    kept = {
+        name: getattr(model, name).copy()
+        for name in ("body_invweight0", "dof_invweight0", "dof_M0")
+    }
     mujoco.mj_setConst(model, mujoco.MjData(model))
     dofs = world.object_dofs.ravel()
-    np.testing.assert_allclose(model.body_invweight0[bodies], kept["body_invweight0"][bodies], rtol=1e-4)
+    np.testing.assert_allclose(
+        model.body_invweight0[bodies], kept["body_invweight0"][bodies], rtol=1e-4
+    )
     np.testing.assert_allclose(model.dof_M0[dofs], kept["dof_M0"][dofs], rtol=1e-4)
     np.testing.assert_allclose(model.dof_invweight0[dofs], kept["dof_invweight0"][dofs], rtol=1e-4)
 
@@ -208,13 +220,17 @@ def test_another_robot_has_its_own_actions_and_its_gripper_opens_and_closes(bank
     seen, _ = env.reset(seed=0)
     assert env.action_space.shape == (8,)
     assert seen["agent_pos"].shape == (22,)
-    given, arm, model = env.world.description.gripper, env.world.robot, env.world.model
+    given = env.world.description.gripper
+    arm = env.world.robot
+    model = env.world.model
     share = GripShare(env.world.description)
     assert share.control_of(1.0) == pytest.approx(given.open)
     assert share.control_of(-1.0) == pytest.approx(given.closed)
     for each in (-0.5, -1e-3, 0.0, 0.2, 1.0):
         assert share.share_of(share.control_of(each)) == pytest.approx(each, abs=1e-9)
-    colliders = arm.is_arm[model.geom_bodyid] & ((model.geom_contype > 0) | (model.geom_conaffinity > 0))
+    colliders = arm.is_arm[model.geom_bodyid] & (
+        (model.geom_contype > 0) | (model.geom_conaffinity > 0)
+    )
     assert colliders.any()
     assert arm.is_hand[model.geom_bodyid[colliders]].all()
     widths = []
@@ -243,7 +259,8 @@ def test_lerobot_makes_vectors_of_environments(bank, tmp_path):
 def end_of(env, pose, seed=0):
     """What the judge says of the target at f64[7], once a hand that touched it is open and away."""
     env.reset(seed=seed)
-    data, name = env.execution.data, env.start.scene.names[env.start.target]
+    data = env.execution.data
+    name = env.start.scene.names[env.start.target]
     first = env.world.model.joint(name).qposadr[0]
     data.qpos[first : first + 7] = pose(env)
     mujoco.mj_forward(env.world.model, data)
@@ -252,7 +269,9 @@ def end_of(env, pose, seed=0):
 
 
 def test_an_object_is_placed_if_it_stands_in_the_region_and_nothing_else_moved(place):
-    _, reward, terminated, truncated, info = end_of(place, lambda env: env.start.goals[env.start.target])
+    _, reward, terminated, truncated, info = end_of(
+        place, lambda env: env.start.goals[env.start.target]
+    )
     assert (reward, terminated, truncated) == (1.0, True, False)
     assert info["is_success"]
     assert info["outcome"] == "success"
@@ -412,7 +431,9 @@ def test_a_scripted_policy_succeeds_where_a_random_one_does_not(bank, task, monk
 @pytest.mark.slow
 def test_pictures_differ_by_camera_and_by_what_is_randomized(bank):
     cameras = ("front", "hand")
-    env = cg.make_robot_env("place", bank, cameras=cameras, image_size=(96, 128), randomization=RANDOM)
+    env = cg.make_robot_env(
+        "place", bank, cameras=cameras, image_size=(96, 128), randomization=RANDOM
+    )
     one, _ = env.reset(seed=0, options={"scene": 0})
     two, _ = env.reset(seed=1, options={"scene": 0})
     assert one["pixels"]["front"].shape == (96, 128, 3)

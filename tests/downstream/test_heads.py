@@ -41,8 +41,10 @@ HEADS = {
 }
 
 
-features_of, crops_of = jax.jit(features_of), jax.jit(crops_of)
-own_shape, lower_candidates = jax.jit(own_shape), jax.jit(lower_candidates)
+features_of = jax.jit(features_of)
+crops_of = jax.jit(crops_of)
+own_shape = jax.jit(own_shape)
+lower_candidates = jax.jit(lower_candidates)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +93,9 @@ def test_features_and_pictures_do_not_change_when_all_is_turned():
     found = np.asarray(features_of(other, after.astype(np.float32)))
     np.testing.assert_allclose(found, features, atol=0.1)
     assert (np.abs(found - features) < 1e-3).mean() > 0.85
-    pictures = [crops_of(q.heights, q.ceilings, shape, p) for q, p in ((query, poses), (other, after))]
+    pictures = [
+        crops_of(q.heights, q.ceilings, shape, p) for q, p in ((query, poses), (other, after))
+    ]
     # A point at the border of two cells may fall to either side.
     assert np.mean(np.abs(np.subtract(*pictures)) > 1e-3) < 0.01
 
@@ -102,7 +106,8 @@ def test_a_mirrored_scene_is_a_mirrored_picture():
         heights=query.heights.replace(height=query.heights.height[:, ::-1].copy()),
         ceilings=query.ceilings.replace(height=query.ceilings.height[:, ::-1].copy()),
     )
-    shape, pose = own_shape(query), pose_at([0.02, 0.013, 0.05, 0.0])
+    shape = own_shape(query)
+    pose = pose_at([0.02, 0.013, 0.05, 0.0])
     other = pose * np.array([1, -1, 1, -1], np.float32)
     picture = crops_of(query.heights, query.ceilings, shape, pose)
     np.testing.assert_allclose(
@@ -164,14 +169,19 @@ def test_the_printed_loss_weighs_each_error_by_the_others_share(params):
         return part
 
     slopes = jax.jit(
-        lambda params: {name: jax.value_and_grad(of(name))(params) for name in ("total", "position", "turn")}
+        lambda params: {
+            name: jax.value_and_grad(of(name))(params) for name in ("total", "position", "turn")
+        }
     )(params)
-    a, b = float(slopes["position"][0]), float(slopes["turn"][0])
+    a = float(slopes["position"][0])
+    b = float(slopes["turn"][0])
     assert float(slopes["total"][0]) == pytest.approx(2 * a * b / (a + b), rel=1e-5)
     expected = jax.tree.map(
         lambda p, t: b / (a + b) * p + a / (a + b) * t, slopes["position"][1], slopes["turn"][1]
     )
-    jax.tree.map(lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6), slopes["total"][1], expected)
+    jax.tree.map(
+        lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6), slopes["total"][1], expected
+    )
 
 
 @pytest.mark.parametrize("true", [0.5, 1.0, 3.0])
@@ -230,7 +240,11 @@ def test_a_run_that_ends_while_its_picture_is_drawn_draws_it_when_it_goes_on(tmp
         with pytest.raises(SystemExit):
             run(tmp_path / "run", "scored", config).run()
     placer = run(tmp_path / "run", "scored", config).run()
-    assert {each.name for each in placer.iterdir()} == {"calibration.png", "record.json", "weights.npz"}
+    assert {each.name for each in placer.iterdir()} == {
+        "calibration.png",
+        "record.json",
+        "weights.npz",
+    }
 
 
 @pytest.mark.slow
@@ -252,7 +266,9 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(runs, tmp_path, monkeyp
             stopped.run()
     assert not (tmp_path / "stopped" / "placer").exists()
     again = run(tmp_path / "stopped").run()
-    files = [{path.name: path.read_bytes() for path in folder.iterdir()} for folder in (whole, again)]
+    files = [
+        {path.name: path.read_bytes() for path in folder.iterdir()} for folder in (whole, again)
+    ]
     assert set(files[0]) == {"record.json", "weights.npz"}
     weights = [np.load(folder / "weights.npz") for folder in (whole, again)]
     for name in weights[0].files:
@@ -269,8 +285,15 @@ def test_a_stored_placer_proposes_what_it_did(name, tmp_path, examples):
     # What half precision can hold, so that what is stored is what was there.
     drawn = jax.jit(head.init)(jax.random.key(2))
     params = jax.tree.map(lambda leaf: np.asarray(leaf, np.float16).astype(np.float32), drawn)
-    record = {"kind": "placer", "head": name, "network": dataclasses.asdict(head.config), "temperature": 1.5}
+    record = {
+        "kind": "placer",
+        "head": name,
+        "network": dataclasses.asdict(head.config),
+        "temperature": 1.5,
+    }
     save_policy(tmp_path, params, record)
-    there, back = (proposed(each, examples) for each in (head.placer(params, 1.5), load_placer(tmp_path)))
+    there, back = (
+        proposed(each, examples) for each in (head.placer(params, 1.5), load_placer(tmp_path))
+    )
     np.testing.assert_array_equal(there.pose, back.pose)
     np.testing.assert_array_equal(there.score, back.score)

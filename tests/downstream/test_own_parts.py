@@ -18,7 +18,8 @@ from cluttergen_jax.errors import BankError, ConfigError, PoolError
 
 class Scaled:
     def __init__(self, factor):
-        self.factor, self.rng = factor, np.random.default_rng(0)
+        self.factor = factor
+        self.rng = np.random.default_rng(0)
 
     def __call__(self, *asked):
         return self.factor
@@ -41,7 +42,9 @@ def plain(x, y=1):
     return x + y
 
 
-HEIGHT, NAMES, height = 0.1, {"mug", "bowl", "plate"}, 1.0
+HEIGHT = 0.1
+NAMES = {"mug", "bowl", "plate"}
+height = 1.0
 
 
 def raised(x):
@@ -117,7 +120,8 @@ class Compiled(struct.PyTreeNode):
         return Proposals(query[:1], query[0, :1])
 
 
-KEY, QUERY = jax.random.key(0), np.full((6, 4), 0.5, np.float32)
+KEY = jax.random.key(0)
+QUERY = np.full((6, 4), 0.5, np.float32)
 
 
 def test_a_plain_placer_is_asked_with_numpy_and_its_answer_is_checked():
@@ -189,7 +193,11 @@ def test_own_grasps_are_taken_from_mappings_and_files_and_said_to_be_untested(tm
     red, blue = finder([RED, BLUE])
     assert (red.name, red.hash, red.num_tested, len(red)) == ("red", object_hash(RED), 0, 1)
     assert np.allclose(np.abs(blue.pose), np.abs(POSE), atol=1e-6)
-    assert finder([RED])[0].digest == red.digest != GraspFinder({"red": (POSE, [0.03])}, 1)([RED])[0].digest
+    assert (
+        finder([RED])[0].digest
+        == red.digest
+        != GraspFinder({"red": (POSE, [0.03])}, 1)([RED])[0].digest
+    )
     assert capsys.readouterr().err.count("not tested: your own of red") == 2
     tested = replace(red, num_tested=3, margin=np.ones(1))
     write_grasps(tmp_path / "tested.parquet", [tested])
@@ -232,7 +240,8 @@ def test_a_file_without_grasps_is_refused(tmp_path):
 
 class Straight:
     def __init__(self, change=None):
-        self.queries, self.change = [], change
+        self.queries = []
+        self.change = change
 
     digest = "straight"
 
@@ -271,7 +280,10 @@ def test_the_arm_goes_the_ways_of_an_own_planner_by_own_grasps(tmp_path):
         (lambda path: path[:-1], "a path that ends 0.0204 rad off the goal"),
         (lambda path: path[3:], "a path that begins 0.0612 rad off the start"),
         (lambda path: path[:, :6], r"an array of float64, shape \(50, 6\)"),
-        (lambda path: path * np.nan, r"an array of shape \(50, 7\) with numbers that are not finite"),
+        (
+            lambda path: path * np.nan,
+            r"an array of shape \(50, 7\) with numbers that are not finite",
+        ),
         (lambda _: "up", "an array of <U2"),
     ],
 )
@@ -289,5 +301,7 @@ def test_an_observer_that_tells_something_else_is_refused():
         def __call__(self, world, names, known):
             return super().__call__(world, names[:1], known)
 
-    with pytest.raises(ConfigError, match=r"observer 'true poses' returned \('red',\).*of red, blue"):
+    with pytest.raises(
+        ConfigError, match=r"observer 'true poses' returned \('red',\).*of red, blue"
+    ):
         rearrange_episode(arm.task_of(arm.standing(arm.PLACES)), RearrangeOptions(), Mute())

@@ -72,7 +72,8 @@ def draw_back(execution):
 
 
 def test_objects_are_found_by_pictures_alone(finder, execution, view):
-    observer, again = PerceptionObserver(finder, TABLE), PerceptionObserver(finder, TABLE)
+    observer = PerceptionObserver(finder, TABLE)
+    again = PerceptionObserver(finder, TABLE)
     for each in (observer, again):
         each.glance(view)
     draw_back(execution)
@@ -87,7 +88,8 @@ class Unsure:
     """A finder that is never sure."""
 
     def __init__(self):
-        self.looks, self.shares = [], []
+        self.looks = []
+        self.shares = []
 
     def look(self, rgb, depth, camera, is_own, among):
         if len(self.looks) == 0:

@@ -68,7 +68,8 @@ def test_one_object_in_one_view_is_found(estimator):
 def test_a_small_handle_tells_that_an_object_has_turned(yaw, turned_by):
     """So little of it differs that both turns agree about as well: by score alone it stays as it was."""
     mug = with_handle()
-    true, turned = standing((0.0, 0.0, yaw)), standing((0.004, 0.003, yaw + np.radians(turned_by)))
+    true = standing((0.0, 0.0, yaw))
+    turned = standing((0.004, 0.003, yaw + np.radians(turned_by)))
     true[0, 2] = turned[0, 2] = TABLE.top + mug.half_extents[2]
     view = view_of(true, SIDE, objects=(mug,)).view
     look = Look(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, SIDE)
@@ -78,7 +79,8 @@ def test_a_small_handle_tells_that_an_object_has_turned(yaw, turned_by):
 
 def with_handle():
     """A box that a small box on its side turns into one that is not symmetric."""
-    cup, knob = box("mug", (0.03, 0.03, 0.05)), box("knob", (0.009, 0.006, 0.009))
+    cup = box("mug", (0.03, 0.03, 0.05))
+    knob = box("knob", (0.009, 0.006, 0.009))
     handle = with_surface(knob).pieces[0].mesh
     placed = Piece(Mesh(handle.vertices + np.array([0.038, 0, 0]), handle.faces))
     return replace(cup, pieces=(*with_surface(cup).pieces, placed))
@@ -104,7 +106,8 @@ def test_the_true_pose_agrees_better_than_others(estimator, change):
 def test_filling_air_that_was_seen_to_be_empty_speaks_against_a_pose():
     """Half of the box's pixels are taken away from its mask: where they are, the table is seen behind it."""
     model = ObjectModel.of(OBJECTS[0])
-    true, empty = look_at(POSES[:1], SIDE), look_at(POSES[1:2] * 0 + standing((0.0, 0.3, 0.0)), SIDE)
+    true = look_at(POSES[:1], SIDE)
+    empty = look_at(POSES[1:2] * 0 + standing((0.0, 0.3, 0.0)), SIDE)
     mask = true.mask(0)
     half = mask & (np.cumsum(mask, axis=1) > mask.sum(1, keepdims=True) / 2)
     depth = np.where(half, empty.depth, true.depth)

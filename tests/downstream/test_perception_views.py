@@ -44,7 +44,9 @@ def views(tmp_path_factory, bank):
 @pytest.mark.parametrize("num_banks", [1, 2, 3])
 def test_so_many_views_have_the_arm_as_were_asked_for(num_banks):
     for seed in range(5):
-        maker = ViewMaker([None] * num_banks, None, ViewConfig(seed=seed, arm=0.3), "train", None, 3)
+        maker = ViewMaker(
+            [None] * num_banks, None, ViewConfig(seed=seed, arm=0.3), "train", None, 3
+        )
         pairs = range(30 * num_banks)
         assert sum(map(maker.has_arm, pairs)) == 9 * num_banks
         assert sum(map(maker.is_robots, pairs)) == 18 * num_banks
@@ -57,7 +59,8 @@ def test_so_many_views_have_the_arm_as_were_asked_for(num_banks):
 def test_a_row_holds_the_view_to_a_tenth_of_a_millimetre():
     view = view_of(POSES, overhead())
     depth = view.view.depth.copy()
-    depth[0, 0], depth[0, 1] = np.inf, 9.0
+    depth[0, 0] = np.inf
+    depth[0, 1] = 9.0
     seen = stored.StoredView(
         7, stored.RgbdImage(view.view.rgb, depth, view.view.label, view.view.camera), *_rest(view)
     )
@@ -81,7 +84,8 @@ def test_labels_lie_where_objects_are(views):
     for each in views.views("train"):
         assert each.view.rgb.shape == (SIZE[1], SIZE[0], 3)
         assert not (each.view.label == ARM).any()
-        camera, label = each.view.camera, each.view.label
+        camera = each.view.camera
+        label = each.view.label
         for number, pose in zip(each.objects, each.poses, strict=True):
             mask = label == FIRST_OBJECT + number
             if mask.sum() < 30:

@@ -82,10 +82,13 @@ def test_splits_share_neither_cameras_nor_noise(bank, tmp_path, monkeypatch):
     train = write_bank(tmp_path / "train")
     for each in (bank, train):
         both = cg.placer_data(tmp_path / "pairs", each.path, num_pairs=4)
-    cameras = [next(iter(both.tables(split)))["T_region_camera"].to_pylist() for split in both.splits]
+    cameras = [
+        next(iter(both.tables(split)))["T_region_camera"].to_pylist() for split in both.splits
+    ]
     assert both.splits == ("test", "train")
     assert not any(one == other for one, other in zip(*cameras, strict=True))
-    see, streams = QueryMaker.see_all, []
+    see = QueryMaker.see_all
+    streams = []
 
     def spied(maker, views, noise, rng):
         streams.append(rng.bit_generator.seed_seq.entropy)
@@ -109,7 +112,8 @@ def test_queries_show_what_stands_to_the_millimetre(loaded):
     from cluttergen_jax.downstream.placer.map_from_depth import CELL
 
     for row, slot in enumerate(labels.num_standing):
-        heights, corner = queries.heights.height[row], queries.heights.corner[row]
+        heights = queries.heights.height[row]
+        corner = queries.heights.corner[row]
         for pose in labels.poses[row, :slot]:
             i, j = ((pose[:2] - corner) / CELL).astype(int)
             assert heights[i, j] == pytest.approx(2 * pose[2], abs=0.0015)
@@ -140,7 +144,11 @@ def test_splits_share_no_scene():
     """A scene's key is fold_in(key(seed), index); seeds of splits lie in ranges of their own."""
     seeds = [first + more for first in SPLITS.values() for more in (0, 1, 2, 999_999)]
     keys = {
-        tuple(np.asarray(jax.random.key_data(jax.random.fold_in(jax.random.key(seed), index))).tolist())
+        tuple(
+            np.asarray(
+                jax.random.key_data(jax.random.fold_in(jax.random.key(seed), index))
+            ).tolist()
+        )
         for seed in seeds
         for index in (0, 1, 2, 3, 499, 999_999, 1_000_000, 2_000_000)
     }

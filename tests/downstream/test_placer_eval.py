@@ -49,8 +49,10 @@ def seen(made):
 def test_no_ceiling_lies_below_what_stands(made, seen):
     queries, labels = seen[3]
     problem = made.setup("test").problem
-    mapper, number = HeightMapper.of(problem.rules.geometry, problem.rules.region), len(labels.pair)
-    poses, is_placed = np.zeros((number, 3, 7), np.float32), np.zeros((number, 3), bool)
+    mapper = HeightMapper.of(problem.rules.geometry, problem.rules.region)
+    number = len(labels.pair)
+    poses = np.zeros((number, 3, 7), np.float32)
+    is_placed = np.zeros((number, 3), bool)
     for row, standing in enumerate(labels.num_standing):
         at = row, labels.order[row, :standing]
         poses[at] = labels.poses[row, :standing] + [0, 0, problem.world.support.top, 0, 0, 0, 0]
@@ -62,7 +64,11 @@ def test_no_ceiling_lies_below_what_stands(made, seen):
     ceilings = queries.ceilings
     i, j = (
         (
-            (ceilings.corner[0, k] + ceilings.cell[k] * (np.arange(cells) + 0.5) - true.corner[0, k])
+            (
+                ceilings.corner[0, k]
+                + ceilings.cell[k] * (np.arange(cells) + 0.5)
+                - true.corner[0, k]
+            )
             / true.cell[k]
         ).astype(int)
         for k, cells in enumerate(ceilings.height.shape[1:])
@@ -84,7 +90,9 @@ def test_figures_are_shares_of_verdicts_with_wilsons_intervals(labels):
         is_quiet=np.arange(number) < 4,
         z_error=np.array([0.0, -0.001, 0.002, 0.003, 0.004, np.nan]),
     )
-    known = labels._replace(num_standing=np.array([0, 0, 1, 1, 7, 8]), unseen=np.linspace(0, 1, number))
+    known = labels._replace(
+        num_standing=np.array([0, 0, 1, 1, 7, 8]), unseen=np.linspace(0, 1, number)
+    )
     figures = figures_of(outcome, known, ("box", "prism", "tall"))
     low, high = wilson(3, 6)
     assert figures["success"] == {"share": 0.5, "low95": low, "high95": high}
@@ -111,7 +119,9 @@ def on_the_left(rng, query):
 
 @pytest.mark.slow
 def test_a_placer_of_ones_own_is_evaluated_beside_others(made, tmp_path):
-    found = cg.placer_eval(made.path, (on_the_left, "random"), noise=(0.0,), out=tmp_path, num_pairs=3)
+    found = cg.placer_eval(
+        made.path, (on_the_left, "random"), noise=(0.0,), out=tmp_path, num_pairs=3
+    )
     assert [row["trial"]["placer"] for row in found.rows] == ["on_the_left", "random"]
     (stored,) = (each for each in tmp_path.rglob("*.npz") if "left" in each.name)
     with np.load(stored) as arrays:

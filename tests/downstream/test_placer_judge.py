@@ -59,7 +59,9 @@ def test_what_meets_another_object_or_nothing_at_all_does_not_stand(scenes, judg
     there = scenes.poses[0, 0, :2]
     inside = [*there, half_heights[focus] + 0.001, 0.0]
     beyond = [0.31, 0.0, half_heights[focus] + 0.001, 0.0]
-    judged = judge.settle(scenes.episodes(places), np.zeros(2, int), np.array([inside, beyond], np.float32))
+    judged = judge.settle(
+        scenes.episodes(places), np.zeros(2, int), np.array([inside, beyond], np.float32)
+    )
     assert int(Verdict.STABLE) not in judged.verdict
     assert judged.verdict[1] in (int(Verdict.OUTSIDE), int(Verdict.FELL), int(Verdict.UNSETTLED))
     assert not judge.stand(judged).any()

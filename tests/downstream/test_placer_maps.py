@@ -25,9 +25,13 @@ def query(heights: np.ndarray, ceilings: np.ndarray | None = None) -> PlacementQ
     return PlacementQuery(
         heights=HeightMap(jnp.asarray(heights), jnp.asarray(corner), (0.01, 0.01)),
         ceilings=HeightMap(
-            jnp.asarray(heights if ceilings is None else ceilings), jnp.asarray(corner), (0.01, 0.01)
+            jnp.asarray(heights if ceilings is None else ceilings),
+            jnp.asarray(corner),
+            (0.01, 0.01),
         ),
-        under=UnderSide(jnp.asarray(xy), jnp.full(count, -HALF), jnp.ones(count, bool), jnp.zeros(2)),
+        under=UnderSide(
+            jnp.asarray(xy), jnp.full(count, -HALF), jnp.ones(count, bool), jnp.zeros(2)
+        ),
         half_extents=jnp.full(3, HALF),
         center_of_mass=jnp.zeros(3),
         own_margin=jnp.float32(HALF),
@@ -47,7 +51,8 @@ def bare() -> np.ndarray:
 
 def test_the_best_are_apart_as_a_plain_loop_finds_them():
     rng = np.random.default_rng(0)
-    cost, xy = rng.uniform(size=60).astype(np.float32), rng.uniform(-0.08, 0.08, (60, 2)).astype(np.float32)
+    cost = rng.uniform(size=60).astype(np.float32)
+    xy = rng.uniform(-0.08, 0.08, (60, 2)).astype(np.float32)
     expected: list[int] = []
     for index in np.argsort(cost):
         if all(np.linalg.norm(xy[index] - xy[other]) >= APART for other in expected):

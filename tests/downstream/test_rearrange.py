@@ -35,7 +35,8 @@ from tests.helpers.arm import PLACES, SCENE, standing, task_of
 
 
 def test_two_boxes_change_places_by_way_of_a_third_and_the_truth_is_read_by_two_alone(monkeypatch):
-    readers, poses = set(), Execution.poses
+    readers = set()
+    poses = Execution.poses
 
     def watched(self):
         frame = sys._getframe(1)
@@ -59,7 +60,8 @@ class Shifted(TrueObserver):
     name = "shifted"
 
     def __init__(self, shift):
-        self.shift, self.asked = np.array(shift), []
+        self.shift = np.array(shift)
+        self.asked = []
 
     def __call__(self, world, names, known):
         self.asked.append(tuple(names))
@@ -88,7 +90,8 @@ def test_the_arm_goes_where_the_observer_says(monkeypatch):
     assert observer.asked[0] == ("red", "blue")
 
 
-SLIP, NO_PATH = Outcome.SLIP, Outcome.NO_PATH
+SLIP = Outcome.SLIP
+NO_PATH = Outcome.NO_PATH
 
 
 @pytest.mark.parametrize(
@@ -106,7 +109,8 @@ SLIP, NO_PATH = Outcome.SLIP, Outcome.NO_PATH
     ],
 )
 def test_what_cannot_be_put_down_at_its_place_is_brought_back(happens, is_lost, ends):
-    told, left = [], list(happens)
+    told = []
+    left = list(happens)
 
     def place(places):
         told.append(len(places))
@@ -114,7 +118,9 @@ def test_what_cannot_be_put_down_at_its_place_is_brought_back(happens, is_lost, 
             raise Failed(one)
         return one
 
-    mover = SimpleNamespace(place=place, has_lost=lambda _: is_lost, put_back=lambda _: told.append("back"))
+    mover = SimpleNamespace(
+        place=place, has_lost=lambda _: is_lost, put_back=lambda _: told.append("back")
+    )
     places = np.zeros((3, 4, 4))
     if isinstance(ends, Outcome):
         with pytest.raises(Failed) as failure:
@@ -150,7 +156,22 @@ def test_the_judge_finds_what_is_wrong():
 
 
 GOOD = RearrangeResult(
-    "success", "", "paper", ["mug", "fork"], [True, True], 2, 2, 0, 0, 3, 1, 0.001, 0.01, 5.0, 30.0, 9.0
+    "success",
+    "",
+    "paper",
+    ["mug", "fork"],
+    [True, True],
+    2,
+    2,
+    0,
+    0,
+    3,
+    1,
+    0.001,
+    0.01,
+    5.0,
+    30.0,
+    9.0,
 )
 
 

@@ -45,7 +45,9 @@ def test_gaps_are_those_of_the_shadows_of_what_is_moved():
             for asset, pose in zip(OBJECTS, poses, strict=True)
         ]
         num_moved = int(rng.integers(1, 4))
-        wanted = min(hulls[i].distance(hulls[j]) for i in range(3) for j in range(min(i, num_moved)))
+        wanted = min(
+            hulls[i].distance(hulls[j]) for i in range(3) for j in range(min(i, num_moved))
+        )
         found = clearance_of(OBJECTS, poses, num_moved)
         apart += wanted > 0
         assert (found == 0) == (wanted == 0)

@@ -70,7 +70,9 @@ def test_how_certain_an_estimate_has_to_be_to_be_believed():
     here = np.array([0, 0, 0.7, 1, 0, 0, 0.0])
 
     def tracker(agreed=0):
-        return SimpleNamespace(_poses=np.array([here]), _agreed=[agreed], _turned=[0], _symmetry=[1])
+        return SimpleNamespace(
+            _poses=np.array([here]), _agreed=[agreed], _turned=[0], _symmetry=[1]
+        )
 
     def believes(known, pose, certainty):
         return bool(ObjectTracker._is_believed(known, 0, np.asarray(pose, float), certainty))
@@ -80,7 +82,8 @@ def test_how_certain_an_estimate_has_to_be_to_be_believed():
         assert believes(tracker(), moved, least)
         assert not believes(tracker(), moved, least - 0.01)
     # Where two moments agreed, two in a row have to tell another turn.
-    known, turned = tracker(2), [0, 0, 0.7, *yaw_quaternion(np.radians(50))]
+    known = tracker(2)
+    turned = [0, 0, 0.7, *yaw_quaternion(np.radians(50))]
     assert [believes(known, turned, 0.9) for _ in range(2)] == [False, True]
 
 

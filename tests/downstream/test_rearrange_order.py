@@ -26,7 +26,8 @@ def fewest_waits(relations):
     """The fewest objects put down elsewhere, by a search over all states; None where nothing helps."""
     number = len(relations.blocks)
     first = (START,) * number
-    best, queue = {first: 0}, deque([first])
+    best = {first: 0}
+    queue = deque([first])
     while queue:
         state = queue.popleft()
         for k, place in product(range(number), (AWAY, HOME)):
@@ -37,7 +38,9 @@ def fewest_waits(relations):
                 continue
             if place == HOME and any(relations.blocks[i, k] for i in at_start):
                 continue
-            if place == HOME and any(relations.goal_on[k, j] and state[j] != HOME for j in range(number)):
+            if place == HOME and any(
+                relations.goal_on[k, j] and state[j] != HOME for j in range(number)
+            ):
                 continue
             after = (*state[:k], place, *state[k + 1 :])
             cost = best[state] + (place == AWAY)

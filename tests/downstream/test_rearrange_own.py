@@ -75,11 +75,16 @@ class FakeDraw:
     def __init__(self, source, method, slots, threads, support=None, relations=()):
         scenes = list(read_scenes(source)) if not isinstance(source, str) else [arm.SCENE]
         objects = {
-            name: each for scene in scenes for name, each in zip(scene.names, scene.objects, strict=True)
+            name: each
+            for scene in scenes
+            for name, each in zip(scene.names, scene.objects, strict=True)
         }
-        self.names, self.objects = tuple(objects), tuple(objects.values())
-        self.support, self.area = scenes[0].support, AREA
-        self.relations, self.asked = relations, []
+        self.names = tuple(objects)
+        self.objects = tuple(objects.values())
+        self.support = scenes[0].support
+        self.area = AREA
+        self.relations = relations
+        self.asked = []
         FakeDraw.made.append(self)
 
     def __call__(self, seed, chosen, region, standing=(), poses=None, number=0, roles=()):
@@ -110,7 +115,11 @@ def starts(monkeypatch):
 
 def test_what_a_relation_is_said_of_moves_and_all_else_stays(starts):
     task = starts(goals="put the blue left of the red")(3)
-    assert (task.scene.names, task.setting.num_objects, task.setting.num_others) == (("blue", "red"), 1, 1)
+    assert (task.scene.names, task.setting.num_objects, task.setting.num_others) == (
+        ("blue", "red"),
+        1,
+        1,
+    )
     assert task.setting.target == AREA
     drawn = task.goals(0, task.scene.poses[1:])
     assert drawn.shape == (1, 1, 7)
@@ -224,7 +233,14 @@ def test_a_recipe_tells_layouts_and_supports_by_what_they_are(bank, tmp_path):
 
 @pytest.mark.slow
 def test_the_command_brings_an_object_of_a_bank_to_where_it_is_wanted(bank, home, tmp_path, capsys):
-    words = ["rearrange", str(bank.path), "--goals", "put the tall left of the box", "--num-episodes", "1"]
+    words = [
+        "rearrange",
+        str(bank.path),
+        "--goals",
+        "put the tall left of the box",
+        "--num-episodes",
+        "1",
+    ]
     assert main([*words, "--out", str(tmp_path), "--threads", "1"]) == 0
     assert "own, true poses: " in capsys.readouterr().out
     assert (tmp_path / "own" / "episodes.jsonl").is_file()

@@ -24,7 +24,8 @@ from tests.downstream.test_robot_place import GOOD, failed
 from tests.helpers.arm import SCENE
 from tests.helpers.environments import ask_peer
 
-LENGTHS, SECONDS = (6, 0, 5), 2 / FPS
+LENGTHS = (6, 0, 5)
+SECONDS = 2 / FPS
 CLOSED = 0.0
 
 
@@ -60,9 +61,14 @@ def test_a_lerobot_dataset_says_what_it_holds(dataset):
     info = json.loads((dataset / "meta/info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["video_path"]) == ("v3.0", FPS, None)
     # What has no frames is left out.
-    assert (info["total_episodes"], info["total_frames"], info["splits"]) == (2, 11, {"train": "0:2"})
+    assert (info["total_episodes"], info["total_frames"], info["splits"]) == (
+        2,
+        11,
+        {"train": "0:2"},
+    )
     tables = [
-        pq.read_table(dataset / info["data_path"].format(chunk_index=0, file_index=k)) for k in range(2)
+        pq.read_table(dataset / info["data_path"].format(chunk_index=0, file_index=k))
+        for k in range(2)
     ]
     stats = json.loads((dataset / "meta/stats.json").read_text())
     for key, told in info["features"].items():
@@ -74,7 +80,10 @@ def test_a_lerobot_dataset_says_what_it_holds(dataset):
             assert told["dtype"].replace("float32", "float") == str(entry), key
         assert stats[key]["count"] == [11]
         assert np.shape(stats[key]["mean"]) == np.shape(stats[key]["q50"]) == tuple(told["shape"])
-    whole = [np.concatenate([table[key].to_numpy() for table in tables]) for key in ("index", "timestamp")]
+    whole = [
+        np.concatenate([table[key].to_numpy() for table in tables])
+        for key in ("index", "timestamp")
+    ]
     assert whole[0].tolist() == list(range(11))
     assert whole[1] == pytest.approx([*np.arange(6) / FPS, *np.arange(5) / FPS])
     action = np.concatenate([np.array(table["action"].to_pylist()) for table in tables])
@@ -93,7 +102,8 @@ def test_a_lerobot_dataset_says_what_it_holds(dataset):
 def test_frames_hold_joints_set_points_and_the_tool(dataset):
     table = pq.read_table(dataset / "data/chunk-000/file-000.parquet")
     state, action, tool = (
-        np.array(table[name].to_pylist()) for name in ("observation.state", "action", "observation.tool_pose")
+        np.array(table[name].to_pylist())
+        for name in ("observation.state", "action", "observation.tool_pose")
     )
     execution = Execution(SCENE, 1)
     assert np.allclose(state[0, :7], execution.joints, atol=1e-3)
@@ -183,7 +193,12 @@ def test_robomimic_reads_its_keys(tmp_path):
         assert file["data"].attrs["total"] == 11
         assert json.loads(file["data"].attrs["env_args"])["env_name"]
         demo = file["data/demo_0"]
-        assert demo.attrs["num_samples"] == len(demo["actions"]) == len(demo["obs/robot0_joint_pos"]) == 6
+        assert (
+            demo.attrs["num_samples"]
+            == len(demo["actions"])
+            == len(demo["obs/robot0_joint_pos"])
+            == 6
+        )
         quaternion = demo["obs/robot0_eef_quat"][0]
         turn = np.empty(9)
         mujoco.mju_quat2Mat(turn, quaternion[[3, 0, 1, 2]].astype(float))
@@ -218,7 +233,9 @@ def test_pictures_are_in_the_videos(tmp_path):
 def test_lerobot_reads_it(tmp_path):
     python = os.environ.get("CLUTTERGEN_LEROBOT_DATASET_PYTHON")
     if not python:
-        pytest.skip("CLUTTERGEN_LEROBOT_DATASET_PYTHON names no interpreter that has lerobot[dataset]")
+        pytest.skip(
+            "CLUTTERGEN_LEROBOT_DATASET_PYTHON names no interpreter that has lerobot[dataset]"
+        )
     pytest.importorskip("imageio_ffmpeg", reason="needs the extra video")
     record(tmp_path / "data", [2, 0], cameras=["third"])
     told = ask_peer("lerobot_dataset", python, tmp_path / "data")

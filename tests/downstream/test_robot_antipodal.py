@@ -38,7 +38,8 @@ def test_lines_enter_where_rays_of_mujoco_hit(name):
     entered = Union(asset.parts).cast(start, aim).enter.min(1)
     geom = np.zeros(1, np.int32)
     hits = [
-        mujoco.mj_ray(model, data, center + s, a, None, 1, -1, geom) for s, a in zip(start, aim, strict=True)
+        mujoco.mj_ray(model, data, center + s, a, None, 1, -1, geom)
+        for s, a in zip(start, aim, strict=True)
     ]
     hit = np.array(hits)
     assert 30 < (hit >= 0).sum() < 300
@@ -47,7 +48,9 @@ def test_lines_enter_where_rays_of_mujoco_hit(name):
 
 def test_far_ends_face_the_line_within_the_friction_cone():
     wedge = Mesh.points(
-        np.array([[x, y, z] for x in (-0.03, 0.03) for y, z in ((-0.02, 0), (0.02, 0), (0.0, 0.04))])
+        np.array(
+            [[x, y, z] for x in (-0.03, 0.03) for y, z in ((-0.02, 0), (0.02, 0), (0.0, 0.04))]
+        )
     )
     pairs = sample_pairs(Union([wedge]), 4000, np.random.default_rng(4), MAX_WIDTH)
     slanted = np.abs(pairs.axis[:, 0]) < 0.5

@@ -32,7 +32,8 @@ from tests.helpers.worlds import box
 
 PANDA = find_robot()
 DOWN = np.diag([1.0, -1.0, -1.0])
-TALL, LOW = box("tall", (0.02, 0.02, 0.05), 0.2), box("low", (0.05, 0.05, 0.03), 0.3)
+TALL = box("tall", (0.02, 0.02, 0.05), 0.2)
+LOW = box("low", (0.05, 0.05, 0.03), 0.3)
 
 
 def scene_of(*places):
@@ -52,7 +53,8 @@ def above(scene, number, height, yaw=0.0):
 
 
 def test_what_the_open_hand_touches_is_named():
-    apart, close = scene_of((0, 0), (-0.2, 0)), scene_of((0, 0), (0, 0.072))
+    apart = scene_of((0, 0), (-0.2, 0))
+    close = scene_of((0, 0), (0, 0.072))
     still = StillScene(apart, PANDA)
     assert still.blocker(above(apart, 0, 0.04), 0.04) == ""
     assert still.blocker(above(apart, 0, -0.06), 0.04) == "support"
@@ -63,7 +65,9 @@ def test_what_the_open_hand_touches_is_named():
     assert beside.blocker(above(close, 0, 0.02), 0.04) == "low"
     assert beside.blocker(above(close, 0, 0.04), 0.04) == ""
     # From the side it comes through where the tall one stands.
-    through = rigid(np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]]), apart.poses[0, :3] + [-0.09, 0, 0.04])
+    through = rigid(
+        np.array([[0, 0, -1.0], [0, 1, 0], [1, 0, 0]]), apart.poses[0, :3] + [-0.09, 0, 0.04]
+    )
     assert still.blocker(through, 0.02) == "tall"
 
 
@@ -119,7 +123,10 @@ def test_candidates_come_from_above_and_their_fingers_meet_the_object():
         # Two points that far apart on the tool's y are on opposite faces.
         for sign in (-1, 1):
             tips = np.array(
-                [(p @ [0, sign * w / 2, 0, 1])[:3] for p, w in zip(local, drawn.width[paired], strict=True)]
+                [
+                    (p @ [0, sign * w / 2, 0, 1])[:3]
+                    for p, w in zip(local, drawn.width[paired], strict=True)
+                ]
             )
             assert (np.abs(tips) < TALL.half_extents + 0.012).all()
     first, again = (draw_grasps(scene, PANDA, 60, np.random.default_rng(1)) for _ in range(2))
@@ -142,7 +149,9 @@ def test_a_volume_is_half_at_the_surface_and_grows_in_front_of_it():
     T_world_task = vgn.task_frame(support)
     middle = (T_world_task @ [vgn.SIZE / 2, vgn.SIZE / 2, vgn.DEPTH, 1])[:3]
     np.testing.assert_allclose(middle, support.region_points[0])
-    camera = Camera.looking(middle + np.array([0.01, 0, 0.6]), middle, vgn.WIDTH, vgn.HEIGHT, vgn.FOCAL)
+    camera = Camera.looking(
+        middle + np.array([0.01, 0, 0.6]), middle, vgn.WIDTH, vgn.HEIGHT, vgn.FOCAL
+    )
     scene = Scene((), (), np.zeros((0, 7)), support)
     depth = StillScene(scene, PANDA).depth(camera)
     column = vgn.tsdf_grid([depth], [camera], T_world_task)[0, 20, 20]
@@ -165,7 +174,9 @@ SMALL = {"num_grasps": 12, "views": 2, "num_lifts": 3, "seed": 4}
 
 @pytest.fixture(scope="module")
 def made(bank, tmp_path_factory):
-    return cg.grasp_dataset(bank.path, tmp_path_factory.mktemp("sets") / "grasps", num_threads=2, **SMALL)
+    return cg.grasp_dataset(
+        bank.path, tmp_path_factory.mktemp("sets") / "grasps", num_threads=2, **SMALL
+    )
 
 
 def test_all_formats_hold_the_same_grasps(made):
@@ -182,11 +193,17 @@ def test_all_formats_hold_the_same_grasps(made):
     setup = json.loads((made.path / "raw/setup.json").read_text())
     assert setup["size"] == pytest.approx(6 * setup["finger_depth"])
     told = list(csv.DictReader((made.path / "raw/grasps.csv").open()))
-    expected = [row for row in rows if row["in_cube"] and (not row["is_free"] or row["lift"] is not None)]
-    assert [int(each["label"]) for each in told] == [int(row["lift"] == "lifted") for row in expected]
+    expected = [
+        row for row in rows if row["in_cube"] and (not row["is_free"] or row["lift"] is not None)
+    ]
+    assert [int(each["label"]) for each in told] == [
+        int(row["lift"] == "lifted") for row in expected
+    ]
     T_world_task = vgn.task_frame(find_support("table"))
     for each, row in zip(told, expected, strict=True):
-        turn = Rotation.from_quat([float(each[name]) for name in ("qx", "qy", "qz", "qw")]).as_matrix()
+        turn = Rotation.from_quat(
+            [float(each[name]) for name in ("qx", "qy", "qz", "qw")]
+        ).as_matrix()
         tool = T_world_task @ rigid(turn, np.array([float(each[name]) for name in "xyz"]))
         tool = shift_along(tool, (0, 0, 0.045))
         np.testing.assert_allclose(tool, matrix_of(np.array(row["pose"])), atol=1e-6)
@@ -217,13 +234,16 @@ def test_what_was_seen_fits_to_where_it_was_seen_from(made, bank):
         K = json.loads((made.path / "raw/setup.json").read_text())["intrinsic"]["K"]
         # As Open3D has it: whole numbers at the middles of pixels.
         seen = np.stack([(columns - K[2]) / K[0], (rows - K[5]) / K[4]])
-        points = np.stack([*(seen * image[rows, columns]), image[rows, columns], np.ones(len(rows))])
+        points = np.stack(
+            [*(seen * image[rows, columns]), image[rows, columns], np.ones(len(rows))]
+        )
         heights = (inverse(T_camera_task) @ points)[2]
         assert np.median(np.abs(heights[heights < 0.06] - vgn.DEPTH)) < 0.006
 
 
 def test_threads_and_interruptions_change_nothing(made, bank, tmp_path, monkeypatch):
-    real, calls = grasp_dataset._make_scene, []
+    real = grasp_dataset._make_scene
+    calls = []
 
     def stops(out, plan, scene):
         calls.append(scene.origin.index)
@@ -238,7 +258,12 @@ def test_threads_and_interruptions_change_nothing(made, bank, tmp_path, monkeypa
     assert not (out / "grasps.parquet").exists()
     monkeypatch.setattr(grasp_dataset, "_make_scene", real)
     cg.grasp_dataset(bank.path, out, num_threads=1, **SMALL)
-    for name in ("grasps.parquet", "raw/grasps.csv", "voxels/grasps.csv", "voxels/scenes/000002.npz"):
+    for name in (
+        "grasps.parquet",
+        "raw/grasps.csv",
+        "voxels/grasps.csv",
+        "voxels/scenes/000002.npz",
+    ):
         first, second = ((folder / name).read_bytes() for folder in (made.path, out))
         assert first == second, name
 

@@ -59,7 +59,10 @@ def changed(tmp_path):
         ({"arm__limits": [[-99.0, 99.0]] * 6}, "arm.limits of turn.*within its model's"),
         ({"gripper__tool": [0, 0, 5.0, 1, 0, 0, 0]}, "gripper.tool.*up to 1 m"),
         ({"arm__home": [0.0, 0.0]}, "arm.home of 2.*6"),
-        ({"arm__home": [0.0, 3.0, 0.5, 0.0, 0.0, 0.0]}, "arm.home has lift at 3.0.*-1.74533 to 1.74533"),
+        (
+            {"arm__home": [0.0, 3.0, 0.5, 0.0, 0.0, 0.0]},
+            "arm.home has lift at 3.0.*-1.74533 to 1.74533",
+        ),
         ({"arm__speed": [1.0, 1.0, 1.0, 1.0, 1.0, 0.0]}, "arm.speed.*above 0"),
         ({"arm__acceleration": [float("nan")] * 6}, "arm.acceleration"),
         ({"arm__gain": None}, "arm.damping without arm.gain"),
@@ -113,8 +116,11 @@ def test_a_hash_is_of_what_a_robot_is_and_not_of_where_it_lies(changed, tmp_path
 @pytest.mark.parametrize("robot", [*WITHOUT_PACKAGES, OWN / "robot.yaml"])
 def test_pads_are_as_far_apart_as_the_table_says(robot):
     described = find_robot(robot)
-    gripper, model = gripper_of(described), hand_spec(ContactConfig(), described).compile()
-    data, ends, line = mujoco.MjData(model), [], np.zeros(6)
+    gripper = gripper_of(described)
+    model = hand_spec(ContactConfig(), described).compile()
+    data = mujoco.MjData(model)
+    ends = []
+    line = np.zeros(6)
     names = described.gripper.pads
     for share in (0.2, 0.5, 0.9):
         opening = share * gripper.max_opening
@@ -139,7 +145,8 @@ def test_pads_are_as_far_apart_as_the_table_says(robot):
 def test_a_robot_is_found_in_its_model(robot):
     described = find_robot(robot)
     model = arm_spec(ContactConfig(), described).compile()
-    found, data = Robot.of(model, described, prefix=""), mujoco.MjData(model)
+    found = Robot.of(model, described, prefix="")
+    data = mujoco.MjData(model)
     number = len(described.arm.joints)
     assert len(found.qpos) == len(found.ctrl) == len(found.lag) == number
     assert len(found.fingers) == model.nq - number
@@ -147,7 +154,8 @@ def test_a_robot_is_found_in_its_model(robot):
     data.qpos[found.qpos] = described.arm.home
     mujoco.mj_kinematics(model, data)
     # Each link is drawn, by one kind of its shapes or the other.
-    is_seen, of_body = model.geom_group == VISUAL_GROUP, model.geom_bodyid
+    is_seen = model.geom_group == VISUAL_GROUP
+    of_body = model.geom_bodyid
     moved = model.body_rootid[model.jnt_bodyid[0]]
     assert {model.jnt_bodyid[joint] for joint in range(number)} <= {*of_body[is_seen], moved}
     # It waits over the table, the hand straight down.

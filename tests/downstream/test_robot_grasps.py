@@ -15,7 +15,12 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.robot.grasping import grasps as kept
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates
-from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, MAX_SHIFT, MAX_SLIP, check_grasps
+from cluttergen_jax.downstream.robot.grasping.grasp_check import (
+    MAX_LOAD,
+    MAX_SHIFT,
+    MAX_SLIP,
+    check_grasps,
+)
 from cluttergen_jax.downstream.robot.grasping.grasps import (
     GraspSets,
     grasp_file,
@@ -68,7 +73,9 @@ def test_the_brief_check_tells_firm_grasps_from_those_that_slip():
     light = box("box", (0.02, 0.02, 0.05), mass=0.2)
     with Rollout(nthread=0) as pool:
         held = check_grasps(light, from_above(0.03, 0.11), pool, is_brief=True)
-        slippery = check_grasps(replace(light, friction=0.01), from_above(0.03), pool, is_brief=True)
+        slippery = check_grasps(
+            replace(light, friction=0.01), from_above(0.03), pool, is_brief=True
+        )
     assert held.is_held.tolist() == [True, False]
     assert held.margin.tolist() == [1.0, 0.0]
     assert not slippery.is_held.any()
@@ -92,7 +99,9 @@ def test_a_box_has_grasps_across_both_of_its_narrow_sides(cube_grasps):
     T_tool_object = matrix_of(grasps.held)
     # The cube's middle is between the pads, however far beside it they came, and it lies as it stood.
     assert (np.abs(T_tool_object[:, 1, 3]) < 0.001).all()
-    assert (np.linalg.norm((T_tool_object @ T_object_tool)[:, :3, 3], axis=1) <= MAX_SHIFT + MAX_SLIP).all()
+    assert (
+        np.linalg.norm((T_tool_object @ T_object_tool)[:, :3, 3], axis=1) <= MAX_SHIFT + MAX_SLIP
+    ).all()
     assert (angle_between(T_tool_object, inverse(T_object_tool)) < np.radians(5)).all()
 
 
@@ -111,7 +120,9 @@ def test_what_is_kept_is_read_again_and_an_object_that_changed_is_looked_at_anew
     assert grasp_file(cube, 12, 0, find_robot("panda_2f85")) != path
     write_grasps(path, [replace(grasps, gripper="another")])
     with monkeypatch.context() as made:
-        made.setattr(kept, "make_grasps", lambda asset, number, *others: replace(grasps, num_tested=99))
+        made.setattr(
+            kept, "make_grasps", lambda asset, number, *others: replace(grasps, num_tested=99)
+        )
         assert next(iter(grasps_of([cube], 12))).num_tested == 99, "grasps of another gripper"
     with monkeypatch.context() as before:
         before.setattr(kept, "_VERSION", kept._VERSION - 1)

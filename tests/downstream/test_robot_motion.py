@@ -31,7 +31,12 @@ from cluttergen_jax.downstream.robot.motion.collision import (
     PlanningWorld,
 )
 from cluttergen_jax.downstream.robot.motion.execute import Phase
-from cluttergen_jax.downstream.robot.motion.ik import MAX_JUMP, TOLERANCE, TURN_TOLERANCE, ArmKinematics
+from cluttergen_jax.downstream.robot.motion.ik import (
+    MAX_JUMP,
+    TOLERANCE,
+    TURN_TOLERANCE,
+    ArmKinematics,
+)
 from cluttergen_jax.downstream.robot.motion.plan import (
     MAX_TILT,
     SHARE,
@@ -46,11 +51,9 @@ from tests.helpers.worlds import box
 TABLE = cuboid_table()
 TOP = TABLE.top
 DOWN = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
-CUBE, WALL, LOW = (
-    box("cube", (0.02, 0.03, 0.04)),
-    box("wall", (0.02, 0.15, 0.12)),
-    box("low", (0.04, 0.04, 0.02)),
-)
+CUBE = box("cube", (0.02, 0.03, 0.04))
+WALL = box("wall", (0.02, 0.15, 0.12))
+LOW = box("low", (0.04, 0.04, 0.02))
 
 
 def standing(x, y, asset):
@@ -82,7 +85,8 @@ def grasps():
     """The cube from above, by its narrow sides and by its wide ones; nothing was tested."""
     high = rigid(np.stack([np.diag([1.0, -1, -1])] * 2), np.array([[0, 0, 0.02], [0, 0, 0.03]]))
     high[1, :3, :3] = DOWN
-    nothing, pose = np.zeros(2), pose_of(high)
+    nothing = np.zeros(2)
+    pose = pose_of(high)
     return Grasps(
         "cube",
         "",
@@ -126,7 +130,8 @@ def test_a_line_is_straight_and_without_jumps(kinematics):
 
 def nearest(world):
     """Metres between the arm and what stands there, by MuJoCo's distances instead of its contacts."""
-    model, data = world.model, world.data
+    model = world.model
+    data = world.data
     moving = np.flatnonzero(np.isin(world._kind, [Kind.ARM, Kind.HAND]))
     # The base stands still: nothing can be done about what it touches.
     moving = moving[model.geom_bodyid[moving] != model.body("panda/link0").id]
@@ -153,8 +158,10 @@ def test_what_is_free_keeps_its_distance(world, kinematics):
 
 def nearest_link(world, joints):
     """Metres between links that are no neighbours, or a link and the hand, by MuJoCo's distances."""
-    model, data = world.model, world.data
-    data.qpos[world.arm.qpos], data.qpos[world.arm.fingers] = joints, 0.04
+    model = world.model
+    data = world.data
+    data.qpos[world.arm.qpos] = joints
+    data.qpos[world.arm.fingers] = 0.04
     mujoco.mj_kinematics(model, data)
     rigid = model.body_weldid
     before = rigid[model.body_parentid[rigid]]
@@ -194,9 +201,10 @@ def test_what_is_held_is_looked_at_and_what_is_put_down_too(world, kinematics):
     assert world.is_free(above, 0.03)
     # A cube held 18 cm below the tool reaches into the table.
     world.hold(rigid(np.eye(3), np.array([0, 0, 0.18])))
-    assert set(world.blocker(above, 0.03)) == {"support", "panda/held"} or "panda/held" in world.blocker(
-        above, 0.03
-    )
+    assert set(world.blocker(above, 0.03)) == {
+        "support",
+        "panda/held",
+    } or "panda/held" in world.blocker(above, 0.03)
     world.hold(rigid(np.eye(3), np.array([0, 0, 0.02])))
     assert world.is_free(above, 0.03)
     world.release(SCENE.poses[TARGET])
@@ -230,7 +238,8 @@ def test_a_free_way_is_straight_and_what_is_carried_stays_upright(world, kinemat
     path = planner.connect(ends[0], near, 0.03, seed=3)
     assert np.allclose(path, np.linspace(ends[0], near, len(path)))
     world.hold(rigid(DOWN.T, np.zeros(3)))
-    up, told = np.array([0.0, 0.0, 1.0]), []
+    up = np.array([0.0, 0.0, 1.0])
+    told = []
     for joints in time_path(planner.connect(*ends, 0.03, seed=3, up=up), 1 / 240, *LIMITS).joints:
         assert world.is_free(joints, 0.03)
         told.append(world.tilt(up))
@@ -259,7 +268,8 @@ def test_motions_keep_to_their_share_of_the_limits(share):
 @pytest.fixture
 def honest(monkeypatch):
     """What each step of the simulation finds must be what the step before it left."""
-    left, steps = {}, []
+    left = {}
+    steps = []
     step = mujoco.mj_step
 
     def checked(model, data):

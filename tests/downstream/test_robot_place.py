@@ -43,7 +43,9 @@ def failed(outcome, name="mug"):
     )
 
 
-GRASPS = Grasps("mug", "content", np.zeros((1, 7)), *np.zeros((5, 1)), np.ones(1, bool), 1, np.zeros((1, 7)))
+GRASPS = Grasps(
+    "mug", "content", np.zeros((1, 7)), *np.zeros((5, 1)), np.ones(1, bool), 1, np.zeros((1, 7))
+)
 
 
 @pytest.fixture(scope="module")
@@ -87,13 +89,17 @@ def test_interrupted_trials_go_on_where_they_stopped(bank, made, tmp_path):
         run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 0})
 
 
-def test_rows_are_not_continued_with_other_grasps_or_another_planner(bank, made, tmp_path, monkeypatch):
+def test_rows_are_not_continued_with_other_grasps_or_another_planner(
+    bank, made, tmp_path, monkeypatch
+):
     scenes = list(read_scenes(bank))
     run_trials(scenes, "lift", 2, 0, tmp_path, {})
     with monkeypatch.context() as other:
         of_others = replace(GRASPS, margin=GRASPS.margin + 1)
         other.setattr(
-            own_grasps, "grasps_of", lambda objects, num_threads, robot: [of_others for _ in objects]
+            own_grasps,
+            "grasps_of",
+            lambda objects, num_threads, robot: [of_others for _ in objects],
         )
         with pytest.raises(BankError, match="another grasps of "):
             run_trials(scenes, "lift", 3, 0, tmp_path, {})
@@ -113,8 +119,11 @@ def test_a_simulation_that_diverges_is_a_failure_by_that_name():
         execution.wait(0.5, Phase.FREE)
 
 
-def test_films_are_drawn_of_what_was_kept_and_of_earlier_processes_run_again(bank, tmp_path, monkeypatch):
-    ran, drawn = [], []
+def test_films_are_drawn_of_what_was_kept_and_of_earlier_processes_run_again(
+    bank, tmp_path, monkeypatch
+):
+    ran = []
+    drawn = []
 
     def episode(scene, task, grasps, places, index, seed, trace, planner, robot):
         ran.append(index)

@@ -56,7 +56,8 @@ def scene(bank):
 @pytest.fixture(scope="module")
 def grasps():
     """The box from above, by its narrow sides; nothing was tested."""
-    pose, nothing = pose_of(rigid(DOWN[None], np.array([[0, 0, 0.03]]))), np.zeros(1)
+    pose = pose_of(rigid(DOWN[None], np.array([[0, 0, 0.03]])))
+    nothing = np.zeros(1)
     return Grasps(
         "box",
         "",
@@ -76,7 +77,8 @@ def partial_map(height, ceiling, yaw=0.3):
     """A map of the heights of a few cells about a turned region's middle."""
     shape = height.shape
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = yaw_matrix(yaw), (0.02, -0.01, TOP)
+    T[:3, :3] = yaw_matrix(yaw)
+    T[:3, 3] = (0.02, -0.01, TOP)
     corner = -np.array(shape, np.float32) / 2 * CELL
     grid = Grid(T, np.zeros(shape, np.float32), corner, (CELL, CELL))
     return PartialMap(grid, height, ceiling, np.ones(shape, np.int32))
@@ -94,18 +96,21 @@ def height_at(boxes, point):
 
 def test_columns_cover_what_was_seen_and_what_may_be_hidden_and_nothing_else():
     rng = np.random.default_rng(0)
-    height = np.where(rng.uniform(size=(14, 17)) < 0.5, rng.uniform(0, 0.1, (14, 17)), 0.001).astype(
+    height = np.where(
+        rng.uniform(size=(14, 17)) < 0.5, rng.uniform(0, 0.1, (14, 17)), 0.001
+    ).astype(np.float32)
+    height[3:9, 4:12] = 0.06
+    ceiling = np.where(rng.uniform(size=height.shape) < 0.2, height + 0.05, height).astype(
         np.float32
     )
-    height[3:9, 4:12] = 0.06
-    ceiling = np.where(rng.uniform(size=height.shape) < 0.2, height + 0.05, height).astype(np.float32)
     found = partial_map(height, ceiling)
     columns = occupancy_boxes(found)
     # The 48 cells alike share a few boxes.
     assert len(columns.seen) < (height > THIN).sum() - 40
     for index in np.ndindex(height.shape):
         point = found.grid.columns[index][:2]
-        seen, hidden = height_at(columns.seen, point), height_at(columns.hidden, point)
+        seen = height_at(columns.seen, point)
+        hidden = height_at(columns.hidden, point)
         if height[index] > THIN:
             assert -1e-6 <= seen - height[index] <= THIN + 1e-6
         else:
@@ -119,8 +124,11 @@ def test_the_arm_keeps_its_distance_from_columns_but_may_lower_what_it_holds_bes
     height[:20] = 0.12
     columns = occupancy_boxes(partial_map(height, height, yaw=0.0))
     kinematics = ArmKinematics(base_pose(TABLE))
-    world = PlanningWorld(("box",), (BOX,), SCENE.poses, 0, TABLE, base_pose(TABLE), columns=columns)
-    edge, turn = 0.02, np.diag([1.0, -1, -1])
+    world = PlanningWorld(
+        ("box",), (BOX,), SCENE.poses, 0, TABLE, base_pose(TABLE), columns=columns
+    )
+    edge = 0.02
+    turn = np.diag([1.0, -1, -1])
     world.hold(inverse(rigid(turn, np.zeros(3))))
 
     def joints(gap, z):
@@ -147,7 +155,9 @@ def test_pixels_of_the_arm_and_what_it_brings_are_known_from_its_joints(is_aside
         covered = own(camera, execution.joints, execution.opening, SCENE.poses[0])
         geom = cast_rays(execution.model, execution.data, camera, execute._DRAWN)[1]
         body = execution.model.geom_bodyid[geom]
-        is_own = (geom >= 0) & (execution.arm.is_arm[body] | (body == execution.model.body("box").id))
+        is_own = (geom >= 0) & (
+            execution.arm.is_arm[body] | (body == execution.model.body("box").id)
+        )
         assert covered[is_own].all()
         # And little else: an edge of a few pixels.
         assert (covered & ~is_own).sum() < 0.6 * is_own.sum() + 400
@@ -158,7 +168,9 @@ def test_pixels_of_the_arm_and_what_it_brings_are_known_from_its_joints(is_aside
 @pytest.fixture
 def withheld(monkeypatch):
     """Where objects truly are the referee alone knows; the names that planning is told of are kept."""
-    judging, poses, told = [], Execution.poses, []
+    judging = []
+    poses = Execution.poses
+    told = []
 
     def asked(self):
         assert judging, "the arm read the true poses"

@@ -34,7 +34,8 @@ def test_logged_episodes_are_the_samplers(made_up):
     _, _, plain = next(sample_blocks(sampler, [(0, 20)], 3))
     for ours, theirs in zip(jax.tree.leaves(outcome.scenes), jax.tree.leaves(plain), strict=True):
         np.testing.assert_array_equal(ours, theirs)
-    attempts, counts = outcome.attempts, outcome.scenes.counts
+    attempts = outcome.attempts
+    counts = outcome.scenes.counts
     assert attempts.is_made.all()
     assert len(attempts.scene) == counts.attempts.sum()
     np.testing.assert_array_equal(
@@ -45,7 +46,8 @@ def test_logged_episodes_are_the_samplers(made_up):
 
 def test_figures_by_hand(made_up):
     outcome = made_up[1]
-    figures, scenes = figures_of(outcome), outcome.scenes
+    figures = figures_of(outcome)
+    scenes = outcome.scenes
     assert figures["success"] == scenes.is_success.mean()
     assert figures["placed"] == pytest.approx(np.dot(figures["placed_histogram"], range(5)) / 20)
     assert figures["attempts"] == sum(figures["verdicts"].values())

@@ -32,7 +32,10 @@ def test_command_takes_up_what_was_made_before(tmp_path, capsys):
     assert "[2 of 2 rows, " in said
     # A row that cannot be made is told below the table and by the status.
     assert (
-        command(tmp_path, methods=("random", "policy"), supports=SUPPORTS[:1], checkpoints=str(tmp_path)) == 1
+        command(
+            tmp_path, methods=("random", "policy"), supports=SUPPORTS[:1], checkpoints=str(tmp_path)
+        )
+        == 1
     )
     shown, said = capsys.readouterr()
     assert (
@@ -47,12 +50,20 @@ def test_a_suite_from_python_hands_out_each_study_as_it_is_done(tmp_path):
     given = []
     # One scene of each row, too few to tell anything about how different scenes are.
     results = cluttergen_jax.evaluate_suite(
-        "extended", only=("diversity",), methods=("random",), trials=1, out=tmp_path, show=given.append
+        "extended",
+        only=("diversity",),
+        methods=("random",),
+        trials=1,
+        out=tmp_path,
+        show=given.append,
     )
     assert given == results
     (result,) = results
     assert (result["suite"], result["name"], result["trials"]) == ("extended", "diversity", [1])
-    assert [row["support"] for row in result["measure"]["rows"]] == ["table-0.60x0.70", "table-0.40x0.50"]
+    assert [row["support"] for row in result["measure"]["rows"]] == [
+        "table-0.60x0.70",
+        "table-0.40x0.50",
+    ]
     assert all("of 1 scenes succeed" in row["missing"] for row in result["measure"]["rows"])
     assert json.loads((tmp_path / "diversity.json").read_text()) == result
     assert all((tmp_path / name).is_file() for name in ("diversity.md", "diversity.csv", "all.md"))

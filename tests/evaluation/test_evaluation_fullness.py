@@ -34,7 +34,12 @@ def test_rows_are_called_what_they_were_asked_as(name):
 @pytest.mark.parametrize("name", PAPERS)
 def test_tables_of_the_paper_keep_its_rules(name):
     for trial in STUDIES[name].trials(Scale()):
-        assert (trial.order, trial.ruin_after, trial.min_margin, trial.budget) == ("random", 0, 0.0, None)
+        assert (trial.order, trial.ruin_after, trial.min_margin, trial.budget) == (
+            "random",
+            0,
+            0.0,
+            None,
+        )
 
 
 def rows_of(**successes):

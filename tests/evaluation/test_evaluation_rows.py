@@ -20,10 +20,14 @@ def test_keys_follow_content():
     sources = {"pool": "a", "checkpoint": None}
     assert key_of(SMALL, sources) == key_of(dataclasses.replace(SMALL), dict(sources))
     others = [dataclasses.replace(SMALL, seed=1), dataclasses.replace(SMALL, attempts=4)]
-    keys = {key_of(each, sources) for each in [SMALL, *others]} | {key_of(SMALL, sources | {"pool": "b"})}
+    keys = {key_of(each, sources) for each in [SMALL, *others]} | {
+        key_of(SMALL, sources | {"pool": "b"})
+    }
     assert len(keys) == 4
     # A pool that lies elsewhere is the same pool: its hash is among the sources.
-    assert key_of(dataclasses.replace(SMALL, pool="copy/of/dining"), sources) == key_of(SMALL, sources)
+    assert key_of(dataclasses.replace(SMALL, pool="copy/of/dining"), sources) == key_of(
+        SMALL, sources
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,7 +87,8 @@ def test_a_row_that_fails_leaves_the_others(tmp_path, monkeypatch):
         return make(self, resolved)
 
     monkeypatch.setattr(Runner, "make", fails_on_margin)
-    runner, bad = Runner(Store(tmp_path)), dataclasses.replace(SMALL, min_margin=0.003)
+    runner = Runner(Store(tmp_path))
+    bad = dataclasses.replace(SMALL, min_margin=0.003)
     runner.plan([bad, SMALL])
     found = compare(runner, [bad, SMALL], tmp_path)
     assert [row["success"] is None for row in found.rows] == [True, False]
@@ -112,9 +117,12 @@ def test_checkpoints_are_found_by_pool_variant_and_seed(tmp_path):
     policy = dataclasses.replace(SMALL, method="policy")
     assert found.find(policy).path == tmp_path / "dining-policy-0/policy"
     assert (
-        found.find(dataclasses.replace(policy, training_seed=1)).path == tmp_path / "dining-policy-1/policy"
+        found.find(dataclasses.replace(policy, training_seed=1)).path
+        == tmp_path / "dining-policy-1/policy"
     )
-    assert found.find(dataclasses.replace(policy, method="normal")).path == tmp_path / "dining-normal"
+    assert (
+        found.find(dataclasses.replace(policy, method="normal")).path == tmp_path / "dining-normal"
+    )
     with pytest.raises(MissingCheckpointError):
         found.find(dataclasses.replace(policy, training_seed=2))
     other = dataclasses.replace(policy, attempts=2)
@@ -123,7 +131,9 @@ def test_checkpoints_are_found_by_pool_variant_and_seed(tmp_path):
     assert found.find(other).path == tmp_path / "dining-policy-attempts2-0/policy"
     # What cannot be used is said in the row, and the suite goes on.
     for damage in ({}, {"network": None}):
-        (tmp_path / "dining-policy-attempts2-0/policy/record.json").write_text(json.dumps(record | damage))
+        (tmp_path / "dining-policy-attempts2-0/policy/record.json").write_text(
+            json.dumps(record | damage)
+        )
         row = Runner(Store(tmp_path / "results"), found).row(other)
         assert "cannot be used" in row["missing"]
         assert str(tmp_path) not in row["missing"]

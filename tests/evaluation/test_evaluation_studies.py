@@ -18,7 +18,14 @@ from cluttergen_jax.evaluation.running import run_study
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.studies import table1, tables
 from cluttergen_jax.evaluation.studies.robustness import SURVIVAL
-from cluttergen_jax.evaluation.studies.study import Findings, Scale, Study, each_success, grid, row_of
+from cluttergen_jax.evaluation.studies.study import (
+    Findings,
+    Scale,
+    Study,
+    each_success,
+    grid,
+    row_of,
+)
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 
@@ -90,7 +97,9 @@ def figures(num_success, histogram):
         "attempts_per_valid_scene": 12.5,
         "simulated_steps_per_valid_scene": 4321.0,
         "stable_steps": spread,
-        "within": [{"times": each, "share": 0.5, "low95": 0.188, "high95": 0.812} for each in WITHIN],
+        "within": [
+            {"times": each, "share": 0.5, "low95": 0.188, "high95": 0.812} for each in WITHIN
+        ],
         "fill": 0.75,
         "attempts": 75,
         "simulated_steps": 25926,
@@ -100,7 +109,9 @@ def figures(num_success, histogram):
 
 
 # By hand: Wilson's intervals of 3 and of 4 in 6; at least 1, 2 and 3 objects of three, from 1, 1, 0 and 4.
-STRICT, LOOSE, AT_LEAST = "0.500 [0.188, 0.812]", "0.667 [0.300, 0.903]", ["0.833", "0.667", "0.667"]
+STRICT = "0.500 [0.188, 0.812]"
+LOOSE = "0.667 [0.300, 0.903]"
+AT_LEAST = ["0.833", "0.667", "0.667"]
 
 
 @pytest.mark.parametrize(
@@ -146,7 +157,8 @@ def test_tables_hold_every_row_and_say_quick(name, number, cells):
 
 
 def test_results_page_agrees_with_its_json():
-    results, notes = read_results(REPORTS / "results"), (REPORTS / "missed.md").read_text(encoding="utf-8")
+    results = read_results(REPORTS / "results")
+    notes = (REPORTS / "missed.md").read_text(encoding="utf-8")
     # New studies have no result until they are made.
     assert {result["name"] for result in results} <= {*STUDIES, *DOWNSTREAM}
     assert (REPORTS / "results.md").read_text(encoding="utf-8") == document(results, notes)
@@ -174,11 +186,15 @@ def counted(asked, keeps_each):
         rows = []
         for trial, scenes in each_success(runner, trials, rows):
             find = lambda trial=trial, scenes=scenes: count(trial, scenes)  # noqa: E731
-            rows.append(row_of(trial, runner.measure(trial, "count", find) if keeps_each else find()))
+            rows.append(
+                row_of(trial, runner.measure(trial, "count", find) if keeps_each else find())
+            )
         return Findings(rows)
 
     trials = grid(SMALL, seed=(0, 1))
-    return Study("count", "counted", 6, lambda scale: trials, measure=measure, keeps_each=keeps_each)
+    return Study(
+        "count", "counted", 6, lambda scale: trials, measure=measure, keeps_each=keeps_each
+    )
 
 
 @pytest.mark.slow
@@ -189,7 +205,9 @@ def test_findings_are_kept_one_by_one_or_all_together(runner, tmp_path, keeps_ea
     trials = study.trials(Scale())
 
     def found():
-        return run_study(runner, study, trials, tmp_path, "paper", "command", False)["measure"]["rows"]
+        return run_study(runner, study, trials, tmp_path, "paper", "command", False)["measure"][
+            "rows"
+        ]
 
     with pytest.raises(KeyboardInterrupt):
         found()
@@ -203,7 +221,9 @@ def test_findings_are_kept_one_by_one_or_all_together(runner, tmp_path, keeps_ea
 
 @pytest.mark.slow
 def test_survival_asks_the_engines_that_are_installed(runner, tmp_path):
-    result = run_study(runner, SURVIVAL, (SMALL,), tmp_path, "extended", "command", False)["measure"]
+    result = run_study(runner, SURVIVAL, (SMALL,), tmp_path, "extended", "command", False)[
+        "measure"
+    ]
     installed = [engine for engine in PEERS if importlib.util.find_spec(PACKAGES[engine])]
     assert [row["engine"] for row in result["rows"]] == installed
     assert len(result["notes"]) == len(PEERS) - len(installed)

@@ -22,7 +22,9 @@ _FLAGS = ("is_still_0.2s", "is_still_1s", "is_deep", "floats", "falls")
 
 
 def mjcf(path, *bodies, more="", option=""):
-    path.write_text(f"<mujoco>{option}<worldbody>{_FLOOR}{''.join(bodies)}</worldbody>{more}</mujoco>")
+    path.write_text(
+        f"<mujoco>{option}<worldbody>{_FLOOR}{''.join(bodies)}</worldbody>{more}</mujoco>"
+    )
     return path
 
 
@@ -65,14 +67,18 @@ def test_every_fault_is_found_by_its_name(tmp_path):
 
 
 def test_a_plain_second_judge_agrees(tmp_path):
-    draw, asked, alike = np.random.default_rng(0), 0, 0
+    draw = np.random.default_rng(0)
+    asked = 0
+    alike = 0
     for number in range(4):
         bodies = [
             box(f"b{i}", *draw.uniform(-0.2, 0.2, 1), 0.1 + 0.19 * i, y=draw.uniform(-0.1, 0.1))
             for i in range(3)
         ]
         path = mjcf(tmp_path / f"{number}.xml", *bodies)
-        found = {row["body"]: row for row in cg.judge(path, seconds=(0.2, 1.0)).rows.to_pylist()[:3]}
+        found = {
+            row["body"]: row for row in cg.judge(path, seconds=(0.2, 1.0)).rows.to_pylist()[:3]
+        }
         for own in judge_plainly(path, seconds=(0.2, 1.0)):
             asked += len(_FLAGS)
             alike += sum(found[own["body"]][name] == own[name] for name in _FLAGS)
@@ -84,16 +90,20 @@ def test_a_plain_second_judge_agrees(tmp_path):
 def test_a_plain_second_judge_agrees_on_our_scenes_as_they_are_and_disturbed(tmp_path):
     export_scenes([dining_scene()], tmp_path, "mjcf")
     (path,) = (tmp_path / "scenes").glob("*.xml")
-    poses, draw = dining_scene().poses, np.random.default_rng(0)
+    poses = dining_scene().poses
+    draw = np.random.default_rng(0)
     states = [poses, *(disturb(poses, 0.01, 0.17, draw) for _ in range(7))]
     np.savez(path.with_suffix(".npz"), states=np.reshape(states, (8, -1)))
     rows = {
-        (r["start"], r["body"], r["detector"]): r for r in cg.judge(path, seconds=(0.2, 1.0)).rows.to_pylist()
+        (r["start"], r["body"], r["detector"]): r
+        for r in cg.judge(path, seconds=(0.2, 1.0)).rows.to_pylist()
     }
     for detector in ("native", "libccd"):
         own = judge_plainly(path, detector, seconds=(0.2, 1.0))
         pairs = [
-            (rows[each["start"], each["body"], detector][name], each[name]) for each in own for name in _FLAGS
+            (rows[each["start"], each["body"], detector][name], each[name])
+            for each in own
+            for name in _FLAGS
         ]
         assert np.mean([one == other for one, other in pairs]) >= 0.99
         assert all(rows["0", name, detector]["is_still_1s"] for name in dining_scene().names)
@@ -102,7 +112,10 @@ def test_a_plain_second_judge_agrees_on_our_scenes_as_they_are_and_disturbed(tmp
 
 def test_what_diverges_has_moved_and_what_is_unreadable_says_why(tmp_path, capsys):
     wild = mjcf(
-        tmp_path / "wild.xml", box("a", 0, 0.1), box("b", 0.01, 0.11), option='<option timestep="0.2"/>'
+        tmp_path / "wild.xml",
+        box("a", 0, 0.1),
+        box("b", 0.01, 0.11),
+        option='<option timestep="0.2"/>',
     )
     (tmp_path / "broken.xml").write_text("<mujoco><worldbody><geom/></worldbody></mujoco>")
     (tmp_path / "fixed.xml").write_text(f"<mujoco><worldbody>{_FLOOR}</worldbody></mujoco>")
@@ -114,7 +127,11 @@ def test_what_diverges_has_moved_and_what_is_unreadable_says_why(tmp_path, capsy
     assert [row["error"] is None for row in report.rows.to_pylist()] == [True] * 2 + [False] * 3
     assert main(["judge", str(tmp_path / "fixed.xml")]) == 1
     assert "no body in it moves freely" in capsys.readouterr().out
-    for words in (["/nowhere.xml"], [str(tmp_path), "--states", "x.npz"], [str(wild), "--seconds", "2", "1"]):
+    for words in (
+        ["/nowhere.xml"],
+        [str(tmp_path), "--states", "x.npz"],
+        [str(wild), "--seconds", "2", "1"],
+    ):
         assert main(["judge", *words]) == 2
 
 
@@ -165,9 +182,8 @@ def test_joints_are_held_where_that_is_asked(tmp_path):
 
 def test_urdf_with_a_floating_joint(tmp_path):
     shape = '<geometry><box size=".2 .2 .2"/></geometry>'
-    inertial = (
-        '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>'
-    )
+    inertia = '<inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><mass value="1"/>{inertia}</inertial>'
     (tmp_path / "scene.urdf").write_text(
         f'<robot name="r"><link name="w"><collision>{shape}</collision></link><link name="b">{inertial}'
         f'<collision>{shape}</collision></link><joint name="j" type="floating"><origin xyz="0 0 .2"/>'
@@ -179,7 +195,8 @@ def test_urdf_with_a_floating_joint(tmp_path):
 @pytest.mark.slow
 def test_usd_is_judged_as_the_mjcf_of_the_same_scene(tmp_path):
     pytest.importorskip("pxr", reason="needs the extra usd")
-    scene, found = dining_scene(), {}
+    scene = dining_scene()
+    found = {}
     for form in ("usd", "mjcf"):
         export_scenes([scene], tmp_path / form, form)
         found[form] = cg.judge(

@@ -15,11 +15,15 @@ from cluttergen_jax.evaluation.judging.rule import find_free_bodies
 CASES = Path(__file__).parents[1] / "cases" / "judge"
 QUICK = {"seconds": (0.1,), "detectors": ("native",)}
 _FLOOR = '<geom name="floor" type="plane" size="0 0 1"/>'
-_BOX = '<body name="{}" pos="{} 0 .03"><freejoint/><geom type="box" size=".03 .03 .03" {}/>{}</body>'
+_BOX = (
+    '<body name="{}" pos="{} 0 .03"><freejoint/><geom type="box" size=".03 .03 .03" {}/>{}</body>'
+)
 
 
 def scene(path, *parts, rest="", option=""):
-    path.write_text(f"<mujoco>{option}<worldbody>{_FLOOR}{''.join(parts)}</worldbody>{rest}</mujoco>")
+    path.write_text(
+        f"<mujoco>{option}<worldbody>{_FLOOR}{''.join(parts)}</worldbody>{rest}</mujoco>"
+    )
     return path
 
 
@@ -32,7 +36,9 @@ def overlaps(path, **options):
 @pytest.mark.parametrize("detector", ["native", "libccd"])
 def test_an_excluded_overlap_is_measured(detector):
     report = cg.judge(CASES / "excluded_overlap.xml", seconds=(0.2,), detectors=(detector,))
-    assert [row["penetration"] for row in report.rows.to_pylist()] == pytest.approx([0.04, 0.04], abs=1e-6)
+    assert [row["penetration"] for row in report.rows.to_pylist()] == pytest.approx(
+        [0.04, 0.04], abs=1e-6
+    )
     assert report.shares(detector)["overlap"] == 1.0
 
 
@@ -58,7 +64,9 @@ def test_an_overlap_is_the_same_whatever_filters_contacts(tmp_path, own, rest, o
 
 def test_what_can_be_touched_by_nothing_counts_by_what_is_drawn(tmp_path):
     ghost = 'contype="0" conaffinity="0"'
-    shelf = f'<body name="shelf" pos=".05 0 .03"><geom type="box" size=".03 .03 .03" {ghost}/></body>'
+    shelf = (
+        f'<body name="shelf" pos=".05 0 .03"><geom type="box" size=".03 .03 .03" {ghost}/></body>'
+    )
     path = scene(tmp_path / "s.xml", _BOX.format("a", 0, "", ""), shelf)
     assert overlaps(path)["a"][0] == 10.0
     assert "measured by what is drawn of them: 'shelf'" in str(cg.judge(path, **QUICK))
@@ -68,7 +76,9 @@ def test_what_can_be_touched_by_nothing_counts_by_what_is_drawn(tmp_path):
         shelf.replace("<body", '<body mocap="true"'),
         shelf.replace('type="box"', 'rgba="1 1 1 0" type="box"'),
     ):
-        assert overlaps(scene(tmp_path / "s.xml", _BOX.format("a", 0, "", ""), instead))["a"][0] < 0.1
+        assert (
+            overlaps(scene(tmp_path / "s.xml", _BOX.format("a", 0, "", ""), instead))["a"][0] < 0.1
+        )
 
 
 def test_pictures_of_a_body_that_collides_are_no_overlaps(tmp_path):
@@ -115,12 +125,15 @@ def test_a_body_with_a_hinge_is_judged_and_its_lid_counts(tmp_path):
 
 
 def test_the_second_judge_agrees_where_contacts_are_left_out(tmp_path):
-    draw, alike, asked = np.random.default_rng(1), 0, 0
+    draw = np.random.default_rng(1)
+    alike = 0
+    asked = 0
     for number in range(4):
-        lid = (
-            '<body pos="0 0 .05"><joint axis="0 1 0"/><geom type="box" size=".02 .02 .02" mass=".01"/></body>'
-        )
-        bodies = [_BOX.format(f"b{i}", 0.055 * i + draw.uniform(-0.01, 0.01), "", lid) for i in range(3)]
+        geom = '<geom type="box" size=".02 .02 .02" mass=".01"/>'
+        lid = f'<body pos="0 0 .05"><joint axis="0 1 0"/>{geom}</body>'
+        bodies = [
+            _BOX.format(f"b{i}", 0.055 * i + draw.uniform(-0.01, 0.01), "", lid) for i in range(3)
+        ]
         rest = '<contact><exclude body1="b0" body2="b1"/></contact>'
         path = scene(tmp_path / f"{number}.xml", *bodies, rest=rest)
         own = judge_plainly(path, seconds=(0.2, 1.0))
@@ -148,7 +161,10 @@ def test_a_scene_without_its_picture_is_judged_with_a_note(capsys):
         ([[1.0], [1.0, 2.0]], "no array"),
         (np.ones(()), r"shape \(\)"),
         (np.ones((0, 7)), r"shape \(0, 7\)"),
-        (np.array([[0, 0, 1, 1, 0, 0, 0], [0, 0, 1, 0, 0, 0, 0.0]]), r"states\[1, 3:7\].*'a'.*length 0"),
+        (
+            np.array([[0, 0, 1, 1, 0, 0, 0], [0, 0, 1, 0, 0, 0, 0.0]]),
+            r"states\[1, 3:7\].*'a'.*length 0",
+        ),
         (np.array([[0, 0, 1, 2, 0, 0, 0.0]]), r"length 2"),
         (np.r_[0, 0, 1, 1, 0, 0, 0, np.full(6, np.inf)], r"states\[0, 7\] = inf"),
         (np.r_[9, 0, 0, 1, 0.9, 0, 0, 0, np.zeros(6)], r"states\[0, 4:8\]"),
@@ -204,9 +220,8 @@ def Xform "body" (prepend apiSchemas = ["PhysicsRigidBodyAPI"])
 }
 """
 _POINTS = "point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, %s)]\n"
-_FACES = (
-    "int[] faceVertexCounts = [3, 3, 3, 3]\nint[] faceVertexIndices = [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, %d]"
-)
+_FACES = "int[] faceVertexCounts = [3, 3, 3, 3]\n"
+_FACES += "int[] faceVertexIndices = [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, %d]"
 
 
 @pytest.mark.parametrize(
@@ -241,8 +256,13 @@ def test_usd_that_refers_to_what_is_not_there_is_not_judged_without_it(tmp_path)
 
 def test_shapes_are_those_that_collide_with_anything(tmp_path):
     both = '<geom name="seen" type="box" size=".1 .1 .1" contype="0" conaffinity="0"/>'
-    path = scene(tmp_path / "s.xml", _BOX.format("a", 0, 'name="hit" contype="0" conaffinity="4"', both))
+    path = scene(
+        tmp_path / "s.xml", _BOX.format("a", 0, 'name="hit" contype="0" conaffinity="4"', both)
+    )
     model = mujoco.MjModel.from_xml_path(str(path))
     found = find_free_bodies(model)
-    assert [model.geom(int(each)).name for each in np.flatnonzero(found.is_shape)] == ["floor", "hit"]
+    assert [model.geom(int(each)).name for each in np.flatnonzero(found.is_shape)] == [
+        "floor",
+        "hit",
+    ]
     assert found.notes == ()

@@ -14,7 +14,9 @@ from tests.helpers.exports import dining_scene
 BOX = "<collision name='c'><geometry><box><size>.1 .1 .1</size></box></geometry></collision>"
 MASS = "<inertial><mass>{}</mass><inertia><ixx>.001</ixx><iyy>.001</iyy><izz>.001</izz></inertia></inertial>"
 LINK = "<link name='{}'><pose>{}</pose>" + MASS.format("{}") + BOX + "</link>"
-PLANE = "<include><uri>model://ground_plane</uri></include><include><uri>model://sun</uri></include>"
+PLANE = (
+    "<include><uri>model://ground_plane</uri></include><include><uri>model://sun</uri></include>"
+)
 
 
 def world(path, *models, more=""):
@@ -37,11 +39,13 @@ def joint(kind, parent, child, more=""):
 
 @pytest.mark.slow
 def test_an_exported_world_is_judged_as_the_mjcf_of_the_same_scene(tmp_path):
-    scene, found = dining_scene(), {}
+    scene = dining_scene()
+    found = {}
     for form in ("sdf", "mjcf"):
         export_scenes([scene], tmp_path / form, form)
         (found[form],) = cg.judge(tmp_path / form, seconds=(0.2, 1.0), detectors=("native",)).starts
-    sdf, mjcf = found["sdf"].found, found["mjcf"].found
+    sdf = found["sdf"].found
+    mjcf = found["mjcf"].found
     assert len(sdf.names) == len(scene.names)
     np.testing.assert_allclose(sdf.begin, mjcf.begin, atol=1e-5)
     assert sdf.is_still.tolist() == mjcf.is_still.tolist()
@@ -60,7 +64,8 @@ def test_a_world_of_models_of_its_own_and_of_others(tmp_path):
     table = model("table", link().replace(".1 .1 .1", "1 1 .4"), "0 0 .2 0 0 0", static=True)
     path = world(tmp_path / "w.sdf", PLANE, crates, table)
     rows = {
-        row["body"]: row for row in cg.judge(path, seconds=(0.2,), detectors=("native",)).rows.to_pylist()
+        row["body"]: row
+        for row in cg.judge(path, seconds=(0.2,), detectors=("native",)).rows.to_pylist()
     }
     assert rows["a"]["penetration"] == pytest.approx(0.02, abs=1e-6)
     assert rows["a"]["against"] == "b"
@@ -93,14 +98,21 @@ def test_poses_masses_and_options_are_the_files(tmp_path):
 
 @pytest.mark.parametrize(
     ("kind", "type_", "span"),
-    [("revolute", 3, (-1.0, 0.5)), ("prismatic", 2, (-1.0, 0.5)), ("continuous", 3, None), ("ball", 1, None)],
+    [
+        ("revolute", 3, (-1.0, 0.5)),
+        ("prismatic", 2, (-1.0, 0.5)),
+        ("continuous", 3, None),
+        ("ball", 1, None),
+    ],
 )
 def test_joints_are_where_they_are_said_to_be(tmp_path, kind, type_, span):
     axis = "<axis><xyz>0 1 0</xyz><limit><lower>-1</lower><upper>.5</upper></limit></axis>"
     axis = "" if kind == "ball" else axis
     hinge = joint(kind, "base", "lid", "<pose>0 0 .1 0 0 0</pose>" + axis)
     inside = link("base") + link("lid", "0 .2 .1 0 0 1.57079632679") + hinge
-    read, _ = read_sdf_world(world(tmp_path / "w.sdf", model("m", inside, "0 0 1 0 0 1.57079632679")))
+    read, _ = read_sdf_world(
+        world(tmp_path / "w.sdf", model("m", inside, "0 0 1 0 0 1.57079632679"))
+    )
     assert read.jnt_type.tolist() == [0, type_]
     data = mujoco.MjData(read)
     mujoco.mj_kinematics(read, data)
@@ -128,7 +140,9 @@ def test_what_is_fixed_to_the_world_stays_and_what_is_joined_to_it_turns(tmp_pat
 
 
 def test_round_things_are_round_and_a_plane_may_lean(tmp_path):
-    ball = link().replace("<box><size>.1 .1 .1</size></box>", "<sphere><radius>.1</radius></sphere>")
+    ball = link().replace(
+        "<box><size>.1 .1 .1</size></box>", "<sphere><radius>.1</radius></sphere>"
+    )
     slope = "<collision name='c'><geometry><plane><normal>-.1 0 1</normal></plane></geometry></collision>"
     ground = model("ground", f"<link name='l'>{slope}</link>", static=True)
     path = world(tmp_path / "w.sdf", ground, model("ball", ball, "0 0 .1005 0 0 0"))
@@ -143,7 +157,10 @@ def test_round_things_are_round_and_a_plane_may_lean(tmp_path):
         (link() + link("m") + joint("revolute", "gone", "m"), "gone"),
         (link() + link("m") + joint("ball", "l", "m") + joint("ball", "m", "l"), "circle"),
         (
-            link() + link("m") + joint("ball", "l", "m").replace("j-m", "k") + joint("ball", "l", "m"),
+            link()
+            + link("m")
+            + joint("ball", "l", "m").replace("j-m", "k")
+            + joint("ball", "l", "m"),
             "two joints",
         ),
         (link(mass=-1), "mass of -1 kg"),

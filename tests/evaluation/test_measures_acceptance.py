@@ -34,11 +34,19 @@ def test_intervals_cover_the_truth():
 def test_four_sortings():
     rng = np.random.default_rng(4)
     num = 400
-    slot, index = rng.integers(0, 3, num), rng.integers(0, 2, num)
+    slot = rng.integers(0, 3, num)
+    index = rng.integers(0, 2, num)
     positions = rng.uniform(-1, 1, (num, 2)) * REGION.half_extents
     passed = zone_of(positions, REGION) == 0
     found = acceptance_bias(
-        ["mug", "bowl"], index, positions, rng.uniform(0, 6.28, num), slot, passed, np.arange(num), REGION
+        ["mug", "bowl"],
+        index,
+        positions,
+        rng.uniform(0, 6.28, num),
+        slot,
+        passed,
+        np.arange(num),
+        REGION,
     )
     assert {name: len(bias.labels) for name, bias in found.items()} == {
         "object": 2, "zone": 2, "yaw": 8, "order": 3

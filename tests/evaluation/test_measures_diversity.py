@@ -32,7 +32,8 @@ K = len(OBJECTS)
 
 def scenes_at(positions, turns=None):
     """poses f[N, K, 7] of positions f[N, K, 2] in the region's frame and world orientations (wxyz)."""
-    cos, sin = np.cos(REGION.yaw), np.sin(REGION.yaw)
+    cos = np.cos(REGION.yaw)
+    sin = np.sin(REGION.yaw)
     poses = np.tile(np.eye(7)[3], (*positions.shape[:2], 1))
     poses[..., :2] = positions @ np.array([[cos, sin], [-sin, cos]]) + REGION.center
     poses[..., 2] = TOP
@@ -66,10 +67,14 @@ def test_by_object_says_where_each_object_is():
 
 
 def test_entropy_of_one_place_is_zero_and_of_all_cells_that_of_an_even_spread():
-    grid = np.stack(np.meshgrid(np.arange(6) + 0.5, np.arange(4) + 0.5, indexing="ij"), -1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(np.arange(6) + 0.5, np.arange(4) + 0.5, indexing="ij"), -1).reshape(
+        -1, 2
+    )
     positions = np.zeros((24, K, 2))
     positions[:, 1] = grid * 0.1 - REGION.half_extents
-    result = plan_entropy(scenes_at(positions), np.ones((24, K), bool) & [True, True, False], REGION, 0.1)
+    result = plan_entropy(
+        scenes_at(positions), np.ones((24, K), bool) & [True, True, False], REGION, 0.1
+    )
     assert result.num_cells == 24
     assert result.entropy[0] == 0
     assert result.evenness[1] == pytest.approx(1.0)
@@ -84,7 +89,9 @@ def test_shares_along_the_edges():
     positions = np.zeros((4000, K, 2))
     positions[:, 0] = rng.uniform(-1, 1, (4000, 2)) * REGION.half_extents
     positions[:, 1] = [0.99 * REGION.half_extents[0], 0.0]
-    shares = edge_share(scenes_at(positions), np.ones((4000, K), bool) & [True, True, False], REGION)
+    shares = edge_share(
+        scenes_at(positions), np.ones((4000, K), bool) & [True, True, False], REGION
+    )
     assert shares[0] == pytest.approx(0.36, abs=0.03)
     assert shares[1] == 1
     assert np.isnan(shares[2])

@@ -20,7 +20,16 @@ from cluttergen_jax.placement.world import make_world
 from tests.helpers.worlds import TOP
 
 GRAVITY = 9.81
-NAMES = ("mug", "hardback_book", "fork", "dinner_plate", "wooden_spoon", "bowl", "water_glass", "soup_can")
+NAMES = (
+    "mug",
+    "hardback_book",
+    "fork",
+    "dinner_plate",
+    "wooden_spoon",
+    "bowl",
+    "water_glass",
+    "soup_can",
+)
 POOLS = {"hardback_book": "study", "wooden_spoon": "kitchen"}
 SUPPORT = len(NAMES)
 
@@ -132,13 +141,17 @@ def test_tilt_is_measured_from_the_nearest_rest(models):
     can = models.world.objects[NAMES.index("soup_can")]
     for degrees in (0, 7, 20):
         turn = Rotation.from_euler("zy", [80, degrees], degrees=True).as_quat()[[3, 0, 1, 2]]
-        assert np.degrees(tilt_from_rest(can, np.r_[0, 0, 0, turn])) == pytest.approx(degrees, abs=1e-6)
+        assert np.degrees(tilt_from_rest(can, np.r_[0, 0, 0, turn])) == pytest.approx(
+            degrees, abs=1e-6
+        )
     for rest in can.resting:
         assert tilt_from_rest(can, np.r_[0, 0, 0, rest.quaternion]) < 1e-6
 
 
 def test_vessels_are_what_holds_something(models):
-    vessels = {name: vessel_of(asset) for name, asset in zip(NAMES, models.world.objects, strict=True)}
+    vessels = {
+        name: vessel_of(asset) for name, asset in zip(NAMES, models.world.objects, strict=True)
+    }
     assert {name for name, vessel in vessels.items() if vessel} == {"mug", "bowl", "water_glass"}
     glass = vessels["water_glass"]
     points = np.array([[0, 0, 0], [0, 0, 0.05], [0, 0, 0.07], [0.05, 0, 0], [0, 0, -0.059]])

@@ -78,7 +78,10 @@ def test_what_stands_does_not_creep_and_what_hangs_in_the_air_falls(models):
 
 def test_threads_and_neighbours_in_the_batch_change_nothing(models):
     poses, is_placed = scenes(*STANDING, {CUBE: (0.29, 0, 0.05)})
-    alone = [movement(models, poses[n : n + 1], is_placed[n : n + 1], (0.5,), 1).shift[0] for n in range(4)]
+    alone = [
+        movement(models, poses[n : n + 1], is_placed[n : n + 1], (0.5,), 1).shift[0]
+        for n in range(4)
+    ]
     np.testing.assert_array_equal(movement(models, poses, is_placed, (0.5,), 3).shift, alone)
     np.testing.assert_array_equal(
         shake(models, poses[::-1], is_placed[::-1], num_threads=2)[::-1],
@@ -117,7 +120,9 @@ def test_a_ladder_stands_as_friction_lets_it(models):
 
 
 def test_certificate_of_a_stack(models):
-    poses, is_placed = scenes({WALL: (0, 0, 0.07), CUBE: (0.01, 0, 0.17), TALL: (0.2, 0, 0.1)}, STANDING[0])
+    poses, is_placed = scenes(
+        {WALL: (0, 0, 0.07), CUBE: (0.01, 0, 0.17), TALL: (0.2, 0, 0.1)}, STANDING[0]
+    )
     # As deep as things at rest sink in, so that they touch.
     poses[..., 2] -= 5e-6
     stack, cube = certificates(models, poses, is_placed, seconds=1.0, num_threads=1)

@@ -13,7 +13,11 @@ from cluttergen_jax.evaluation.measures.survival import DrakePeer, movement_else
 from cluttergen_jax.placement.world import make_world
 from tests.helpers.worlds import TOP, box, prism
 
-OBJECTS = [box("low", (0.05, 0.05, 0.02)), box("tall", (0.02, 0.03, 0.06)), prism("prism", 0.03, 0.02)]
+OBJECTS = [
+    box("low", (0.05, 0.05, 0.02)),
+    box("tall", (0.02, 0.03, 0.06)),
+    prism("prism", 0.03, 0.02),
+]
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,8 @@ from tests.helpers.placing import write_bank
 ROOM = """<mujoco><option timestep="0.002"/><worldbody><body name="slider"><joint name="rail" type="slide"/>
 <geom size="0.1" pos="0 0 5"/></body></worldbody><actuator><position name="drive" joint="rail"/></actuator>
 <keyframe><key name="own" qpos="0.5" ctrl="0.5"/></keyframe></mujoco>"""
-PLACE, TURN = (1.0, -2.0, 0.25), (np.cos(0.3), 0.0, 0.0, np.sin(0.3))
+PLACE = (1.0, -2.0, 0.25)
+TURN = (np.cos(0.3), 0.0, 0.0, np.sin(0.3))
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +48,9 @@ def test_states_are_the_scenes_by_name_wherever_they_were_attached(bank, world):
         state = world.reset(0, index=index)
         for name, pose in zip(scene.names, scene.poses, strict=True):
             first = world.model.joint(f"clutter-{name}").qposadr[0]
-            np.testing.assert_allclose(state.qpos[first:][:3], transform_points(frame, pose[:3]), atol=1e-6)
+            np.testing.assert_allclose(
+                state.qpos[first:][:3], transform_points(frame, pose[:3]), atol=1e-6
+            )
             turn = state.qpos[first:][3:7] @ product(frame[3:], pose[3:])
             assert abs(turn) == pytest.approx(1, abs=1e-6)
         assert state.qpos[world.model.joint("last").qposadr[0] + 1] == 9
@@ -61,7 +64,9 @@ def test_what_a_scene_lacks_waits_and_the_rest_stays_at_rest(bank, world):
     scene = bank.scene(0).replace(is_present=is_present)
     held = np.asarray(world._state(scene, jax.random.key(0)).xfrc_applied)
     masses = world.model.body_mass[world.bodies]
-    np.testing.assert_allclose(held[world.bodies, 2], np.where(is_present, 0, 9.81 * masses), rtol=1e-5)
+    np.testing.assert_allclose(
+        held[world.bodies, 2], np.where(is_present, 0, 9.81 * masses), rtol=1e-5
+    )
     assert not np.delete(held, world.bodies, axis=0).any()
     data = mujoco.MjData(world.model)
     world.put(data, state)
@@ -85,7 +90,8 @@ def test_what_waits_is_held_by_the_gravity_of_the_model_that_a_bank_is_attached_
 
 def test_fields_of_an_episode_are_undone_by_the_next_one(world):
     own = world.model.geom_friction.copy()
-    state, data = world.reset(0), mujoco.MjData(world.model)
+    state = world.reset(0)
+    data = mujoco.MjData(world.model)
     world.put(data, state.replace(fields={"geom_friction": 0.5 * own}))
     np.testing.assert_array_equal(world.model.geom_friction, 0.5 * own)
     np.testing.assert_array_equal(world.own_field("geom_friction"), own)
@@ -94,7 +100,9 @@ def test_fields_of_an_episode_are_undone_by_the_next_one(world):
 
 
 def test_equal_seeds_and_keys_give_equal_states(world):
-    one, again, keyed = world.reset(5), world.reset(5), world.reset(cg.generation.bank_world.new_key(5))
+    one = world.reset(5)
+    again = world.reset(5)
+    keyed = world.reset(cg.generation.bank_world.new_key(5))
     np.testing.assert_array_equal(one.qpos, again.qpos)
     np.testing.assert_array_equal(one.qpos, np.asarray(keyed.qpos))
 
@@ -121,7 +129,8 @@ def test_seeds_that_are_none_are_refused(world, call, told):
 
 
 def test_what_belongs_to_another_model_is_refused(bank, world):
-    data, state = mujoco.MjData(world.model), world.reset(0)
+    data = mujoco.MjData(world.model)
+    state = world.reset(0)
     many = jax.vmap(world.reset)(jax.random.split(jax.random.key(0), 3))
     with pytest.raises(ConfigError, match=r"state with qpos of shape \(3, .*of a batch one state"):
         world.put(data, many)

@@ -24,14 +24,18 @@ def ray():
     """One Ray for all quick tests; `each_on` takes what is connected."""
     import ray
 
-    ray.init("local", num_cpus=4, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
+    ray.init(
+        "local", num_cpus=4, include_dashboard=False, log_to_driver=False, logging_level="ERROR"
+    )
     yield ray
     ray.shutdown()
 
 
 def test_every_item_has_one_result_and_workers_share_them(ray, tmp_path):
     found = list(each_on(TWO, work.Meeting(tmp_path, 2), range(300), "number"))
-    assert sorted((place, square) for place, (square, _) in found) == [(n, n * n) for n in range(300)]
+    assert sorted((place, square) for place, (square, _) in found) == [
+        (n, n * n) for n in range(300)
+    ]
     processes = {process for _, (_, process) in found}
     assert len(processes) == 2
     assert os.getpid() not in processes
@@ -58,13 +62,17 @@ def test_workers_of_other_versions_are_refused(ray, monkeypatch):
 
 
 @pytest.mark.slow
-def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(ray, pool, tmp_path, monkeypatch):
+def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(
+    ray, pool, tmp_path, monkeypatch
+):
     """The test of four workers below in miniature, in the Ray of all quick tests."""
     options = {"pool": pool, "num_scenes": 1100, "method": "random", "max_files": 0, "budget": 4}
     cg.generate(tmp_path / "one" / "bank", **options)
     # Of five blocks the workers have four in hand at first: one that dies is missed.
-    killed, hired = [], []
-    write, hire = BankWriter.write_block, clusters._Crew._start_worker
+    killed = []
+    hired = []
+    write = BankWriter.write_block
+    hire = clusters._Crew._start_worker
 
     def write_and_kill(writer, block, table):
         nonlocal killed
@@ -73,14 +81,18 @@ def test_two_workers_of_which_one_is_killed_make_the_bank_of_one_process(ray, po
             killed[0].send_signal(signal.SIGKILL)
 
     monkeypatch.setattr(BankWriter, "write_block", write_and_kill)
-    monkeypatch.setattr(clusters._Crew, "_start_worker", lambda crew: hired.append(crew) or hire(crew))
+    monkeypatch.setattr(
+        clusters._Crew, "_start_worker", lambda crew: hired.append(crew) or hire(crew)
+    )
     cg.generate(tmp_path / "two" / "bank", **options, cluster="local", workers=2)
     assert len(hired) == 3
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
 def contents(path):
-    return {str(each.relative_to(path)): each.read_bytes() for each in path.rglob("*") if each.is_file()}
+    return {
+        str(each.relative_to(path)): each.read_bytes() for each in path.rglob("*") if each.is_file()
+    }
 
 
 def at_work(process):

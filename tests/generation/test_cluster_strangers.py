@@ -37,7 +37,9 @@ def knock(address):
     """What becomes of somebody who has no token."""
     env = {name: value for name, value in os.environ.items() if not name.startswith("RAY_AUTH")}
     command = [sys.executable, "-c", STRANGER, address]
-    return subprocess.run(command, env=env | {"RAY_AUTH_MODE": "disabled"}, capture_output=True, text=True)
+    return subprocess.run(
+        command, env=env | {"RAY_AUTH_MODE": "disabled"}, capture_output=True, text=True
+    )
 
 
 @pytest.mark.slow
@@ -47,8 +49,11 @@ def test_strangers_are_refused_and_nothing_is_left(place):
     tokens = []
     # Ray looks at the environment once in a process, if it is let.
     for _ in range(2):
-        results = each_on(Cluster("local", 1), work.variables, ["RAY_AUTH_MODE", "RAY_AUTH_TOKEN"], "name")
-        (_, mode), (_, token) = next(results), next(results)
+        results = each_on(
+            Cluster("local", 1), work.variables, ["RAY_AUTH_MODE", "RAY_AUTH_TOKEN"], "name"
+        )
+        (_, mode) = next(results)
+        (_, token) = next(results)
         assert mode == "token"
         tokens.append(token)
         if len(tokens) == 1:

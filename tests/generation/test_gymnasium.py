@@ -69,12 +69,14 @@ def test_gymnasium_checks_the_single_environment(single):
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
 def test_steps_are_those_of_gymnasium_s_own_vector_environment(mode):
-    envs, separate = made_vector_env(mode), [GymnasiumEnv(of_one()) for _ in range(NUM)]
+    envs = made_vector_env(mode)
+    separate = [GymnasiumEnv(of_one()) for _ in range(NUM)]
     theirs = SyncVectorEnv([lambda env=env: env for env in separate], autoreset_mode=mode)
     assert_equal(envs.reset(seed=0)[0], theirs.reset(seed=0)[0])
     num_ended = num_filled = 0
     for action in actions(40):
-        mine, other = envs.step(action), theirs.step(action)
+        mine = envs.step(action)
+        other = theirs.step(action)
         for one, two in zip(mine, other, strict=True):
             assert_equal(one, two)
         num_ended += mine[2].sum()
@@ -85,7 +87,8 @@ def test_steps_are_those_of_gymnasium_s_own_vector_environment(mode):
 
 def test_the_step_that_ends_an_episode_begins_the_next(envs):
     first, _ = envs.reset(seed=0)
-    stays, falls = np.array([0.8, 0, 0, 0]), np.array([-0.8, 0, 0, 0])
+    stays = np.array([0.8, 0, 0, 0])
+    falls = np.array([-0.8, 0, 0, 0])
     envs.step(np.array([stays, falls, stays]))
     obs, reward, terminated, truncated, infos = envs.step(np.array([stays, falls, falls]))
     np.testing.assert_array_equal(terminated, [True, True, False])

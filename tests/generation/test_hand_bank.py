@@ -53,7 +53,8 @@ def give_up(bank):
 @pytest.fixture(scope="module")
 def made(setup, tmp_path_factory):
     """A bank of a success, a failure and a success, and the poses that the scenes had."""
-    path, kept = tmp_path_factory.mktemp("hand") / "bank", []
+    path = tmp_path_factory.mktemp("hand") / "bank"
+    kept = []
     with opened(path, setup) as bank:
         for scene in (fill, give_up, fill):
             scene = scene(bank)
@@ -81,7 +82,11 @@ def test_the_rows_are_what_the_person_made(made):
     assert rows[1]["verdict"] == "unsettled"
     assert rows[1]["num_unsettled"] == 1
     recipe = bank.record["recipe"]
-    assert (recipe["method"], recipe["seed"], recipe["placement"]["min_margin"]) == ("hand", SEED, 0.003)
+    assert (recipe["method"], recipe["seed"], recipe["placement"]["min_margin"]) == (
+        "hand",
+        SEED,
+        0.003,
+    )
     # Nobody was asked to stop after so many.
     assert "max_attempts" not in recipe["placement"]
 

@@ -47,7 +47,9 @@ def pose_of(tmp_path, entry, **more):
     ],
 )
 def test_a_position_is_in_the_unit_that_is_stated(tmp_path, entry, more):
-    np.testing.assert_allclose(pose_of(tmp_path, entry, **more), [0.1, -0.2, 0.75, 1, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        pose_of(tmp_path, entry, **more), [0.1, -0.2, 0.75, 1, 0, 0, 0], atol=1e-12
+    )
 
 
 ANGLES = np.array([0.3, -0.5, 1.1])
@@ -77,7 +79,11 @@ def test_an_orientation_is_read_by_its_key(tmp_path, key, value, expected):
 @pytest.mark.parametrize(
     ("entry", "more", "said"),
     [
-        ({"quaternion": [1, 0, 0, 0]}, {}, r"'quaternion' is not known.*quaternion_wxyz.*quaternion_xyzw"),
+        (
+            {"quaternion": [1, 0, 0, 0]},
+            {},
+            r"'quaternion' is not known.*quaternion_wxyz.*quaternion_xyzw",
+        ),
         ({"quaternion_wxzy": [1, 0, 0, 0]}, {}, r"Did you mean 'quaternion_wxyz'"),
         ({"euler": [0, 0, 90]}, {}, r"'euler' is not known. Did you mean 'euler_deg'"),
         ({"scale": 2}, {}, r"'scale' is not known"),
@@ -151,7 +157,9 @@ def test_the_case_of_a_quaternion_xyzw_is_read():
 def test_a_quaternion_xyzw_turns_what_is_repaired(tmp_path):
     turn = yaw_quaternion(1.0)
     entry = {"position": [0, 0, 0.75], "quaternion_xyzw": [*turn[1:], turn[0]]}
-    report = cg.repair(write(tmp_path / "a.json", entry, support="table-0.60x0.60"), tmp_path / "b.json")
+    report = cg.repair(
+        write(tmp_path / "a.json", entry, support="table-0.60x0.60"), tmp_path / "b.json"
+    )
     (fixed,) = json.loads((tmp_path / "b.json").read_text())["objects"]
     assert report.layouts[0].is_stable
     np.testing.assert_allclose(np.abs(np.array(fixed["quaternion_wxyz"]) @ turn), 1, atol=1e-4)
@@ -160,7 +168,10 @@ def test_a_quaternion_xyzw_turns_what_is_repaired(tmp_path):
 
 
 def test_heights_above_the_table_are_told_as_such(tmp_path, capsys):
-    assert main(["repair", str(CASES / "z_from_table_top.json"), "--out", str(tmp_path / "a.json")]) == 1
+    assert (
+        main(["repair", str(CASES / "z_from_table_top.json"), "--out", str(tmp_path / "a.json")])
+        == 1
+    )
     said = capsys.readouterr().out
     assert "mug (0.75 m under the top of" in said
     assert "measured from its top" in said
@@ -179,14 +190,16 @@ def test_heights_above_the_table_are_told_as_such(tmp_path, capsys):
     ],
 )
 def test_why_there_is_no_place(position, said):
-    mug, table = find_pool("dining")["mug"], find_support("table-0.60x0.60")
+    mug = find_pool("dining")["mug"]
+    table = find_support("table-0.60x0.60")
     pose = np.array([*position, 1, 0, 0, 0])
     reason = reason_without_place(mug, pose, table, 0.05)
     assert re.search(said, reason), reason
 
 
 def test_a_board_of_several_is_named():
-    mug, shelf = find_pool("dining")["mug"], find_support("bookcase").on_surface("all")
+    mug = find_pool("dining")["mug"]
+    shelf = find_support("bookcase").on_surface("all")
     board = shelf.surfaces[1]
     x, y, z = board.position
     pose = np.array([x, y, z + 0.2, 1, 0, 0, 0])
@@ -195,7 +208,8 @@ def test_a_board_of_several_is_named():
 
 @pytest.mark.parametrize(("factor", "unit"), [(100.0, "cm"), (1000.0, "mm")])
 def test_other_units_are_asked_for_where_all_would_fit(factor, unit):
-    pool, table = find_pool("dining"), find_support("table-0.60x0.60")
+    pool = find_pool("dining")
+    table = find_support("table-0.60x0.60")
     objects = [pool["mug"], pool["bowl"]]
     poses = np.array([[0.1, 0, 0.75, 1, 0, 0, 0], [-0.1, 0.1, 0.74, 1, 0, 0, 0]])
     assert hint_for_positions(objects, poses, table, True) == ""
@@ -210,10 +224,14 @@ def test_other_units_are_asked_for_where_all_would_fit(factor, unit):
     ("given", "more"),
     [("coffee mug", {}), ("mug_1", {}), ("my cup", {"asset": "mugg"})],
 )
-def test_an_object_that_is_not_in_the_pool_is_named_with_its_file_and_its_asset(tmp_path, given, more):
+def test_an_object_that_is_not_in_the_pool_is_named_with_its_file_and_its_asset(
+    tmp_path, given, more
+):
     path = write(tmp_path / "a.json", {"name": given, "position": [0, 0, 0.75]} | more)
     with pytest.raises(PoolError, match=rf"a\.json: '{given}': .*Did you mean 'mug'") as caught:
         read_layouts(path, None, None, None)
     advised = json.loads("{" + re.search(r'"asset": "\w+"', str(caught.value))[0] + "}")
     write(path, {"name": given, "position": [0, 0, 0.75]} | advised)
-    assert [asset.name for asset in read_layouts(path, None, None, None).layouts[0].objects] == ["mug"]
+    assert [asset.name for asset in read_layouts(path, None, None, None).layouts[0].objects] == [
+        "mug"
+    ]

@@ -48,7 +48,13 @@ def ruined(tmp_path_factory, pool):
     """A bank of four of the trio on a tiny table, objects taken away where it is stuck."""
     out = tmp_path_factory.mktemp("ruined") / "bank"
     rules = {"order": "weighted", "ruin_after": 2, "max_attempts": 4}
-    asked = {"support": "table-0.09x0.12", "num_objects": 4, "repeat": True, "method": "drop", "seed": 7}
+    asked = {
+        "support": "table-0.09x0.12",
+        "num_objects": 4,
+        "repeat": True,
+        "method": "drop",
+        "seed": 7,
+    }
     return cg.generate(out, pool=pool, num_scenes=24, render=False, max_files=2, **asked, **rules)
 
 
@@ -56,7 +62,11 @@ def ruined(tmp_path_factory, pool):
 def test_a_bank_with_ruin_says_so_and_adds_up(ruined):
     bank = read_bank(ruined.path)
     record = bank.record["recipe"]["placement"]
-    assert (record["order"], record["ruin_after"], record["min_margin"]) == ("weighted", 2, MIN_MARGIN)
+    assert (record["order"], record["ruin_after"], record["min_margin"]) == (
+        "weighted",
+        2,
+        MIN_MARGIN,
+    )
     attempts = np.array(bank.table["attempts"].to_pylist())
     assert attempts.max() > 2
     assert attempts.sum(1).max() <= 16
@@ -79,9 +89,13 @@ def test_a_bank_with_ruin_is_replayed_and_verified(ruined):
 def test_a_bank_in_a_polygon_is_set_up_in_that_polygon(tmp_path, pool):
     corners = "-0.2,-0.2;0.2,-0.2;0.0,0.2"
     asked = {"num_objects": 2, "method": "drop", "region": corners}
-    bank = cg.generate(tmp_path / "bank", pool=pool, num_scenes=2, render=False, max_files=0, **asked)
+    bank = cg.generate(
+        tmp_path / "bank", pool=pool, num_scenes=2, render=False, max_files=0, **asked
+    )
     source, _ = open_source(str(bank.path))
     np.testing.assert_allclose(
-        setup_of(source.bank).problem.rules.polygon, [[-0.2, -0.2], [0.2, -0.2], [0, 0.2]], atol=1e-7
+        setup_of(source.bank).problem.rules.polygon,
+        [[-0.2, -0.2], [0.2, -0.2], [0, 0.2]],
+        atol=1e-7,
     )
     assert len(source.replay(0).attempts) >= 2

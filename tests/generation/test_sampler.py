@@ -99,7 +99,10 @@ print("equal", int(plain.is_success.sum()))
 
 @pytest.mark.slow
 def test_sharded_over_two_devices(pool):
-    env = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    env = os.environ | {
+        "XLA_FLAGS": "--xla_force_host_platform_device_count=2",
+        "JAX_PLATFORMS": "cpu",
+    }
     done = subprocess.run(
         [sys.executable, "-c", SHARDED, pool], env=env, capture_output=True, text=True, check=False
     )
@@ -111,7 +114,10 @@ def test_a_sampler_is_pickled_as_the_call_that_made_it(sample, scenes, pool):
     other = pickle.loads(pickle.dumps(sample))
     assert_same(jax.jit(jax.vmap(other))(KEYS), scenes)
     assert copy.deepcopy(sample) is sample
-    assert repr(other) == f"Sampler(pool={pool!r}, num_objects=2, method='random', num_scene_points=60)"
+    assert (
+        repr(other)
+        == f"Sampler(pool={pool!r}, num_objects=2, method='random', num_scene_points=60)"
+    )
     with pytest.raises(TypeError, match="make_sampler"):
         pickle.dumps(dataclasses.replace(sample, recipe=None))
 
@@ -151,7 +157,18 @@ def test_a_shelf_is_drawn_of_samplers_that_were_made(pool):
 @pytest.fixture(scope="module")
 def bank(pool, tmp_path_factory):
     path = tmp_path_factory.mktemp("banks") / "bank"
-    more = ["--method", "random", "--num-objects", "2", "-n", "6", "--seed", "5", "--max-files", "0"]
+    more = [
+        "--method",
+        "random",
+        "--num-objects",
+        "2",
+        "-n",
+        "6",
+        "--seed",
+        "5",
+        "--max-files",
+        "0",
+    ]
     assert main(["generate", "--pool", pool, "--out", str(path), *more]) == 0
     return path
 
@@ -231,7 +248,10 @@ def test_around_a_saved_scene(pool, bank):
         ({"support": "nothing"}, "no support"),
         ({"pool": "nothing"}, "no pool"),
         ({"region": Rectangle((9.0, 0.0), (0.1, 0.1))}, "beyond support"),
-        ({"keep_out": [Rectangle(half_extents=(0.4, 0.4), yaw=0.1)]}, "some of the queried region free"),
+        (
+            {"keep_out": [Rectangle(half_extents=(0.4, 0.4), yaw=0.1)]},
+            "some of the queried region free",
+        ),
         ({"objects": "tall"}, "sequence of names"),
         ({"setting": "papers"}, "Did you mean 'paper'.*default, paper"),
     ],

@@ -24,7 +24,8 @@ def test_its_checker_finds_nothing():
 def test_ends_are_told_as_it_wants_them(envs):
     envs.seed(0)
     first = envs.reset()
-    rewards, ended = np.zeros(4), 0
+    rewards = np.zeros(4)
+    ended = 0
     for length in range(1, 5):
         obs, reward, done, infos = envs.step(np.full((4, 3), -1.0))  # a corner: everything falls
         rewards += reward

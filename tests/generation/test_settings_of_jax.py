@@ -34,7 +34,11 @@ HOSTILE = {
 def elsewhere(*words):
     """What a program with other settings of JAX prints."""
     done = subprocess.run(
-        [sys.executable, "-m", *words], env=os.environ | HOSTILE, capture_output=True, text=True, check=False
+        [sys.executable, "-m", *words],
+        env=os.environ | HOSTILE,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout
@@ -58,13 +62,26 @@ def test_every_method_is_the_same_program_whatever_is_set(pool, method):
 
 
 def test_a_sampler_runs_where_all_is_set_otherwise(pool):
-    assert set(json.loads(elsewhere("tests.helpers.sampled_elsewhere", pool, "guided"))) == {"guided"}
+    assert set(json.loads(elsewhere("tests.helpers.sampled_elsewhere", pool, "guided"))) == {
+        "guided"
+    }
 
 
 @pytest.mark.slow
 def test_a_bank_is_the_same(pool, tmp_path):
     # The command, and the function in a program of 64 bits.
-    settings = ["--pool", pool, "--num-objects", "2", "-n", "8", "--max-files", "0", "--method", "spread"]
+    settings = [
+        "--pool",
+        pool,
+        "--num-objects",
+        "2",
+        "-n",
+        "8",
+        "--max-files",
+        "0",
+        "--method",
+        "spread",
+    ]
     elsewhere("cluttergen_jax", "generate", "--out", str(tmp_path / "command"), *settings)
     ours = cg.generate(
         tmp_path / "here", pool=pool, num_objects=2, num_scenes=8, max_files=0, method="spread"
@@ -83,7 +100,8 @@ def rows_of(bank):
 
 
 def test_fast_compilation_is_told_and_ends_with_what_asked_for_it():
-    double, usual = jax.jit(lambda x: 2 * x), bits_of_here()
+    double = jax.jit(lambda x: 2 * x)
+    usual = bits_of_here()
     with fast_compilation(False):
         assert bits_of_here() == usual
     with suppress(KeyError), fast_compilation():
@@ -96,7 +114,8 @@ def test_fast_compilation_is_told_and_ends_with_what_asked_for_it():
 
 def test_programs_of_functions_are_kept_and_those_of_users_are_not(tmp_path, monkeypatch):
     monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path))
-    folder, chosen = "jax_compilation_cache_dir", jax.config.jax_compilation_cache_dir
+    folder = "jax_compilation_cache_dir"
+    chosen = jax.config.jax_compilation_cache_dir
     num_kept = lambda: len(list(program_folder().glob("*"))) if program_folder().is_dir() else 0  # noqa: E731
     try:
         with kept_programs():
@@ -118,7 +137,9 @@ def test_programs_compile_quickly_unless_a_level_is_asked_for(monkeypatch):
     monkeypatch.delenv("XLA_FLAGS", raising=False)
     options = compiler_options()
     assert jax.jit(lambda x: x + 1, compiler_options=options)(1) == 2
-    assert options == (None if jax.default_backend() != "cpu" else {"xla_backend_optimization_level": 2})
+    assert options == (
+        None if jax.default_backend() != "cpu" else {"xla_backend_optimization_level": 2}
+    )
     with fast_compilation():
         assert compiler_options() is None
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")

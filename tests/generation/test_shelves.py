@@ -34,7 +34,9 @@ def twelve(tmp_path_factory):
 @pytest.fixture(scope="module")
 def bank(twelve, tmp_path_factory):
     out = tmp_path_factory.mktemp("banks") / "bank"
-    return cg.generate(out, twelve, num_scenes=NUM_SCENES, seed=5, max_files=4, render=False, **ASKED)
+    return cg.generate(
+        out, twelve, num_scenes=NUM_SCENES, seed=5, max_files=4, render=False, **ASKED
+    )
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +77,9 @@ def test_a_scene_is_that_of_its_seed_and_number(bank, sample):
         for place, index in enumerate(indices.tolist()):
             row = rows[index]
             placed = scenes.is_placed[place]
-            assert row.objects == tuple(own.names[each] for each in scenes.object_index[place][placed])
+            assert row.objects == tuple(
+                own.names[each] for each in scenes.object_index[place][placed]
+            )
             np.testing.assert_array_equal(row.poses, scenes.poses[place][placed])
     # Surfaces are padded to one of few sizes.
     assert many._cache_size() <= 2
@@ -140,9 +144,11 @@ def test_everything_takes_such_a_bank(bank, tmp_path):
     loaded = cg.load_bank(bank.path)
     assert len(loaded) == sum(row.is_success for row in bank.scenes())
     assert set(loaded.names) == set(bank.object_names)
-    source, names = BankSource(bank.path), bank.recipe["names"]
+    source = BankSource(bank.path)
+    names = bank.recipe["names"]
     for number in (1, BLOCK_SIZE + 1):
-        again, still = source.replay(number), source.still(number)
+        again = source.replay(number)
+        still = source.still(number)
         ends = {again.names[place]: again.poses[place] for place in again.placed}
         assert list(ends) == sorted(ends, key=names.index)
         np.testing.assert_array_equal([ends[name] for name in still.names], still.poses)
@@ -157,7 +163,10 @@ def test_everything_takes_such_a_bank(bank, tmp_path):
     [
         ({"shelf": 13}, "shelf = 13. Allowed: 1 to 12"),
         ({"shelf": 0}, "shelf = 0. Allowed: 1 to 12"),
-        ({"shelf": 4, "num_objects": 5}, "5 objects of a shelf of 4. Allowed: 1 to 4. Try: shelf=10"),
+        (
+            {"shelf": 4, "num_objects": 5},
+            "5 objects of a shelf of 4. Allowed: 1 to 4. Try: shelf=10",
+        ),
         ({"shelf": 4, "repeat": True}, "`repeat` with a shelf"),
         ({"shelf": 4, "engine": "jax"}, "engine 'jax' with a shelf"),
         ({"shelf": 9, "weights": "mug*=0"}, "shelf = 9. Allowed: 1 to 8"),
@@ -177,7 +186,9 @@ def test_of_very_many_objects_there_is_a_shelf_unasked(twelve, monkeypatch):
     assert len(cg.make_sampler(twelve, num_objects=2, method="clear").names) == 5
     # Of more objects than that twice as many, as far as a shelf goes.
     assert len(cg.make_sampler(twelve, num_objects=6, method="clear").names) == 8
-    with pytest.raises(ConfigError, match="1 to 200 objects here; `generate` and `make_sampler` take any"):
+    with pytest.raises(
+        ConfigError, match="1 to 200 objects here; `generate` and `make_sampler` take any"
+    ):
         cg.make_env(twelve, num_objects=2)
     left = cg.make_sampler(twelve, exclude=["mug*", "bowl-0"], num_objects=2, method="clear")
     assert {name.split("-")[0] for name in left.names} == {"bowl", "dinner_plate"}

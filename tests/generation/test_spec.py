@@ -55,7 +55,9 @@ def test_a_misspelt_field_is_refused(function):
 
 
 def test_a_spec_is_refused_where_a_field_of_it_counts_for_nothing():
-    with pytest.raises(ConfigError, match=r"clutter = .* in the spec for make_env.*leaving clutter out"):
+    with pytest.raises(
+        ConfigError, match=r"clutter = .* in the spec for make_env.*leaving clutter out"
+    ):
         cg.make_env(SceneSpec(clutter="stack=1"))
     with pytest.raises(ConfigError, match="robust = True in the spec for train"):
         cg.train(SceneSpec(robust=True))
@@ -120,13 +122,22 @@ def test_a_bank_gives_its_request_back(tmp_path):
 
 def complaints(folder, *arguments):
     """What mypy says."""
-    command = [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), *arguments]
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--config-file",
+        str(ROOT / "pyproject.toml"),
+        *arguments,
+    ]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False).stdout
 
 
 @pytest.mark.slow
 def test_mypy_refuses_a_field_that_is_misspelt_or_renamed(tmp_path):
-    shutil.copytree(ROOT / "cluttergen_jax", tmp_path / "cluttergen_jax", ignore=lambda *_: ["__pycache__"])
+    shutil.copytree(
+        ROOT / "cluttergen_jax", tmp_path / "cluttergen_jax", ignore=lambda *_: ["__pycache__"]
+    )
     (tmp_path / "cluttergen_jax" / "misspelt.py").write_text(
         "import cluttergen_jax as cg\n"
         "cg.SceneSpec(num_object=3)\n"
@@ -141,6 +152,8 @@ def test_mypy_refuses_a_field_that_is_misspelt_or_renamed(tmp_path):
     (tmp_path / "cluttergen_jax" / "misspelt.py").unlink()
     spec = tmp_path / "cluttergen_jax" / "spec.py"
     spec.write_text(
-        spec.read_text().replace("    min_margin: float | None = None", "    margin: float | None = None")
+        spec.read_text().replace(
+            "    min_margin: float | None = None", "    margin: float | None = None"
+        )
     )
     assert '"SceneSpec" has no attribute "min_margin"' in complaints(tmp_path)

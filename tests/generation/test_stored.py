@@ -38,7 +38,9 @@ def test_draws_are_the_banks_own_scenes_that_stand(bank, path):
         translation = np.asarray(scenes.T_world_object.translation()[row])[placed]
         np.testing.assert_allclose(translation, record.poses[:, :3], atol=1e-7)
         np.testing.assert_allclose(
-            np.asarray(scenes.T_world_object.rotation().wxyz[row])[placed], record.poses[:, 3:], atol=1e-6
+            np.asarray(scenes.T_world_object.rotation().wxyz[row])[placed],
+            record.poses[:, 3:],
+            atol=1e-6,
         )
     # 400 draws of 192 scenes: nobody is left out for long, and nobody is preferred.
     counts = np.bincount(np.asarray(scenes.index), minlength=256)
@@ -66,7 +68,8 @@ def test_a_real_scene_stands_in_the_one_model_and_absent_objects_wait(tmp_path):
     for place in (0, 1):
         scene = bank.scene(jnp.int32(place))
         data = mujoco.MjData(model)
-        data.qpos[:], data.xfrc_applied[:] = scene.qpos, scene.xfrc_applied
+        data.qpos[:] = scene.qpos
+        data.xfrc_applied[:] = scene.xfrc_applied
         start = data.qpos.reshape(-1, 7).copy()
         mujoco.mj_step(model, data, 240)
         poses = data.qpos.reshape(-1, 7)

@@ -28,10 +28,12 @@ def test_the_vector_holds_what_the_observation_says():
     rules = made_up_rules(max_attempts=2, history_stride=12)
     env = PlacementEnv(rules, ObservationConfig(num_cells=4))
     flat = FlatObservation(env)
-    state, vector = jax.jit(lambda key: (env.step(env.reset(key), BAD), flat.step(flat.reset(key), BAD).obs))(
-        jax.random.key(0)
-    )
-    objects, attempts, rows = 6, 2, 60 // 12 + 1
+    state, vector = jax.jit(
+        lambda key: (env.step(env.reset(key), BAD), flat.step(flat.reset(key), BAD).obs)
+    )(jax.random.key(0))
+    objects = 6
+    attempts = 2
+    rows = 60 // 12 + 1
     history = state.obs["history"]
     parts = [
         (3, state.obs["region"]),
@@ -48,7 +50,11 @@ def test_the_vector_holds_what_the_observation_says():
     assert [np.size(part) for _, part in parts] == [size for size, _ in parts]
     expected = np.concatenate([np.ravel(part).astype(np.float32) for _, part in parts])
     np.testing.assert_allclose(vector, expected, atol=1e-6)
-    assert flat.observation_size == vector.size == 3 + 9 * objects + 9 * attempts + 13 * attempts * rows + 16
+    assert (
+        flat.observation_size
+        == vector.size
+        == 3 + 9 * objects + 9 * attempts + 13 * attempts * rows + 16
+    )
     assert history["is_tried"].any()
     with pytest.raises(ConfigError, match=r"100 scene points in a flat observation.*Try"):
         FlatObservation(PlacementEnv(rules, ObservationConfig(num_scene_points=100)))
@@ -56,13 +62,19 @@ def test_the_vector_holds_what_the_observation_says():
 
 def test_actions_of_other_kinds_propose_the_same_poses():
     env = PlacementEnv(made_up_rules(history_stride=12))
-    wide, upright = ActionRange(env, -2.0, 6.0), ActionRange(OnSurface(env, env.rules), -1.0, 1.0)
+    wide = ActionRange(env, -2.0, 6.0)
+    upright = ActionRange(OnSurface(env, env.rules), -1.0, 1.0)
 
     def episodes(key):
         state = env.reset(key)
-        height = (env.rules.geometry.half_extents[state.obs["focus"], 2] + 0.001) / state.obs["region"][2]
+        height = (env.rules.geometry.half_extents[state.obs["focus"], 2] + 0.001) / state.obs[
+            "region"
+        ][2]
         pairs = (
-            (env.step(state, jnp.array([0.25, 1.0, 0.5, 0.0])), wide.step(state, jnp.array([0.0, 9, 2, -7]))),
+            (
+                env.step(state, jnp.array([0.25, 1.0, 0.5, 0.0])),
+                wide.step(state, jnp.array([0.0, 9, 2, -7])),
+            ),
             (
                 env.step(state, jnp.stack([0.25, 1.0, height, 0.5])),
                 upright.step(state, jnp.array([-0.5, 9, 0])),
@@ -80,7 +92,8 @@ def test_actions_of_other_kinds_propose_the_same_poses():
 
 @pytest.mark.slow
 def test_brax_own_trainer():
-    env, seen = made_up_env(auto_reset=False), []
+    env = made_up_env(auto_reset=False)
+    seen = []
     cg.train_brax(
         env,
         num_timesteps=2048,
@@ -93,7 +106,9 @@ def test_brax_own_trainer():
         num_eval_envs=16,
         discounting=0.9,
         network_factory=functools.partial(
-            networks.make_ppo_networks, policy_hidden_layer_sizes=(16,), value_hidden_layer_sizes=(16,)
+            networks.make_ppo_networks,
+            policy_hidden_layer_sizes=(16,),
+            value_hidden_layer_sizes=(16,),
         ),
         progress_fn=lambda step, figures: seen.append((step, figures)),
     )

@@ -72,8 +72,12 @@ COMMANDS = {
     "dataset": Command(
         "dataset {bank} --no-colour --cameras free:4 --size 160x120 --splits train=0.7,test=0.3 --out out"
     ),
-    "bop": Command("dataset {bank} --no-colour --form bop --cameras free:2 --size 160x120 --out out"),
-    "render": Command("render {bank} --bop --no-picture --views 1 --size 64x48 --out out", needs_gl=True),
+    "bop": Command(
+        "dataset {bank} --no-colour --form bop --cameras free:2 --size 160x120 --out out"
+    ),
+    "render": Command(
+        "render {bank} --bop --no-picture --views 1 --size 64x48 --out out", needs_gl=True
+    ),
     "import": Command("import {meshes} --pool mine --jobs 1 --trials 16", home=True),
     "evaluate": Command(
         "evaluate --methods random clear --pools {pool} --num-objects 2 --trials 8 --out out"
@@ -86,7 +90,9 @@ COMMANDS = {
         "pretrain --num-shapes 1 --num-held-out 1 --num-epochs 4 --batch-size 8 --object-points 256 --out out"
     ),
     "placer data": Command("placer data {bank} --num-pairs 60 --out out"),
-    "placer train": Command("placer train {pairs} --num-epochs 4 --batch-size 8 --noise off --out out"),
+    "placer train": Command(
+        "placer train {pairs} --num-epochs 4 --batch-size 8 --noise off --out out"
+    ),
     "perception data": Command(
         "perception data --pool {pool} --num-views 12 --arm 0 --out out", needs_gl=True
     ),
@@ -124,7 +130,9 @@ class Inputs:
     def _meshes(self, path: Path) -> None:
         path.mkdir(parents=True)
         for number in range(4):
-            trimesh.creation.box((0.03 + 0.01 * number, 0.04, 0.05)).export(path / f"box{number}.obj")
+            trimesh.creation.box((0.03 + 0.01 * number, 0.04, 0.05)).export(
+                path / f"box{number}.obj"
+            )
 
     def _pairs(self, path: Path) -> None:
         words = ["placer", "data", self.path("bank"), "--num-pairs", "40", "--out", path]
@@ -138,11 +146,14 @@ def facts_of(folder: Path) -> dict[str, object]:
         name = _OF_THE_MOMENT.sub(r"\1", str(path.relative_to(folder)))
         found[name] = "a file"
         if path.suffix == ".json":
-            found |= {f"{name}:{key}": value for key, value in _leaves(json.loads(path.read_bytes()))}
+            found |= {
+                f"{name}:{key}": value for key, value in _leaves(json.loads(path.read_bytes()))
+            }
         elif path.suffix == ".csv":
             header, *rows = csv.reader(path.read_text().splitlines())
             found |= {
-                f"{name}:{key}": column for key, column in zip(header, zip(*rows, strict=True), strict=False)
+                f"{name}:{key}": column
+                for key, column in zip(header, zip(*rows, strict=True), strict=False)
             }
         else:
             found[f"{name}:"] = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -175,7 +186,9 @@ class Bench:
     def __post_init__(self) -> None:
         self.command = COMMANDS[self.name]
         names = ("bank", "pool", "meshes", "pairs")
-        paths = {each: self.inputs.path(each) for each in names if "{" + each + "}" in self.command.words}
+        paths = {
+            each: self.inputs.path(each) for each in names if "{" + each + "}" in self.command.words
+        }
         self.words = [word.format(**paths) for word in self.command.words.split()]
 
     def measure(self) -> set[str]:
@@ -239,7 +252,8 @@ class Bench:
         place = self.place()
         for _ in range(draw.randint(1, most)):
             process = self.start(place)
-            number, is_alone = draw.choice(SIGNALS), draw.random() < 0.5
+            number = draw.choice(SIGNALS)
+            is_alone = draw.random() < 0.5
             try:
                 process.wait(draw.uniform(0, 1.1 * self.seconds))
                 break
@@ -250,7 +264,9 @@ class Bench:
                     process.send_signal(number)
                 status = process.wait(_ENDS)
                 allowed = {-number} if number == signal.SIGKILL else {130, -number, 0}
-                assert status in allowed, f"status {status} after signal {number}: {_last_lines(place)}"
+                assert status in allowed, (
+                    f"status {status} after signal {number}: {_last_lines(place)}"
+                )
         self.finish(place)
         self.check(place)
 
@@ -265,8 +281,13 @@ class Bench:
         place = self.folder / str(self.num_tries + 1)
         with small_disk(place) as resize:
             self.place_on(place)
-            needed = sum(each.stat().st_size for each in self._reference().rglob("*") if each.is_file())
-            resize(int(draw.uniform(0.05, 1) * needed) + (_used(place) if self.command.begins_as else 0))
+            needed = sum(
+                each.stat().st_size for each in self._reference().rglob("*") if each.is_file()
+            )
+            resize(
+                int(draw.uniform(0.05, 1) * needed)
+                + (_used(place) if self.command.begins_as else 0)
+            )
             status = self.start(place).wait()
             said = _last_lines(place)
             assert status in (0, 2), f"status {status} on a full disk: {said}"
@@ -324,7 +345,9 @@ def _used(folder: Path) -> int:
 
 
 def _environment() -> dict[str, str]:
-    programs = os.environ.get("JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "programs"))
+    programs = os.environ.get(
+        "JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "programs")
+    )
     root = str(Path(__file__).parents[2])
     return os.environ | {"JAX_COMPILATION_CACHE_DIR": programs, "PYTHONPATH": root}
 
@@ -344,8 +367,13 @@ def _hunt(name: str, seconds: float, seed: int) -> None:
     bench = Bench(name, Inputs(folder / "inputs"), folder / "runs")
     passing = bench.measure()
     files = sorted({key.split(":")[0] for key in passing})
-    print(f"{name}: {bench.seconds:.1f} s; of the moment: {', '.join(files) or 'nothing'}", flush=True)
-    draw, end, tries, failures = random.Random(seed), time.monotonic() + seconds, 0, 0
+    print(
+        f"{name}: {bench.seconds:.1f} s; of the moment: {', '.join(files) or 'nothing'}", flush=True
+    )
+    draw = random.Random(seed)
+    end = time.monotonic() + seconds
+    tries = 0
+    failures = 0
     kinds = accidents(bench)
     while time.monotonic() < end:
         kind = draw.choice(list(kinds))

@@ -33,7 +33,8 @@ SCENE = Scene(("red", "blue"), BOXES, standing(PLACES), TABLE)
 
 def untested_grasp(name: str, turn: np.ndarray, height: float, width: float) -> Grasps:
     """One grasp of an object: f[3, 3] and metres, the tool in the object's frame."""
-    pose, nothing = rigid(np.asarray(turn, float), np.array([0.0, 0.0, height]))[None], np.zeros(1)
+    pose = rigid(np.asarray(turn, float), np.array([0.0, 0.0, height]))[None]
+    nothing = np.zeros(1)
     return Grasps(
         name,
         "",

@@ -38,7 +38,9 @@ def _row(index: int) -> dict:
     draw = np.random.default_rng(index)
     fails = index % 4 == 3
     placed = [True, True, not fails]
-    poses = np.c_[draw.uniform(-0.2, 0.2, (3, 2)), np.full(3, 0.75), np.tile([1.0, 0, 0, 0], (3, 1))]
+    poses = np.c_[
+        draw.uniform(-0.2, 0.2, (3, 2)), np.full(3, 0.75), np.tile([1.0, 0, 0, 0], (3, 1))
+    ]
     return {
         "index": index,
         "is_success": not fails,
@@ -83,9 +85,20 @@ def two_scenes(path) -> None:
     scenes = [table[0], table[1] | {"index": 1}, table[3] | {"index": 2}]
     for scene, objects in zip(scenes[:2], ([0, 1], [0, 2]), strict=True):
         half = [trio()[each].half_extents[2] for each in objects]
-        scene["poses"] = [[x, 0, 0.7 + z, 1, 0, 0, 0] for x, z in zip((-0.1, 0.1), half, strict=True)]
-        scene |= {"object_index": objects, "objects": [NAMES[each] for each in objects], "num_placed": 2}
-        scene |= {"is_placed": [True, True], "attempts": [1, 1], "steps": [30, 30], "rest_steps": [30, 30]}
+        scene["poses"] = [
+            [x, 0, 0.7 + z, 1, 0, 0, 0] for x, z in zip((-0.1, 0.1), half, strict=True)
+        ]
+        scene |= {
+            "object_index": objects,
+            "objects": [NAMES[each] for each in objects],
+            "num_placed": 2,
+        }
+        scene |= {
+            "is_placed": [True, True],
+            "attempts": [1, 1],
+            "steps": [30, 30],
+            "rest_steps": [30, 30],
+        }
     with writer(path, 3) as bank:
         bank.write_block(0, pa.Table.from_pylist(scenes, schema=SCHEMA))
 

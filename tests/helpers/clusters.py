@@ -22,7 +22,8 @@ class Meeting:
     """
 
     def __init__(self, folder: Path, number: int) -> None:
-        self.folder, self.number = folder, number
+        self.folder = folder
+        self.number = number
 
     def __call__(self) -> Callable[[int], tuple[int, int]]:
         """The function."""
@@ -45,7 +46,8 @@ class Deaths:
     """
 
     def __init__(self, folder: Path, most: int) -> None:
-        self.folder, self.most = folder, most
+        self.folder = folder
+        self.most = most
 
     def __call__(self) -> Callable[[int], int]:
         """The function."""

@@ -40,7 +40,9 @@ def compare(ppo: PPO, params, num: int, atol: float) -> None:
     for row, other in zip(one[0], two[0], strict=True):
         for name, value in row.items():
             np.testing.assert_allclose(other[name], value, atol=atol, rtol=atol, err_msg=name)
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=atol, rtol=atol), one[1], two[1])
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, atol=atol, rtol=atol), one[1], two[1]
+    )
 
 
 def probe() -> None:

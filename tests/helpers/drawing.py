@@ -20,7 +20,9 @@ needs_gl = pytest.mark.skipif(not IS_DRAWING, reason=f"nothing here can draw: {S
 def cube(name: str, half: float, rgba: tuple[float, float, float, float]) -> ObjectAsset:
     """A cube of one colour."""
     surface = trimesh.creation.box((2 * half,) * 3)
-    return replace(box(name, (half,) * 3), pieces=(Piece(Mesh(surface.vertices, surface.faces), rgba),))
+    return replace(
+        box(name, (half,) * 3), pieces=(Piece(Mesh(surface.vertices, surface.faces), rgba),)
+    )
 
 
 RED = cube("red", 0.05, (0.9, 0.1, 0.1, 1.0))

@@ -42,7 +42,9 @@ def spread(objects, support, names=None, index=0, turn=0.7):
             0,
             np.sin(angle),
         )
-    origin = Origin(bank="bank", index=index, method="clear", seed=3, verdict="stable", is_success=True)
+    origin = Origin(
+        bank="bank", index=index, method="clear", seed=3, verdict="stable", is_success=True
+    )
     return Scene(names, tuple(objects), poses, support, origin=origin)
 
 
@@ -59,7 +61,9 @@ def exporter(scene, tmp_path_factory, **options) -> Callable[[str], Path]:
 
     def make(format):
         if format not in made:
-            made[format] = export_scenes([scene], tmp_path_factory.mktemp("out") / format, format, **options)
+            made[format] = export_scenes(
+                [scene], tmp_path_factory.mktemp("out") / format, format, **options
+            )
         return made[format]
 
     return make

@@ -32,7 +32,9 @@ def search(name: str, options: list[str]) -> None:
     if name not in READERS:
         raise ConfigError(f"reader {name!r}", ", ".join(READERS))
     folder = Path(tempfile.mkdtemp())
-    bench, seeds, finds = Bench(name, folder), folder / "seeds", CORPUS / name
+    bench = Bench(name, folder)
+    seeds = folder / "seeds"
+    finds = CORPUS / name
     seeds.mkdir()
     (seeds / "sound").write_bytes(bench.sound)
     for each in finds.glob("*"):

@@ -17,7 +17,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.downstream.perception.certainty import Certainty, read_certainty, write_certainty
+from cluttergen_jax.downstream.perception.certainty import (
+    Certainty,
+    read_certainty,
+    write_certainty,
+)
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
 from cluttergen_jax.downstream.perception.views.store import SCHEMA as VIEW_SCHEMA
 from cluttergen_jax.downstream.perception.views.store import VIEWS, read_views
@@ -157,7 +161,9 @@ ROW = EpisodeResult("success", "", "mug", 7, 0.001, 0.01, 0.0, 1e-4, 0, 12.0, 1.
 
 def rows_file(folder: Path) -> RowFile[EpisodeResult]:
     """A file of rows."""
-    return RowFile(folder / "episodes.jsonl", {"seed": 0, "pool": "trio"}, EpisodeResult, "robot place")
+    return RowFile(
+        folder / "episodes.jsonl", {"seed": 0, "pool": "trio"}, EpisodeResult, "robot place"
+    )
 
 
 def write_rows(folder: Path) -> None:
@@ -178,7 +184,8 @@ def load_store(folder: Path) -> Any:
     with tempfile.TemporaryDirectory() as copy:
         shutil.copytree(folder, copy, dirs_exist_ok=True)
         kept = Store(Path(copy), show=lambda text: None)
-        row, arrays = kept.read("a row", "key"), kept.read_arrays("a row", "key")
+        row = kept.read("a row", "key")
+        arrays = kept.read_arrays("a row", "key")
     if row is None or arrays is None:
         raise PoolError("a file that was set aside")
     return plain([row["figures"], arrays])
@@ -191,7 +198,8 @@ def attempts(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     numbers = {"shift": np.float32([0.01, 0.1]), "margin": np.float32([0.0, -0.1])}
     write_attempts(
-        folder / "attempts.npz", Examples(features=np.ones((2, NUM_FEATURES), np.float32), **flags, **numbers)
+        folder / "attempts.npz",
+        Examples(features=np.ones((2, NUM_FEATURES), np.float32), **flags, **numbers),
     )
 
 
@@ -226,7 +234,11 @@ OWN: dict[str, tuple[Callable[[Path], None], str, Callable[[Path], Any]]] = {
     "rows": (write_rows, "episodes.jsonl", lambda folder: plain(rows_file(folder).read(3))),
     "store_row": (store, "a-row-key.json", load_store),
     "store_scenes": (store, "a-row-key.npz", load_store),
-    "attempts": (attempts, "attempts.npz", lambda folder: plain(read_attempts(folder / "attempts.npz"))),
+    "attempts": (
+        attempts,
+        "attempts.npz",
+        lambda folder: plain(read_attempts(folder / "attempts.npz")),
+    ),
     "certainty": (
         lambda folder: write_certainty(folder, Certainty()),
         "certainty.json",

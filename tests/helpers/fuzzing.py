@@ -62,7 +62,17 @@ ROBOTS = Path(description.__file__).parent / "robots"
 LIKE = {"params": {"actor": {"kernel": np.zeros((4, 3), np.float32)}}}
 _NUMBER = re.compile(rb"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
 _WORD = re.compile(rb"[A-Za-z_]{2,}")
-_NASTY = (b"nan", b"inf", b"-inf", b"-1", b"0", b"1e999", b"1e-320", b"99999999999999999999", b"4294967295")
+_NASTY = (
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"-1",
+    b"0",
+    b"1e999",
+    b"1e-320",
+    b"99999999999999999999",
+    b"4294967295",
+)
 _NASTY += (
     b"1000000000000",
     b"null",
@@ -114,7 +124,11 @@ def _flip(data: bytes, draw: random.Random) -> bytes:
 
 def _noise(data: bytes, draw: random.Random) -> bytes:
     place = draw.randrange(len(data) + 1)
-    return data[:place] + draw.randbytes(draw.choice((1, 4, 8))) + data[place + draw.choice((0, 1, 4, 8)) :]
+    return (
+        data[:place]
+        + draw.randbytes(draw.choice((1, 4, 8)))
+        + data[place + draw.choice((0, 1, 4, 8)) :]
+    )
 
 
 def _cut(data: bytes, draw: random.Random) -> bytes:
@@ -136,7 +150,8 @@ def _token(pattern: re.Pattern[bytes]) -> Callable[[bytes, random.Random], bytes
         found = list(pattern.finditer(data))
         if not found:
             return data
-        one, other = draw.choice(found), draw.choice(found)
+        one = draw.choice(found)
+        other = draw.choice(found)
         new = draw.choice((draw.choice(_NASTY), other[0]))
         return data[: one.start()] + new + data[one.end() :]
 
@@ -215,7 +230,9 @@ def _old(name: str) -> Reader:
 
 
 def _policy(folder: Path) -> None:
-    save_policy(folder, LIKE, {"placement": {"max_attempts": 5, "history_stride": 0}, "network": {}})
+    save_policy(
+        folder, LIKE, {"placement": {"max_attempts": 5, "history_stride": 0}, "network": {}}
+    )
 
 
 def _read_placement(folder: Path) -> object:
@@ -225,7 +242,9 @@ def _read_placement(folder: Path) -> object:
 def _mesh(suffix: str, kind: str = "", **kwargs: object) -> Reader:
     def make(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        data = trimesh.creation.box((0.1, 0.1, 0.2)).export(file_type=kind or suffix.strip("."), **kwargs)
+        data = trimesh.creation.box((0.1, 0.1, 0.2)).export(
+            file_type=kind or suffix.strip("."), **kwargs
+        )
         (folder / f"thing{suffix}").write_bytes(data if isinstance(data, bytes) else data.encode())
 
     return Reader(make, f"thing{suffix}", _read_shapes)
@@ -263,15 +282,16 @@ SDF = """<sdf version="1.9"><model name="thing"><pose>0 0 1 0 0 0.3</pose><link 
 <joint name="j" type="revolute"><parent>base</parent><child>lid</child></joint><link name="lid">
 <pose relative_to="f">0 0 0.2 0 0 0</pose><visual name="v"><geometry><cylinder><radius>0.05</radius>
 <length>0.1</length></cylinder></geometry><transparency>0.2</transparency></visual></link></model></sdf>"""
-SCRIPT = (
-    "material Base { technique { pass { diffuse 1 0 0 1 } } }\nmaterial Red : Base\n{\n diffuse 1 0 0\n}\n"
-)
+SCRIPT = "material Base { technique { pass { diffuse 1 0 0 1 } } }\n"
+SCRIPT += "material Red : Base\n{\n diffuse 1 0 0\n}\n"
 
 
 def _sdf(folder: Path) -> None:
     _text("thing.sdf", SDF)(folder)
     (folder / "red.material").write_text(SCRIPT)
-    (folder / "model.config").write_text('<model><name>A</name><sdf version="1.9">thing.sdf</sdf></model>')
+    (folder / "model.config").write_text(
+        '<model><name>A</name><sdf version="1.9">thing.sdf</sdf></model>'
+    )
 
 
 MJCF = """<mujoco><asset><mesh name="part" file="part.obj" scale="1 1 1"/></asset><worldbody>
@@ -375,7 +395,9 @@ def _lines(name: str, text: str) -> Callable[[Path], None]:
 def _included(folder: Path) -> None:
     _text("inner.sdf", SDF)(folder)
     include = "<include><uri>inner.sdf</uri><name>other</name><pose>0 0 1 0 0 0</pose></include>"
-    (folder / "outer.sdf").write_text(f'\n<?xml version="1.0"?><sdf><model name="m">{include}</model></sdf>')
+    (folder / "outer.sdf").write_text(
+        f'\n<?xml version="1.0"?><sdf><model name="m">{include}</model></sdf>'
+    )
 
 
 def _coloured(folder: Path) -> None:
@@ -389,7 +411,9 @@ def _coloured(folder: Path) -> None:
 def _words_of_a_set(folder: Path) -> None:
     """What a set keeps beside its objects, packed."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "words.json.gz").write_bytes(gzip.compress(b'{"thing": {"label": "a thing"}}', mtime=0))
+    (folder / "words.json.gz").write_bytes(
+        gzip.compress(b'{"thing": {"label": "a thing"}}', mtime=0)
+    )
 
 
 def _look_up(folder: Path) -> object:
@@ -411,7 +435,9 @@ READERS = {
     "bank_record": Reader(_bank, "bank.json", _read_bank),
     "bank_record_signed": Reader(_bank, "bank.json", _read_bank, _sign(None)),
     "bank_block": Reader(_bank, "scenes-000000.parquet", _read_bank),
-    "bank_block_plain": Reader(lambda f: _bank(f, checksums=False), "scenes-000000.parquet", _read_bank),
+    "bank_block_plain": Reader(
+        lambda f: _bank(f, checksums=False), "scenes-000000.parquet", _read_bank
+    ),
     "alone_record": Reader(_no_digests, "bank.json", _stand_alone, _sign(None)),
     "alone_block": Reader(_no_digests, "scenes-000000.parquet", _stand_alone),
     "alone_block_sealed": Reader(_bank, "scenes-000000.parquet", _values_alone, mark=b""),
@@ -420,7 +446,9 @@ READERS = {
     "alone_object": Reader(_no_digests, "assets/objects/can/object.json", _stand_alone),
     "alone_support": Reader(_no_digests, "assets/support/support.json", _stand_alone),
     "bank_scene": Reader(
-        _scene, "scenes/000000.xml", lambda f: verify_scene(f / "scenes" / "000000.xml", VerifyConfig(0.05))
+        _scene,
+        "scenes/000000.xml",
+        lambda f: verify_scene(f / "scenes" / "000000.xml", VerifyConfig(0.05)),
     ),
     "bank_part": Reader(
         _scene,
@@ -428,7 +456,10 @@ READERS = {
         lambda f: verify_scene(f / "scenes" / "000000.xml", VerifyConfig(0.05)),
     ),
     "object": Reader(
-        lambda f: write_object(f, trio()[1]), "object.json", lambda f: plain(read_object(f)), mark=b""
+        lambda f: write_object(f, trio()[1]),
+        "object.json",
+        lambda f: plain(read_object(f)),
+        mark=b"",
     ),
     "object_signed": Reader(
         lambda f: write_object(f, trio()[1]), "object.json", read_object, _sign((",", ":"))
@@ -449,13 +480,22 @@ READERS = {
         mark=b'"sha256"',
     ),
     "support_old": Reader(
-        without_seal(lambda f: write_support(f, cuboid_table()), "support.json"), "support.json", read_support
+        without_seal(lambda f: write_support(f, cuboid_table()), "support.json"),
+        "support.json",
+        read_support,
     ),
     "checkpoint_record": Reader(_policy, "record.json", _read_placement, mark=b'"sha256"'),
-    "checkpoint_record_old": Reader(without_seal(_policy, "record.json"), "record.json", read_checkpoint),
-    "checkpoint_weights": Reader(_policy, "weights.npz", lambda f: plain(read_policy(f, LIKE)), mark=b""),
+    "checkpoint_record_old": Reader(
+        without_seal(_policy, "record.json"), "record.json", read_checkpoint
+    ),
+    "checkpoint_weights": Reader(
+        _policy, "weights.npz", lambda f: plain(read_policy(f, LIKE)), mark=b""
+    ),
     **{name: _own(name) for name in OWN},
-    **{f"{name}_old": _old(name) for name in ("pairs_record", "pairs_block", "views_record", "views_block")},
+    **{
+        f"{name}_old": _old(name)
+        for name in ("pairs_record", "pairs_block", "views_record", "views_block")
+    },
     **{f"{name}_old": _old(name) for name in ("grasps", "store_row", "certainty", "frame_camera")},
     "urdf": Reader(_text("thing.urdf", URDF), "thing.urdf", _read_shapes),
     "urdf_label": Reader(_text("thing.urdf", URDF), "label.json", _read_shapes),
@@ -465,13 +505,23 @@ READERS = {
     "sdf_config": Reader(_sdf, "model.config", _read_shapes),
     "mjcf": Reader(_text("thing.xml", MJCF), "thing.xml", _read_shapes),
     "mjcf_mesh": Reader(_text("thing.xml", MJCF), "part.obj", _read_shapes),
-    "mjcf_scene": Reader(_text("thing.xml", MJCF), "thing.xml", lambda f: read_mjcf_scene(f / "thing.xml")),
-    "layout_json": Reader(
-        _text("thing.json", POSES), "thing.json", lambda f: read_layout_json(f / "thing.json").entries
+    "mjcf_scene": Reader(
+        _text("thing.xml", MJCF), "thing.xml", lambda f: read_mjcf_scene(f / "thing.xml")
     ),
-    "judged_urdf": Reader(_text("thing.urdf", WEIGHED), "thing.urdf", lambda f: load_model(f / "thing.urdf")),
-    "judged_sdf": Reader(_text("thing.sdf", WORLD), "thing.sdf", lambda f: load_model(f / "thing.sdf")),
-    "judged_sdf_mesh": Reader(_text("thing.sdf", WORLD), "part.obj", lambda f: load_model(f / "thing.sdf")),
+    "layout_json": Reader(
+        _text("thing.json", POSES),
+        "thing.json",
+        lambda f: read_layout_json(f / "thing.json").entries,
+    ),
+    "judged_urdf": Reader(
+        _text("thing.urdf", WEIGHED), "thing.urdf", lambda f: load_model(f / "thing.urdf")
+    ),
+    "judged_sdf": Reader(
+        _text("thing.sdf", WORLD), "thing.sdf", lambda f: load_model(f / "thing.sdf")
+    ),
+    "judged_sdf_mesh": Reader(
+        _text("thing.sdf", WORLD), "part.obj", lambda f: load_model(f / "thing.sdf")
+    ),
     **{suffix.strip("."): _mesh(suffix) for suffix in (".obj", ".stl", ".ply", ".glb", ".dae")},
     "sdf_include": Reader(_included, "outer.sdf", _read_shapes),
     "sdf_included": Reader(_included, "inner.sdf", _read_shapes),
@@ -479,16 +529,26 @@ READERS = {
     "texture": Reader(_coloured, "picture.png", _read_shapes),
     "set_words": Reader(_words_of_a_set, "words.json.gz", _look_up),
     "settings_toml": Reader(
-        _lines("objects.toml", TOML), "objects.toml", lambda f: read_settings(f / "objects.toml").tables
+        _lines("objects.toml", TOML),
+        "objects.toml",
+        lambda f: read_settings(f / "objects.toml").tables,
     ),
-    "settings_csv": Reader(_lines("a.csv", CSV), "a.csv", lambda f: read_settings(f / "a.csv").tables),
+    "settings_csv": Reader(
+        _lines("a.csv", CSV), "a.csv", lambda f: read_settings(f / "a.csv").tables
+    ),
     "layout": Reader(_lines("a.yaml", LAYOUT), "a.yaml", lambda f: read_layout(f / "a.yaml")),
     "robot": Reader(
-        _lines("a.yaml", (ROBOTS / "panda.yaml").read_text()), "a.yaml", lambda f: read_robot(f / "a.yaml")
+        _lines("a.yaml", (ROBOTS / "panda.yaml").read_text()),
+        "a.yaml",
+        lambda f: read_robot(f / "a.yaml"),
     ),
-    "cameras": Reader(_lines("a.json", CAMERAS), "a.json", lambda f: repr(parse_cameras([f / "a.json"]))),
+    "cameras": Reader(
+        _lines("a.json", CAMERAS), "a.json", lambda f: repr(parse_cameras([f / "a.json"]))
+    ),
     "broken_layout": Reader(
-        _lines("a.json", BROKEN), "a.json", lambda f: repair._layouts_of_files([f / "a.json"], None, None)
+        _lines("a.json", BROKEN),
+        "a.json",
+        lambda f: repair._layouts_of_files([f / "a.json"], None, None),
     ),
     "judged": Reader(_text("thing.xml", MJCF), "thing.xml", _judged),
     "judged_states": Reader(_states, "thing.npz", _judged),
@@ -507,7 +567,8 @@ class Bench:
     """One reader's folder, into which mutated files are put."""
 
     def __init__(self, name: str, folder: Path) -> None:
-        self.reader, self.folder = READERS[name], folder / name
+        self.reader = READERS[name]
+        self.folder = folder / name
         self.reader.make(self.folder)
         self.file = self.folder / self.reader.file
         self.sound = self.file.read_bytes()
@@ -540,7 +601,10 @@ def _hunt(name: str, seconds: float, first: int) -> None:
     """Looks for crashes of one reader; prints where they come from and keeps one of each kind."""
     seen: set[str] = set()
     folder = Path(tempfile.mkdtemp())
-    bench, tries, read, end = Bench(name, folder), 0, 0, time.monotonic() + seconds
+    bench = Bench(name, folder)
+    tries = 0
+    read = 0
+    end = time.monotonic() + seconds
     suspect = CORPUS / name / "suspect"
     suspect.parent.mkdir(parents=True, exist_ok=True)
     while time.monotonic() < end:
@@ -553,8 +617,14 @@ def _hunt(name: str, seconds: float, first: int) -> None:
         try:
             read += bench.try_out(data)
         except Exception as error:
-            frames = [f for f in traceback.extract_tb(error.__traceback__) if "cluttergen_jax" in f.filename]
-            where = f"{type(error).__name__} {frames[-1].filename.split('/')[-1]}:{frames[-1].lineno}"
+            frames = [
+                f
+                for f in traceback.extract_tb(error.__traceback__)
+                if "cluttergen_jax" in f.filename
+            ]
+            where = (
+                f"{type(error).__name__} {frames[-1].filename.split('/')[-1]}:{frames[-1].lineno}"
+            )
             if where not in seen:
                 seen.add(where)
                 print(f"{name}: {where}: {error!s:.150}", flush=True)

@@ -8,8 +8,16 @@ import numpy as np
 import trimesh
 
 BOX = trimesh.creation.box((0.1, 0.06, 0.04))
-POINTS, FACES = BOX.vertices.astype(np.float32), BOX.faces.astype(np.uint16)
-CODES = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
+POINTS = BOX.vertices.astype(np.float32)
+FACES = BOX.faces.astype(np.uint16)
+CODES = {
+    "int8": 5120,
+    "uint8": 5121,
+    "int16": 5122,
+    "uint16": 5123,
+    "uint32": 5125,
+    "float32": 5126,
+}
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
@@ -18,8 +26,17 @@ class Gltf:
 
     def __init__(self):
         self.binary = b""
-        self.document = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "accessors": []}
-        self.document |= {"nodes": [{"mesh": 0}], "bufferViews": [], "meshes": [{"primitives": [{}]}]}
+        self.document = {
+            "asset": {"version": "2.0"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "accessors": [],
+        }
+        self.document |= {
+            "nodes": [{"mesh": 0}],
+            "bufferViews": [],
+            "meshes": [{"primitives": [{}]}],
+        }
         self.primitive = self.document["meshes"][0]["primitives"][0]
         self.primitive["indices"] = self.add(FACES.reshape(-1, 1))
         self.primitive["attributes"] = {"POSITION": self.add(POINTS)}
@@ -33,7 +50,11 @@ class Gltf:
         return len(self.document["bufferViews"]) - 1
 
     def add(self, array, **more):
-        kind = {"componentType": CODES[array.dtype.name], "type": KINDS[array.shape[1]], "count": len(array)}
+        kind = {
+            "componentType": CODES[array.dtype.name],
+            "type": KINDS[array.shape[1]],
+            "count": len(array),
+        }
         self.document["accessors"].append({"bufferView": self.view(array), **kind, **more})
         return len(self.document["accessors"]) - 1
 
@@ -61,7 +82,8 @@ class Gltf:
 def skinned(folder):
     """A box in `thing.gltf` that has a skin, a morph, a copy, a camera and a sparse accessor."""
     folder.mkdir(parents=True, exist_ok=True)
-    gltf, count = Gltf(), len(POINTS)
+    gltf = Gltf()
+    count = len(POINTS)
     share = np.tile(np.array([[255, 0, 0, 0]], np.uint8), (count, 1))
     attributes = gltf.primitive["attributes"]
     attributes |= {

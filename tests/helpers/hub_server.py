@@ -115,7 +115,12 @@ class _Handler(BaseHTTPRequestHandler):
     do_HEAD = do_GET
 
     def _entry(self, name: str, data: bytes) -> dict:
-        return {"type": "file", "path": name, "size": len(data), "oid": hashlib.sha1(data).hexdigest()}
+        return {
+            "type": "file",
+            "path": name,
+            "size": len(data),
+            "oid": hashlib.sha1(data).hexdigest(),
+        }
 
     def _file(self, commit: str, files: dict[str, bytes], name: str) -> None:
         if name not in files:
@@ -153,7 +158,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._send({"files": [self._mode(each["path"]) for each in files]})
         elif re.fullmatch(r"/datasets/[^/]+/[^/]+\.git/info/lfs/objects/batch", path):
             self._send(
-                {"transfer": "basic", "objects": [self._action(o) for o in json.loads(body)["objects"]]}
+                {
+                    "transfer": "basic",
+                    "objects": [self._action(o) for o in json.loads(body)["objects"]],
+                }
             )
         elif found := re.fullmatch(r"/api/datasets/([^/]+/[^/]+)/commit/main", path):
             self._commit(found[1], [json.loads(line) for line in body.splitlines()])
@@ -162,7 +170,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _create(self, name: str, asked: dict) -> None:
         if name.startswith("other/"):
-            self._refuse(403, "", "You don't have the rights to create a dataset under this namespace")
+            self._refuse(
+                403, "", "You don't have the rights to create a dataset under this namespace"
+            )
             return
         if name in self.server.commits:
             url = f"{self.server.url}/datasets/{name}"

@@ -14,29 +14,33 @@ VIEWS = ((90, -90), (90, 90), (90, 0), (180, 0), (-90, 0), (0, 0), (125, -30))
 def pictures(model):
     """u8[7, H, W, 3] and bool[7, H, W], where something is: all views, without perspective or light."""
     model.mat_specular[:] = model.mat_reflectance[:] = model.mat_emission[:] = 0
-    model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:], model.vis.headlight.specular[:] = 1, 0, 0
+    model.vis.headlight.ambient[:] = 1
+    model.vis.headlight.diffuse[:] = 0
+    model.vis.headlight.specular[:] = 0
     model.light_active[:] = 0
     model.vis.global_.offwidth = model.vis.global_.offheight = SIDE
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    scene, viewport = mujoco.MjvScene(model, 500), mujoco.MjrRect(0, 0, SIDE, SIDE)
+    scene = mujoco.MjvScene(model, 500)
+    viewport = mujoco.MjrRect(0, 0, SIDE, SIDE)
     for flag in (
         mujoco.mjtRndFlag.mjRND_SHADOW,
         mujoco.mjtRndFlag.mjRND_SKYBOX,
         mujoco.mjtRndFlag.mjRND_HAZE,
     ):
         scene.flags[flag] = 0
-    colours, depths = (
-        np.zeros((len(VIEWS), SIDE, SIDE, 3), np.uint8),
-        np.ones((len(VIEWS), SIDE, SIDE), np.float32),
-    )
+    colours = np.zeros((len(VIEWS), SIDE, SIDE, 3), np.uint8)
+    depths = np.ones((len(VIEWS), SIDE, SIDE), np.float32)
     with gl_context(SIDE, SIDE):
         context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
         for view, (azimuth, elevation) in enumerate(VIEWS):
             camera = mujoco.MjvCamera()
-            camera.azimuth, camera.elevation, camera.orthographic = azimuth, elevation, 1
-            camera.lookat[:], camera.distance = model.stat.center, 2.5 * model.stat.extent
+            camera.azimuth = azimuth
+            camera.elevation = elevation
+            camera.orthographic = 1
+            camera.lookat[:] = model.stat.center
+            camera.distance = 2.5 * model.stat.extent
             mujoco.mjv_updateScene(
                 model, data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene
             )
@@ -55,7 +59,8 @@ def model_of(pieces, like):
         set_surface(mesh, piece)
         _add_visual(spec.worldbody, mesh, piece, add_texture(spec, piece.texture))
     model = spec.compile()
-    model.stat.center[:], model.stat.extent = like.stat.center, like.stat.extent
+    model.stat.center[:] = like.stat.center
+    model.stat.extent = like.stat.extent
     return model
 
 
@@ -70,6 +75,8 @@ def beside(source, pieces, bins=8):
     both = drawn[0][1] & drawn[1][1]
     assert both.sum() > 0.97 * max(mask.sum() for _, mask in drawn)
     away = np.abs(drawn[0][0].astype(int) - drawn[1][0]).max(-1)[both]
-    counts = [np.histogramdd(image[mask], bins=bins, range=[(0, 256)] * 3)[0] for image, mask in drawn]
+    counts = [
+        np.histogramdd(image[mask], bins=bins, range=[(0, 256)] * 3)[0] for image, mask in drawn
+    ]
     overlap = np.minimum(*(each / each.sum() for each in counts)).sum()
     return float((away > 40).mean()), float(overlap)

@@ -26,7 +26,9 @@ OBJECTS = tuple(
         ("blue", (0.05, 0.03, 0.02)),
     )
 )
-COLOURS = np.array([[150, 120, 90], [128, 128, 128], [220, 40, 40], [40, 200, 60], [50, 60, 220]], np.uint8)
+COLOURS = np.array(
+    [[150, 120, 90], [128, 128, 128], [220, 40, 40], [40, 200, 60], [50, 60, 220]], np.uint8
+)
 
 
 def standing(*places: tuple[float, float, float]) -> np.ndarray:

@@ -34,7 +34,9 @@ def with_surface(asset: ObjectAsset) -> ObjectAsset:
     vertices = asset.parts[0].vertices
     hull = ConvexHull(vertices)
     outward = np.einsum(
-        "ij,ij->i", np.cross(*np.diff(vertices[hull.simplices], axis=1).swapaxes(0, 1)), hull.equations[:, :3]
+        "ij,ij->i",
+        np.cross(*np.diff(vertices[hull.simplices], axis=1).swapaxes(0, 1)),
+        hull.equations[:, :3],
     )
     faces = np.where(outward[:, None] > 0, hull.simplices, hull.simplices[:, ::-1])
     points = np.resize(vertices, (1024, 3)).astype(np.float32)

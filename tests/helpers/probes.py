@@ -19,7 +19,9 @@ class Probe(Env):
 
     def reset(self, rng: Array) -> State:
         key, coin = jax.random.split(rng)
-        return self._state(key, jnp.int32(0), jax.random.bernoulli(coin), jnp.float32(0), jnp.float32(0))
+        return self._state(
+            key, jnp.int32(0), jax.random.bernoulli(coin), jnp.float32(0), jnp.float32(0)
+        )
 
     def step(self, state: State, action: Array) -> State:
         key, coin = jax.random.split(state.info["key"])
@@ -27,7 +29,9 @@ class Probe(Env):
         step = state.info["step"] + 1
         is_over = step >= self.length
         step = jnp.where(is_over, 0, step)
-        return self._state(key, step, jax.random.bernoulli(coin), reward, is_over.astype(jnp.float32))
+        return self._state(
+            key, step, jax.random.bernoulli(coin), reward, is_over.astype(jnp.float32)
+        )
 
     def pays(self, step: Array, coin: Array, action: Array) -> Array:
         raise AssertionError("a probe says what it pays")
@@ -112,7 +116,9 @@ def train(ppo: PPO, num_updates: int, seed: int = 0):
 
 def trainer(ppo: PPO):
     """`train` of one learner, compiled once for any number of trainings."""
-    init, start, update = jax.jit(Tiny().init), jax.jit(ppo.start), jax.jit(ppo.update)
+    init = jax.jit(Tiny().init)
+    start = jax.jit(ppo.start)
+    update = jax.jit(ppo.update)
 
     def train(num_updates: int, seed: int = 0):
         state = start(jax.random.key(seed + 1), init(jax.random.key(seed), jnp.zeros((1, 2))))

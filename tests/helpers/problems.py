@@ -50,7 +50,9 @@ class HalfTable:
 def made_up_rules(world_size: int = 6, physics: HalfTable | None = None, **placement) -> Rules:
     """Rules over the made-up physics; object k is 2 (k + 1) cm high, the region 0.6 x 0.4 m and unturned."""
     height = 0.01 * (1 + jnp.arange(world_size, dtype=jnp.float32))
-    half_extents = jnp.stack([jnp.full(world_size, 0.02), jnp.full(world_size, 0.03), height], axis=-1)
+    half_extents = jnp.stack(
+        [jnp.full(world_size, 0.02), jnp.full(world_size, 0.03), height], axis=-1
+    )
     return Rules(
         PlacementConfig(**{"num_objects": 4} | placement),
         physics or HalfTable(),
@@ -62,7 +64,9 @@ def made_up_rules(world_size: int = 6, physics: HalfTable | None = None, **place
             column_xy=jnp.zeros((world_size, 1, 2)),
             column_bottom=-height[:, None],
             is_column=jnp.ones((world_size, 1), bool),
-            surface=jnp.stack([jnp.zeros(world_size), jnp.zeros(world_size), height], axis=-1)[:, None],
+            surface=jnp.stack([jnp.zeros(world_size), jnp.zeros(world_size), height], axis=-1)[
+                :, None
+            ],
             surface_owner=jnp.arange(world_size),
             boxes=jnp.array([[0.0, 0.0, 0.35, 0.3, 0.2, 0.35, 0.0]]),
             top=jnp.float32(0.7),
@@ -78,5 +82,7 @@ def region(yaw: float = 0.0) -> Region:
 
 def trio_problem(change: str = "none", **placement) -> Problem:
     """The trio of tests.helpers.worlds on the paper's table, native engine."""
-    config = ProblemConfig(change=change, placement=PlacementConfig(**{"num_objects": 3} | placement))
+    config = ProblemConfig(
+        change=change, placement=PlacementConfig(**{"num_objects": 3} | placement)
+    )
     return compose(trio(), cuboid_table(), config)

@@ -23,7 +23,9 @@ def made_up_query(standing=(0.05, 0.0), half=(0.03, 0.02, 0.04), shadow=0.05, se
     heights = np.zeros((side, side), np.float32)
     heights[(np.abs(x - standing[0]) < 0.03) & (np.abs(y - standing[1]) < 0.03)] = TALL
     behind = x - standing[0] - 0.03
-    ceilings = np.where((behind > 0) & (behind < shadow) & (np.abs(y - standing[1]) < 0.03), TALL, heights)
+    ceilings = np.where(
+        (behind > 0) & (behind < shadow) & (np.abs(y - standing[1]) < 0.03), TALL, heights
+    )
     for each in (heights, ceilings):
         each[[0, -1]] = each[:, [0, -1]] = VOID
     line = [np.linspace(-h + 2e-4, h - 2e-4, 9) for h in half[:2]]
@@ -35,7 +37,10 @@ def made_up_query(standing=(0.05, 0.0), half=(0.03, 0.02, 0.04), shadow=0.05, se
         heights=HeightMap(heights, corner, (CELL, CELL)),
         ceilings=HeightMap(ceilings.astype(np.float32), corner, (CELL, CELL)),
         under=UnderSide(
-            xy, np.full(len(xy), -half[2], np.float32), np.ones(len(xy), bool), np.zeros(2, np.float32)
+            xy,
+            np.full(len(xy), -half[2], np.float32),
+            np.ones(len(xy), bool),
+            np.zeros(2, np.float32),
         ),
         half_extents=box,
         center_of_mass=np.zeros(3, np.float32),

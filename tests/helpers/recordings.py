@@ -17,12 +17,16 @@ def pose(x: float, y: float, z: float) -> np.ndarray:
     return np.array([x, y, z, 1, 0, 0, 0], np.float32)
 
 
-RED_AT, GREEN_AT = pose(-0.08, 0.0, TOP + 0.05), pose(0.08, 0.02, TOP + 0.04)
+RED_AT = pose(-0.08, 0.0, TOP + 0.05)
+GREEN_AT = pose(0.08, 0.02, TOP + 0.04)
 
 
-def _attempt(index: int, ordinal: int, verdict: Verdict, path: np.ndarray, placed: list[int]) -> Attempt:
+def _attempt(
+    index: int, ordinal: int, verdict: Verdict, path: np.ndarray, placed: list[int]
+) -> Attempt:
     trajectory = np.zeros((len(path), 13), np.float32)
-    trajectory[:, :3], trajectory[:, 3] = path, 1.0
+    trajectory[:, :3] = path
+    trajectory[:, 3] = 1.0
     poses = np.zeros((2, 7), np.float32)
     poses[:, 3] = 1.0
     if 0 in placed:
@@ -44,7 +48,9 @@ def cubes() -> Replay:
     """Red stands at once; green fails twice (displaced, fell off the near edge) and then stands."""
     attempts = (
         _attempt(0, 1, Verdict.STABLE, _path(RED_AT + pose(0, 0, 0.02), RED_AT, 24), []),
-        _attempt(1, 1, Verdict.DISPLACED, _path(pose(-0.05, 0, 0.55), pose(0.0, -0.06, 0.46), 60), [0]),
+        _attempt(
+            1, 1, Verdict.DISPLACED, _path(pose(-0.05, 0, 0.55), pose(0.0, -0.06, 0.46), 60), [0]
+        ),
         _attempt(1, 2, Verdict.FELL, _path(pose(0.14, 0, 0.5), pose(0.18, -0.02, 0.3), 60), [0]),
         _attempt(1, 3, Verdict.STABLE, _path(GREEN_AT + pose(0, 0, 0.03), GREEN_AT, 24), [0]),
     )

@@ -15,7 +15,12 @@ from cluttergen_jax.scene import Scene
 
 SIZE = (0.12, 0.10, 0.03)
 """Metres."""
-QUADRANTS = {(-1, 1): (220, 30, 30), (1, 1): (30, 200, 30), (-1, -1): (30, 30, 220), (1, -1): (230, 210, 20)}
+QUADRANTS = {
+    (-1, 1): (220, 30, 30),
+    (1, 1): (30, 200, 30),
+    (-1, -1): (30, 30, 220),
+    (1, -1): (230, 210, 20),
+}
 """The colour over each quarter of the top, by the signs of x and y: the image's upper left is at -x, +y."""
 
 
@@ -145,7 +150,9 @@ def write_urdf(folder, with_own_material=True):
     write_obj(folder)
     material = ""
     if not with_own_material:
-        (folder / "slab.obj").write_text(obj_text().replace("mtllib slab.mtl\nusemtl printed\n", ""))
+        (folder / "slab.obj").write_text(
+            obj_text().replace("mtllib slab.mtl\nusemtl printed\n", "")
+        )
         material = '<material name="m"><texture filename="slab.png"/></material>'
     path = folder / "slab.urdf"
     path.write_text(
@@ -200,7 +207,8 @@ def scene(*assets):
     table = cuboid_table(0.6, 0.7, 0.7)
     poses = np.zeros((len(assets), 7))
     poses[:, 0] = 0.2 * np.arange(len(assets))
-    poses[:, 2], poses[:, 3] = table.top + SIZE[2] / 2, 1.0
+    poses[:, 2] = table.top + SIZE[2] / 2
+    poses[:, 3] = 1.0
     return Scene(tuple(each.name for each in assets), tuple(assets), poses, table)
 
 

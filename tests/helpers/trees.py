@@ -15,4 +15,6 @@ def same_bits(one, two) -> bool:
         return np.asarray(jax.random.key_data(leaf) if is_key else leaf)
 
     pairs = zip(jax.tree.leaves(one), jax.tree.leaves(two), strict=True)
-    return all(np.array_equal(data(a), data(b), equal_nan=data(a).dtype.kind == "f") for a, b in pairs)
+    return all(
+        np.array_equal(data(a), data(b), equal_nan=data(a).dtype.kind == "f") for a, b in pairs
+    )

@@ -42,7 +42,9 @@ def box(name: str, half_extents: Sequence[float], mass: float = 0.2) -> ObjectAs
     return convex(name, corners, np.diag((half**2).sum() - half**2) * mass / 3, mass)
 
 
-def prism(name: str, radius: float, half_height: float, mass: float = 0.2, sides: int = 8) -> ObjectAsset:
+def prism(
+    name: str, radius: float, half_height: float, mass: float = 0.2, sides: int = 8
+) -> ObjectAsset:
     """A regular prism that stands on one of its `sides`-gons; its inertia is that of a cylinder."""
     angle = 2 * np.pi * np.arange(sides) / sides
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], -1)
@@ -53,7 +55,11 @@ def prism(name: str, radius: float, half_height: float, mass: float = 0.2, sides
 
 def trio() -> list[ObjectAsset]:
     """A box, an octagonal prism and a thin tall box: the world of most tests."""
-    return [box("box", (0.03, 0.04, 0.05)), prism("prism", 0.04, 0.03), box("tall", (0.01, 0.01, 0.1))]
+    return [
+        box("box", (0.03, 0.04, 0.05)),
+        prism("prism", 0.04, 0.03),
+        box("tall", (0.01, 0.01, 0.1)),
+    ]
 
 
 def layout_of(

@@ -60,7 +60,8 @@ STANDING = [name for name in SUPPORTS if make_support(name).pieces and "tilted" 
 
 
 @pytest.mark.parametrize(
-    "name", [name if name in TABLES else pytest.param(name, marks=pytest.mark.slow) for name in STANDING]
+    "name",
+    [name if name in TABLES else pytest.param(name, marks=pytest.mark.slow) for name in STANDING],
 )
 def test_our_furniture_stays_as_it_is_stated_whichever_axis_that_is(name):
     for axis in ("z", "y"):
@@ -89,7 +90,9 @@ def test_a_table_on_its_top_is_turned_over_and_a_tray_is_not():
     assert choose_up(looks_of(Mesh(crate.vertices, crate.faces), "z"), "z", True) == ("z", [])
 
 
-def test_a_block_that_says_nothing_keeps_what_is_taken_by_default_and_that_is_said(tmp_path, capsys):
+def test_a_block_that_says_nothing_keeps_what_is_taken_by_default_and_that_is_said(
+    tmp_path, capsys
+):
     trimesh.creation.box((0.3, 0.4, 0.5)).export(tmp_path / "block.stl")
     assert main(["import", "--support", str(tmp_path / "block.stl")]) == 0
     assert find_support("block").top == pytest.approx(0.5)
@@ -165,7 +168,9 @@ def test_models_of_an_sdf_file_links_of_a_urdf_and_nodes_of_a_glb_are_chosen(tmp
             transform=trimesh.transformations.translation_matrix((x, 0, 0)),
         )
     scene.export(tmp_path / "both.glb")
-    assert sides(import_support(f"{tmp_path / 'both.glb'}#small", up="file")) == pytest.approx([0.3, 0.3])
+    assert sides(import_support(f"{tmp_path / 'both.glb'}#small", up="file")) == pytest.approx(
+        [0.3, 0.3]
+    )
     with pytest.raises(ConfigError, match="Did you mean 'small'"):
         import_support(f"{tmp_path / 'both.glb'}#smal")
 
@@ -282,7 +287,11 @@ def test_compartments_with_thin_walls_stay_open():
         air = air_over(mesh, support, surface)
         assert air.seen == pytest.approx(0.3, abs=1e-3)
         assert not air.is_short
-    cut = [note for note in notes if "0.30 m of air are seen over it, and convex parts left 0.00 m" in note]
+    cut = [
+        note
+        for note in notes
+        if "0.30 m of air are seen over it, and convex parts left 0.00 m" in note
+    ]
     assert len(cut) == 6
 
 

@@ -23,7 +23,8 @@ QUIET = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
 @pytest.fixture(scope="module")
 def benches(tmp_path_factory):
-    folder, made = tmp_path_factory.mktemp("fuzz"), {}
+    folder = tmp_path_factory.mktemp("fuzz")
+    made = {}
 
     def bench(name):
         if name not in made:
@@ -82,7 +83,9 @@ def test_many_mutants_and_flipped_bits(benches, name):
 
 
 @QUIET
-@pytest.mark.parametrize("path", sorted(CORPUS.glob("*/*")), ids=lambda p: f"{p.parent.name}/{p.name}")
+@pytest.mark.parametrize(
+    "path", sorted(CORPUS.glob("*/*")), ids=lambda p: f"{p.parent.name}/{p.name}"
+)
 def test_what_once_crashed_a_reader_does_not_any_more(benches, path):
     benches(path.parent.name).try_out(path.read_bytes())
 
@@ -96,7 +99,9 @@ JSON_READERS = {
 }
 anything = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=6,
 )
 
@@ -109,7 +114,9 @@ anything = st.recursive(
     database=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
-@given(record=anything | st.dictionaries(st.sampled_from(["format", "objects", "recipe"]), anything))
+@given(
+    record=anything | st.dictionaries(st.sampled_from(["format", "objects", "recipe"]), anything)
+)
 def test_any_json_is_refused(tmp_path, name, record):
     (tmp_path / name).write_text(json.dumps(record))
     with pytest.raises(ClutterGenError):
@@ -117,7 +124,9 @@ def test_any_json_is_refused(tmp_path, name, record):
 
 
 @pytest.mark.parametrize("name", JSON_READERS)
-@pytest.mark.parametrize("data", [b"[" * 100_000, b'{"format": 1' + b', "a": {' * 50_000, b"\xff\xfe", b""])
+@pytest.mark.parametrize(
+    "data", [b"[" * 100_000, b'{"format": 1' + b', "a": {' * 50_000, b"\xff\xfe", b""]
+)
 def test_json_that_breaks_parsers_is_refused(tmp_path, name, data):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(ClutterGenError):
@@ -139,7 +148,9 @@ def test_the_guided_search_runs(name):
     limit = 2048 + resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
     options = ["-max_total_time=10", "-seed=1", f"-rss_limit_mb={limit}"]
     words = [sys.executable, "-m", "tests.helpers.fuzz_guided", name, *options]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=CORPUS.parent.parent)
+    done = subprocess.run(
+        words, capture_output=True, text=True, check=False, cwd=CORPUS.parent.parent
+    )
     assert done.returncode == 0, done.stderr
     # It has found its way: inputs that reach new code were kept.
     assert done.stderr.count("NEW") > 3

@@ -36,14 +36,17 @@ def test_compressed_boxes_have_their_size(name):
 
 
 def test_meshopt_is_refused_with_what_undoes_it():
-    with pytest.raises(AssetError, match=r"EXT_meshopt_compression.*gltf-transform copy meshopt\.glb"):
+    with pytest.raises(
+        AssetError, match=r"EXT_meshopt_compression.*gltf-transform copy meshopt\.glb"
+    ):
         read_source(CASES / "08_glb_compressed" / "meshopt.glb")
 
 
 @pytest.mark.parametrize("file", ["box.glb", "box.gltf", "inline.gltf"])
 @pytest.mark.parametrize("dtype", ["int8", "uint8", "int16", "uint16"])
 def test_normalised_integers_are_divided(tmp_path, file, dtype):
-    gltf, most = Gltf(), np.iinfo(dtype).max
+    gltf = Gltf()
+    most = np.iinfo(dtype).max
     steps = np.round((POINTS / 0.1 + (0.5 if dtype[0] == "u" else 0)) * most).astype(dtype)
     gltf.primitive["attributes"]["POSITION"] = gltf.add(steps, normalized=True)
     gltf.document["nodes"][0]["scale"] = [0.1, 0.1, 0.1]
@@ -75,7 +78,8 @@ def test_nodes_in_a_circle_are_refused(tmp_path):
 
 def test_sparse_vertices_are_where_they_are_moved(tmp_path):
     gltf = Gltf()
-    places, moved = np.array([[0], [7]], np.uint8), np.array([[1, 2, 3], [4, 5, 6]], np.float32)
+    places = np.array([[0], [7]], np.uint8)
+    moved = np.array([[1, 2, 3], [4, 5, 6]], np.float32)
     sparse = {"count": 2, "indices": {"bufferView": gltf.view(places), "componentType": 5121}}
     sparse["values"] = {"bufferView": gltf.view(moved)}
     gltf.document["accessors"][gltf.primitive["attributes"]["POSITION"]]["sparse"] = sparse
@@ -132,7 +136,9 @@ def test_every_copy_of_an_instanced_mesh_is_read(tmp_path):
     sizes = np.array([[1, 1, 1], [2, 2, 2]], np.float32)
     attributes = {"TRANSLATION": gltf.add(places), "SCALE": gltf.add(sizes)}
     gltf.document["nodes"][0] |= {"translation": [0, 0, 1]}
-    gltf.document["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    gltf.document["nodes"][0]["extensions"] = {
+        "EXT_mesh_gpu_instancing": {"attributes": attributes}
+    }
     gltf.document["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
     path = gltf.write(tmp_path / "box.glb")
     assert len(read_mesh_file(path).pieces) == 2
@@ -140,7 +146,9 @@ def test_every_copy_of_an_instanced_mesh_is_read(tmp_path):
     np.testing.assert_allclose(corners(path), sorted_rows(both))
 
 
-@pytest.mark.parametrize("name", ["VND_curved_patches", "EXT_meshopt_compression", "KHR_meshopt_compression"])
+@pytest.mark.parametrize(
+    "name", ["VND_curved_patches", "EXT_meshopt_compression", "KHR_meshopt_compression"]
+)
 def test_an_extension_that_is_required_and_not_understood_is_refused(tmp_path, name):
     gltf = Gltf()
     gltf.document |= {"extensionsUsed": [name], "extensionsRequired": [name]}
@@ -150,14 +158,18 @@ def test_an_extension_that_is_required_and_not_understood_is_refused(tmp_path, n
 
 def test_draco_without_its_library_is_told(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "DracoPy", None)
-    with pytest.raises(AssetError, match=r"draco\.glb with KHR_draco_mesh_compression.*pip install DracoPy"):
+    with pytest.raises(
+        AssetError, match=r"draco\.glb with KHR_draco_mesh_compression.*pip install DracoPy"
+    ):
         read_source(CASES / "08_glb_compressed" / "draco.glb", ReadOptions())
 
 
 def painted(path, size=8):
     """A box with a red image, as trimesh writes it: its material has no name."""
     box = trimesh.creation.box((0.1, 0.06, 0.04))
-    look = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.new("RGB", (size, size), (255, 0, 0)))
+    look = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=Image.new("RGB", (size, size), (255, 0, 0))
+    )
     box.visual = trimesh.visual.TextureVisuals(uv=np.full((8, 2), 0.5), material=look)
     box.export(path)
     return path
@@ -208,7 +220,8 @@ def test_colours_at_vertices_show_under_a_white_material_and_alpha_where_it_is_m
     gltf = Gltf()
     green = np.tile(np.array([[0, 128, 0, 255]], np.uint8), (len(POINTS), 1))
     gltf.primitive["attributes"]["COLOR_0"] = gltf.add(green, normalized=True)
-    gltf.document["materials"], gltf.primitive["material"] = [material], 0
+    gltf.document["materials"] = [material]
+    gltf.primitive["material"] = 0
     (piece,), notes = read_mesh_file(gltf.write(tmp_path / "box.glb"))
     np.testing.assert_allclose(np.array(piece.rgba) * 255, rgba, atol=1)
     assert notes == said

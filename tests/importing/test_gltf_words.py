@@ -31,12 +31,16 @@ def gltf(path, **holders):
 @pytest.mark.parametrize("holder", ["asset", "scenes", "nodes", "meshes"])
 @pytest.mark.parametrize("suffix", ["glb", "gltf"])
 def test_words_are_found_where_they_stand(tmp_path, holder, suffix):
-    path = gltf(tmp_path / f"thing.{suffix}", **{holder: {"Label": " tea  cup ", "synset": "cup.n.01"}})
+    path = gltf(
+        tmp_path / f"thing.{suffix}", **{holder: {"Label": " tea  cup ", "synset": "cup.n.01"}}
+    )
     assert words_of(path) == {"label": "tea cup", "synset": "cup.n.01"}
 
 
 def test_the_file_goes_before_its_mesh_and_of_several_meshes_none_counts(tmp_path):
-    path = gltf(tmp_path / "a.glb", asset={"title": "cup"}, meshes={"label": "handle", "category": "mug"})
+    path = gltf(
+        tmp_path / "a.glb", asset={"title": "cup"}, meshes={"label": "handle", "category": "mug"}
+    )
     assert words_of(path) == {"label": "cup", "synset": "mug"}
     several = Gltf()
     several.document["meshes"] *= 2

@@ -35,12 +35,17 @@ def folder(tmp_path):
 
 def planned(folder, text="", options=None, settings=None):
     (folder / "objects.toml").write_text(text)
-    return {each.source.name: each for each in plan_all([folder], options or ReadOptions(), settings).objects}
+    return {
+        each.source.name: each
+        for each in plan_all([folder], options or ReadOptions(), settings).objects
+    }
 
 
 def size_of(plan):
     shape = read_shape(plan.source, plan.options)
-    return np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).bounds, axis=0).round(6).tolist()
+    return (
+        np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).bounds, axis=0).round(6).tolist()
+    )
 
 
 def test_the_axis_and_who_says_so(folder, tmp_path):
@@ -66,7 +71,9 @@ def test_the_axis_and_who_says_so(folder, tmp_path):
 
 
 def test_settings_of_a_folder_inside_go_before_those_around_it(folder):
-    (folder / "cups/objects.toml").write_text('[default]\nscale = 2.0\n["small.stl"]\nname = "beaker"\n')
+    (folder / "cups/objects.toml").write_text(
+        '[default]\nscale = 2.0\n["small.stl"]\nname = "beaker"\n'
+    )
     plans = planned(folder, "[default]\nscale = 0.5\nfriction = 0.3\n")
     assert {name: plan.options.scale for name, plan in plans.items()} == {
         "crate": 0.5,
@@ -128,7 +135,9 @@ def test_a_table_of_a_whole_library(folder, tmp_path):
         "file, label ,mass,up\ncups/*.stl,a cup,0.25,\nlarge.stl,a large cup,,y\ngone.obj,gone,1,x\n"
     )
     plans = planned(folder, settings=table)
-    told = {name: (plan.source.label, plan.options.mass, plan.up.axis) for name, plan in plans.items()}
+    told = {
+        name: (plan.source.label, plan.options.mass, plan.up.axis) for name, plan in plans.items()
+    }
     assert told["small"] == ("a cup", 0.25, "z")
     assert told["large"] == ("a large cup", 0.25, "y")
     assert told["crate"][:2] == ("crate", None)
@@ -164,7 +173,8 @@ def test_the_unit_of_one_file_among_others_is_stated_as_its_advice_says(folder):
     assert found.value.hint.startswith("scale=0.001 if all files are in millimetres")
     line = re.search(r"the line (.*) at the top of objects\.toml", found.value.hint)
     sizes = {
-        name: size_of(plan) for name, plan in planned(folder, f'{line[1]}\n[default]\nup = "z"\n').items()
+        name: size_of(plan)
+        for name, plan in planned(folder, f'{line[1]}\n[default]\nup = "z"\n').items()
     }
     assert sizes.pop("rack") == [0.1, 0.08, 0.06]
     assert all(size == list(SIZE) for size in sizes.values())

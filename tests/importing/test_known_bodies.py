@@ -89,7 +89,14 @@ def chosen(capsys, condition, pool="known"):
 @pytest.mark.parametrize("name", BODIES)
 def test_every_number_is_that_of_the_body(pool, capsys, name):
     (x, y, z), volume = BODIES[name]
-    numbers = {"x": x, "y": y, "height": z, "width": max(x, y), "depth": min(x, y), "volume": volume}
+    numbers = {
+        "x": x,
+        "y": y,
+        "height": z,
+        "width": max(x, y),
+        "depth": min(x, y),
+        "volume": volume,
+    }
     numbers["mass"] = DENSITY * volume
     for field, value in numbers.items():
         assert name in chosen(capsys, f"{field}>{0.97 * value} and {field}<{1.03 * value}"), field
@@ -159,7 +166,9 @@ def test_the_same_after_it_was_turned(pool):
 def test_an_open_surface_has_the_volume_of_its_parts(pool):
     box = pool["box"]
     (piece,) = box.pieces
-    open_box = replace(box, pieces=(replace(piece, mesh=Mesh(piece.mesh.vertices, piece.mesh.faces[2:])),))
+    open_box = replace(
+        box, pieces=(replace(piece, mesh=Mesh(piece.mesh.vertices, piece.mesh.faces[2:])),)
+    )
     assert object_volume(open_box) == pytest.approx(0.10 * 0.06 * 0.04, rel=0.01)
 
 

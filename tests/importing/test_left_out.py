@@ -45,7 +45,9 @@ def arm(joints):
 def planned(folder, **options):
     """Names of the objects, and by place what was left out and why."""
     plan = plan_all([folder], ReadOptions(), **options)
-    return [each.source.name for each in plan.objects], {each.name: each.reason for each in plan.left_out}
+    return [each.source.name for each in plan.objects], {
+        each.name: each.reason for each in plan.left_out
+    }
 
 
 def test_scenery_in_every_file_and_mocap_bodies_are_no_objects():
@@ -84,7 +86,8 @@ def test_what_most_files_have_is_scenery_and_what_few_have_is_one_object(tmp_pat
 
 def test_bodies_of_the_same_parts_elsewhere_are_two_objects(tmp_path):
     table = body("table", '<geom type="box" size=".3 .3 .02"/>')
-    bar, part = '<geom type="box" size=".09 .02 .02"/>', '<body pos="{} .06 0">{}</body>'
+    bar = '<geom type="box" size=".09 .02 .02"/>'
+    part = '<body pos="{} .06 0">{}</body>'
     foot = '<geom type="box" size=".02 .05 .02"/>'
     for name, x in (("ell", ".07"), ("tee", "0"), ("tee_again", "0")):
         write(tmp_path / f"{name}.xml", table, body(name, bar + part.format(x, foot)))
@@ -173,7 +176,9 @@ def test_what_is_too_large_is_told_in_one_block(quick_import, capsys):
     # What was taken once lies in the cache, and is beyond the limits as before.
     cube = folder / "objects" / "unit_cube.obj"
     assert import_sources([cube], "all_of_it", ImportConfig(CONFIG.object, take_all=True)).objects
-    assert [each.name for each in import_sources([cube], "again", CONFIG).left_out] == ["unit_cube.obj"]
+    assert [each.name for each in import_sources([cube], "again", CONFIG).left_out] == [
+        "unit_cube.obj"
+    ]
 
 
 # Pieces apart

@@ -28,7 +28,9 @@ def test_a_collada_unit_holds_alone_and_in_a_urdf(tmp_path, name):
     np.testing.assert_allclose(size_of(path), SIZES[name], atol=1e-5)
     form = f'<mesh filename="{path}" scale="2"/>'
     urdf = tmp_path / "a.urdf"
-    urdf.write_text(f'<robot><link name="a"><visual><geometry>{form}</geometry></visual></link></robot>')
+    urdf.write_text(
+        f'<robot><link name="a"><visual><geometry>{form}</geometry></visual></link></robot>'
+    )
     np.testing.assert_allclose(size_of(urdf), 2 * np.array(SIZES[name]), atol=1e-5)
 
 
@@ -52,7 +54,9 @@ def colours(path):
 
 
 def painted(folder, use, materials, line="mtllib a.mtl"):
-    text = f"{line}\nusemtl {use}\n" + trimesh.creation.box((0.1, 0.06, 0.04)).export(file_type="obj")
+    text = f"{line}\nusemtl {use}\n" + trimesh.creation.box((0.1, 0.06, 0.04)).export(
+        file_type="obj"
+    )
     (folder / "a.obj").write_text(text)
     (folder / "a.mtl").write_text(materials)
     (shape,) = read_source(folder / "a.obj")
@@ -107,7 +111,8 @@ def test_collada_polygons_are_the_triangles_that_they_hold(tmp_path, kind):
 @pytest.mark.parametrize("hole", ["4 5 6 7", "7 6 5 4"], ids=["one way round", "the other"])
 def test_collada_polygons_keep_their_holes(tmp_path, hole):
     """A plate of 80 x 80 x 30 mm with a hole of 40 x 40 mm."""
-    side, inner = 0.04, 0.02
+    side = 0.04
+    inner = 0.02
     corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     points = [(k * x, k * y, z) for z in (0.0, 0.03) for k in (side, inner) for x, y in corners]
     walls = [
@@ -117,10 +122,14 @@ def test_collada_polygons_keep_their_holes(tmp_path, hole):
     above = " ".join(str(int(each) + 8) for each in hole.split())
     plates = f"<ph><p>3 2 1 0</p><h>{hole}</h></ph><ph><p>8 9 10 11</p><h>{above}</h></ph>"
     text = re.sub(
-        "<triangles.*</triangles>", f'<polygons count="10">{SAID}{"".join(walls)}{plates}</polygons>', DIE
+        "<triangles.*</triangles>",
+        f'<polygons count="10">{SAID}{"".join(walls)}{plates}</polygons>',
+        DIE,
     )
     numbers = " ".join(str(each / 0.0254) for point in points for each in point)
-    text = re.sub(r"(<float_array[^>]*count=)[^>]*>[^<]*", rf'\1"{3 * len(points)}">{numbers}', text, count=1)
+    text = re.sub(
+        r"(<float_array[^>]*count=)[^>]*>[^<]*", rf'\1"{3 * len(points)}">{numbers}', text, count=1
+    )
     text = re.sub(r'(<accessor[^>]*count=)"\d+"', rf'\1"{len(points)}"', text, count=1)
     (tmp_path / "plate.dae").write_text(text)
     (shape,) = read_source(tmp_path / "plate.dae")

@@ -49,7 +49,9 @@ def test_the_same_is_drawn_and_judged_with_a_note():
 
 def test_a_file_that_compiles_is_left_as_it_is(tmp_path):
     path = write(
-        tmp_path / "a.xml", free(BALL), "<texture name='t' type='2d' builtin='flat' width='8' height='8'/>"
+        tmp_path / "a.xml",
+        free(BALL),
+        "<texture name='t' type='2d' builtin='flat' width='8' height='8'/>",
     )
     model, notes = compile_with_notes(path)
     whole = mujoco.MjModel.from_xml_path(str(path))
@@ -61,7 +63,9 @@ def test_a_file_that_compiles_is_left_as_it_is(tmp_path):
 @pytest.mark.parametrize("mass", ["", 'mass="0"', 'mass="0.3"'])
 def test_what_is_flat_and_only_seen_adds_no_mass_of_its_own(tmp_path, inertia, mass):
     geom = f'<geom type="mesh" mesh="m" {UNSEEN} {mass}/>'
-    path = write(tmp_path / "a.xml", free(BALL + geom), f'<mesh name="m" {SQUARE} inertia="{inertia}"/>')
+    path = write(
+        tmp_path / "a.xml", free(BALL + geom), f'<mesh name="m" {SQUARE} inertia="{inertia}"/>'
+    )
     model, notes = compile_with_notes(path, is_simulated=True)
     ball = 1000 * 4 / 3 * np.pi * 0.1**3
     assert model.body_mass[1] == pytest.approx(ball + (0.3 if "0.3" in mass else 0), rel=1e-6)
@@ -71,7 +75,9 @@ def test_what_is_flat_and_only_seen_adds_no_mass_of_its_own(tmp_path, inertia, m
 
 def test_a_flat_mesh_that_is_to_collide_is_seen_where_nothing_is_simulated(tmp_path):
     path = write(
-        tmp_path / "a.xml", free(f'{BALL}<geom type="mesh" mesh="m"/>'), f'<mesh name="m" {SQUARE}/>'
+        tmp_path / "a.xml",
+        free(f'{BALL}<geom type="mesh" mesh="m"/>'),
+        f'<mesh name="m" {SQUARE}/>',
     )
     model, notes = compile_with_notes(path)
     assert model.ngeom == 2
@@ -93,7 +99,10 @@ def test_a_mesh_without_a_surface_is_left_out_with_a_note(tmp_path):
     [
         ('<geom size=".05" mass="0"/>', "no mass"),
         ('<inertial pos="0 0 0" mass="1" diaginertia="1 1 5"/><geom size=".05"/>', "inertia"),
-        ('<inertial pos="0 0 0" mass="1" fullinertia="-1 1 1 0 0 0"/><geom size=".05"/>', "inertia"),
+        (
+            '<inertial pos="0 0 0" mass="1" fullinertia="-1 1 1 0 0 0"/><geom size=".05"/>',
+            "inertia",
+        ),
     ],
 )
 def test_masses_matter_where_a_body_moves_in_a_simulation_alone(tmp_path, link, said):
@@ -149,7 +158,9 @@ def test_several_faults_of_one_file_are_all_mended_and_told(tmp_path):
     asset += '<texture name="t" type="2d" file="gone.png"/><material name="w" texture="t"/>'
     geoms = "".join(f'<geom type="mesh" mesh="m{i}" material="w" {UNSEEN}/>' for i in range(4))
     path = write(
-        tmp_path / "a.xml", free(f'{BALL}{geoms}<body><joint/><geom size=".01" mass="0"/></body>'), asset
+        tmp_path / "a.xml",
+        free(f'{BALL}{geoms}<body><joint/><geom size=".01" mass="0"/></body>'),
+        asset,
     )
     model, notes = compile_with_notes(path)
     assert model.ngeom == 6
@@ -158,7 +169,9 @@ def test_several_faults_of_one_file_are_all_mended_and_told(tmp_path):
 
 
 def test_a_mesh_that_is_not_there_is_named_and_is_no_other_format(tmp_path):
-    path = write(tmp_path / "a.xml", free('<geom type="mesh" mesh="gone"/>'), '<mesh file="gone.obj"/>')
+    path = write(
+        tmp_path / "a.xml", free('<geom type="mesh" mesh="gone"/>'), '<mesh file="gone.obj"/>'
+    )
     with pytest.raises(AssetError, match=r"gone\.obj.*Try: restoring the file") as caught:
         compile_with_notes(path)
     assert "Allowed" not in str(caught.value)

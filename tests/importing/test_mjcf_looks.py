@@ -31,7 +31,12 @@ QUICK = [
     ("brick", "2d", False),
     ("blob", "cube", False),
 ]
-ALL = [(shape, kind, uniform) for shape in SHAPES for kind in ("2d", "cube") for uniform in (False, True)]
+ALL = [
+    (shape, kind, uniform)
+    for shape in SHAPES
+    for kind in ("2d", "cube")
+    for uniform in (False, True)
+]
 COLOURS = {
     "right": (255, 0, 0),
     "left": (0, 255, 0),
@@ -71,7 +76,8 @@ def write_shape(folder, shape, kind, is_uniform):
 )
 def test_a_picture_is_where_mujoco_draws_it(shape, kind, is_uniform, tmp_path):
     path = write_shape(tmp_path, shape, kind, is_uniform)
-    source, pieces = mujoco.MjModel.from_xml_path(str(path)), read_mjcf(path).pieces
+    source = mujoco.MjModel.from_xml_path(str(path))
+    pieces = read_mjcf(path).pieces
     differing, overlap = beside(source, pieces)
     # The rest are pixels at the edges between two colours.
     assert differing < 0.07

@@ -24,7 +24,9 @@ def size_of(shape):
 
 def read_body(tmp_path, geoms, more=""):
     path = tmp_path / "thing.xml"
-    path.write_text(f"<mujoco>{more}<worldbody><body name='thing'>{geoms}</body></worldbody></mujoco>")
+    path.write_text(
+        f"<mujoco>{more}<worldbody><body name='thing'>{geoms}</body></worldbody></mujoco>"
+    )
     (shape,) = read_source(path)
     return shape
 
@@ -57,7 +59,8 @@ def test_what_is_drawn_and_in_which_colour_is_as_mujoco_has_it(tmp_path):
     ]
     # Each geom has a size of its own, by which it is found again.
     geoms = "".join(
-        f"<geom type='box' size='.01 .01 {0.01 + 0.001 * i}' {look}/>" for i, look in enumerate(looks)
+        f"<geom type='box' size='.01 .01 {0.01 + 0.001 * i}' {look}/>"
+        for i, look in enumerate(looks)
     )
     shape = read_body(tmp_path, geoms, f"<asset>{materials}</asset>")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "thing.xml"))
@@ -65,11 +68,19 @@ def test_what_is_drawn_and_in_which_colour_is_as_mujoco_has_it(tmp_path):
     mujoco.mj_forward(model, data)
     scene = mujoco.MjvScene(model, 100)
     mujoco.mjv_updateScene(
-        model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL.value, scene
+        model,
+        data,
+        mujoco.MjvOption(),
+        None,
+        mujoco.MjvCamera(),
+        mujoco.mjtCatBit.mjCAT_ALL.value,
+        scene,
     )
     drawn = {each.objid: each.rgba for each in scene.geoms[: scene.ngeom] if each.rgba[3] > 0}
     heights = [500 * np.ptp(piece.mesh.vertices[:, 2]) for piece in shape.pieces]
-    found = {round(height - 10): piece.rgba for height, piece in zip(heights, shape.pieces, strict=True)}
+    found = {
+        round(height - 10): piece.rgba for height, piece in zip(heights, shape.pieces, strict=True)
+    }
     assert found.keys() == drawn.keys()
     for index, rgba in found.items():
         np.testing.assert_allclose(rgba, drawn[index], atol=1e-6)
@@ -99,7 +110,11 @@ BODIES = {
     "a box around a ball": (BALL + "<geom type='box' size='.03 .03 .03'/>", 1, (60, 60, 60)),
     "a box inside a ball": (BALL + "<geom type='box' size='.017 .017 .017'/>", 1, (60, 60, 60)),
     "a box in group 3": (BALL + "<geom type='box' size='.03 .03 .2' group='3'/>", 1, (60, 60, 60)),
-    "a box of alpha 0": (BALL + "<geom type='box' size='.03 .03 .2' rgba='1 1 1 0'/>", 1, (60, 60, 60)),
+    "a box of alpha 0": (
+        BALL + "<geom type='box' size='.03 .03 .2' rgba='1 1 1 0'/>",
+        1,
+        (60, 60, 60),
+    ),
     "a drawer that has no other surface": (BALL + DRAWER, 2, (60, 170, 60)),
     "a glass and what it holds": (GLASS + WATER, 2, (60, 60, 100)),
     "a region of alpha 0": (CARTON + REGION + " rgba='0 1 0 0'/>", 1, (80, 60, 160)),
@@ -132,7 +147,8 @@ def test_what_lies_in_the_world_is_of_furniture_and_is_said_of_an_object(tmp_pat
     drawer = "<body name='drawer' pos='0 0 .6'><joint name='rail' type='slide'/>{}</body>"
     path = tmp_path / "desk.xml"
     path.write_text(f"<mujoco><worldbody>{top}{drawer.format(CARTON)}</worldbody></mujoco>")
-    whole, alone = read_mjcf(path, opened={}), read_mjcf(path)
+    whole = read_mjcf(path, opened={})
+    alone = read_mjcf(path)
     assert (len(whole.pieces), len(alone.pieces)) == (2, 1)
     assert "left out, as they lie in the world beside the body: 1 geoms" in alone.notes
 
@@ -149,7 +165,8 @@ def test_the_ground_under_a_grid_of_heights_is_where_mujoco_has_it(tmp_path):
     mesh = shape.pieces[0].mesh
     spec = mujoco.MjSpec.from_file(str(path))
     made = spec.add_mesh(name="ours")
-    made.uservert, made.userface = mesh.vertices.ravel(), mesh.faces.ravel()
+    made.uservert = mesh.vertices.ravel()
+    made.userface = mesh.faces.ravel()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="ours", group=1)
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -180,6 +197,8 @@ def test_a_scene_shows_no_floor_as_a_ball_and_no_target(tmp_path):
     assert scene.names == ("carton",)
     assert len(scene.objects[0].pieces) == 7
     assert scene.support.pieces == ()
-    path.write_text(path.read_text().replace(CARTON + STICKERS, f"<geom size='.1' group='3' {GHOST}/>"))
+    path.write_text(
+        path.read_text().replace(CARTON + STICKERS, f"<geom size='.1' group='3' {GHOST}/>")
+    )
     with pytest.raises(AssetError, match="nothing of them is seen or collides"):
         read_mjcf_scene(path)

@@ -26,7 +26,9 @@ def names(folder):
     return sorted(source.name for source in find_sources(folder))
 
 
-@pytest.mark.parametrize(("folder", "name", "pieces"), [("with_model", "mug", 3), ("mesh_alone", "cup", 2)])
+@pytest.mark.parametrize(
+    ("folder", "name", "pieces"), [("with_model", "mug", 3), ("mesh_alone", "cup", 2)]
+)
 def test_files_called_after_an_object_are_pieces_of_it(folder, name, pieces):
     found = survey(CASES / folder)
     assert [source.name for source in found.sources] == [name]

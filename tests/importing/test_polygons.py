@@ -23,7 +23,10 @@ def outline(seed):
     """f64[N, 2]: a star with random arms, counter-clockwise, and the area in it by the shoelace rule."""
     rng = np.random.default_rng(seed)
     number = int(rng.integers(4, 15))
-    turn = np.sort(rng.uniform(0, 2 * np.pi, number)) * 0.05 + np.arange(number) / number * 2 * np.pi * 0.95
+    turn = (
+        np.sort(rng.uniform(0, 2 * np.pi, number)) * 0.05
+        + np.arange(number) / number * 2 * np.pi * 0.95
+    )
     points = rng.uniform(0.02, 0.1, (number, 1)) * np.stack([np.cos(turn), np.sin(turn)], 1)
     x, y = points.T
     return points, float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2

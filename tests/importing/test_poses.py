@@ -30,7 +30,9 @@ def test_what_lies_in_its_file_stands_in_the_pool_and_can_be_laid_down_again(lyi
     assert before["carton"].half_extents == pytest.approx([0.035, 0.035, 0.1], abs=1e-4)
     assert main(["pool", "pose", "mine", "carton"]) == 0
     assert "0 (now)      200" in capsys.readouterr().out
-    lower = next(k for k, pose in enumerate(cluttergen_jax.pool_poses("mine", "carton")) if pose.height < 0.1)
+    lower = next(
+        k for k, pose in enumerate(cluttergen_jax.pool_poses("mine", "carton")) if pose.height < 0.1
+    )
     assert main(["pool", "pose", "mine", "carton", str(lower)]) == 0
     assert "70 mm tall, stable in 100.0 % of trials" in capsys.readouterr().out
     pool = find_pool("mine")

@@ -39,7 +39,10 @@ def write(folder, text, config="Café Cup", file="model.sdf", root="sdf"):
     box = trimesh.creation.box((0.02, 0.04, 0.06))
     flat = trimesh.visual.TextureVisuals(uv=np.full((len(box.vertices), 2), 0.5))
     trimesh.Trimesh(box.vertices, box.faces, visual=flat, process=False).export(
-        folder / "meshes" / "cup.obj", include_texture=True, write_texture=False, mtl_name="none.mtl"
+        folder / "meshes" / "cup.obj",
+        include_texture=True,
+        write_texture=False,
+        mtl_name="none.mtl",
     )
     return folder
 
@@ -63,7 +66,11 @@ def test_poses_frames_and_nested_models_put_links_where_they_belong(tmp_path):
         "<pose>0 0 0 0 0 1.5707963267948966</pose>"
         '<frame name="f" attached_to="a"><pose degrees="true">0 0.5 0 90 0 0</pose></frame>'
         + link(visual(), "a", "<pose>0 0 1 0 0 0</pose>")
-        + link(visual(), "b", '<pose relative_to="f" rotation_format="quat_xyzw">0 0 0.2 0 0 0 1</pose>')
+        + link(
+            visual(),
+            "b",
+            '<pose relative_to="f" rotation_format="quat_xyzw">0 0 0.2 0 0 0 1</pose>',
+        )
         + '<joint name="j" type="revolute"><child>a</child><pose>0.3 0 0 0 0 0</pose></joint>'
         + f'<model name="lid"><pose relative_to="j">0 0 0.1 0 0 0</pose>{link(visual(), "c")}</model>'
     )
@@ -72,7 +79,9 @@ def test_poses_frames_and_nested_models_put_links_where_they_belong(tmp_path):
     # By hand, before the model's quarter turn: a (0 0 1), b (0 0.5-0.2 1), c (0.3 0 1.1).
     np.testing.assert_allclose(at, [[0, 0, 1], [-0.3, 0, 1], [0, 0.3, 1.1]], atol=1e-9)
     size = [np.ptp(piece.mesh.bounds, axis=0) for piece in shape.pieces]
-    np.testing.assert_allclose(size, [[0.06, 0.1, 0.04], [0.04, 0.1, 0.06], [0.06, 0.1, 0.04]], atol=1e-9)
+    np.testing.assert_allclose(
+        size, [[0.06, 0.1, 0.04], [0.04, 0.1, 0.06], [0.06, 0.1, 0.04]], atol=1e-9
+    )
     assert shape.notes[0] == "frozen joints: 'j' (revolute) at 0 degrees"
 
 
@@ -105,7 +114,9 @@ FORMS = {
 @pytest.mark.parametrize("form", FORMS)
 def test_forms_have_their_size_seen_or_colliding(tmp_path, form):
     inside = f"<geometry>{form}</geometry>"
-    shape = read(tmp_path, model(link(f'<collision name="c">{inside}</collision>' + visual(inside))))
+    shape = read(
+        tmp_path, model(link(f'<collision name="c">{inside}</collision>' + visual(inside)))
+    )
     np.testing.assert_allclose(np.ptp(bounds(shape.pieces), axis=0), FORMS[form], atol=5e-4)
     assert join_meshes([piece.mesh for piece in shape.pieces]).volume > 0
     assert len(shape.parts) == 1
@@ -169,7 +180,9 @@ def test_materials_give_colours_and_images(tmp_path):
     save_image(folder / "materials" / "textures" / "paint.png", (10, 20, 30))
     (folder / "materials" / "scripts").mkdir()
     (folder / "materials" / "scripts" / "cup.material").write_text(SCRIPT)
-    albedo = material("<pbr><metal><albedo_map>materials/textures/paint.png</albedo_map></metal></pbr>")
+    albedo = material(
+        "<pbr><metal><albedo_map>materials/textures/paint.png</albedo_map></metal></pbr>"
+    )
     for look in (script("Cup/Paint"), albedo):
         (piece,) = read(tmp_path, model(link(visual(mesh() + look)))).pieces
         assert piece.texture is not None
@@ -177,7 +190,12 @@ def test_materials_give_colours_and_images(tmp_path):
     colours = {
         material("<diffuse>1 0 0 1</diffuse>"): (1, 0, 0, 1),
         material("<ambient>0 1 0</ambient>"): (0, 1, 0, 1),
-        material("<diffuse>1 0 0 1</diffuse>") + "<transparency>0.25</transparency>": (1, 0, 0, 0.75),
+        material("<diffuse>1 0 0 1</diffuse>") + "<transparency>0.25</transparency>": (
+            1,
+            0,
+            0,
+            0.75,
+        ),
         script("Cup/Base"): (0.2, 0.4, 0.6, 1),
         script("Gazebo/Blue"): (0, 0, 1, 1),
         script("Cup/Glaze"): GREY,
@@ -200,8 +218,14 @@ def test_links_of_one_name_in_two_models_both_weigh(tmp_path):
     ("more", "told"),
     [
         (link(HEAVY), "two <link> are called 'a'"),
-        ("<joint name='j'><parent>a</parent><child>b</child></joint>", "joint 'j' has the child 'b'"),
-        ("<joint name='j'><parent>c::d</parent><child>a</child></joint>", "joint 'j' has the parent 'c::d'"),
+        (
+            "<joint name='j'><parent>a</parent><child>b</child></joint>",
+            "joint 'j' has the child 'b'",
+        ),
+        (
+            "<joint name='j'><parent>c::d</parent><child>a</child></joint>",
+            "joint 'j' has the parent 'c::d'",
+        ),
     ],
 )
 def test_links_of_one_name_and_joints_of_none_are_refused(tmp_path, more, told):

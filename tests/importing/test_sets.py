@@ -14,7 +14,17 @@ from cluttergen_jax.importing.sets import layouts
 from tests.helpers.shapes import save_box
 
 BODY = '<body name="{}"><geom type="box" size=".02 .02 .02"/></body>'
-MODELS = ["bottle", "bread", "can", "cereal", "lemon", "milk", "plate-with-hole", "round-nut", "square-nut"]
+MODELS = [
+    "bottle",
+    "bread",
+    "can",
+    "cereal",
+    "lemon",
+    "milk",
+    "plate-with-hole",
+    "round-nut",
+    "square-nut",
+]
 
 
 def save_model(path, *bodies):
@@ -36,14 +46,22 @@ def robosuite(folder, objects="objects"):
 
 @pytest.mark.parametrize(
     ("objects", "given"),
-    [("objects", ""), ("objects", "objects"), ("renamed", "renamed"), ("objects", "../.."), ("things", "..")],
+    [
+        ("objects", ""),
+        ("objects", "objects"),
+        ("renamed", "renamed"),
+        ("objects", "../.."),
+        ("things", ".."),
+    ],
 )
 def test_robosuite_has_nine_models(tmp_path, objects, given):
     folder = robosuite(tmp_path / "a" / "b", objects)
     plan = plan_all([(folder / given).resolve()], ReadOptions())
     assert sorted(each.source.name for each in plan.objects) == MODELS
     assert {each.options.licence for each in plan.objects} == {"MIT"}
-    assert {(each.up.axis, each.up.reason) for each in plan.objects} == {("z", "as in robosuite's objects")}
+    assert {(each.up.axis, each.up.reason) for each in plan.objects} == {
+        ("z", "as in robosuite's objects")
+    }
     (line,) = plan.sets
     assert line.startswith(f"recognised: robosuite's objects in {objects}/, up z, licence MIT")
     told = {Path(each.name).name: each.reason for each in plan.left_out}
@@ -56,7 +74,9 @@ def test_labels_and_licences_stand_in_files_beside_objects(tmp_path):
     save_box(tmp_path / "o" / "glbs" / "000-023" / f"{uid}.glb")
     (tmp_path / "o" / "metadata").mkdir()
     record = {uid: {"name": "Teapot", "license": "by"}}
-    (tmp_path / "o" / "metadata" / "000-023.json.gz").write_bytes(gzip.compress(json.dumps(record).encode()))
+    (tmp_path / "o" / "metadata" / "000-023.json.gz").write_bytes(
+        gzip.compress(json.dumps(record).encode())
+    )
     (planned,) = plan_all([tmp_path / "o" / "glbs"], ReadOptions()).objects
     assert (planned.source.label, planned.options.licence) == ("Teapot", "by")
 
@@ -77,7 +97,11 @@ def test_labels_and_licences_stand_in_files_beside_objects(tmp_path):
     [
         (
             "libero",
-            ["stable_hope_objects/milk/milk.xml", "articulated_objects/stove.xml", "scenes/a/a.xml"],
+            [
+                "stable_hope_objects/milk/milk.xml",
+                "articulated_objects/stove.xml",
+                "scenes/a/a.xml",
+            ],
             ["milk"],
         ),
         (
@@ -85,7 +109,11 @@ def test_labels_and_licences_stand_in_files_beside_objects(tmp_path):
             ["objects/objaverse/apple/apple_0/model.xml", "fixtures/sinks/s/model.xml"],
             ["apple_0"],
         ),
-        ("gso", ["Mug/model.xml", "Mug/model.obj", "Mug/model_collision_0.obj", "Mug/texture.png"], ["mug"]),
+        (
+            "gso",
+            ["Mug/model.xml", "Mug/model.obj", "Mug/model_collision_0.obj", "Mug/texture.png"],
+            ["mug"],
+        ),
         (
             "hope",
             ["full/AlphabetSoup.obj", "full/BBQSauce.obj", "full/Ketchup.obj", "eval/Ketchup.obj"],
@@ -94,7 +122,11 @@ def test_labels_and_licences_stand_in_files_beside_objects(tmp_path):
         ("bop", ["models/models_info.json", "models/obj_000001.ply"], ["obj_000001"]),
         ("egad", ["e/A0.obj", "e/C3.obj", "e/G6.obj"], ["a0", "c3", "g6"]),
         ("ycb", ["025_mug/google_16k/textured.obj", "025_mug/tsdf/nontextured.stl"], ["025_mug"]),
-        ("maniskill", ["mani_skill2_ycb/models/025_mug/textured.obj", "robots/panda.xml"], ["025_mug"]),
+        (
+            "maniskill",
+            ["mani_skill2_ycb/models/025_mug/textured.obj", "robots/panda.xml"],
+            ["025_mug"],
+        ),
         ("random-urdfs", ["000/000.urdf", "000/000.obj"], ["000"]),
     ],
 )
@@ -119,7 +151,13 @@ def test_sets_are_recognised(tmp_path, name, files, objects):
 def libero(folder):
     """A model of LIBERO beside raw and collision meshes of the same thing."""
     home = folder / "assets" / "stable_scanned_objects" / "white_bowl"
-    for name in ("model.obj", "ceramic_bowl_col.obj", "bowl.obj", "visual/bowl_vis.stl", "ceramic_bowl.obj"):
+    for name in (
+        "model.obj",
+        "ceramic_bowl_col.obj",
+        "bowl.obj",
+        "visual/bowl_vis.stl",
+        "ceramic_bowl.obj",
+    ):
         save_box(home / name)
     mesh = '<asset><mesh name="m" file="visual/bowl_vis.stl"/></asset>'
     for name in ("white_bowl.xml", "bowl_handle.xml"):
@@ -132,7 +170,9 @@ def test_in_a_set_only_its_models_are_objects(tmp_path):
     plan = plan_all([libero(tmp_path)], ReadOptions())
     assert [each.source.name for each in plan.objects] == ["white_bowl"]
     assert not plan.left_out
-    reasons = [each.reason for each in plan.skipped if each.reason == "no model of LIBERO's objects"]
+    reasons = [
+        each.reason for each in plan.skipped if each.reason == "no model of LIBERO's objects"
+    ]
     assert len(reasons) == 2
     assert plan.sets[0].endswith("2 other files there no objects of their own")
     everything = plan_all([tmp_path], ReadOptions(), take_all=True)
@@ -169,7 +209,10 @@ def test_collision_shapes_beside_a_mesh_are_kept_as_its_parts(tmp_path):
     """The finest kind, each connected piece a part; scaled as the mesh is."""
     save_box(tmp_path / "mug.obj")
     save_box(tmp_path / "mug_col.obj")
-    halves = [trimesh.creation.box((0.02, 0.05, 0.05)).apply_translation((x, 0, 0)) for x in (-0.015, 0.015)]
+    halves = [
+        trimesh.creation.box((0.02, 0.05, 0.05)).apply_translation((x, 0, 0))
+        for x in (-0.015, 0.015)
+    ]
     trimesh.util.concatenate(halves).export(tmp_path / "mug_coacd.stl")
     shape = kept(tmp_path, "mug", collision="keep", scale=2.0)
     assert shape.parts is not None

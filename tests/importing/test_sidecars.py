@@ -57,7 +57,10 @@ def test_habitat_scale_mass_and_up():
 def test_variants_of_a_robotwin_folder_keep_their_numbers(tmp_path):
     for number, scale in ((0, 0.5), (7, [2.0, 2.0, 2.0])):
         save(
-            tmp_path / "001_bottle", {"scale": scale}, f"model_data{number}.json", f"visual/base{number}.obj"
+            tmp_path / "001_bottle",
+            {"scale": scale},
+            f"model_data{number}.json",
+            f"visual/base{number}.obj",
         )
     objects = plan(tmp_path).objects
     assert [(each.source.name, each.options.scale) for each in objects] == [
@@ -97,7 +100,12 @@ def test_options_and_settings_go_before_a_json_and_that_before_a_set(tmp_path):
     config = {"scale": 0.5, "mass": 2.0, "up": [0, 1, 0], "front": [0, 0, 1]}
     folder = save(tmp_path, config, "mug.object_config.json")
     by_option = only(folder, mass=3.0, up="z").options
-    assert (by_option.scale, by_option.mass, by_option.up, by_option.front) == (0.5, 3.0, "z", "auto")
+    assert (by_option.scale, by_option.mass, by_option.up, by_option.front) == (
+        0.5,
+        3.0,
+        "z",
+        "auto",
+    )
     (folder / "objects.toml").write_text('["mug.obj"]\nscale = 1\nup = "x"\n')
     by_settings = only(folder).options
     assert (by_settings.scale, by_settings.mass, by_settings.up) == (1.0, 2.0, "x")
@@ -171,9 +179,29 @@ def test_a_json_of_another_mesh_says_nothing(tmp_path):
     assert alarms == {"cup": 1, "mug": 0}
 
 
-VALUES = ["NaN", "-1", "0", '"x"', "[1, 2]", "[]", "{}", "true", "1e400", "[NaN, 1, 1]", '"\\ud800"', "[[1]]"]
+VALUES = [
+    "NaN",
+    "-1",
+    "0",
+    '"x"',
+    "[1, 2]",
+    "[]",
+    "{}",
+    "true",
+    "1e400",
+    "[NaN, 1, 1]",
+    '"\\ud800"',
+    "[[1]]",
+]
 FILES = {
-    "mug.object_config.json": ["scale", "up", "front", "mass", "friction_coefficient", "render_asset"],
+    "mug.object_config.json": [
+        "scale",
+        "up",
+        "front",
+        "mass",
+        "friction_coefficient",
+        "render_asset",
+    ],
     "model_data.json": ["scale"],
     "metadata.json": ["scale", "unit", "up", "mass", "name", "license", "user"],
     "annotations.json": ["mass", "category", "scale", "license_info"],
@@ -183,7 +211,9 @@ FILES = {
 
 @pytest.mark.parametrize("value", VALUES)
 def test_bad_values_are_alarms_and_nothing_else(tmp_path, value):
-    for number, (name, key) in enumerate((name, key) for name, keys in FILES.items() for key in keys):
+    for number, (name, key) in enumerate(
+        (name, key) for name, keys in FILES.items() for key in keys
+    ):
         save(tmp_path / str(number), f'{{"uid": "mug", "{key}": {value}}}', name)
     for planned in plan(tmp_path).objects:
         assert planned.options.scale == 1.0 or '"scale"' not in value
@@ -192,7 +222,8 @@ def test_bad_values_are_alarms_and_nothing_else(tmp_path, value):
 
 
 @pytest.mark.parametrize(
-    "data", [b"", b"{", b"[]", b"null", b"\xff\xfe\x00", b"[" * 100_000, b'{"scale": 1, "scale": 2}']
+    "data",
+    [b"", b"{", b"[]", b"null", b"\xff\xfe\x00", b"[" * 100_000, b'{"scale": 1, "scale": 2}'],
 )
 def test_broken_files_are_alarms(tmp_path, data):
     for name in FILES:
@@ -223,11 +254,19 @@ KEYS = [
     "annotations",
     "user",
 ]
-LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.sampled_from(KEYS)
+LEAVES = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=8)
+    | st.sampled_from(KEYS)
+)
 DOCUMENTS = st.recursive(
     LEAVES,
     lambda inner: (
-        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=4), inner)
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=4), inner)
     ),
     max_leaves=8,
 )

@@ -33,9 +33,8 @@ from tests.helpers.worlds import trio
 BOX = '<box size=".1 .1 .1"/>'
 GOOD = f'<robot name="r"><link name="l"><visual><geometry>{BOX}</geometry></visual></link></robot>'
 BODY = '<body name="b"><freejoint/><geom size=".03"/></body>'
-LINK = (
-    '<link name="l"><visual name="v"><geometry><box><size>.1 .1 .2</size></box></geometry>{}</visual></link>'
-)
+_TIN = "<geometry><box><size>.1 .1 .2</size></box></geometry>"
+LINK = f'<link name="l"><visual name="v">{_TIN}{{}}</visual></link>'
 
 
 def mjcf(world=BODY, assets="", rest=""):
@@ -69,7 +68,9 @@ def png(width, height):
     """A picture's head, and pixels that are not there."""
 
     def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
 
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(b"\0" * 100))
@@ -80,7 +81,10 @@ def test_the_cases_end_in_a_sentence_and_the_folder_goes_on(tmp_path, monkeypatc
     os.symlink(READERS, tmp_path / "cases")
     (tmp_path / "fine.urdf").write_text(GOOD)
     report = import_sources([tmp_path], "strangers", ImportConfig(progress=False))
-    assert {each.provenance.source.rpartition("/")[2] for each in report.objects} == {"fine.urdf", "a.sdf"}
+    assert {each.provenance.source.rpartition("/")[2] for each in report.objects} == {
+        "fine.urdf",
+        "a.sdf",
+    }
     reasons = " ".join(each.reason for each in report.failures)
     assert len(report.failures) == 3
     assert "attaches or includes itself" in reasons
@@ -137,7 +141,9 @@ def test_what_is_no_xml_for_anybody_is_refused(text, said):
         parse_text(text.encode())
 
 
-@pytest.mark.parametrize("text", ["<a" + "a" * 10**6, "<!--" * 10**5, "<a " + "b" * 10**6, "&" * 10**6])
+@pytest.mark.parametrize(
+    "text", ["<a" + "a" * 10**6, "<!--" * 10**5, "<a " + "b" * 10**6, "&" * 10**6]
+)
 def test_no_text_makes_the_parser_try_again_and_again(text):
     with pytest.raises((ValueError, SyntaxError)):
         parse_text(text.encode())
@@ -157,7 +163,9 @@ def model_folder(folder, versions, name="cup"):
 @pytest.mark.parametrize("uri", ["model://cup", "cup", "file://{}/cup", "{}/cup", "cup/0.3.sdf"])
 def test_an_include_is_the_latest_version_where_the_include_puts_it(tmp_path, uri):
     model_folder(tmp_path / "cup", ["0.2", "0.3", "0.10"][:2])
-    inside = LINK.format("") + include(uri.format(tmp_path), "<pose>0 0 1 0 0 0</pose><name>other</name>")
+    inside = LINK.format("") + include(
+        uri.format(tmp_path), "<pose>0 0 1 0 0 0</pose><name>other</name>"
+    )
     (tmp_path / "both.sdf").write_text(sdf(inside))
     # A box 0.2 m tall at 0, and one 0.3 m tall at 1 m: its own pose at 9 m does not count.
     np.testing.assert_allclose(extents(tmp_path / "both.sdf"), (0.1, 0.1, 0.1 + 1 + 0.15))
@@ -180,9 +188,7 @@ def test_includes_within_includes_name_files_from_their_own_folder(tmp_path):
 
 def test_a_world_is_its_own_models_in_a_folder_and_all_where_it_is_given(tmp_path):
     model_folder(tmp_path / "cup", ["0.3"])
-    world = (
-        f"<sdf version='1.9'><world name='w'>{include('model://cup')}{include('model://no')}</world></sdf>"
-    )
+    world = f"<sdf version='1.9'><world name='w'>{include('model://cup')}{include('model://no')}</world></sdf>"
     (tmp_path / "w.sdf").write_text(world)
     assert [each.path.name for each in find_sources(tmp_path)] == ["0.3.sdf"]
     (source,) = find_sources(tmp_path / "w.sdf")
@@ -200,8 +206,12 @@ def test_a_world_is_its_own_models_in_a_folder_and_all_where_it_is_given(tmp_pat
         (include("d.sdf"), "holds no model"),
         (include("e0.sdf"), "includes more than 1,000 files"),
         (
-            "".join(f'<frame name="f{i}"><pose relative_to="f{i + 1}"/></frame>' for i in range(999))
-            + LINK.replace("<visual", '<pose relative_to="f0">0 0 0 0 0 0</pose><visual').format(""),
+            "".join(
+                f'<frame name="f{i}"><pose relative_to="f{i + 1}"/></frame>' for i in range(999)
+            )
+            + LINK.replace("<visual", '<pose relative_to="f0">0 0 0 0 0 0</pose><visual').format(
+                ""
+            ),
             "more than 100 others in a row",
         ),
     ],
@@ -258,17 +268,26 @@ MESH = '<body><freejoint/><geom type="mesh" mesh="m"/></body>'
         ('<mujoco><include file="c.xml"/></mujoco>', "attaches or includes itself"),
         (mjcf(f'<replicate count="1e9">{BODY}</replicate>'), "copies"),
         (mjcf(3 * '<replicate count="90">' + BODY + 3 * "</replicate>"), "copies"),
-        (mjcf(HFIELD, '<hfield name="h" nrow="9999" ncol="9999" size="1 1 1 1"/>'), "9999 x 9999 cells"),
+        (
+            mjcf(HFIELD, '<hfield name="h" nrow="9999" ncol="9999" size="1 1 1 1"/>'),
+            "9999 x 9999 cells",
+        ),
         (mjcf(HFIELD, '<hfield name="h" file="h.bin" size="1 1 1 1"/>'), "200000 x 200000 cells"),
         (mjcf(HFIELD, '<hfield name="h" file="h.png" size="1 1 1 1"/>'), "pixels"),
-        (mjcf(BODY, '<texture name="t" type="2d" builtin="flat" width="99999" height="99999"/>'), "pixels"),
+        (
+            mjcf(BODY, '<texture name="t" type="2d" builtin="flat" width="99999" height="99999"/>'),
+            "pixels",
+        ),
         (mjcf(MESH, '<mesh name="m" builtin="sphere" params="12"/>'), "params"),
         (mjcf('<body><flexcomp type="grid" count="900 900 900" name="f"/></body>'), "cells"),
         (mjcf(rest='<size memory="900G"/>'), "up to 4G"),
         (mjcf(rest='<size nuser_geom="2000000000"/>'), "nuser_geom"),
         (mjcf(MESH, '<mesh name="m" file="pipe.obj"/>'), "named pipe"),
         (mjcf(MESH, '<mesh name="m" file="/dev/zero"/>'), "a device"),
-        ("<mujoco><worldbody>" + "<body>" * 401 + "</body>" * 401 + "</worldbody></mujoco>", "400 deep"),
+        (
+            "<mujoco><worldbody>" + "<body>" * 401 + "</body>" * 401 + "</worldbody></mujoco>",
+            "400 deep",
+        ),
     ],
 )
 def test_mjcf_that_asks_for_too_much_is_refused_before_mujoco_reads_it(tmp_path, text, said):
@@ -310,7 +329,12 @@ def test_only_regular_files_are_opened(tmp_path):
     (tmp_path / "f.urdf").write_text(GOOD)
     plan = plan_all([tmp_path], ReadOptions())
     assert {each.source.path.name for each in plan.objects} == {"e.urdf", "f.urdf"}
-    assert {each.name.rpartition("/")[2] for each in plan.skipped} >= {"a.obj", "b.urdf", "c.xml", "d.stl"}
+    assert {each.name.rpartition("/")[2] for each in plan.skipped} >= {
+        "a.obj",
+        "b.urdf",
+        "c.xml",
+        "d.stl",
+    }
     assert "not there" in said_of(tmp_path / "e.urdf")
     for name in ("a.obj", "d.stl"):
         with pytest.raises(AssetError, match=r"a named pipe|a device"):
@@ -320,17 +344,23 @@ def test_only_regular_files_are_opened(tmp_path):
     assert fault_of_file(tmp_path / "nowhere") == ""
 
 
-@pytest.mark.parametrize("name", ["../other/part.obj", "{}/other/part.obj", "file://{}/other/part.obj"])
+@pytest.mark.parametrize(
+    "name", ["../other/part.obj", "{}/other/part.obj", "file://{}/other/part.obj"]
+)
 @pytest.mark.parametrize("kind", ["urdf", "sdf", "xml", "obj"])
 def test_files_from_outside_are_noted(tmp_path, kind, name):
     (tmp_path / "other").mkdir()
     (tmp_path / "mine").mkdir()
-    (tmp_path / "other" / "part.obj").write_text("v 0 0 0\nv .1 0 0\nv 0 .2 0\nv 0 0 .3\nf 1 3 2\nf 1 2 4\n")
+    (tmp_path / "other" / "part.obj").write_text(
+        "v 0 0 0\nv .1 0 0\nv 0 .2 0\nv 0 0 .3\nf 1 3 2\nf 1 2 4\n"
+    )
     name = name.format(tmp_path)
     texts = {
         "urdf": GOOD.replace(BOX, f'<mesh filename="{name}"/>'),
         "sdf": sdf(
-            LINK.format("").replace("<box><size>.1 .1 .2</size></box>", f"<mesh><uri>{name}</uri></mesh>")
+            LINK.format("").replace(
+                "<box><size>.1 .1 .2</size></box>", f"<mesh><uri>{name}</uri></mesh>"
+            )
         ),
         "xml": mjcf(MESH, f'<mesh name="m" file="{name}"/>'),
         "obj": f"mtllib {name}\n" + (tmp_path / "other" / "part.obj").read_text(),
@@ -394,5 +424,7 @@ def test_a_module_of_the_folder_one_stands_in_is_not_taken(tmp_path):
     script = "import sys; from cluttergen_jax.importing.readers import read_source; read_source(sys.argv[1])"
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
     words = [sys.executable, "-P", "-c", script, path]
-    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr

@@ -16,17 +16,23 @@ from cluttergen_jax.importing.supports import support_from_mesh
 
 # Of a container on a table the table is found.
 FURNITURE = [
-    name for name in SUPPORTS if name != "table" and name not in SIZES and not make_support(name).named
+    name
+    for name in SUPPORTS
+    if name != "table" and name not in SIZES and not make_support(name).named
 ]
 SOURCE = Provenance("test", "Apache-2.0")
 
 
 def turned(angle):
-    return np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    return np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
 
 
 def shape_of(support, angle=0.0, shift=(0.0, 0.0, 0.0)):
-    pieces = [Piece(piece.mesh.transform(turned(angle), shift), piece.rgba) for piece in support.pieces]
+    pieces = [
+        Piece(piece.mesh.transform(turned(angle), shift), piece.rgba) for piece in support.pieces
+    ]
     return Shape(support.name, support.label, tuple(pieces), SOURCE)
 
 
@@ -51,9 +57,12 @@ def test_our_tables_are_found_again(name, angle):
     found = support_from_mesh(shape_of(own, angle, (3.0, -2.0, 0.7)))
     assert found.top == pytest.approx(own.top, abs=1e-6)
     outline, tops = top_outline(found)
-    assert outline.area == pytest.approx(sum(4 * b.half_extents[0] * b.half_extents[1] for b in tops))
+    assert outline.area == pytest.approx(
+        sum(4 * b.half_extents[0] * b.half_extents[1] for b in tops)
+    )
     # Turned by 0.4 a round table has no sides to go by, so its region may be turned differently.
-    region, wanted = region_of(found), region_of(own)
+    region = region_of(found)
+    wanted = region_of(own)
     assert region.area == pytest.approx(wanted.area, rel=0.05)
     assert region.difference(outline.buffer(1e-6)).area < 1e-9
     for box in found.boxes:
@@ -76,7 +85,9 @@ def test_rims_and_risers_become_obstacles():
         own = make_support(name)
         found = support_from_mesh(shape_of(own))
         highest = max(box.center[2] + box.half_extents[2] for box in own.boxes)
-        assert max(b.center[2] + b.half_extents[2] for b in found.boxes) == pytest.approx(highest, abs=1e-6)
+        assert max(b.center[2] + b.half_extents[2] for b in found.boxes) == pytest.approx(
+            highest, abs=1e-6
+        )
 
 
 def test_what_has_no_level_top_is_refused():

@@ -18,10 +18,14 @@ SEVERAL = [name for name in SUPPORTS if make_support(name).named and name != "di
 
 
 def shape_of(pieces, angle=0.0):
-    cos, sin = np.cos(angle), np.sin(angle)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     return Shape(
-        "it", "it", tuple(Piece(p.mesh.transform(turn, (1.0, -2.0, 0.3)), p.rgba) for p in pieces), SOURCE
+        "it",
+        "it",
+        tuple(Piece(p.mesh.transform(turn, (1.0, -2.0, 0.3)), p.rgba) for p in pieces),
+        SOURCE,
     )
 
 
@@ -41,7 +45,10 @@ def is_alike(own, found):
 def check_regions(support):
     for surface in support.surfaces:
         heights = surface_heights(support, surface)
-        x, y = (heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5) for k in (0, 1))
+        x, y = (
+            heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5)
+            for k in (0, 1)
+        )
         xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1) - surface.region.center
         inner = np.array(surface.region.half_extents) - 0.012
         is_in = (np.abs(rotate_in_plane(xy, -surface.region.yaw)) <= inner).all(-1)

@@ -35,7 +35,8 @@ def save(path, **parts):
             scene.add_geometry(mesh, node_name=name, geom_name=name)
         scene.export(path)
     elif path.suffix == ".obj":
-        lines, first = [], 1
+        lines = []
+        first = 1
         for name, mesh in parts.items():
             lines += [f"o {name}", *("v {} {} {}".format(*each) for each in mesh.vertices.tolist())]
             lines += ["f {} {} {}".format(*(each + first)) for each in mesh.faces]
@@ -60,7 +61,11 @@ def sides(path, node="", is_whole=False):
     return np.ptp(np.concatenate([each.mesh.vertices for each in pieces]), axis=0)
 
 
-APART = {"mug": can(), "book": box((0.2, 0.15, 0.03), (0.3, 0, 0.015)), "dice": box((0.02,) * 3, (0, 0.2, 0))}
+APART = {
+    "mug": can(),
+    "book": box((0.2, 0.15, 0.03), (0.3, 0, 0.015)),
+    "dice": box((0.02,) * 3, (0, 0.2, 0)),
+}
 
 
 @pytest.mark.parametrize(
@@ -82,7 +87,9 @@ def test_things_without_names_are_chosen_by_number(tmp_path, suffix):
 
 def test_three_cubes_of_one_file_are_left_out_and_named():
     (planned,) = plan_all([THREE], ReadOptions()).objects
-    job = Job(planned.source, "", ObjectConfig(planned.options), limits=Limits(), place=planned.place)
+    job = Job(
+        planned.source, "", ObjectConfig(planned.options), limits=Limits(), place=planned.place
+    )
     made = make_job(job)
     assert isinstance(made, LeftOut)
     assert made.detail == "three.glb#cube0, three.glb#cube1, three.glb#cube2"
@@ -109,14 +116,19 @@ def test_settings_choose_nodes(tmp_path):
     path = save(tmp_path / "trio.glb", **APART)
     (tmp_path / "objects.toml").write_text('["trio.glb#mug"]\nmass = 0.3\n["trio.glb#book"]\n')
     objects = plan_all([tmp_path], ReadOptions()).objects
-    assert [(each.source.name, each.options.mass) for each in objects] == [("mug", 0.3), ("book", None)]
+    assert [(each.source.name, each.options.mass) for each in objects] == [
+        ("mug", 0.3),
+        ("book", None),
+    ]
     keys = {cache_key(each.source, ObjectConfig()) for each in objects}
     assert len(keys | {cache_key(find_sources(path)[0], ObjectConfig())}) == 3
 
 
 def test_a_misspelt_node_is_asked_about():
     (source,) = find_sources(f"{THREE}#cube")
-    with pytest.raises(ConfigError, match=r"Did you mean 'cube\d'\? Allowed: cube0, cube1, cube2\."):
+    with pytest.raises(
+        ConfigError, match=r"Did you mean 'cube\d'\? Allowed: cube0, cube1, cube2\."
+    ):
         read_shape(source)
     with pytest.raises(AssetError, match="does not exist"):
         find_sources(f"{THREE.parent}/four.glb#cube0")

@@ -58,7 +58,9 @@ def test_included_files_are_part_of_what_includes_them(tmp_path):
     (folder / "scene.xml").write_text(f"<mujoco><worldbody>{include}</worldbody></mujoco>")
     sources = find_sources(folder)
     assert [source.name for source in sources] == ["pan", "lid"]
-    assert skipped(folder) == dict.fromkeys(("bodies/lid.xml", "bodies/pan.xml"), "included by scene.xml")
+    assert skipped(folder) == dict.fromkeys(
+        ("bodies/lid.xml", "bodies/pan.xml"), "included by scene.xml"
+    )
     assert [read_shape(source).name for source in sources] == ["pan", "lid"]
     before = cache.cache_key(sources[0], ObjectConfig())
     (folder / "bodies" / "pan.xml").write_text(body.format("pan").replace(".02 ", ".03 "))
@@ -72,7 +74,10 @@ def test_bodies_that_mujoco_makes_are_objects_too(tmp_path):
     (tmp_path / "all.xml").write_text(f"<mujoco><worldbody>{world}</worldbody></mujoco>")
     shapes = read_source(tmp_path)
     assert [shape.name for shape in shapes] == ["pin0", "pin1", "cup", "all-3"]
-    sizes = [np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).bounds, axis=0) for shape in shapes]
+    sizes = [
+        np.ptp(join_meshes([piece.mesh for piece in shape.pieces]).bounds, axis=0)
+        for shape in shapes
+    ]
     np.testing.assert_allclose(sizes[2], [0.1, 0.06, 0.06], atol=1e-6)
     np.testing.assert_allclose(sizes[3], 0.04, atol=1e-3)
 

@@ -62,7 +62,8 @@ def test_a_material_of_one_link_holds_in_another():
 def test_a_density_in_the_file_is_taken(tmp_path):
     assert read(CASES / "21_urdf_density").density == 2700
     two = [
-        link(name, more=f'<inertial><density value="{n}"/></inertial>') for name, n in (("a", 1), ("b", 2))
+        link(name, more=f'<inertial><density value="{n}"/></inertial>')
+        for name, n in (("a", 1), ("b", 2))
     ]
     joint = '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
     with pytest.raises(AssetError, match=r"densities \[1\.0, 2\.0\]"):
@@ -94,9 +95,8 @@ def fingers(second, axis="0 0 1"):
     """Two links that slide along z from the base: the first from 2 cm on, the second as its joint says."""
     first = '<joint name="f1" type="prismatic"><parent link="base"/><child link="a"/>'
     first += f'<axis xyz="{axis}"/><limit lower="0.02" upper="0.04"/></joint>'
-    other = (
-        f'<joint name="f2" type="prismatic"><parent link="base"/><child link="b"/><axis xyz="0 0 1"/>{second}'
-    )
+    other = '<joint name="f2" type="prismatic"><parent link="base"/><child link="b"/>'
+    other += f'<axis xyz="0 0 1"/>{second}'
     return '<link name="base"/>' + link("a") + link("b") + first + other + "</joint>"
 
 
@@ -121,8 +121,14 @@ def joint(name, parent, child):
     [
         (link("a"), "two <link> are called 'a'"),
         (joint("j", "a", "b") + joint("j", "a", "c"), "two <joint> are called 'j'"),
-        (joint("j", "a", "c") + joint("k", "b", "c"), "link 'c' is the child of joints 'j' and 'k'"),
-        (joint("j", "a", "d"), "joint 'j' has the child 'd', which is no link. Allowed: 'a', 'b', 'c'"),
+        (
+            joint("j", "a", "c") + joint("k", "b", "c"),
+            "link 'c' is the child of joints 'j' and 'k'",
+        ),
+        (
+            joint("j", "a", "d"),
+            "joint 'j' has the child 'd', which is no link. Allowed: 'a', 'b', 'c'",
+        ),
         (joint("j", "d", "a"), "joint 'j' has the parent 'd', which is no link"),
     ],
 )

@@ -36,7 +36,9 @@ def halves(points):
 
 def ball(colour, subdivisions=3):
     mesh = trimesh.creation.icosphere(subdivisions, RADIUS)
-    mesh.visual.vertex_colors = np.column_stack([colour(mesh.vertices), np.full(len(mesh.vertices), 255)])
+    mesh.visual.vertex_colors = np.column_stack(
+        [colour(mesh.vertices), np.full(len(mesh.vertices), 255)]
+    )
     return mesh
 
 
@@ -128,7 +130,10 @@ def test_alpha_is_one_for_all(tmp_path):
     ("names", "said"),
     [
         (["a"], ()),
-        (["a", "b"], ("the colours of its materials are left out: those of its vertices are taken",)),
+        (
+            ["a", "b"],
+            ("the colours of its materials are left out: those of its vertices are taken",),
+        ),
     ],
 )
 def test_an_obj_file_s_vertices_go_before_plain_materials(tmp_path, names, said):

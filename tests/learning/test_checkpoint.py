@@ -12,7 +12,8 @@ from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, read_state, save_policy, save_state
 from tests.helpers.accidents import small_disk, why_no_disk
 
-KERNEL, BIAS = "params/actor/kernel", "params/actor/bias"
+KERNEL = "params/actor/kernel"
+BIAS = "params/actor/bias"
 LIKE = {
     "params": {
         "actor": {"kernel": np.zeros((4, 3), np.float32), "bias": np.zeros(3, np.float32)},
@@ -32,7 +33,10 @@ def change(folder, **changes):
     """Stores the weights once more, with arrays by name put in, or taken out for None."""
     with np.load(folder / "weights.npz", allow_pickle=False) as stored:
         weights = {name: stored[name] for name in stored.files} | changes
-    np.savez(folder / "weights.npz", **{name: value for name, value in weights.items() if value is not None})
+    np.savez(
+        folder / "weights.npz",
+        **{name: value for name, value in weights.items() if value is not None},
+    )
 
 
 def test_sound_weights_are_read_and_the_critic_is_left(folder):

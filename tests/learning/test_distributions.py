@@ -19,7 +19,8 @@ RAW = jax.random.normal(jax.random.key(0), (40, 4, 2)) * 2.5
 def reference(dist):
     if isinstance(dist, Beta):
         return scipy.stats.beta(np.float64(dist.alpha), np.float64(dist.beta))
-    loc, scale = np.float64(dist.loc), np.float64(dist.scale)
+    loc = np.float64(dist.loc)
+    scale = np.float64(dist.scale)
     return scipy.stats.truncnorm(-loc / scale, (1 - loc) / scale, loc, scale)
 
 

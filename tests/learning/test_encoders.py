@@ -79,7 +79,8 @@ def encoder(request):
 def net(request):
     """A compiled network on clouds of 40 points with 12 centroids, given as their indices."""
     module = CloudNet(request.param, 8, 4)
-    cloud, mask = jnp.asarray(points(40)), jnp.ones(40, bool)
+    cloud = jnp.asarray(points(40))
+    mask = jnp.ones(40, bool)
     weights = jax.jit(module.init)(jax.random.key(1), cloud, mask, jnp.arange(12))
     return jax.jit(lambda cloud, mask, index: module.apply(weights, cloud, mask, index))
 
@@ -87,9 +88,14 @@ def net(request):
 @pytest.mark.parametrize("at_once", [1 << 20, 150])
 def test_ball_query_finds_what_a_tree_finds(monkeypatch, at_once):
     monkeypatch.setattr(cloud_encoder, "_SEARCHED_AT_ONCE", at_once)
-    cloud, centres, radius, number = points(50), points(9, 3), 0.4, 5
+    cloud = points(50)
+    centres = points(9, 3)
+    radius = 0.4
+    number = 5
     mask = np.random.default_rng(2).uniform(size=50) < 0.7
-    index, is_found = jax.jit(ball_query, static_argnums=(3, 4))(centres, cloud, mask, radius, number)
+    index, is_found = jax.jit(ball_query, static_argnums=(3, 4))(
+        centres, cloud, mask, radius, number
+    )
     among = np.flatnonzero(mask)
     distance, nearest = cKDTree(cloud[among]).query(centres, number, distance_upper_bound=radius)
     np.testing.assert_array_equal(is_found, np.isfinite(distance))
@@ -99,7 +105,8 @@ def test_ball_query_finds_what_a_tree_finds(monkeypatch, at_once):
 
 
 def test_masked_points_do_not_matter_whatever_they_are(net):
-    cloud, mask = points(40), np.random.default_rng(4).uniform(size=40) < 0.6
+    cloud = points(40)
+    mask = np.random.default_rng(4).uniform(size=40) < 0.6
     mask[:3] = True
     expected = net(cloud, mask, jnp.arange(12))
     for wrong in (1e6, np.nan, 0.0):
@@ -110,7 +117,8 @@ def test_masked_points_do_not_matter_whatever_they_are(net):
 
 
 def test_order_of_points_does_not_matter(net):
-    cloud, mask = points(40), np.arange(40) < 30
+    cloud = points(40)
+    mask = np.arange(40) < 30
     order = np.random.default_rng(5).permutation(40)
     moved = np.argsort(order)[:12]
     np.testing.assert_allclose(
@@ -128,7 +136,9 @@ def test_scene_features_see_poses_of_placed_objects_only(encoder):
     moved = seen["T_region_object"].at[:, 1, :3].add(0.1)
     np.testing.assert_array_equal(features, encode(seen | {"T_region_object": moved}))
     # Farther than anything else, where even a PointNet of few features notices it.
-    change = np.abs(encode(seen | {"T_region_object": moved.at[:, 0, :3].add(1.0)}) - features).max(1)
+    change = np.abs(encode(seen | {"T_region_object": moved.at[:, 0, :3].add(1.0)}) - features).max(
+        1
+    )
     assert (change[:2] > 1e-3).all()
     assert change[2] == 0
 
@@ -137,7 +147,8 @@ def test_scene_features_see_poses_of_placed_objects_only(encoder):
 def test_chunks_change_neither_features_nor_gradient(monkeypatch):
     module = CloudEncoder(SMALL, NUM_OBJECTS)
     clouds, half = world()
-    weights, seen = init_encoder(module, jax.random.key(0), clouds, half), scenes(5)
+    weights = init_encoder(module, jax.random.key(0), clouds, half)
+    seen = scenes(5)
     results = []
     for size in (5, 2):
         monkeypatch.setattr(cloud_encoder, "CHUNK", size)
@@ -162,7 +173,9 @@ def test_frozen_weights_keep_their_bits_through_an_update():
     observation = jax.eval_shape(ppo.env.reset, jax.random.key(0)).obs
     start = ppo.start(jax.random.key(0), agent.init(jax.random.key(1), observation))
     after, _ = jax.jit(ppo.update)(start)
-    same = jax.tree.map(lambda a, b: bool((a == b).all()), start.params["params"], after.params["params"])
+    same = jax.tree.map(
+        lambda a, b: bool((a == b).all()), start.params["params"], after.params["params"]
+    )
     assert all(jax.tree.leaves(same.pop("encoder")))
     assert not any(jax.tree.leaves(same))
 
@@ -186,6 +199,7 @@ def test_renumbering_the_objects_leaves_actions_unchanged(kind):
         dist, value = Agent(config, clouds, half, NUM_OBJECTS).apply(params, seen)
         return dist.mean(), value
 
-    one, two = act(clouds, half, seen), act(clouds[order], half[order], renumbered)
+    one = act(clouds, half, seen)
+    two = act(clouds[order], half[order], renumbered)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), one, two)
     assert np.abs(one[1] - act(clouds, half, renumbered)[1]).max() > 1e-3

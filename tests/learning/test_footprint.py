@@ -8,7 +8,8 @@ from cluttergen_jax.learning.agents import FootprintFeatures
 
 CELL = 0.01
 SIDE = 48 * CELL
-PLATE, BLOCK = (0.08, 0.02), (0.03, 0.03)
+PLATE = (0.08, 0.02)
+BLOCK = (0.03, 0.03)
 
 
 def cloud_of(half, middle=(0.0, 0.0)) -> np.ndarray:
@@ -37,7 +38,8 @@ def room():
 @pytest.mark.parametrize(("height", "is_in_the_way"), [(0.02, False), (0.07, True)])
 def test_what_is_lower_than_an_underside_is_not_in_its_way(height, is_in_the_way):
     """The pan's handle is 5 cm up; the block's top is at `height`, in the middle of the region."""
-    pan, handle = cloud_of((0.03, 0.03), (-0.1, 0.0)), cloud_of((0.08, 0.01), (0.05, 0.0))
+    pan = cloud_of((0.03, 0.03), (-0.1, 0.0))
+    handle = cloud_of((0.08, 0.01), (0.05, 0.0))
     handle[:, 2] += 0.05
     held = np.concatenate([pan, handle])
     block = np.tile(cloud_of(BLOCK), (2, 1))

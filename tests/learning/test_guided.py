@@ -47,7 +47,9 @@ RECORD = {
 def rules():
     placement = PlacementConfig(num_objects=4, history_stride=0, min_margin=0.003)
     objects = ("mug", "bowl", "soup_can", "cereal_box")
-    return make_problem(ProblemConfig(objects=objects, support="table-0.30x0.30", placement=placement)).rules
+    return make_problem(
+        ProblemConfig(objects=objects, support="table-0.30x0.30", placement=placement)
+    ).rules
 
 
 def made_up(number, seed=0):
@@ -69,7 +71,8 @@ def made_up(number, seed=0):
 
 @pytest.mark.slow
 def test_a_fit_learns_what_can_be_learned_and_equal_seeds_fit_alike():
-    examples, fresh = made_up(10_000), made_up(2000, seed=1)
+    examples = made_up(10_000)
+    fresh = made_up(2000, seed=1)
     params, loss = fit(SMALL, FitConfig(num_epochs=12), examples, seed=0)
     assert np.isfinite(loss)
     predicted = predictions_of(SMALL, params, fresh)
@@ -149,7 +152,8 @@ def test_a_stored_network_places_as_before(rules, tmp_path):
     params, _ = fit(SMALL, FitConfig(num_epochs=1), made_up(512), seed=0)
     save_policy(tmp_path, params, RECORD)
     checkpoint = read_checkpoint(tmp_path)
-    stored, episode = load_guided(checkpoint, rules), rules.begin(jax.random.key(0))
+    stored = load_guided(checkpoint, rules)
+    episode = rules.begin(jax.random.key(0))
     half = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float16).astype(jnp.float32), params)
     jax.tree.map(np.testing.assert_array_equal, stored.params, half)
     propose = proposer_of("guided", checkpoint, rules)
@@ -172,12 +176,20 @@ TINY = guided.GuidedConfig(
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_training_can_be_stopped_and_taken_up_and_ends_alike(home, tmp_path):
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    whole = tmp_path / "whole"
+    parts = tmp_path / "parts"
     lines = []
     policy = guided.GuidedTraining(TINY, whole, lines.append).run()
     assert sum(line.startswith("round") for line in lines) == 2
     files = sorted(path.name for path in (whole / "attempts").iterdir())
-    assert files == ["00-00.npz", "00-01.npz", "01-00.npz", "01-01.npz", "held-out-00.npz", "held-out-01.npz"]
+    assert files == [
+        "00-00.npz",
+        "00-01.npz",
+        "01-00.npz",
+        "01-01.npz",
+        "held-out-00.npz",
+        "held-out-01.npz",
+    ]
     record = json.loads((policy / "record.json").read_text())
     assert record["num_attempts"] == 128
     assert record["held_out"]["stands"]["number"] == 16
@@ -195,7 +207,10 @@ def test_a_training_can_be_stopped_and_taken_up_and_ends_alike(home, tmp_path):
         Stopped(TINY, parts, lines.append).run()
     assert not (parts / "policy").exists()
     guided.GuidedTraining(TINY, parts, lines.append).run()
-    with np.load(whole / "policy/weights.npz") as one, np.load(parts / "policy/weights.npz") as other:
+    with (
+        np.load(whole / "policy/weights.npz") as one,
+        np.load(parts / "policy/weights.npz") as other,
+    ):
         for name in one.files:
             np.testing.assert_array_equal(one[name], other[name])
     with pytest.raises(ConfigError, match="another config"):

@@ -12,7 +12,9 @@ from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from tests.helpers.problems import made_up_rules
 
-CONFIG = NetworkConfig(head="mixture", num_cells=6, num_turns=4, width=16, num_layers=2, object_points=8)
+CONFIG = NetworkConfig(
+    head="mixture", num_cells=6, num_turns=4, width=16, num_layers=2, object_points=8
+)
 
 
 def made_up(config=CONFIG):

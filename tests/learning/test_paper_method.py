@@ -16,7 +16,13 @@ from cluttergen_jax.placement.problem import ProblemConfig, compose
 from tests.helpers.worlds import box
 
 SEEN = NetworkConfig(
-    head="beta_free", object_points=8, object_features=8, token_width=32, num_heads=2, num_layers=3, width=64
+    head="beta_free",
+    object_points=8,
+    object_features=8,
+    token_width=32,
+    num_heads=2,
+    num_layers=3,
+    width=64,
 )
 """Small, and told of poses: what a point cloud is worth is asked elsewhere."""
 
@@ -33,7 +39,8 @@ def successes(num_objects, side, num_updates, network=SEEN, **ppo):
     given = {"num_envs": 64, "num_steps": 25, "minibatch_size": 400, "anneals": False}
     learner = PPO(env, agent.apply, replace(settings.ppo, **given | ppo), None, agent.encode)
     params = agent.init(jax.random.key(0), jax.eval_shape(env.reset, jax.random.key(0)).obs)
-    state, update = jax.jit(learner.start)(jax.random.key(1), params), jax.jit(learner.update)
+    state = jax.jit(learner.start)(jax.random.key(1), params)
+    update = jax.jit(learner.update)
     found = []
     for _ in range(num_updates):
         state, figures = update(state)

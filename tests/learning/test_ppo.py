@@ -60,7 +60,9 @@ def test_minibatches_of_one_size_leave_a_smaller_last_one():
     assert (config.steps_of_minibatch, config.num_gradient_steps) == (10, 2 * 2 * 4)
     assert PPOConfig(**asked, minibatch_size=1000).steps_of_minibatch == 32
     state, figures = jax.jit(learner(Bandit(), **asked, minibatch_size=10).update)(
-        learner(Bandit(), **asked).start(jax.random.key(0), Tiny().init(jax.random.key(1), jnp.zeros((1, 2))))
+        learner(Bandit(), **asked).start(
+            jax.random.key(0), Tiny().init(jax.random.key(1), jnp.zeros((1, 2)))
+        )
     )
     # Adam counts its steps: three minibatches of ten and one of two, twice.
     counts = [int(leaf) for leaf in jax.tree.leaves(state.optimizer) if leaf.dtype == jnp.int32]
@@ -96,7 +98,8 @@ def test_advantages_by_hand():
 @pytest.mark.slow
 def test_resumed_run_is_the_same_run_bit_for_bit(tmp_path):
     ppo = learner(Bandit())
-    whole, half = train(ppo, 6), train(ppo, 3)
+    whole = train(ppo, 6)
+    half = train(ppo, 3)
     save_state(tmp_path / "last", half, {"pool": "none"})
     resumed = read_state(tmp_path / "last", half)
     update = jax.jit(ppo.update)

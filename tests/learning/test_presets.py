@@ -15,7 +15,8 @@ PAPERS = ("paper", "paper_code", "paper_cpu")
 @pytest.mark.parametrize("preset", PAPERS)
 def test_the_papers_numbers(preset):
     settings = make_settings(preset, "policy")
-    ppo, network = settings.ppo, settings.network
+    ppo = settings.ppo
+    network = settings.network
     assert (ppo.batch_size, ppo.steps_of_minibatch, ppo.num_attempts) == (3200, 1000, 2_500_000)
     assert (ppo.discount, ppo.gae_lambda, ppo.clip) == (0.99, 0.95, 0.2)
     # The printed 0.5 is of the mean square, and `value_cost` of half of it.

@@ -45,7 +45,11 @@ def test_unseen_shapes_are_recognised(trained):
     # One in three is chance, and with 12 shapes 7 of them are right by chance once in 15 times.
     assert accuracy >= 0.8
     record = read_record(folder)
-    assert (record["encoder"], record["features"], record["held_out_accuracy"]) == ("pointnet", 24, accuracy)
+    assert (record["encoder"], record["features"], record["held_out_accuracy"]) == (
+        "pointnet",
+        24,
+        accuracy,
+    )
 
 
 def test_weights_end_up_in_both_networks(trained):

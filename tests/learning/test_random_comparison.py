@@ -13,7 +13,12 @@ from cluttergen_jax.statistics import wilson
 
 def rate(share, trials=256):
     low, high = wilson(round(share * trials), trials)
-    return {"success": round(share * trials) / trials, "low95": low, "high95": high, "episodes": trials}
+    return {
+        "success": round(share * trials) / trials,
+        "low95": low,
+        "high95": high,
+        "episodes": trials,
+    }
 
 
 def told(policy, random, curve, training_success=None):
@@ -26,7 +31,11 @@ def test_the_interval_of_a_difference():
     # Newcombe (1998), table II: 56/70 and 48/80, method 10.
     low, high = difference_interval(rate(56 / 70, 70), rate(48 / 80, 80))
     assert (low, high) == pytest.approx((0.0524, 0.3339), abs=2e-4)
-    assert difference_interval(rate(0.5), rate(0.5))[0] < 0 < difference_interval(rate(0.5), rate(0.5))[1]
+    assert (
+        difference_interval(rate(0.5), rate(0.5))[0]
+        < 0
+        < difference_interval(rate(0.5), rate(0.5))[1]
+    )
 
 
 def test_a_policy_that_is_better_needs_no_advice():
@@ -44,7 +53,9 @@ def test_a_policy_that_is_better_needs_no_advice():
         (0.1, 0.2, [0.1] * 3, None, "9,600 make 3 updates"),
     ],
 )
-def test_what_is_not_better_is_said_with_what_is_missing(policy, random, curve, training_success, said):
+def test_what_is_not_better_is_said_with_what_is_missing(
+    policy, random, curve, training_success, said
+):
     lines = told(policy, random, curve, training_success)
     for part in said.split(" .* "):
         assert part in lines

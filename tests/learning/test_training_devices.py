@@ -61,18 +61,24 @@ def test_two_processes_train_like_one_and_stop_and_go_on_together(tmp_path):
     programs = tmp_path / "programs"
     # The second process asks to stop: both do, and what only the first one has stored is taken up by both.
     port = free_port()
-    pair = [start("host", port, number, 2, folders[number], 1, programs=programs) for number in (0, 1)]
+    pair = [
+        start("host", port, number, 2, folders[number], 1, programs=programs) for number in (0, 1)
+    ]
     texts = [process.communicate()[0] for process in pair]
     assert all("KeyboardInterrupt" in text for text in texts), "\n\n".join(texts)
     assert 0 < read_record(folders[0] / "last")["num_updates"] < 4
     port = free_port()
-    pair = [start("host", port, number, 2, folders[number], 0, programs=programs) for number in (0, 1)]
+    pair = [
+        start("host", port, number, 2, folders[number], 0, programs=programs) for number in (0, 1)
+    ]
     finish(*pair)
     finish(start("host", 0, 0, 1, folders[2], 0))
     assert sorted(path.name for path in folders[1].iterdir()) == ["weights-1.npy"]
     first, second, alone = (
         np.load(folder / name)
-        for folder, name in zip(folders, ("weights-0.npy", "weights-1.npy", "weights-0.npy"), strict=True)
+        for folder, name in zip(
+            folders, ("weights-0.npy", "weights-1.npy", "weights-0.npy"), strict=True
+        )
     )
     np.testing.assert_array_equal(first, second)
     np.testing.assert_allclose(first, alone, atol=1e-3)

@@ -54,8 +54,14 @@ def finish_run(args, updates, is_whole=True):
     args.folder.mkdir(parents=True, exist_ok=True)
     save_state(args.folder / "last", {"x": np.ones(2)}, recipe | {"num_updates": updates})
     known = {"evaluation": {"success": 0.5}} if is_whole else {}
-    save_policy(args.folder / "policy", {"params": {"actor": np.ones(2)}}, recipe | {"success": 0.25} | known)
-    (args.folder / "progress.csv").write_text("update,attempts,attempts_per_second\n0,2048,1000.0\n")
+    save_policy(
+        args.folder / "policy",
+        {"params": {"actor": np.ones(2)}},
+        recipe | {"success": 0.25} | known,
+    )
+    (args.folder / "progress.csv").write_text(
+        "update,attempts,attempts_per_second\n0,2048,1000.0\n"
+    )
 
 
 def contents(folder):
@@ -64,7 +70,15 @@ def contents(folder):
 
 
 def test_what_is_done_is_left_alone_and_other_settings_are_refused(tmp_path, capsys):
-    command = ["train", "--suite", "paper", "--suite-only", "dining-policy-0", "--out", str(tmp_path)]
+    command = [
+        "train",
+        "--suite",
+        "paper",
+        "--suite-only",
+        "dining-policy-0",
+        "--out",
+        str(tmp_path),
+    ]
     (run,) = plan("paper", only="dining-policy-0")
     config = config_of(TrainConfig(), run, tmp_path)
     finish_run(config, config.settings().ppo.num_updates)

@@ -24,9 +24,11 @@ class Sick(Bandit):
         return state.replace(info=state.info | {"illness": jnp.int32(NOTHING)})
 
     def step(self, state, action):
-        illness, is_now = state.info["illness"], state.info["step"] == 2
+        illness = state.info["illness"]
+        is_now = state.info["step"] == 2
         after = super().step(state, action)
-        nan, large = jnp.float32(jnp.nan), jnp.float32(1e30)
+        nan = jnp.float32(jnp.nan)
+        large = jnp.float32(1e30)
         reward = jnp.where(is_now & (illness == REWARD), nan, after.reward)
         reward = jnp.where(is_now & (illness == LARGE), large, reward)
         is_seen = is_now & (illness == OBSERVATION)
@@ -48,14 +50,17 @@ def sick(compiled_once):
 
 def ill(state, illness):
     env = state.env
-    return state.replace(env=env.replace(info=env.info | {"illness": jnp.full((4,), illness, jnp.int32)}))
+    return state.replace(
+        env=env.replace(info=env.info | {"illness": jnp.full((4,), illness, jnp.int32)})
+    )
 
 
 @pytest.mark.slow
 def test_three_at_once_are_one_by_one(sick):
     updates, state = sick
     at_once, rows, is_finite = updates(state, 3)
-    one_by_one, singly = state, []
+    one_by_one = state
+    singly = []
     for _ in range(3):
         one_by_one, row, _ = updates(one_by_one, 1)
         singly += row

@@ -31,7 +31,8 @@ def test_a_log_is_continued_and_a_torn_row_is_left_out(tmp_path):
 
 class FakeRun:
     def __init__(self):
-        self.rows, self.is_finished = [], False
+        self.rows = []
+        self.is_finished = False
 
     def log(self, row, step):
         self.rows.append((step, row))
@@ -41,7 +42,8 @@ class FakeRun:
 
 
 def test_wandb_gets_every_row_and_the_same_id_again(tmp_path, monkeypatch):
-    calls, fake = [], FakeRun()
+    calls = []
+    fake = FakeRun()
     stub = types.SimpleNamespace(init=lambda **options: calls.append(options) or fake)
     monkeypatch.setitem(sys.modules, "wandb", stub)
     log = WandbLog(tmp_path, {"pool": "dining"})

@@ -49,9 +49,13 @@ def unpadded(world, radius):
 
 @pytest.mark.parametrize("support", ["table-0.30x0.36", "shelf_desk"])
 @pytest.mark.slow
-def test_worlds_of_one_setting_share_a_program_and_scenes_are_those_of_unpadded_ones(maker, support):
+def test_worlds_of_one_setting_share_a_program_and_scenes_are_those_of_unpadded_ones(
+    maker, support
+):
     worlds = [maker.make(TrainingSetting(support, 3, 1.0), index) for index in range(len(SETS))]
-    assert shapes((worlds[0].rules, worlds[0].mapper)) == shapes((worlds[1].rules, worlds[1].mapper))
+    assert shapes((worlds[0].rules, worlds[0].mapper)) == shapes(
+        (worlds[1].rules, worlds[1].mapper)
+    )
     rollout = Rollout()
     for world in worlds:
         scenes = run(rollout, world)
@@ -72,7 +76,10 @@ def test_padding_adds_nothing_that_was_not_there(maker):
 
     def points(geometry):
         owner = np.repeat(np.asarray(geometry.surface_owner), geometry.surface.shape[1])
-        return {tuple(row) for row in np.column_stack([owner, np.asarray(geometry.surface).reshape(-1, 3)])}
+        return {
+            tuple(row)
+            for row in np.column_stack([owner, np.asarray(geometry.surface).reshape(-1, 3)])
+        }
 
     assert points(longer) == points(plain)
     with pytest.raises(ValueError, match="2 runs of surface too many"):

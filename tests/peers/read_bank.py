@@ -12,7 +12,9 @@ import numpy as np
 sys.path.insert(0, sys.argv[1])
 from bank_reader import Bank
 
-SECONDS, MAX_SHIFT, NUM_RESETS = 2.0, 0.005, 256
+SECONDS = 2.0
+MAX_SHIFT = 0.005
+NUM_RESETS = 256
 
 
 def shift(model, qpos, applied=None):

@@ -9,7 +9,8 @@ import numpy as np
 from dm_control import mjcf
 from dm_control.mujoco import Physics
 
-file, seconds = Path(sys.argv[1]), float(sys.argv[2])
+file = Path(sys.argv[1])
+seconds = float(sys.argv[2])
 own = json.loads((file.parents[1] / "MANIFEST.json").read_text())["scenes"][0]
 names = [entry["name"] for entry in own["objects"]]
 report = {"mujoco": mujoco.__version__}
@@ -28,6 +29,9 @@ for kind, physics in (
     report[kind] = {
         "before": {name: [*before[name], *keyed[name]] for name in names},
         "mass": {name: float(physics.named.model.body_mass[name]) for name in names},
-        "shift": {name: float(np.linalg.norm(physics.named.data.xpos[name] - keyed[name])) for name in names},
+        "shift": {
+            name: float(np.linalg.norm(physics.named.data.xpos[name] - keyed[name]))
+            for name in names
+        },
     }
 print(json.dumps(report))

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from pydrake.all import AddMultibodyPlant, DiagramBuilder, MultibodyPlantConfig, Parser, Simulator
 
-folder, seconds = Path(sys.argv[1]), float(sys.argv[2])
+folder = Path(sys.argv[1])
+seconds = float(sys.argv[2])
 ending = sys.argv[3] if len(sys.argv) > 3 else ".sdf"
 own = json.loads((folder / "MANIFEST.json").read_text())["scenes"][0]
 builder = DiagramBuilder()

@@ -13,7 +13,8 @@ from unittest import mock
 import numpy as np
 from lerobot.envs import factory
 
-folder, name = Path(sys.argv[1]), sys.argv[2]
+folder = Path(sys.argv[1])
+name = sys.argv[2]
 # LeRobot fetches env.py alone into its cache, and env.py what else the repository has: both are stood for.
 alone = Path(tempfile.mkdtemp()) / "models--owner--clutter" / "snapshots" / "abc"
 alone.mkdir(parents=True)
@@ -56,6 +57,11 @@ shift = float(np.linalg.norm(env.data.body(name).xpos - env._origin - place))
 go(place[2], True, 60)
 go(place[2], False, 20)
 _, reward, terminated, _, last = go(place[2] + 0.2, False, 60)
-report |= {"shift": shift, "reward": reward, "terminated": terminated, "is_success": last["is_success"]}
+report |= {
+    "shift": shift,
+    "reward": reward,
+    "terminated": terminated,
+    "is_success": last["is_success"],
+}
 envs.close()
 print(json.dumps(report))

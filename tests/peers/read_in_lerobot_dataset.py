@@ -9,9 +9,13 @@ import sys
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 found = LeRobotDataset(
-    "owner/clutter", root=sys.argv[1], video_backend="pyav", delta_timestamps={"action": [0.0, 0.05]}
+    "owner/clutter",
+    root=sys.argv[1],
+    video_backend="pyav",
+    delta_timestamps={"action": [0.0, 0.05]},
 )
-first, last = found[0], found[len(found) - 1]
+first = found[0]
+last = found[len(found) - 1]
 told = {
     "episodes": found.num_episodes,
     "frames": found.num_frames,

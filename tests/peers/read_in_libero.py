@@ -8,11 +8,14 @@ import tempfile
 from pathlib import Path
 
 # ruff: noqa: E402
-folder, seconds = Path(sys.argv[1]), float(sys.argv[2])
+folder = Path(sys.argv[1])
+seconds = float(sys.argv[2])
 sys.path.insert(0, str(folder))
 # LIBERO asks for its folders when it finds no answers.
 answers = tempfile.TemporaryDirectory()
-paths = dict.fromkeys(("benchmark_root", "bddl_files", "init_states", "datasets", "assets"), answers.name)
+paths = dict.fromkeys(
+    ("benchmark_root", "bddl_files", "init_states", "datasets", "assets"), answers.name
+)
 Path(answers.name, "config.yaml").write_text(json.dumps(paths))
 os.environ["LIBERO_CONFIG_PATH"] = answers.name
 
@@ -76,7 +79,8 @@ report |= {"after": poses(env), "done": bool(done)}
 # the first scene has it, on a region of the table.
 module.write_tasks()
 suite = get_benchmark("ClutterGen")()
-task, states = suite.get_task(0), suite.get_task_init_states(0)
+task = suite.get_task(0)
+states = suite.get_task_init_states(0)
 path = Path(task.problem_folder, task.bddl_file)
 name = next(iter(names))
 x, y = report["before"][name][:2]

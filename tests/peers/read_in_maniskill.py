@@ -6,7 +6,8 @@ import tempfile
 from pathlib import Path
 
 # ruff: noqa: E402
-folder, seconds = Path(sys.argv[1]), float(sys.argv[2])
+folder = Path(sys.argv[1])
+seconds = float(sys.argv[2])
 sys.path.insert(0, str(folder))
 
 import cluttergen_maniskill as module
@@ -15,7 +16,12 @@ import h5py
 import torch
 from mani_skill.trajectory import utils
 
-OPTIONS = {"robot_uids": "panda", "obs_mode": "none", "render_backend": "none", "sim_backend": "physx_cpu"}
+OPTIONS = {
+    "robot_uids": "panda",
+    "obs_mode": "none",
+    "render_backend": "none",
+    "sim_backend": "physx_cpu",
+}
 number = module.scene_numbers()[0]
 env = gymnasium.make(module.ENV_ID, scene=number, **OPTIONS)
 env.reset(seed=0)

@@ -7,7 +7,9 @@ import json
 import sys
 
 # ruff: noqa: E402
-folder, num_worlds, num_steps = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+folder = sys.argv[1]
+num_worlds = int(sys.argv[2])
+num_steps = int(sys.argv[3])
 sys.path.insert(0, folder)
 
 import numpy as np

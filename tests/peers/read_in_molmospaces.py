@@ -7,7 +7,8 @@ import tempfile
 from pathlib import Path
 
 # ruff: noqa: E402
-folder, seconds = Path(sys.argv[1]), float(sys.argv[2])
+folder = Path(sys.argv[1])
+seconds = float(sys.argv[2])
 # Nothing is to be fetched: its own libraries are set aside below.
 for variable in ("MLSPACES_CACHE_DIR", "MLSPACES_ASSETS_DIR"):
     os.environ[variable] = tempfile.mkdtemp()

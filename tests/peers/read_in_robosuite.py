@@ -6,7 +6,8 @@ import tempfile
 from pathlib import Path
 
 # ruff: noqa: E402
-folder, seconds = Path(sys.argv[1]), float(sys.argv[2])
+folder = Path(sys.argv[1])
+seconds = float(sys.argv[2])
 sys.path.insert(0, str(folder))
 
 import cluttergen_robosuite as module
@@ -40,7 +41,8 @@ with tempfile.TemporaryDirectory() as out:
     module.write_states(out)
     with h5py.File(Path(out) / f"{number:06d}" / "demo.hdf5") as file:
         info = json.loads(file["data"].attrs["env_info"])
-        xml, states = file["data/demo_1"].attrs["model_file"], file["data/demo_1/states"][()]
+        xml = file["data/demo_1"].attrs["model_file"]
+        states = file["data/demo_1/states"][()]
 env = robosuite.make(info.pop("env_name"), **info, **OPTIONS)
 env.reset()
 env.reset_from_xml_string(env.edit_model_xml(xml))

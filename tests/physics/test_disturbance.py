@@ -36,14 +36,19 @@ def over_the_edge(layout, index, margin, turn=0.0):
 
 def settle(engine, focus, *scenes):
     poses, is_placed = (np.stack(arrays) for arrays in zip(*scenes, strict=True))
-    return engine.settle_batch(poses, is_placed, np.full(len(poses), focus), np.ones(len(poses), bool))
+    return engine.settle_batch(
+        poses, is_placed, np.full(len(poses), focus), np.ones(len(poses), bool)
+    )
 
 
 def test_what_would_tip_by_hand_arithmetic_is_fragile(layout, engines):
     # At height h, gravity tilted by 3 degrees moves the load by h tan(3): 5.2 mm for the tall box, 1.6 mm for
     # a cube. A brief tilt by 4 degrees is to find just those that would fall.
     plain, robust = engines
-    for index, margins in ((TALL, (0.002, 0.0047, 0.0063, 0.02)), (CUBE, (0.0005, 0.0014, 0.0019, 0.01))):
+    for index, margins in (
+        (TALL, (0.002, 0.0047, 0.0063, 0.02)),
+        (CUBE, (0.0005, 0.0014, 0.0019, 0.01)),
+    ):
         load = HEIGHT[index] * math.tan(math.radians(3))
         scenes = [over_the_edge(layout, index, margin) for margin in margins]
         assert (settle(plain, index, *scenes).verdict == Verdict.STABLE).all()

@@ -28,7 +28,8 @@ EDGE = 0.3
 
 def signed_distance(points):
     """From the origin to the edge of the convex hull, positive within, as shapely has it."""
-    hull, origin = MultiPoint(points).convex_hull, Point(0, 0)
+    hull = MultiPoint(points).convex_hull
+    origin = Point(0, 0)
     is_within = hull.geom_type == "Polygon" and hull.contains(origin)
     return hull.exterior.distance(origin) if is_within else -hull.distance(origin)
 
@@ -37,9 +38,9 @@ def some_points(number):
     """Sets of points around, beside and on the origin, some of them on one line."""
     draw = np.random.default_rng(0)
     for turn in range(number):
-        points = draw.normal(size=(draw.integers(1, 20), 2)) * 0.05 + draw.normal(size=2) * draw.uniform(
-            0, 0.1
-        )
+        points = draw.normal(size=(draw.integers(1, 20), 2)) * 0.05 + draw.normal(
+            size=2
+        ) * draw.uniform(0, 0.1)
         points[:, 1] = points[0, 1] if turn % 5 == 0 else points[:, 1]
         yield points * (turn % 17 != 0)
 
@@ -61,7 +62,9 @@ def test_a_batch_in_jax_is_each_by_itself():
     )
     order = np.random.default_rng(2).permutation(len(body))
     found = jax.jit(support_margins)(
-        jnp.asarray(position[order], jnp.float32), jnp.asarray(body[order]), jnp.asarray(center, jnp.float32)
+        jnp.asarray(position[order], jnp.float32),
+        jnp.asarray(body[order]),
+        jnp.asarray(center, jnp.float32),
     )
     np.testing.assert_allclose(found, [support_margin(points) for points in sets], atol=1e-6)
 
@@ -73,7 +76,11 @@ class Margins(HalfTable):
     margin: tuple[float, ...] = (0.02,) * 6
 
     def settle(self, poses, is_placed, focus, is_active):
-        return super().settle(poses, is_placed, focus, is_active).replace(margin=jnp.array(self.margin))
+        return (
+            super()
+            .settle(poses, is_placed, focus, is_active)
+            .replace(margin=jnp.array(self.margin))
+        )
 
 
 def attempt(margin, **placement):
@@ -94,7 +101,9 @@ def test_too_small_a_margin_is_a_verdict_of_its_own():
 
 
 def test_a_neighbour_that_lost_its_support_counts_unless_it_stood_there_before():
-    rules = made_up_rules(physics=Margins(margin=(0.02, 0.001, 0.02, 0.02, 0.02, 0.02)), order="fixed")
+    rules = made_up_rules(
+        physics=Margins(margin=(0.02, 0.001, 0.02, 0.02, 0.02, 0.02)), order="fixed"
+    )
     rules = dataclasses.replace(
         rules, config=dataclasses.replace(rules.config, min_margin=0.003), num_started=1
     )
@@ -133,7 +142,9 @@ def test_tilted_gravity_topples_what_hand_arithmetic_says(models, brink):
     # At height h, gravity tilted by a moves the load by h tan(a): 1.7, 3.5 and 8.7 mm; 45 degrees off the
     # edge's normal by 0.7 of that.
     np.testing.assert_allclose(tilt(models, *brink, num_threads=1), [[1.0, 7 / 8, 5 / 8]])
-    middle = tilt(models, brink[0] * [0.5, 1, 1, 1, 1, 1, 1], brink[1], TiltConfig((5.0,)), num_threads=1)
+    middle = tilt(
+        models, brink[0] * [0.5, 1, 1, 1, 1, 1, 1], brink[1], TiltConfig((5.0,)), num_threads=1
+    )
     np.testing.assert_allclose(middle, 1.0)
     with pytest.raises(ConfigError, match="ascend"):
         TiltConfig((5.0, 1.0))

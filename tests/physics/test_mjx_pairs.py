@@ -26,10 +26,13 @@ def model():
         spec.add_mesh(name=name, uservert=np.asarray(shape.vertices, np.float32).ravel())
         body = spec.worldbody.add_body(name=name)
         body.add_freejoint()
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, condim=4, friction=(0.5, 0.005, 1e-4))
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, condim=4, friction=(0.5, 0.005, 1e-4)
+        )
     # As an object with a friction of its own, less than that of what it touches.
     slippery = spec.body("ball").first_geom()
-    slippery.priority, slippery.friction = 9, (0.1, 0.001, 1e-5)
+    slippery.priority = 9
+    slippery.friction = (0.1, 0.001, 1e-5)
     return spec.compile()
 
 
@@ -74,10 +77,14 @@ def frictions(data):
 def test_the_contacts_are_those_of_mjx(model, on_device):
     pairs = Pairs(model, on_device, 3)
     data = scenes(model, pairs)
-    ours = jax.vmap(lambda each: pairs.find_contacts(on_device, mjx.kinematics(on_device, each)))(data)
+    ours = jax.vmap(lambda each: pairs.find_contacts(on_device, mjx.kinematics(on_device, each)))(
+        data
+    )
     own = jax.vmap(lambda qpos: mjx.make_data(model, impl="jax").replace(qpos=qpos))(data.qpos)
     with faces_first():
-        theirs = jax.vmap(lambda each: mjx.collision(on_device, mjx.kinematics(on_device, each)))(own)
+        theirs = jax.vmap(lambda each: mjx.collision(on_device, mjx.kinematics(on_device, each)))(
+            own
+        )
     assert (depths(theirs) > 0).sum() > 40
     np.testing.assert_allclose(depths(ours), depths(theirs), atol=2e-6)
     touch = (depths(theirs) > 1e-5) & (depths(ours) > 1e-5)
@@ -92,7 +99,10 @@ def test_more_pairs_than_are_looked_at_are_told(model, on_device, monkeypatch):
     pairs = Pairs(model, on_device, 3)
     data = scenes(model, pairs)
     apart = (
-        data.qpos.reshape(-1, 3, 7).at[:, :, 0].add(jnp.array([-0.2, 0.0, 0.2])).reshape(len(data.qpos), -1)
+        data.qpos.reshape(-1, 3, 7)
+        .at[:, :, 0]
+        .add(jnp.array([-0.2, 0.0, 0.2]))
+        .reshape(len(data.qpos), -1)
     )
     told = []
     for qpos in (data.qpos, apart):

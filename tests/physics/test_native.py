@@ -67,7 +67,8 @@ def verdicts(report):
 def random_scenes(layout, num_scenes, seed):
     """Scenes of every kind: apart, stacked, overlapping, tilted, over the edge; and their focus objects."""
     rng = np.random.default_rng(seed)
-    scenes, focus = [], []
+    scenes = []
+    focus = []
     for _ in range(num_scenes):
         chosen = rng.permutation(layout.num_objects)[: rng.integers(1, layout.num_objects + 1)]
         half = (0.05, 0.03, 0.1)
@@ -89,13 +90,17 @@ def test_five_hundred_settles_in_any_order_are_each_as_from_a_fresh_engine(layou
     scenes, focus = random_scenes(layout, 60, seed=0)
     fresh = []
     for one, index in zip(scenes, focus, strict=True):
-        fresh.append(fields(settle(NativePhysics(layout, CONFIG, num_threads=1), one, focus=index), 0))
+        fresh.append(
+            fields(settle(NativePhysics(layout, CONFIG, num_threads=1), one, focus=index), 0)
+        )
     assert len({int(one["verdict"]) for one in fresh}) >= 4
     rng = np.random.default_rng(1)
     num_settles = 0
     while num_settles < 500:
         chosen = rng.integers(len(scenes), size=rng.choice([1, 2, 5, 40]))
-        report = settle(engine, *(scenes[i] for i in chosen), focus=np.array([focus[i] for i in chosen]))
+        report = settle(
+            engine, *(scenes[i] for i in chosen), focus=np.array([focus[i] for i in chosen])
+        )
         for row, i in enumerate(chosen):
             assert_same(fields(report, row), fresh[i])
         if rng.uniform() < 0.2:
@@ -108,7 +113,9 @@ def test_stand_is_pure_too(layout, engine):
     together = stand(engine, *scenes)
     for row in np.random.default_rng(0).permutation(12):
         assert_same(fields(stand(engine, scenes[row]), 0), fields(together, row))
-        assert_same(fields(stand(NativePhysics(layout, CONFIG), scenes[row]), 0), fields(together, row))
+        assert_same(
+            fields(stand(NativePhysics(layout, CONFIG), scenes[row]), 0), fields(together, row)
+        )
 
 
 def test_neither_threads_nor_cuts_change_a_bit(layout):
@@ -128,7 +135,8 @@ def oracle(layout, poses, focus):
     data = mujoco.MjData(model)
     data.qpos[:] = layout.parked.ravel()
     data.qpos[7 * focus : 7 * focus + 7] = poses[focus]
-    velocity, hold = np.zeros(6), 0
+    velocity = np.zeros(6)
+    hold = 0
     num_steps = 0
     while hold < 20 and num_steps < 240:
         num_steps += 1
@@ -136,9 +144,12 @@ def oracle(layout, poses, focus):
         mujoco.mj_kinematics(model, data)
         now = data.qvel[6 * focus : 6 * focus + 6].copy()
         now[3:] = data.xmat[layout.body_index[focus]].reshape(3, 3) @ now[3:]
-        change, velocity = (now - velocity) * 240, now
+        change = (now - velocity) * 240
+        velocity = now
         quiet = np.linalg.norm(now[:3]) < 0.005 and np.linalg.norm(change[:3]) < 1
-        quiet &= np.linalg.norm(now[3:]) < np.radians(0.5) and np.linalg.norm(change[3:]) < np.radians(180)
+        quiet &= np.linalg.norm(now[3:]) < np.radians(0.5) and np.linalg.norm(
+            change[3:]
+        ) < np.radians(180)
         hold = hold + 1 if quiet else 0
     return num_steps, num_steps <= 60 and hold == 20, data.qpos[7 * focus : 7 * focus + 7]
 
@@ -171,7 +182,8 @@ def test_the_trajectory_is_what_happened(engine, layout):
 
 
 def test_an_inactive_scene_costs_no_step_and_returns_its_input(layout, engine, monkeypatch):
-    steps, run = [], Simulations.run
+    steps = []
+    run = Simulations.run
 
     def counted(self, ids, num_steps):
         steps.extend([len(ids)] * num_steps)
@@ -194,7 +206,8 @@ def test_an_inactive_scene_costs_no_step_and_returns_its_input(layout, engine, m
 def test_steps_made_at_once_are_judged_one_by_one(ten, monkeypatch):
     """Verdicts, motions and poses do not depend on how many steps MuJoCo is asked for at a time."""
     rng = np.random.default_rng(3)
-    num, num_objects = 48, ten.num_objects
+    num = 48
+    num_objects = ten.num_objects
     poses = np.zeros((num, num_objects, 7))
     poses[..., :2] = rng.uniform(-0.25, 0.25, (num, num_objects, 2))
     poses[..., 2] = TOP + rng.uniform(0.02, 0.15, (num, num_objects))
@@ -245,7 +258,11 @@ def test_a_neighbour_asleep_wakes_when_it_is_hit(layout):
     # The tall box leans over slowly enough for its neighbour to be asleep when it strikes.
     report = settle(
         engine,
-        scene(layout, {2: (0.0, 0.0, TOP + 0.1003), 0: (0.12, 0, TOP + 0.05)}, {2: tilted((0, 1, 0), 7)}),
+        scene(
+            layout,
+            {2: (0.0, 0.0, TOP + 0.1003), 0: (0.12, 0, TOP + 0.05)},
+            {2: tilted((0, 1, 0), 7)},
+        ),
         focus=2,
     )
     assert report.shift[0, 0] > 1e-4
@@ -254,7 +271,9 @@ def test_a_neighbour_asleep_wakes_when_it_is_hit(layout):
 
 def test_a_slow_topple_is_seen_awake_to_the_end(layout, engine):
     one = scene(
-        layout, {2: (0, 0, TOP + 0.1 * np.cos(0.1) + 0.01 * np.sin(0.1))}, {2: tilted((0, 1, 0), 5.73)}
+        layout,
+        {2: (0, 0, TOP + 0.1 * np.cos(0.1) + 0.01 * np.sin(0.1))},
+        {2: tilted((0, 1, 0), 5.73)},
     )
     data = mujoco.MjData(layout.model)
     data.qpos[:] = layout.parked.ravel()
@@ -320,12 +339,11 @@ def test_a_full_arena_is_overflow_of_that_scene_alone(ten, memory):
     small = layout_of([box(f"box-{i}", (0.03, 0.04, 0.05)) for i in range(10)], edit=shrink)
     engine = NativePhysics(small, CONFIG)
     roomy = NativePhysics(ten, CONFIG)
-    one, crowd = (
-        scene(ten, {0: (0, 0, TOP + 0.051)}),
-        scene(ten, dict.fromkeys(range(10), (0, 0, TOP + 0.06))),
-    )
+    one = scene(ten, {0: (0, 0, TOP + 0.051)})
+    crowd = scene(ten, dict.fromkeys(range(10), (0, 0, TOP + 0.06)))
     for _ in range(2):  # The warnings of the first call do not haunt the second.
-        report, standing = settle(engine, one, crowd, one), stand(engine, one, crowd, one)
+        report = settle(engine, one, crowd, one)
+        standing = stand(engine, one, crowd, one)
         assert verdicts(report) == [Verdict.STABLE, Verdict.OVERFLOW, Verdict.STABLE]
         assert verdicts(standing) == [Verdict.STABLE, Verdict.OVERFLOW, Verdict.STABLE]
         assert_same(fields(report, 0), fields(settle(roomy, one), 0))
@@ -338,10 +356,13 @@ def test_calls_from_many_threads_are_each_right(layout, engine):
     expected = settle(engine, *scenes, focus=np.array(focus))
 
     def work(seed):
-        rng, number = np.random.default_rng(seed), 0
+        rng = np.random.default_rng(seed)
+        number = 0
         for _ in range(8):
             chosen = rng.integers(40, size=rng.integers(1, 6))
-            report = settle(engine, *(scenes[i] for i in chosen), focus=np.array([focus[i] for i in chosen]))
+            report = settle(
+                engine, *(scenes[i] for i in chosen), focus=np.array([focus[i] for i in chosen])
+            )
             for row, i in enumerate(chosen):
                 assert_same(fields(report, row), fields(expected, i))
                 number += 1

@@ -16,7 +16,8 @@ from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import TOP, box, layout_of, prism, scene, tilted, trio
 
 CONFIG = StabilityConfig()
-BOX, PRISM = 0, 1
+BOX = 0
+PRISM = 1
 FIRM = ContactConfig(solimp=(0.98, 0.98, 0.001, 0.5, 2.0))
 """Softer contacts let a prism rock for ever, by micrometres, on four of its corners."""
 # MJX compiles whenever it is called in another way: Warp for seconds, pure JAX for half a minute.
@@ -109,7 +110,9 @@ def test_the_margin_is_the_way_to_the_edge_of_what_carries_the_object(name):
     assert report.margin[BOX] == pytest.approx(0.03, abs=1e-4)
     # Only MJX, which knows no sleep, moves a neighbour that nobody touches. Of its octagon engines name four
     # corners or so.
-    assert report.margin[PRISM] == np.inf or (name != "native" and 0.015 < report.margin[PRISM] < 0.037)
+    assert report.margin[PRISM] == np.inf or (
+        name != "native" and 0.015 < report.margin[PRISM] < 0.037
+    )
     assert (outcome(name, "toppling")[1].margin == 0).all()
 
 
@@ -163,9 +166,12 @@ def test_objects_that_are_not_placed_are_returned_as_given(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["warp", "jax"])
 def test_every_report_is_the_native_engines(name):
-    ours, native = outcomes(name), outcomes("native")
+    ours = outcomes(name)
+    native = outcomes("native")
     np.testing.assert_array_equal(ours.verdict, native.verdict)
-    calm = np.isin(list(SCENES), ["resting", "dropped 1 mm", "dropped 5 mm", "not a number", "inactive"])
+    calm = np.isin(
+        list(SCENES), ["resting", "dropped 1 mm", "dropped 5 mm", "not a number", "inactive"]
+    )
     np.testing.assert_allclose(ours.num_steps[calm], native.num_steps[calm], atol=2)
     for field, error in (
         ("poses", 3e-4),
@@ -174,14 +180,16 @@ def test_every_report_is_the_native_engines(name):
         ("turn", 1e-3),
         ("penetration", 3e-5),
     ):
-        first, second = getattr(ours, field)[calm], getattr(native, field)[calm]
+        first = getattr(ours, field)[calm]
+        second = getattr(native, field)[calm]
         np.testing.assert_allclose(first, second, atol=error, rtol=0, err_msg=field)
     # Where bodies overlap or meet an edge the engines find contacts differently, and small differences grow.
     others = ~np.isin(list(SCENES), ["overlapping", "pushed", "near the edge"])
     # How much a box at rest trembles in pure JAX depends on the processor; a fall of a millimetre sums to 60.
     trembling = 1.0 if name == "jax" else 5e-2
     for field, atol in (("motion_sum", trembling), ("speed_sum", 5e-2)):
-        first, second = getattr(ours, field)[others], getattr(native, field)[others]
+        first = getattr(ours, field)[others]
+        second = getattr(native, field)[others]
         np.testing.assert_allclose(first, second, rtol=0.5, atol=atol)
 
 
@@ -198,7 +206,9 @@ def test_stand_tells_who_stands_and_who_creeps(name):
     made = [scene(duo(), placed, turned) for placed, turned, _, _ in cases]
     poses, is_placed = (np.stack(arrays) for arrays in zip(*made, strict=True))
     is_active = np.array([case[2] for case in cases])
-    standing = jax.tree.map(np.asarray, jax.jit(jax.vmap(engine_of(name).stand))(poses, is_placed, is_active))
+    standing = jax.tree.map(
+        np.asarray, jax.jit(jax.vmap(engine_of(name).stand))(poses, is_placed, is_active)
+    )
     assert [Verdict(int(v)) for v in standing.verdict] == [case[3] for case in cases]
     np.testing.assert_array_equal(standing.num_steps, [60, 480, 480, 480, 0, 0])
     assert standing.shift[0].max() < CONFIG.stand_shift
@@ -315,7 +325,9 @@ def test_warp_tells_a_full_contact_list_to_all():
     pytest.importorskip("warp", reason="needs the extra gpu")
     physics = MjxPhysics(duo(), CONFIG, "warp", WarpOptions(num_contacts=3, num_rows=64))
     report = jax.jit(jax.vmap(physics.settle))(*batch(["resting", "dropped 1 mm", "inactive"]))
-    np.testing.assert_array_equal(report.verdict, [Verdict.OVERFLOW, Verdict.OVERFLOW, Verdict.NONE])
+    np.testing.assert_array_equal(
+        report.verdict, [Verdict.OVERFLOW, Verdict.OVERFLOW, Verdict.NONE]
+    )
 
 
 def settled(options):
@@ -332,7 +344,9 @@ def test_few_that_are_left_go_on_by_themselves_and_come_to_the_same():
     args = batch(names)
     ours, theirs = (
         jax.tree.map(np.asarray, jax.jit(jax.vmap(physics.settle))(*args))
-        for physics in (MjxPhysics(duo(), CONFIG, "warp", WarpOptions(least_batch=least)) for least in (1, 0))
+        for physics in (
+            MjxPhysics(duo(), CONFIG, "warp", WarpOptions(least_batch=least)) for least in (1, 0)
+        )
     )
     assert_close(ours, theirs, False)
     stands = [
@@ -355,9 +369,12 @@ def test_few_that_are_left_go_on_by_themselves_and_come_to_the_same():
 
 @pytest.mark.slow
 def test_sleepers_wake_when_they_are_touched_and_change_no_verdict():
-    ours, awake = settled(WarpOptions(sleeps=True)), outcomes("warp")
+    ours = settled(WarpOptions(sleeps=True))
+    awake = outcomes("warp")
     np.testing.assert_array_equal(ours.verdict, awake.verdict)
-    calm = np.isin(list(SCENES), ["resting", "dropped 1 mm", "dropped 5 mm", "not a number", "inactive"])
+    calm = np.isin(
+        list(SCENES), ["resting", "dropped 1 mm", "dropped 5 mm", "not a number", "inactive"]
+    )
     np.testing.assert_allclose(ours.num_steps[calm], awake.num_steps[calm], atol=2)
     np.testing.assert_allclose(ours.poses[calm], awake.poses[calm], atol=1e-4)
     # As in the native engine, a neighbour that nobody touches does not move at all.
@@ -412,14 +429,19 @@ def agreement(name):
     """What the native engine and another one report of 64 random scenes, and the arguments."""
     layout = layout_of(trio(), FIRM)
     rng = np.random.default_rng(7)
-    made, focus = [], []
+    made = []
+    focus = []
     for _ in range(64):
         index = int(rng.integers(3))
         placed: dict = {}
         standing: list = []
         for k in range(3):
             if k == index or rng.uniform() < 0.7:
-                at = rng.uniform(-0.12, 0.12, 2) if rng.uniform() < 0.8 else rng.uniform(-0.35, 0.35, 2)
+                at = (
+                    rng.uniform(-0.12, 0.12, 2)
+                    if rng.uniform() < 0.8
+                    else rng.uniform(-0.35, 0.35, 2)
+                )
                 # Neighbours are at rest, so they do not overlap one another; the current object may.
                 while k != index and any(np.hypot(*(at - other)) < 0.12 for other in standing):
                     at = rng.uniform(-0.3, 0.3, 2)
@@ -432,7 +454,9 @@ def agreement(name):
     poses, is_placed = (np.stack(arrays) for arrays in zip(*made, strict=True))
     args = (poses, is_placed, np.array(focus), np.ones(64, bool))
     reports = [
-        jax.tree.map(np.asarray, jax.jit(jax.vmap(make_physics(layout, CONFIG, engine).settle))(*args))
+        jax.tree.map(
+            np.asarray, jax.jit(jax.vmap(make_physics(layout, CONFIG, engine).settle))(*args)
+        )
         for engine in ("native", name)
     ]
     return reports, args
@@ -444,7 +468,9 @@ def is_clear(report, is_neighbour, is_placed):
     def is_far(value, limit):
         return (value < limit / 2) | (value > limit * 2)
 
-    moved = (is_far(report.shift, CONFIG.max_shift) & is_far(report.turn, CONFIG.max_turn)) | ~is_neighbour
+    moved = (
+        is_far(report.shift, CONFIG.max_shift) & is_far(report.turn, CONFIG.max_turn)
+    ) | ~is_neighbour
     above = report.poses[..., 2] - TOP
     high = (above > HALF_HEIGHTS / 2) | (above < -0.05) | ~is_placed
     # Rest came clearly in time if half of the settling steps were enough, clearly not if the object was fast
@@ -478,9 +504,16 @@ def test_engines_agree(name):
 
 def leaning(degrees, reach):
     """The box tilted over an edge against a face of the prism, `reach` metres from that edge."""
-    turn, apothem = np.radians(degrees), 0.04 * np.cos(np.pi / 8)
-    away, height = np.array([[-np.cos(turn), np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ [0.03, 0.05]
-    places = {BOX: (away, 0, TOP + height - 2e-5), PRISM: (reach + apothem - 1e-5, 0, TOP + 0.02998)}
+    turn = np.radians(degrees)
+    apothem = 0.04 * np.cos(np.pi / 8)
+    away, height = np.array([[-np.cos(turn), np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ [
+        0.03,
+        0.05,
+    ]
+    places = {
+        BOX: (away, 0, TOP + height - 2e-5),
+        PRISM: (reach + apothem - 1e-5, 0, TOP + 0.02998),
+    }
     return places, {BOX: tilted((0, 1, 0), degrees), PRISM: tilted((0, 0, 1), 22.5)}, BOX
 
 
@@ -500,7 +533,9 @@ def test_who_touches_and_who_bears_what_has_come_to_rest(name):
     made = [scene(duo(), *each[:2]) for each in piled]
     poses, is_placed = (np.stack(arrays) for arrays in zip(*made, strict=True))
     focus = np.array([each[2] for each in piled])
-    report = jax.jit(jax.vmap(engine_of(name).settle))(poses, is_placed, focus, np.ones(len(focus), bool))
+    report = jax.jit(jax.vmap(engine_of(name).settle))(
+        poses, is_placed, focus, np.ones(len(focus), bool)
+    )
     np.testing.assert_array_equal(report.verdict, Verdict.STABLE)
     for row, (_, _, index, touches, bears) in enumerate(piled):
         other = np.arange(2) == 1 - index

@@ -14,11 +14,17 @@ from tests.helpers.worlds import box, prism
 
 CONFIG = StabilityConfig(both_detectors=True)
 SIZE = (0.16, 0.14, 0.10)
-OBJECTS = [box("long", (0.06, 0.015, 0.01)), box("cube", (0.02, 0.02, 0.02)), prism("can", 0.02, 0.03)]
+OBJECTS = [
+    box("long", (0.06, 0.015, 0.01)),
+    box("cube", (0.02, 0.02, 0.02)),
+    prism("can", 0.02, 0.03),
+]
 
 
 def engine_on(support, num_threads=1):
-    return NativePhysics(make_world(OBJECTS, support, CONFIG, ContactConfig()).layout, CONFIG, num_threads)
+    return NativePhysics(
+        make_world(OBJECTS, support, CONFIG, ContactConfig()).layout, CONFIG, num_threads
+    )
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +36,9 @@ def asked_for(number, region, budget=15, is_active=True):
     """Arrays of a `PileRequest` of so many scenes, each of the three objects."""
     rng = np.random.default_rng(3)
     half = np.array([asset.half_extents for asset in OBJECTS])
-    draws = np.concatenate([rng.normal(size=(number, 5, 3, 4)), rng.uniform(-1, 1, (number, 5, 3, 2))], -1)
+    draws = np.concatenate(
+        [rng.normal(size=(number, 5, 3, 4)), rng.uniform(-1, 1, (number, 5, 3, 2))], -1
+    )
     return [
         np.array([rng.permutation(3) for _ in range(number)], np.int32),
         draws.astype(np.float32),

@@ -61,7 +61,9 @@ def test_turn_between_is_scipys_angle_at_every_size():
     angle = np.concatenate([np.geomspace(1e-9, 1, 250), rng.uniform(0, np.pi, 250)])
     axis = rng.normal(size=(500, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    turned = (as_scipy(first) * Rotation.from_rotvec(axis * angle[:, None])).as_quat()[:, [3, 0, 1, 2]]
+    turned = (as_scipy(first) * Rotation.from_rotvec(axis * angle[:, None])).as_quat()[
+        :, [3, 0, 1, 2]
+    ]
     np.testing.assert_allclose(turn_between(np, turned, first), angle, rtol=1e-6, atol=1e-15)
     np.testing.assert_allclose(turn_between(np, -turned, first), angle, rtol=1e-6, atol=1e-15)
     np.testing.assert_allclose(turn_between(np, first, turned), angle, rtol=1e-6, atol=1e-15)
@@ -69,9 +71,14 @@ def test_turn_between_is_scipys_angle_at_every_size():
 
 def test_rotate_and_cross_agree_with_scipy_and_numpy():
     rng = np.random.default_rng(1)
-    quaternion, vector = random_quaternions(rng, 100), rng.normal(size=(100, 3))
-    np.testing.assert_allclose(rotate(np, quaternion, vector), as_scipy(quaternion).apply(vector), atol=1e-12)
-    np.testing.assert_allclose(cross(np, vector, vector[::-1]), np.cross(vector, vector[::-1]), atol=1e-12)
+    quaternion = random_quaternions(rng, 100)
+    vector = rng.normal(size=(100, 3))
+    np.testing.assert_allclose(
+        rotate(np, quaternion, vector), as_scipy(quaternion).apply(vector), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        cross(np, vector, vector[::-1]), np.cross(vector, vector[::-1]), atol=1e-12
+    )
     np.testing.assert_allclose(norm(np, vector), np.linalg.norm(vector, axis=-1))
 
 
@@ -145,7 +152,12 @@ def test_per_axis_compares_every_axis_alone():
 
 def test_twenty_quiet_steps_in_a_row_end_an_attempt():
     track = follow([STILL] * 100)
-    assert (track.step, track.hold, bool(track.is_over), bool(track.is_quiet)) == (20, 20, True, True)
+    assert (track.step, track.hold, bool(track.is_over), bool(track.is_quiet)) == (
+        20,
+        20,
+        True,
+        True,
+    )
 
 
 def test_one_loud_step_starts_the_count_again():
@@ -212,7 +224,10 @@ def test_what_befalls_a_neighbour_counts_only_if_neighbours_are_judged():
     below = np.array([False, True])
     loose = StabilityConfig(judge_neighbours=False)
     assert judge(track, is_below=below) == (Verdict.FELL, True)
-    assert judge(track, is_below=below, penetrates=np.array(True), config=loose) == (Verdict.STABLE, True)
+    assert judge(track, is_below=below, penetrates=np.array(True), config=loose) == (
+        Verdict.STABLE,
+        True,
+    )
     assert judge(track, is_below=~below, config=loose) == (Verdict.FELL, False)
 
 
@@ -247,7 +262,9 @@ def test_the_last_check_is_staged():
 
 
 def test_below_top_looks_at_the_center_of_mass():
-    poses = np.array([[[0, 0, 1.0, 1, 0, 0, 0], [0, 0, 1.0, 0, 1, 0, 0]]])  # upright, and upside down
+    poses = np.array(
+        [[[0, 0, 1.0, 1, 0, 0, 0], [0, 0, 1.0, 0, 1, 0, 0]]]
+    )  # upright, and upside down
     center = np.array([[0, 0, 0.2], [0, 0, 0.2]])
     np.testing.assert_array_equal(below_top(np, poses, center, 1.1), [[False, True]])
     np.testing.assert_array_equal(below_top(np, poses, center, 0.7), [[False, False]])
@@ -257,12 +274,14 @@ def test_kept_clears_whole_scenes():
     array = np.full((3, 2, 2), np.nan)
     array[1] = 5
     np.testing.assert_array_equal(
-        mask_scenes(np, array, np.array([False, True, False])), [np.zeros((2, 2)), array[1], np.zeros((2, 2))]
+        mask_scenes(np, array, np.array([False, True, False])),
+        [np.zeros((2, 2)), array[1], np.zeros((2, 2))],
     )
 
 
 @pytest.mark.parametrize(
-    "changes", [{"max_speed": 0.0}, {"max_shift": float("nan")}, {"max_steps": 50}, {"quiet_steps": -1}]
+    "changes",
+    [{"max_speed": 0.0}, {"max_shift": float("nan")}, {"max_steps": 50}, {"quiet_steps": -1}],
 )
 def test_impossible_settings_are_refused(changes):
     with pytest.raises(ConfigError, match=next(iter(changes))):

@@ -32,7 +32,10 @@ def test_what_stands_on_the_wrong_side_is_unrelated():
 def test_a_place_beside_a_polygon_is_outside():
     corners = jnp.array([[0.0, -0.2], [0.3, -0.2], [0.3, 0.2]])
     rules = dataclasses.replace(made_up_rules(order="fixed"), polygon=corners)
-    for action, verdict in (([0.9, 0.5, 0.5, 0.2], Verdict.STABLE), ([0.7, 0.9, 0.5, 0.2], Verdict.OUTSIDE)):
+    for action, verdict in (
+        ([0.9, 0.5, 0.5, 0.2], Verdict.STABLE),
+        ([0.7, 0.9, 0.5, 0.2], Verdict.OUTSIDE),
+    ):
         assert verdict_of(rules, action) == verdict
 
 
@@ -40,7 +43,8 @@ def test_a_place_beside_a_polygon_is_outside():
 def test_what_reaches_too_far_beyond_the_edge_is_outside(overhang, most):
     rules = trio_problem(overhang=overhang, order="fixed", history_stride=0).rules
     episode = rules.begin(jax.random.key(0))
-    poses, placed = episode.poses, jnp.ones(3, bool)
+    poses = episode.poses
+    placed = jnp.ones(3, bool)
     made = jax.eval_shape(rules.simulator.settle, poses, placed, jnp.int32(0), jnp.bool_(True))
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), made)
     # The first of the trio is 6 cm wide, and the table ends at x = 0.30.

@@ -38,7 +38,8 @@ class Proposal:
 
 def play(problem: Problem, method: str, num_scenes: int, num_steps: int) -> list[Proposal]:
     """What a method proposes in dining-table scenes that it fills itself, on the real physics."""
-    rules, propose = problem.rules, make_proposer(method, problem.rules)
+    rules = problem.rules
+    propose = make_proposer(method, problem.rules)
     sampler = BlockSampler(rules, propose)
     indices = jnp.arange(num_scenes)
     episodes = jax.jit(sampler.begin)(jax.random.key(7), indices, indices >= 0)
@@ -47,7 +48,9 @@ def play(problem: Problem, method: str, num_scenes: int, num_steps: int) -> list
     def step(episodes):
         keys = jax.vmap(jax.random.split)(episodes.key)
         actions = jax.vmap(propose)(keys[:, 0], episodes)
-        proposed = jax.vmap(pose_of_action)(actions, episodes.region, jax.vmap(rules.height_range)(episodes))
+        proposed = jax.vmap(pose_of_action)(
+            actions, episodes.region, jax.vmap(rules.height_range)(episodes)
+        )
         after = jax.vmap(rules.attempt)(episodes.replace(key=keys[:, 1]), actions)[0]
         return after, (jax.vmap(rules.focus)(episodes), proposed)
 
@@ -56,7 +59,9 @@ def play(problem: Problem, method: str, num_scenes: int, num_steps: int) -> list
         before = jax.tree.map(np.asarray, (episodes.poses, episodes.is_placed, episodes.is_over))
         episodes, (focus, proposed) = step(episodes)
         for i in np.flatnonzero(~before[2]):
-            proposals.append(Proposal(before[0][i], before[1][i], int(focus[i]), np.asarray(proposed[i])))
+            proposals.append(
+                Proposal(before[0][i], before[1][i], int(focus[i]), np.asarray(proposed[i]))
+            )
     return proposals
 
 
@@ -82,7 +87,9 @@ def footprint(problem: Problem, index: int, pose: np.ndarray) -> Polygon:
     """The union of the parts' shadows, from their own vertices."""
     turn = Rotation.from_quat(np.roll(pose[3:], -1)).as_matrix()
     parts = problem.world.objects[index].parts
-    return unary_union([MultiPoint((part.vertices @ turn.T + pose[:3])[:, :2]).convex_hull for part in parts])
+    return unary_union(
+        [MultiPoint((part.vertices @ turn.T + pose[:3])[:, :2]).convex_hull for part in parts]
+    )
 
 
 def data_of(problem: Problem, poses: np.ndarray, is_placed: np.ndarray) -> mujoco.MjData:
@@ -103,15 +110,16 @@ def test_clear_keeps_clear_of_every_footprint_and_of_the_edges(dining: Problem) 
     assert len(proposals) > 70
     overlaps = [overlap(dining, proposal) for proposal in proposals]
     is_whole = [
-        table.contains(footprint(dining, proposal.focus, proposal.proposed)) for proposal in proposals
+        table.contains(footprint(dining, proposal.focus, proposal.proposed))
+        for proposal in proposals
     ]
     is_clear = (np.array(overlaps) < 1e-9) & np.array(is_whole)
     assert is_clear.mean() > 0.95
     # A proposal that is not clear is one of the last resort, for the largest thing.
     plate = dining.world.names.index("dinner_plate")
-    assert {proposal.focus for proposal, clear in zip(proposals, is_clear, strict=True) if not clear} <= {
-        plate
-    }
+    assert {
+        proposal.focus for proposal, clear in zip(proposals, is_clear, strict=True) if not clear
+    } <= {plate}
 
 
 def overlap(problem: Problem, proposal: Proposal) -> float:
@@ -122,7 +130,9 @@ def overlap(problem: Problem, proposal: Proposal) -> float:
 
 
 @pytest.mark.slow
-def test_the_map_covers_what_rays_hit_and_little_else(crowded: tuple[Problem, list[Proposal]]) -> None:
+def test_the_map_covers_what_rays_hit_and_little_else(
+    crowded: tuple[Problem, list[Proposal]],
+) -> None:
     problem, proposals = crowded
     fullest = max(proposals, key=lambda proposal: proposal.is_placed.sum())
     assert fullest.is_placed.sum() >= 8
@@ -130,7 +140,8 @@ def test_the_map_covers_what_rays_hit_and_little_else(crowded: tuple[Problem, li
     mapper = jax.jit(HeightMapper.of(problem.rules.geometry, region).__call__)
     heights = mapper(region, fullest.poses, fullest.is_placed)
     hits = ray_heights(problem, data_of(problem, fullest.poses, fullest.is_placed), heights)
-    mapped, middle = np.asarray(heights.height)[1:-1, 1:-1], hits[:, :, 1, 1]
+    mapped = np.asarray(heights.height)[1:-1, 1:-1]
+    middle = hits[:, :, 1, 1]
     # On a steep flank a cell's centre may lie uphill of the nearest point: rarely, and by less than a cell.
     assert np.mean(mapped >= middle - 0.0015) > 0.998
     assert np.all(mapped >= spread(np.min, middle, 1) - 0.0015)
@@ -141,7 +152,8 @@ def test_the_map_covers_what_rays_hit_and_little_else(crowded: tuple[Problem, li
 
 def spread(join, hits: np.ndarray, reach: int) -> np.ndarray:
     """The lowest or highest of the hits up to `reach` cells away."""
-    padded, steps = np.pad(hits, reach, mode="edge"), range(-reach, reach + 1)
+    padded = np.pad(hits, reach, mode="edge")
+    steps = range(-reach, reach + 1)
     shifted = [np.roll(padded, (i, j), (0, 1)) for i in steps for j in steps]
     return join(shifted, axis=0)[reach:-reach, reach:-reach]
 
@@ -149,9 +161,12 @@ def spread(join, hits: np.ndarray, reach: int) -> np.ndarray:
 def ray_heights(problem: Problem, data: mujoco.MjData, heights) -> np.ndarray:
     """f64[W, H, 3, 3]: what vertical rays hit, above the top: nine in each cell but those of the border."""
     model = problem.world.layout.model
-    shape, corner, cell = heights.height.shape, np.asarray(heights.corner), heights.cell
+    shape = heights.height.shape
+    corner = np.asarray(heights.corner)
+    cell = heights.cell
     hits = np.empty((shape[0] - 2, shape[1] - 2, 3, 3))
-    geom, start = np.zeros(1, np.int32), 3.0
+    geom = np.zeros(1, np.int32)
+    start = 3.0
     for i, j, k, m in np.ndindex(hits.shape):
         x, y = corner + (np.array([i, j]) + 1 + (np.array([k, m]) + 0.5) / 3) * cell
         distance = mujoco.mj_ray(
@@ -164,7 +179,9 @@ def ray_heights(problem: Problem, data: mujoco.MjData, heights) -> np.ndarray:
 def test_drop_lets_things_down_onto_what_is_there(crowded: tuple[Problem, list[Proposal]]) -> None:
     """At release hardly anything overlaps, and the first contact is close below, on flat things exactly."""
     problem, proposals = crowded
-    assert all(proposal.is_placed.any() or on_top(problem, proposal) < 2e-6 for proposal in proposals)
+    assert all(
+        proposal.is_placed.any() or on_top(problem, proposal) < 2e-6 for proposal in proposals
+    )
     stacked = [proposal for proposal in proposals if on_top(problem, proposal) > 0.002][:20]
     assert len(stacked) >= 8
     falls = []
@@ -188,7 +205,8 @@ def on_top(problem: Problem, proposal: Proposal) -> float:
 
 def touches(problem: Problem, proposal: Proposal, fall: float) -> bool:
     """Whether the proposed object, lowered by `fall`, overlaps anything, says MuJoCo."""
-    poses, is_placed = proposal.poses.copy(), proposal.is_placed.copy()
+    poses = proposal.poses.copy()
+    is_placed = proposal.is_placed.copy()
     poses[proposal.focus] = proposal.proposed
     poses[proposal.focus, 2] -= fall
     is_placed[proposal.focus] = True
@@ -202,7 +220,8 @@ def touches(problem: Problem, proposal: Proposal, fall: float) -> bool:
 
 def test_a_free_height_has_nothing_to_do_with_the_place():
     rules = made_up_rules(height="free")
-    episode, propose = rules.begin(jax.random.key(0)), make_proposer("random", rules)
+    episode = rules.begin(jax.random.key(0))
+    propose = make_proposer("random", rules)
     keys = jax.random.split(jax.random.key(1), 2000)
     actions = np.asarray(jax.jit(jax.vmap(lambda key: propose(key, episode)))(keys))
     assert np.abs(np.corrcoef(actions.T) - np.eye(4)).max() < 0.1

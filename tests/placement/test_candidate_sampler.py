@@ -19,7 +19,9 @@ BOX = "calculator"
 @cache
 def rules_of(pool="office+study", objects=(BOX, "ring_binder"), support="table-0.40x0.50"):
     placement = PlacementConfig(num_objects=len(objects), order="fixed", history_stride=0)
-    return make_problem(ProblemConfig(pool=pool, objects=objects, support=support, placement=placement)).rules
+    return make_problem(
+        ProblemConfig(pool=pool, objects=objects, support=support, placement=placement)
+    ).rules
 
 
 class ByNumber(CandidateSampler, eq=False):
@@ -79,7 +81,9 @@ def test_a_map_with_owners_is_the_map_to_a_micrometre():
     rules = rules_of()
     episode, _ = placed_first(rules)
     search = LowestFit(rules)
-    see = jax.jit(lambda episode, with_owner: search.scene(episode, with_owner).heights, static_argnums=1)
+    see = jax.jit(
+        lambda episode, with_owner: search.scene(episode, with_owner).heights, static_argnums=1
+    )
     plain, owned = (see(episode, each) for each in (False, True))
     np.testing.assert_allclose(plain.height, owned.height, atol=1e-6)
     is_object = np.asarray(owned.owner) == 0

@@ -44,11 +44,18 @@ def drawn(seed: int, number: int = 40, features: int = 3):
 @pytest.mark.parametrize("seed", range(4))
 def test_tilted_weights_are_those_of_maximum_entropy(seed):
     logits, values, is_allowed = drawn(seed)
-    asked = np.random.default_rng(seed + 10).dirichlet(np.ones(is_allowed.sum())) @ values[is_allowed]
-    found = jax.nn.softmax(jnp.where(is_allowed, tilt_logits(logits, values, asked, is_allowed), -jnp.inf))
-    base, unit = logits[is_allowed], values[is_allowed].std(0)
+    asked = (
+        np.random.default_rng(seed + 10).dirichlet(np.ones(is_allowed.sum())) @ values[is_allowed]
+    )
+    found = jax.nn.softmax(
+        jnp.where(is_allowed, tilt_logits(logits, values, asked, is_allowed), -jnp.inf)
+    )
+    base = logits[is_allowed]
+    unit = values[is_allowed].std(0)
     scaled = (values[is_allowed] - asked) / unit
-    best = minimize(lambda slope: np.log(np.exp(base + scaled @ slope).sum()), np.zeros(3), tol=1e-10).x
+    best = minimize(
+        lambda slope: np.log(np.exp(base + scaled @ slope).sum()), np.zeros(3), tol=1e-10
+    ).x
     exact = np.exp(base + scaled @ best)
     np.testing.assert_allclose(np.asarray(found)[is_allowed], exact / exact.sum(), atol=NEAR_ENOUGH)
     np.testing.assert_allclose((found @ values - asked) / unit, 0, atol=5 * NEAR_ENOUGH)
@@ -132,9 +139,12 @@ def test_scenes_have_as_many_on_others_as_was_asked(asked):
     rows = table_of(np.arange(16), scenes, setup.problem.world.names, half)
     np.testing.assert_array_equal(rows["num_on"], (scenes.level > 0).sum(1))
     for place, row in enumerate(rows.to_pylist()):
-        index, is_placed = scenes.object_index[place], scenes.is_placed[place]
+        index = scenes.object_index[place]
+        is_placed = scenes.is_placed[place]
         near, hidden = spacing_of(half[index], scenes.poses[place], is_placed)
-        assert (row["near"], row["occlusion"]) == pytest.approx((float(near), float(hidden)), abs=1e-5)
+        assert (row["near"], row["occlusion"]) == pytest.approx(
+            (float(near), float(hidden)), abs=1e-5
+        )
         assert row["levels"] == scenes.level[place].tolist()
 
 
@@ -144,7 +154,9 @@ def test_nothing_placed_reaches_beyond_the_edge():
     assert scenes.is_success.mean() > 0.8
     half = np.array([0.2, 0.25])
     objects = setup.problem.world.objects
-    for index, poses, is_placed in zip(scenes.object_index, scenes.poses, scenes.is_placed, strict=True):
+    for index, poses, is_placed in zip(
+        scenes.object_index, scenes.poses, scenes.is_placed, strict=True
+    ):
         for k, pose in zip(index[is_placed], poses[is_placed], strict=True):
             turn = Rotation.from_quat(pose[3:], scalar_first=True)
             for part in objects[k].parts:

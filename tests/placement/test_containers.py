@@ -45,7 +45,8 @@ def at(*place: float, up: float = 0.0) -> list[float]:
 )
 def test_what_is_in_a_bowl_is_over_its_hollow_and_below_its_rim(place, tilt, expected):
     poses = jnp.array([at(0, 0, 0, up=tilt), at(*place), at(0, 0, 0)])
-    boxes, is_there = Boxes.of(jnp.asarray(HALF), poses), jnp.array([True, True, False])
+    boxes = Boxes.of(jnp.asarray(HALF), poses)
+    is_there = jnp.array([True, True, False])
     found = is_contained(boxes, BOWL.boxes(poses), is_there, BOWL.is_container)
     assert found.tolist() == [False, expected, False]
     assert int(num_contained(HALF, BOWL, poses, is_there)) == expected
@@ -53,17 +54,21 @@ def test_what_is_in_a_bowl_is_over_its_hollow_and_below_its_rim(place, tilt, exp
 
 def test_what_lies_across_a_small_opening_is_not_in_it():
     poses = jnp.array([at(0, 0, 0), at(0, 0, 0.05), at(0, 0, 0.05)])
-    boxes, narrow = Boxes.of(jnp.asarray(HALF), poses), BOWL.replace(half_extents=BOWL.half_extents * 0.7)
+    boxes = Boxes.of(jnp.asarray(HALF), poses)
+    narrow = BOWL.replace(half_extents=BOWL.half_extents * 0.7)
     assert pairs_in(boxes, narrow.boxes(poses))[1:, 0].tolist() == [True, False]
 
 
 def test_contents_are_drawn_with_containers_that_have_room():
     rules = made_up_rules(5)
     fits = np.zeros((5, 5), bool)
-    fits[1:4, 0], fits[2, 4] = True, True
+    fits[1:4, 0] = True
+    fits[2, 4] = True
     room = np.full((5, 3), 0.03)
     room[0] = 0.06
-    hollows = Hollows(jnp.zeros((5, 3)), jnp.asarray(room), jnp.asarray(fits.any(0)), jnp.asarray(fits))
+    hollows = Hollows(
+        jnp.zeros((5, 3)), jnp.asarray(room), jnp.asarray(fits.any(0)), jnp.asarray(fits)
+    )
     geometry = rules.geometry.replace(hollows=hollows)
     draw = jax.jit(draw_contents, static_argnums=(3, 4))
     for seed in range(4):
@@ -130,15 +135,22 @@ def test_objects_are_inside_of_others_by_another_measure_too(asked, monkeypatch)
     sample = make_sampler(pool="dining+kitchen", num_objects=8, **{"method": "spread"} | asked)
     scenes = jax.jit(jax.vmap(sample))(jax.random.split(jax.random.key(0), 16))
     assert scenes.is_success.mean() > 0.7
-    geometry, objects = sample.problem.rules.geometry, sample.problem.world.objects
+    geometry = sample.problem.rules.geometry
+    objects = sample.problem.world.objects
     assert geometry.hollows is not None
     wanted = int(asked["clutter"].split("=")[1][0])
-    counts, others = [], []
+    counts = []
+    others = []
     for place in np.flatnonzero(scenes.is_success):
-        index, placed = np.asarray(scenes.object_index[place]), np.asarray(scenes.is_placed[place])
+        index = np.asarray(scenes.object_index[place])
+        placed = np.asarray(scenes.is_placed[place])
         hollows = geometry.hollows.take(index)
-        counts.append(int(num_contained(geometry.half_extents[index], hollows, scenes.poses[place], placed)))
+        counts.append(
+            int(num_contained(geometry.half_extents[index], hollows, scenes.poses[place], placed))
+        )
         here = [objects[each] for each in index]
-        others.append(int(relations._inside(here, np.asarray(scenes.poses[place]), placed).any(1).sum()))
+        others.append(
+            int(relations._inside(here, np.asarray(scenes.poses[place]), placed).any(1).sum())
+        )
     assert np.mean(counts) == pytest.approx(wanted, abs=0.5)
     assert np.mean(others) > 0.85 * np.mean(counts)

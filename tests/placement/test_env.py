@@ -20,7 +20,8 @@ BAD = jnp.array([0.1, 0.5, 0.5, 0.2])
 def test_resets_itself_with_fresh_keys_and_keeps_figures():
     env = PlacementEnv(made_up_rules(max_attempts=2))
     state = jax.jit(env.reset)(jax.random.key(0))
-    step, orders = jax.jit(env.step), []
+    step = jax.jit(env.step)
+    orders = []
     for _ in range(5):
         orders.append(np.asarray(state.pipeline_state.episode.object_index))
         for action in (GOOD, BAD):
@@ -38,9 +39,13 @@ def test_resets_itself_with_fresh_keys_and_keeps_figures():
 
 @pytest.mark.slow
 def test_an_action_that_is_no_number_is_a_failed_attempt():
-    env = PlacementEnv(trio_problem(max_attempts=3, history_stride=12).rules, ObservationConfig(num_cells=4))
+    env = PlacementEnv(
+        trio_problem(max_attempts=3, history_stride=12).rules, ObservationConfig(num_cells=4)
+    )
     actions = (
-        jnp.tile(GOOD, (4, 1)).at[jnp.arange(4), jnp.arange(4)].set(jnp.array([jnp.nan] * 3 + [jnp.inf]))
+        jnp.tile(GOOD, (4, 1))
+        .at[jnp.arange(4), jnp.arange(4)]
+        .set(jnp.array([jnp.nan] * 3 + [jnp.inf]))
     )
     step = jax.jit(jax.vmap(env.step))
     state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 4))
@@ -56,10 +61,14 @@ def test_an_action_that_is_no_number_is_a_failed_attempt():
 def test_scene_cloud_follows_the_poses():
     problem = trio_problem()
     geometry = problem.rules.geometry
-    geometry = geometry.replace(cloud=jax.random.normal(jax.random.key(1), geometry.cloud.shape) * 0.02)
+    geometry = geometry.replace(
+        cloud=jax.random.normal(jax.random.key(1), geometry.cloud.shape) * 0.02
+    )
     pose = jnp.array([0.1, 0.05, 0.04, 0.6, 0.0, 0.0, 0.8])
     poses = jnp.zeros((3, 7)).at[1].set(pose)
-    cloud, mask = scene_cloud(geometry.cloud, poses, jnp.arange(3) == 1, jnp.array([0.3, 0.35]), 400, 3)
+    cloud, mask = scene_cloud(
+        geometry.cloud, poses, jnp.arange(3) == 1, jnp.array([0.3, 0.35]), 400, 3
+    )
     points = jax.vmap(from_pose(pose).apply)(geometry.cloud[1, :100])
     np.testing.assert_allclose(cloud[100:200], points, atol=1e-6)
     np.testing.assert_array_equal(mask, np.arange(400) < 200)
@@ -68,7 +77,8 @@ def test_scene_cloud_follows_the_poses():
 
 def test_invariants_on_the_real_physics():
     problem = trio_problem()
-    rules, env = problem.rules, PlacementEnv(problem.rules)
+    rules = problem.rules
+    env = PlacementEnv(problem.rules)
     propose = make_proposer("random", rules)
     state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 32))
 
@@ -81,7 +91,8 @@ def test_invariants_on_the_real_physics():
     for index in range(12):
         before = state.pipeline_state.episode
         state = step(jax.random.split(jax.random.key(index), 32), state)
-        after, done = state.pipeline_state.episode, np.asarray(state.done) > 0
+        after = state.pipeline_state.episode
+        done = np.asarray(state.done) > 0
         kept = ~done & (np.asarray(after.slot) == np.asarray(before.slot))
         np.testing.assert_array_equal(np.asarray(after.poses)[kept], np.asarray(before.poses)[kept])
         moved_on = ~done & (np.asarray(after.slot) == np.asarray(before.slot) + 1)

@@ -13,7 +13,9 @@ from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
 from tests.helpers.problems import trio_problem
 
-BOX, PRISM, TALL = 0, 1, 2
+BOX = 0
+PRISM = 1
+TALL = 2
 HALF_HEIGHT = (0.05, 0.03, 0.1)
 
 
@@ -45,8 +47,10 @@ def test_whatever_a_person_does_the_books_are_right(setup):
     """Random moves: objects are neither lost nor doubled, failures leave no trace, undoing restores bits."""
     rng = np.random.default_rng(1)
     scene = begun(setup)
-    everything, before = set(scene.all), []
-    attempts, verdicts = dict.fromkeys(everything, 0), []
+    everything = set(scene.all)
+    before = []
+    attempts = dict.fromkeys(everything, 0)
+    verdicts = []
     for _ in range(120):
         was = scene.poses.copy(), scene.is_placed.copy()
         move = rng.choice(["drop", "drop", "skip", "undo", "choose"])
@@ -82,9 +86,14 @@ def test_whatever_a_person_does_the_books_are_right(setup):
         assert set(scene.all) == everything
         assert set(np.flatnonzero(scene.is_placed)) == everything - set(scene.left)
         assert scene.can_undo == bool(before)
-    counts, result = scene.result().counts, scene.result()
-    assert {k: int(n) for k, n in zip(result.object_index, counts.attempts, strict=True)} == attempts
-    assert [int(n) for n in counts.verdicts] == [verdicts.count(v) for v in range(len(counts.verdicts))]
+    counts = scene.result().counts
+    result = scene.result()
+    assert {
+        k: int(n) for k, n in zip(result.object_index, counts.attempts, strict=True)
+    } == attempts
+    assert [int(n) for n in counts.verdicts] == [
+        verdicts.count(v) for v in range(len(counts.verdicts))
+    ]
     assert (counts.rest_steps > 0).tolist() == result.is_placed.tolist()
     assert len(set(verdicts)) > 2
     assert len(verdicts) > 25

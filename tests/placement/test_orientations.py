@@ -47,7 +47,9 @@ def test_arrays_are_those_of_the_turned_parts(resting):
     for index, asset in enumerate(resting.world.objects):
         vertices = np.concatenate([part.vertices for part in asset.parts])
         for number in np.flatnonzero(found.is_one[index]):
-            turn = Rotation.from_quat(np.asarray(found.quaternion[index, number]), scalar_first=True)
+            turn = Rotation.from_quat(
+                np.asarray(found.quaternion[index, number]), scalar_first=True
+            )
             turned = turn.apply(vertices)
             np.testing.assert_allclose(found.height[index, number], -turned[:, 2].min(), atol=1e-5)
             is_column = np.asarray(found.is_column[index, number])
@@ -93,7 +95,9 @@ def test_an_object_is_released_in_the_orientation_that_was_drawn(resting):
     for seed in range(12):
         episode, poses, plain = release(jax.random.key(seed))
         focus = int(rules.focus(episode))
-        expected = Rotation.from_quat(np.asarray(plain)[3:], scalar_first=True) * Rotation.from_quat(
+        expected = Rotation.from_quat(
+            np.asarray(plain)[3:], scalar_first=True
+        ) * Rotation.from_quat(
             np.asarray(rules.geometry.orientations.quaternion[focus, int(episode.orientation)]),
             scalar_first=True,
         )
@@ -123,10 +127,18 @@ def test_methods_that_see_clouds_take_upright_objects_alone():
 @pytest.mark.parametrize(("poses", "least"), [("resting", 60), ("any", 30)])
 def test_objects_lie_in_scenes_that_stand(poses, least, tmp_path):
     bank = generate(
-        tmp_path / "bank", pool="dining", poses=poses, num_scenes=64, seed=3, render=False, max_files=0
+        tmp_path / "bank",
+        pool="dining",
+        poses=poses,
+        num_scenes=64,
+        seed=3,
+        render=False,
+        max_files=0,
     )
     scenes = list(read_scenes(bank))
     assert len(scenes) > least
-    ups = [Rotation.from_quat(s.poses[:, 3:], scalar_first=True).as_matrix()[:, 2, 2] for s in scenes]
+    ups = [
+        Rotation.from_quat(s.poses[:, 3:], scalar_first=True).as_matrix()[:, 2, 2] for s in scenes
+    ]
     assert 0.2 < np.mean(np.concatenate(ups) < np.cos(np.radians(30))) < 0.9
     assert bank.recipe["placement"]["poses"] == poses

@@ -120,10 +120,19 @@ def test_objects_that_are_too_large_are_refused_before_anything_is_placed(tmp_pa
         box("slab", (0.2, 0.2, 0.01)),
     ]
     blocks = write_pool(tmp_path / "blocks", Pool("blocks", tuple(objects)))
-    asked = {"pool": blocks, "support": "bin-0.20x0.16x0.10", "method": "pile", "num_objects": 2} | options
-    with pytest.raises(ConfigError, match=r"slab \(0.40 x 0.40 x 0.02 m\).*Try: exclude=\('slab',\)"):
+    asked = {
+        "pool": blocks,
+        "support": "bin-0.20x0.16x0.10",
+        "method": "pile",
+        "num_objects": 2,
+    } | options
+    with pytest.raises(
+        ConfigError, match=r"slab \(0.40 x 0.40 x 0.02 m\).*Try: exclude=\('slab',\)"
+    ):
         cg.make_sampler(**asked)
-    high = write_pool(tmp_path / "high", Pool("high", (*objects[:2], box("pole", (0.02, 0.02, 0.4)))))
+    high = write_pool(
+        tmp_path / "high", Pool("high", (*objects[:2], box("pole", (0.02, 0.02, 0.4))))
+    )
     on_shelf = {"pool": high, "support": "rack", "surface": "shelf_1", "method": "random"}
     with pytest.raises(ConfigError, match="too tall for shelf_1"):
         cg.make_sampler(**asked | on_shelf)
@@ -142,8 +151,12 @@ def test_packed_takes_the_target_stack_alone():
 
 @pytest.fixture(scope="module")
 def pool(tmp_path_factory):
-    objects = [box(f"box-{i}", (0.02 + 0.004 * i, 0.03, 0.02)) for i in range(5)] + [prism("can", 0.03, 0.02)]
-    return str(write_pool(tmp_path_factory.mktemp("pools") / "blocks", Pool("blocks", tuple(objects))))
+    objects = [box(f"box-{i}", (0.02 + 0.004 * i, 0.03, 0.02)) for i in range(5)] + [
+        prism("can", 0.03, 0.02)
+    ]
+    return str(
+        write_pool(tmp_path_factory.mktemp("pools") / "blocks", Pool("blocks", tuple(objects)))
+    )
 
 
 def pile_of(pool, **options):
@@ -164,7 +177,9 @@ def test_sampler_rollout_and_bank_give_the_same_piles(pool, tmp_path):
     assert (counts.attempts.sum(1) == counts.verdicts.sum(1)).all()
     assert (counts.verdicts[:, 0] == 4).all()
     method, setup, _ = set_up_bank(spec, 0)
-    rolled = Rollout().run(sampler_of(setup, method), jax.random.key(0), np.arange(3), np.ones(3, bool))
+    rolled = Rollout().run(
+        sampler_of(setup, method), jax.random.key(0), np.arange(3), np.ones(3, bool)
+    )
     np.testing.assert_array_equal(rolled.poses, scenes.poses)
     cg.generate(tmp_path / "bank", spec, num_scenes=3, render=False)
     bank = read_bank(tmp_path / "bank")
@@ -181,9 +196,13 @@ def test_sampler_rollout_and_bank_give_the_same_piles(pool, tmp_path):
 
 @pytest.mark.slow
 def test_a_pile_follows_its_region_and_its_shelf(pool):
-    sample = cg.make_sampler(pile_of(pool, support="table", region="0.3x0.3", containment="footprint"))
+    sample = cg.make_sampler(
+        pile_of(pool, support="table", region="0.3x0.3", containment="footprint")
+    )
     region = make_region((0.1, -0.05), (0.1, 0.14), 0.5, sample.problem.world.support.top)
-    scenes = jax.jit(jax.vmap(lambda key: sample(key, region=region)))(jax.random.split(jax.random.key(1), 4))
+    scenes = jax.jit(jax.vmap(lambda key: sample(key, region=region)))(
+        jax.random.split(jax.random.key(1), 4)
+    )
     local = jax.vmap(jax.vmap(region.T_world_region.inverse().apply))(scenes.poses[..., :3])
     good = np.asarray(scenes.is_success)
     assert good.any()

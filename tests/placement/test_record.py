@@ -31,7 +31,9 @@ def sampler(problem):
 
 @pytest.fixture(scope="module")
 def scenes(sampler):
-    return jax.device_get(jax.jit(sampler.sample)(jax.random.key(7), np.arange(WIDTH), np.ones(WIDTH, bool)))
+    return jax.device_get(
+        jax.jit(sampler.sample)(jax.random.key(7), np.arange(WIDTH), np.ones(WIDTH, bool))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +49,9 @@ def test_recordings_end_as_the_sampler_does(scenes, recordings):
     for place, recording in enumerate(recordings):
         placed = scenes.object_index[place][scenes.is_placed[place]]
         assert set(recording.placed) == set(placed)
-        np.testing.assert_array_equal(recording.poses[placed], scenes.poses[place][scenes.is_placed[place]])
+        np.testing.assert_array_equal(
+            recording.poses[placed], scenes.poses[place][scenes.is_placed[place]]
+        )
         assert recording.is_success == scenes.is_success[place]
         assert recording.verdict == Verdict(int(scenes.verdict[place])).label
         assert recording.drift == scenes.drift[place]
@@ -58,9 +62,13 @@ def test_attempts_begin_where_proposed_and_hang_together(problem, recordings):
     for recording in recordings:
         for number, attempt in enumerate(recording.attempts):
             heights = 2 * rules.geometry.half_extents[:, 2]
-            reach = heights[attempt.object_index] + np.max(np.where(attempt.is_placed, heights, 0.0))
+            reach = heights[attempt.object_index] + np.max(
+                np.where(attempt.is_placed, heights, 0.0)
+            )
             np.testing.assert_allclose(
-                attempt.trajectory[0, :7], pose_of_action(attempt.action, rules.region, reach), atol=1e-6
+                attempt.trajectory[0, :7],
+                pose_of_action(attempt.action, rules.region, reach),
+                atol=1e-6,
             )
             np.testing.assert_allclose(
                 attempt.trajectory[-1, :7], attempt.settled[attempt.object_index], atol=1e-6
@@ -68,6 +76,8 @@ def test_attempts_begin_where_proposed_and_hang_together(problem, recordings):
             assert not attempt.is_placed[attempt.object_index]
             last = number + 1 == len(recording.attempts)
             after = recording.poses if last else recording.attempts[number + 1].poses
-            there = attempt.is_placed | (attempt.is_stable & (np.arange(len(after)) == attempt.object_index))
+            there = attempt.is_placed | (
+                attempt.is_stable & (np.arange(len(after)) == attempt.object_index)
+            )
             expected = attempt.settled if attempt.is_stable else attempt.poses
             np.testing.assert_array_equal(after[there], expected[there])

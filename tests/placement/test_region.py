@@ -48,10 +48,12 @@ def test_keep_out_never_misses_an_overlap():
     side = np.array([np.cos(0.4), np.sin(0.4)])
     met = 0
     for _ in range(200):
-        yaw, xy = rng.uniform(0, 6.28), rng.uniform(-0.3, 0.3, 2)
+        yaw = rng.uniform(0, 6.28)
+        xy = rng.uniform(-0.3, 0.3, 2)
         pose = jnp.array([*xy, 0.75, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
         grid = np.stack(np.meshgrid(np.linspace(-0.06, 0.06, 25), np.linspace(-0.02, 0.02, 9)), -1)
-        c, s = np.cos(yaw), np.sin(yaw)
+        c = np.cos(yaw)
+        s = np.sin(yaw)
         points = grid.reshape(-1, 2) @ np.array([[c, s], [-s, c]]) + xy - np.array([0.1, 0.0])
         local = np.stack([points @ side, points @ np.array([-side[1], side[0]])], -1)
         overlaps = (np.abs(local) < [0.05, 0.1]).all(1).any()

@@ -12,15 +12,21 @@ def draws(name, base, bounds, number=400):
     keys = jax.random.split(jax.random.key(7), number)
     region = jax.vmap(lambda key: draw_region(key, find_change(name), base, bounds, 0.7))(keys)
     pose = np.asarray(region.T_world_region.wxyz_xyz, np.float64)
-    return pose[:, 4:6], np.asarray(region.half_extents, np.float64), 2 * np.arctan2(pose[:, 3], pose[:, 0])
+    return (
+        pose[:, 4:6],
+        np.asarray(region.half_extents, np.float64),
+        2 * np.arctan2(pose[:, 3], pose[:, 0]),
+    )
 
 
-BASE, LARGE = Rectangle(half_extents=(0.30, 0.35)), Rectangle(half_extents=(0.70, 0.70))
+BASE = Rectangle(half_extents=(0.30, 0.35))
+LARGE = Rectangle(half_extents=(0.70, 0.70))
 
 
 @pytest.mark.parametrize("name", REGION_CHANGES)
 def test_changed_regions_stay_in_their_ranges(name):
-    change, far = REGION_CHANGES[name], Rectangle(half_extents=(9.0, 9.0))
+    change = REGION_CHANGES[name]
+    far = Rectangle(half_extents=(9.0, 9.0))
     center, half, yaw = draws(name, BASE, far)
     yaw = np.mod(yaw + np.pi, 2 * np.pi) - np.pi
     growth = half - np.array(BASE.half_extents)
@@ -38,7 +44,8 @@ def test_changed_regions_stay_in_their_ranges(name):
 def test_turned_regions_keep_the_most_area():
     bounds = Rectangle(half_extents=(0.75, 0.325))
     _, half, yaw = draws("rotation", bounds, bounds)
-    cos, sin = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
+    cos = np.abs(np.cos(yaw))
+    sin = np.abs(np.sin(yaw))
     # Across the table nothing is left of the long side but the table's depth; the short side stays.
     across = cos < 0.02
     assert across.any()

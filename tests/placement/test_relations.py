@@ -56,7 +56,9 @@ def test_relations_are_read_and_written():
     assert parse_relations(list(map(str, found))) == found
     order = order_of(found)
     assert all(
-        order.index(each.subject) > order.index(each.reference) for each in found if each.reference in order
+        order.index(each.subject) > order.index(each.reference)
+        for each in found
+        if each.reference in order
     )
 
 
@@ -76,7 +78,9 @@ def test_every_role_has_its_own_object_that_fits():
 
 def test_too_few_objects_for_the_roles_are_refused():
     with pytest.raises(ConfigError, match="2 roles"):
-        RelatedObjects.of(parse_relations(["a on b"]), parse_roles("a=mug; b=mug"), facts("mug", "jar"))
+        RelatedObjects.of(
+            parse_relations(["a on b"]), parse_roles("a=mug; b=mug"), facts("mug", "jar")
+        )
     with pytest.raises(ConfigError, match="Did you mean 'mug'"):
         RelatedObjects.of(parse_relations(["mgu on jar"]), (), facts("mug", "jar"))
     with pytest.raises(ConfigError, match="num_objects=3"):
@@ -112,7 +116,8 @@ def test_what_holds_is_told_in_the_frame_of_the_region(text, place, expected, ya
     related = RelatedObjects.of([Relation.parse(text)], (), facts("a", "b"))
     turned = Rotation.from_euler("z", yaw).apply(place)
     region = make_region(jnp.zeros(2), jnp.ones(2), yaw, 0.0)
-    reference, opening = boxes((0, 0, 0), yaw), boxes((0, 0, 0), yaw, (0.016, 0.04, 0.03))
+    reference = boxes((0, 0, 0), yaw)
+    opening = boxes((0, 0, 0), yaw, (0.016, 0.04, 0.03))
     assert bool(hold(related, boxes(turned, yaw), reference, opening, region)[0]) == expected
 
 
@@ -123,7 +128,8 @@ def test_longer_sides_are_aligned(degrees, expected):
     region = make_region(jnp.zeros(2), jnp.ones(2), 0.3, 0.0)
     to_object = RelatedObjects.of([Relation.parse("a aligned b")], (), facts("a", "b"))
     to_table = RelatedObjects.of([Relation.parse("a aligned table")], (), facts("a", "b"))
-    turned, other = boxes((0, 0.3, 0), 0.3 + np.radians(degrees)), boxes((0, 0, 0), 0.3)
+    turned = boxes((0, 0.3, 0), 0.3 + np.radians(degrees))
+    other = boxes((0, 0, 0), 0.3)
     assert bool(hold(to_object, turned, other, other, region)[0]) == expected
     assert bool(hold(to_table, turned, other, other, region)[0]) == (expected or degrees == 90)
 
@@ -156,10 +162,14 @@ def test_a_layout_with_a_mistake_is_refused(tmp_path, text, words):
 
 def test_relations_of_a_layout_take_objects_of_the_pool(tmp_path):
     path = tmp_path / "mine.yaml"
-    path.write_text("objects: {mine: dinner_plate}\nrelations: [fork left_of mine, any behind mine]\n")
+    path.write_text(
+        "objects: {mine: dinner_plate}\nrelations: [fork left_of mine, any behind mine]\n"
+    )
     spec = read_layout(path)
     assert (spec.num_objects, spec.objects) == (3, ("dinner_plate", "fork", "*"))
-    asked = SceneSpec(relations=spec.relations, roles=spec.roles, num_objects=3).problem_config("guided")
+    asked = SceneSpec(relations=spec.relations, roles=spec.roles, num_objects=3).problem_config(
+        "guided"
+    )
     assert asked.placement.relations == spec.problem_config("guided").placement.relations
     for wrong, meant in (("frok left_of mine", "fork"), ("fork left_of mime", "mine")):
         path.write_text(f"objects: {{mine: dinner_plate}}\nrelations: [{wrong}]\n")
@@ -168,11 +178,15 @@ def test_relations_of_a_layout_take_objects_of_the_pool(tmp_path):
 
 
 def test_a_misspelt_object_of_a_relation_is_named_with_what_was_meant():
-    with pytest.raises(ConfigError, match=r"^no object is called 'papreback'. Did you mean 'paperback'\?"):
+    with pytest.raises(
+        ConfigError, match=r"^no object is called 'papreback'. Did you mean 'paperback'\?"
+    ):
         RelatedObjects.of([Relation.parse("papreback on book")], (), facts("paperback", "book"))
     # Another misspelt name is not what was meant.
     with pytest.raises(ConfigError, match="Did you mean 'paperback'"):
-        RelatedObjects.of([Relation.parse("papreback on papreback2")], (), facts("paperback", "book"))
+        RelatedObjects.of(
+            [Relation.parse("papreback on papreback2")], (), facts("paperback", "book")
+        )
     with pytest.raises(ConfigError, match=r"role 'low' is 'boko\*', .* Try: roles='low=book'"):
         RelatedObjects.of(
             [Relation.parse("paperback on low")], [("low", "boko*")], facts("paperback", "book")
@@ -180,7 +194,8 @@ def test_a_misspelt_object_of_a_relation_is_named_with_what_was_meant():
 
 
 def corners(scene, index) -> np.ndarray:
-    asset, pose = scene.objects[index], scene.poses[index]
+    asset = scene.objects[index]
+    pose = scene.poses[index]
     vertices = np.concatenate([part.vertices for part in asset.parts])
     return Rotation.from_quat(pose[3:], scalar_first=True).apply(vertices) + pose[:3]
 

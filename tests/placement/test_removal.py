@@ -47,7 +47,8 @@ def orders(rules, number=2000, seed=0):
 
 def play(rules, actions, episode=None, seed=0):
     """The episodes before the first action and after each."""
-    attempt, episodes = jax.jit(rules.attempt), [episode or rules.begin(jax.random.key(seed))]
+    attempt = jax.jit(rules.attempt)
+    episodes = [episode or rules.begin(jax.random.key(seed))]
     for action in actions:
         episodes.append(attempt(episodes[-1], action)[0])
     return episodes
@@ -76,9 +77,11 @@ def test_weighted_orders_are_those_of_plackett_and_luce():
     found = Counter(map(tuple, drawn.tolist()))
     weight = (side**2) ** ORDER_POWER
     for order in permutations(range(3)):
-        left, chance = weight.sum(), 1.0
+        left = weight.sum()
+        chance = 1.0
         for index in order:
-            chance, left = chance * weight[index] / left, left - weight[index]
+            chance = chance * weight[index] / left
+            left = left - weight[index]
         assert abs(found[order] / 8000 - chance) < 5 * np.sqrt(chance * (1 - chance) / 8000)
 
 
@@ -101,7 +104,11 @@ def test_padding_comes_last_and_what_stands_first(order):
     rules = dataclasses.replace(rules, num_started=1)
     start = Start(jnp.tile(EMPTY_POSE, (3, 1)), jnp.arange(3) == 0)
     index = rules.begin(jax.random.key(0), start=start).object_index
-    assert (int(index[0]), sorted(np.asarray(index[1:3])), set(np.asarray(index[3:]))) == (0, [1, 2], {-1})
+    assert (int(index[0]), sorted(np.asarray(index[1:3])), set(np.asarray(index[3:]))) == (
+        0,
+        [1, 2],
+        {-1},
+    )
 
 
 # Budgets.
@@ -198,7 +205,9 @@ def test_what_leans_on_the_removed_goes_too_and_comes_again_after_the_current_ob
 
 
 def test_by_way_of_others_and_through_rings():
-    leans_on = jnp.zeros((6, 6), bool).at[jnp.array([1, 2, 3, 4]), jnp.array([0, 1, 2, 3])].set(True)
+    leans_on = (
+        jnp.zeros((6, 6), bool).at[jnp.array([1, 2, 3, 4]), jnp.array([0, 1, 2, 3])].set(True)
+    )
     assert np.flatnonzero(supported_by(some(0), leans_on)).tolist() == [0, 1, 2, 3, 4]
     assert np.flatnonzero(supported_by(some(3), leans_on)).tolist() == [3, 4]
     assert np.flatnonzero(supported_by(some(5), leans_on)).tolist() == [5]
@@ -338,7 +347,9 @@ def test_a_scene_never_makes_more_attempts_than_its_budget(wild):
 def test_sums_stay_and_slots_hold_what_is_placed(wild):
     _, (before, after, made) = wild
     np.testing.assert_array_equal(after.counts.attempts.sum(-1), after.counts.verdicts.sum(-1))
-    np.testing.assert_array_equal(np.sort(after.object_index[..., :5]), np.sort(before.object_index[..., :5]))
+    np.testing.assert_array_equal(
+        np.sort(after.object_index[..., :5]), np.sort(before.object_index[..., :5])
+    )
     slots = np.arange(5) < after.slot[..., None]
     placed = np.zeros((*after.slot.shape, 6), bool)
     np.put_along_axis(placed, after.object_index, slots, axis=-1)
@@ -371,8 +382,10 @@ def test_vmap_changes_nothing():
 def test_a_brax_environment_takes_objects_away():
     env = PlacementEnv(leaning(PILE, ruin_after=2, budget=12, num_objects=4))
     assert env.episode_length == 12
-    state, step = jax.jit(env.reset)(jax.random.key(0)), jax.jit(env.step)
-    slots, done = [], []
+    state = jax.jit(env.reset)(jax.random.key(0))
+    step = jax.jit(env.step)
+    slots = []
+    done = []
     for action in [GOOD, GOOD, GOOD, BAD, BAD, *[GOOD] * 4]:
         state = step(state, action)
         slots.append(int(state.pipeline_state.episode.slot))
@@ -403,7 +416,9 @@ def sampled(**placement):
     return (
         problem,
         sampler,
-        jax.device_get(jax.jit(sampler.sample)(jax.random.key(7), np.arange(NUM), np.ones(NUM, bool))),
+        jax.device_get(
+            jax.jit(sampler.sample)(jax.random.key(7), np.arange(NUM), np.ones(NUM, bool))
+        ),
     )
 
 
@@ -414,7 +429,8 @@ def ruined():
 
 @pytest.mark.slow
 def test_what_fails_without_is_filled_with_ruin(ruined):
-    plain, scenes = sampled()[-1], ruined[-1]
+    plain = sampled()[-1]
+    scenes = ruined[-1]
     assert plain.is_success.mean() < 0.8 < scenes.is_success.mean()
     # Scenes that needed nothing of it are the same to the bit.
     is_easy = plain.counts.attempts.max(1) <= 2
@@ -454,14 +470,16 @@ def test_a_recording_lets_what_is_taken_away_vanish(ruined):
         stood |= {attempt.object_index} if attempt.is_stable else set()
     assert stood == set(recording.placed)
     for slot, index in enumerate(scenes.object_index[row]):
-        mine, turn = recording.attempts_at(int(index)), recording.last_turn(int(index))
+        mine = recording.attempts_at(int(index))
+        turn = recording.last_turn(int(index))
         assert len(mine) == scenes.counts.attempts[row, slot]
         assert [each.ordinal for each in turn] == list(range(1, len(turn) + 1))
         assert turn[-1].is_stable
         assert turn == mine[-len(turn) :]
     # An object's turn goes on until it stands, or until something is taken away.
     for one, two in pairwise(range(len(taken))):
-        first, second = recording.attempts[one], recording.attempts[two]
+        first = recording.attempts[one]
+        second = recording.attempts[two]
         assert second.ordinal == (1 if first.is_stable or taken[two] else first.ordinal + 1)
 
 

@@ -18,7 +18,8 @@ from cluttergen_jax.placement.repair import MAX_TILT, put_upright
 def test_an_orientation_loses_its_tilt_by_the_least_turn():
     draw = np.random.default_rng(0)
     for _ in range(200):
-        axis, yaw = draw.normal(size=3), draw.uniform(-np.pi, np.pi)
+        axis = draw.normal(size=3)
+        yaw = draw.uniform(-np.pi, np.pi)
         angle = draw.uniform(0, np.pi)
         axis /= np.linalg.norm(axis)
         tilted = product(
@@ -67,7 +68,8 @@ def test_a_file_that_is_no_layout_is_refused(tmp_path, text, said):
 def layout(path, *objects):
     """A file of objects: name, x, y, and height of the origin above the table's top."""
     entries = [
-        {"name": name, "asset": name.split(".")[0], "position": [x, y, 0.7 + z]} for name, x, y, z in objects
+        {"name": name, "asset": name.split(".")[0], "position": [x, y, 0.7 + z]}
+        for name, x, y, z in objects
     ]
     path.write_text(json.dumps({"pool": "dining", "support": "table", "objects": entries}))
     return path
@@ -78,7 +80,12 @@ def bank(tmp_path_factory):
     """Five scenes of five objects on a small table, three of them on others."""
     path = tmp_path_factory.mktemp("repair") / "bank"
     return cg.generate(
-        path, num_scenes=5, num_objects=5, support="table-0.30x0.40", clutter="stack=2", render=False
+        path,
+        num_scenes=5,
+        num_objects=5,
+        support="table-0.30x0.40",
+        clutter="stack=2",
+        render=False,
     )
 
 
@@ -93,13 +100,19 @@ def test_noise_is_repaired_nearby_and_what_lay_on_what_does_so_again(bank, tmp_p
     shift = np.concatenate([each.shift for each in report.layouts])
     assert np.median(shift) < 0.01
     assert shift.max() <= 0.05
-    wanted, kept = 0, 0
+    wanted = 0
+    kept = 0
     for scene, each in zip(scenes, report.layouts, strict=True):
         before = json.loads((tmp_path / "noisy" / each.layout.source).read_text())["objects"]
         given = np.array([entry["position"] for entry in before])
-        np.testing.assert_allclose(np.linalg.norm(each.poses[:, :3] - given, axis=1), each.shift, atol=1e-6)
-        now = cg.Scene(scene.names, scene.objects, each.poses, scene.support, scene.stability, scene.contact)
-        wanted, kept = wanted + len(rests_on(scene)), kept + len(rests_on(scene) & rests_on(now))
+        np.testing.assert_allclose(
+            np.linalg.norm(each.poses[:, :3] - given, axis=1), each.shift, atol=1e-6
+        )
+        now = cg.Scene(
+            scene.names, scene.objects, each.poses, scene.support, scene.stability, scene.contact
+        )
+        wanted = wanted + len(rests_on(scene))
+        kept = kept + len(rests_on(scene) & rests_on(now))
     assert wanted >= 5
     assert kept / wanted >= 0.9
     # The same command again makes nothing new, and tells the same.
@@ -151,7 +164,10 @@ def test_objects_on_several_boards_are_repaired_on_their_own(tmp_path):
 @pytest.mark.slow
 def test_a_file_becomes_a_file_and_what_cannot_be_placed_is_named(tmp_path, capsys):
     good = layout(
-        tmp_path / "good.json", ("mug.a", 0, 0, 0.2), ("mug.b", 0.02, 0, 0.04), ("fork", 0.2, 0, -0.05)
+        tmp_path / "good.json",
+        ("mug.a", 0, 0, 0.2),
+        ("mug.b", 0.02, 0, 0.04),
+        ("fork", 0.2, 0, -0.05),
     )
     words = ["repair", str(good), "--out", str(tmp_path / "fixed.json"), "--max-shift", "0.2"]
     assert main(words) == 0

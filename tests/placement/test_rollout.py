@@ -21,7 +21,8 @@ NETWORKS = {
     "mixture": dataclasses.replace(SMALL, head="mixture"),
 }
 PHYSICS = HalfTable()
-PLACE, ALL = np.arange(8), np.ones(8, bool)
+PLACE = np.arange(8)
+ALL = np.ones(8, bool)
 
 
 def rules_of(scale):
@@ -60,10 +61,14 @@ SLOW = {"drop", "mixture", "policy"}
 
 @pytest.mark.parametrize(
     "method",
-    [pytest.param(each, marks=[pytest.mark.slow] * (each in SLOW)) for each in ("random", "drop", *NETWORKS)],
+    [
+        pytest.param(each, marks=[pytest.mark.slow] * (each in SLOW))
+        for each in ("random", "drop", *NETWORKS)
+    ],
 )
 def test_a_world_of_equal_sizes_compiles_nothing(method, compiled):
-    rollout, (first, second) = Rollout(), (sampler_of(method, scale) for scale in (1.0, 0.5))
+    rollout = Rollout()
+    (first, second) = (sampler_of(method, scale) for scale in (1.0, 0.5))
     key = jax.random.key(3)
     rollout.compile(first, key, PLACE)
     assert compiled
@@ -80,7 +85,8 @@ def test_a_world_of_equal_sizes_compiles_nothing(method, compiled):
 
 @pytest.mark.parametrize("method", ["random", pytest.param("policy", marks=pytest.mark.slow)])
 def test_scenes_that_take_the_places_of_others_are_those_of_blocks(method):
-    sampler, key = sampler_of(method, 1.0), jax.random.key(5)
+    sampler = sampler_of(method, 1.0)
+    key = jax.random.key(5)
     rollout = Rollout(lambda before, after, transition: (transition.is_made, transition.reward))
     blocks = [rollout.run(sampler, key, first + PLACE, ALL) for first in (0, 8, 16)]
     theirs = jax.tree.map(lambda *leaves: np.concatenate(leaves), *blocks)
@@ -88,8 +94,12 @@ def test_scenes_that_take_the_places_of_others_are_those_of_blocks(method):
     assert not theirs.is_success.all()
     for num_scenes in (3, 8, 21):
         logged: list = []
-        ours = rollout.run_all(sampler, key, num_scenes, 8, lambda *step, logged=logged: logged.append(step))
-        jax.tree.map(lambda a, b, n=num_scenes: np.testing.assert_array_equal(a, b[:n]), ours, theirs)
+        ours = rollout.run_all(
+            sampler, key, num_scenes, 8, lambda *step, logged=logged: logged.append(step)
+        )
+        jax.tree.map(
+            lambda a, b, n=num_scenes: np.testing.assert_array_equal(a, b[:n]), ours, theirs
+        )
         # Each attempt is told with the scene that it was made in, and each end once.
         assert sum(number for _, number, _ in logged) == num_scenes
         reward = np.zeros(num_scenes, np.float32)
@@ -103,7 +113,9 @@ def test_scenes_that_take_the_places_of_others_are_those_of_blocks(method):
 def test_native_scenes_are_the_same_to_the_bit_in_any_place(method):
     """What banks and evaluations are made of; ten objects, some of whose scenes take longer than others."""
     steps = make_sampler("dining", support="table-0.40x0.50", method=method, engine="native").steps
-    rollout, key, place = Rollout(), jax.random.key(0), np.arange(16)
+    rollout = Rollout()
+    key = jax.random.key(0)
+    place = np.arange(16)
     blocks = [rollout.run(steps, key, first + place, place < 16) for first in (0, 16, 32)]
     theirs = jax.tree.map(lambda *leaves: np.concatenate(leaves), *blocks)
     ours = rollout.run_all(steps, key, 48, 16)

@@ -19,7 +19,8 @@ BAD = jnp.array([0.1, 0.5, 0.5, 0.2])
 def run(rules, actions, key=0):
     """The episodes before the first action and after each, and the rewards."""
     attempt = jax.jit(rules.attempt)
-    episodes, rewards = [rules.begin(jax.random.key(key))], []
+    episodes = [rules.begin(jax.random.key(key))]
+    rewards = []
     for action in actions:
         episode, transition = attempt(episodes[-1], action)
         episodes.append(episode)
@@ -96,7 +97,9 @@ def test_counts_add_up():
 )
 def test_rewards_by_hand(kind, first, failed, last):
     _, rewards = run(made_up_rules(reward=kind), [GOOD, BAD, GOOD, GOOD, GOOD])
-    np.testing.assert_allclose([rewards[0], rewards[1], rewards[-1]], [first, failed, last], rtol=1e-5)
+    np.testing.assert_allclose(
+        [rewards[0], rewards[1], rewards[-1]], [first, failed, last], rtol=1e-5
+    )
 
 
 @pytest.mark.slow
@@ -105,7 +108,9 @@ def test_height_range_is_the_tallest_and_the_new_one():
     episode = rules.begin(jax.random.key(3))
     heights = 0.02 * (1 + np.arange(6))
     for _ in range(3):
-        tallest = max([h for h, placed in zip(heights, episode.is_placed, strict=True) if placed], default=0)
+        tallest = max(
+            [h for h, placed in zip(heights, episode.is_placed, strict=True) if placed], default=0
+        )
         expected = tallest + heights[int(rules.focus(episode))]
         np.testing.assert_allclose(rules.height_range(episode), expected, rtol=1e-6)
         episode, _ = rules.attempt(episode, GOOD)

@@ -66,7 +66,9 @@ def test_what_does_not_fit_under_a_board_is_forbidden(shelf):
     # A tall one stands below the board, but not on anything.
     episode = episode.replace(slot=episode.slot + 1)
     assert float(search.closely(search.scene(episode), one).cost[0]) < FORBIDDEN / 2
-    poses = episode.poses.at[0, :3].set(jnp.array([0.0, 0.0, BOOKCASE.surfaces[2].position[2] + 0.05]))
+    poses = episode.poses.at[0, :3].set(
+        jnp.array([0.0, 0.0, BOOKCASE.surfaces[2].position[2] + 0.05])
+    )
     episode = episode.replace(poses=poses, is_placed=jnp.array([True, False]))
     assert float(search.closely(search.scene(episode), one).cost[0]) > FORBIDDEN / 2
 
@@ -75,14 +77,17 @@ def settled(rules, position):
     """What physics would tell of an object that rests there."""
     poses = np.tile(np.eye(7)[3], (rules.geometry.num_objects, 1)).astype(np.float32)
     poses[0, :3] = position
-    made = jax.eval_shape(rules.simulator.settle, poses, np.ones(2, bool), jnp.int32(0), jnp.bool_(True))
+    made = jax.eval_shape(
+        rules.simulator.settle, poses, np.ones(2, bool), jnp.int32(0), jnp.bool_(True)
+    )
     zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), made)
     return Settling(**{**zeros.__dict__, "poses": jnp.array(poses)})
 
 
 @pytest.mark.slow
 def test_an_object_has_to_end_on_its_own_surface(shelf):
-    rules, (_, above, own, below) = shelf.rules, BOOKCASE.surfaces
+    rules = shelf.rules
+    (_, above, own, below) = BOOKCASE.surfaces
     episode = rules.begin(jax.random.key(0))
     ends = {
         Verdict.STABLE: own.position[2] + 0.05,
@@ -171,11 +176,15 @@ def test_surfaces_are_told_by_name_and_number():
 
 @pytest.mark.slow
 def test_each_object_draws_a_surface_by_free_area_or_by_what_is_left():
-    objects = [box("giant", (0.05, 0.05, 0.16)), *(box(f"low-{k}", (0.05, 0.05, 0.02)) for k in range(4))]
+    objects = [
+        box("giant", (0.05, 0.05, 0.16)),
+        *(box(f"low-{k}", (0.05, 0.05, 0.02)) for k in range(4)),
+    ]
     keys = jax.random.split(jax.random.key(0), 400)
 
     def drawn(rules, episode):
-        focus, footprint = rules.focus(episode), jnp.full(5, 0.01)
+        focus = rules.focus(episode)
+        footprint = jnp.full(5, 0.01)
         draw = jax.vmap(lambda key: rules.surfaces.draw(key, episode, focus, footprint))
         return np.bincount(np.asarray(draw(keys)), minlength=len(rules.surfaces.area)) / len(keys)
 
@@ -198,7 +207,8 @@ def test_scenes_on_all_boards_of_a_bookcase_stand_where_they_belong(tmp_path):
     assert summary is not None
     for scene in read_scenes(read_bank(tmp_path / "bank")):
         bottom = [
-            pose[2] - asset.resting[0].height for asset, pose in zip(scene.objects, scene.poses, strict=True)
+            pose[2] - asset.resting[0].height
+            for asset, pose in zip(scene.objects, scene.poses, strict=True)
         ]
         heights = np.array([surface.position[2] for surface in BOOKCASE.surfaces])
         on = [int(np.argmin(np.where(heights < z + 0.005, z - heights, np.inf))) for z in bottom]

@@ -21,7 +21,9 @@ def pool(tmp_path):
 
 @pytest.mark.slow
 def test_contact_runs(pool):
-    args = contact.Contact(pool=(pool,), trials=2, num_scenes=2, warp=False, only=("ours", "pyramidal"))
+    args = contact.Contact(
+        pool=(pool,), trials=2, num_scenes=2, warp=False, only=("ours", "pyramidal")
+    )
     outcomes = contact.measure({name: contact.candidates()[name] for name in args.only}, args)
     assert outcomes["ours"].solo[0].rate == 1.0
     assert "| pyramidal |" in contact.body_of(outcomes, args)

@@ -33,7 +33,9 @@ def anchors(path):
     """The anchors of a page's headings, as GitHub and MkDocs name them."""
     titles = re.findall(r"^#+ (.*)$", path.read_text(), re.M)
     plain = [re.sub(r"[^\w\- ]", "", title.lower()).strip() for title in titles]
-    return {re.sub(r"[ -]+", "-", title) for title in plain} | {title.replace(" ", "-") for title in plain}
+    return {re.sub(r"[ -]+", "-", title) for title in plain} | {
+        title.replace(" ", "-") for title in plain
+    }
 
 
 def test_people_need_not_read_much():
@@ -51,7 +53,11 @@ def test_code_of_a_page_names_what_there_is(path):
             if isinstance(node, ast.ImportFrom) and node.module.startswith("cluttergen_jax"):
                 module = importlib.import_module(node.module)
                 assert all(hasattr(module, name.name) for name in node.names), ast.unparse(node)
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "cg":
+            if (
+                isinstance(node, ast.Attribute)
+                and isinstance(node.value, ast.Name)
+                and node.value.id == "cg"
+            ):
                 assert node.attr in cg.__all__
 
 
@@ -72,7 +78,9 @@ def test_commands_of_a_page_have_their_options(path):
 def test_links_lead_to_pages_and_headings():
     pages = [ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *DOCS.rglob("*.md"), *TEXTS]
     for path in pages:
-        for target, heading in re.findall(r"\]\((?![a-z]+:)([^)\s#]*)#?([^)\s]*)\)", path.read_text()):
+        for target, heading in re.findall(
+            r"\]\((?![a-z]+:)([^)\s#]*)#?([^)\s]*)\)", path.read_text()
+        ):
             found = (path.parent / target).resolve() if target else path
             # The records are not in the source distribution.
             if "reports" not in found.parts:
@@ -81,7 +89,9 @@ def test_links_lead_to_pages_and_headings():
 
 
 def test_every_public_name_is_in_the_reference():
-    documented = re.findall(r"^::: cluttergen_jax\.(\w+)$", (DOCS / "reference" / "api.md").read_text(), re.M)
+    documented = re.findall(
+        r"^::: cluttergen_jax\.(\w+)$", (DOCS / "reference" / "api.md").read_text(), re.M
+    )
     assert len(documented) == len(set(documented))
     assert set(documented) == set(cg.__all__)
 
@@ -89,11 +99,14 @@ def test_every_public_name_is_in_the_reference():
 def test_every_page_of_the_menu_exists():
     pytest.importorskip("mkdocs", reason="needs the extra docs")
     hook = runpy.run_path(str(DOCS / "site_pages.py"))
-    made, packages = hook["PAGES"], {f"reference/python/{name}.md" for name in hook["_PUBLIC"]}
+    made = hook["PAGES"]
+    packages = {f"reference/python/{name}.md" for name in hook["_PUBLIC"]}
     menu = re.findall(r"^ +- .*: (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M)
     assert len(menu) > 20
     written = {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
-    assert packages < set(menu) <= written | set(made.values()) | packages | {"reference/commands.md"}
+    assert (
+        packages < set(menu) <= written | set(made.values()) | packages | {"reference/commands.md"}
+    )
     assert all((ROOT / source).is_file() for source in made if not source.startswith("reports/"))
 
 
@@ -113,7 +126,8 @@ class Shown(HTMLParser):
 
     def __init__(self, page):
         super().__init__()
-        self.text, self._hidden = "", 0
+        self.text = ""
+        self._hidden = 0
         self.feed(page.read_text())
         self.text = without_spaces(self.text)
 
@@ -210,5 +224,6 @@ def test_the_site_has_its_pages(site):
     assert "make_sampler" in (site / "reference" / "api" / "index.html").read_text()
     commands = (site / "reference" / "commands" / "index.html").read_text()
     assert all(
-        f'id="{anchor}"' in commands for anchor in ("generate-pool", "robot-place-placer", "verify-jobs")
+        f'id="{anchor}"' in commands
+        for anchor in ("generate-pool", "robot-place-placer", "verify-jobs")
     )

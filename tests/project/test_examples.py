@@ -34,7 +34,10 @@ EXPECTED = {
 SMALLER = {
     "01_five_lines": {"num_scenes, num_objects = 256, 10": "num_scenes, num_objects = 8, 2"},
     "02_own_meshes": {'"my_pool")\n': '"my_pool", jobs=1, progress=False)\n'},
-    "03_own_policy": {"num_attempts = 40_000": "num_attempts = 2048", "key(0), 256)": "key(0), 16)"},
+    "03_own_policy": {
+        "num_attempts = 40_000": "num_attempts = 2048",
+        "key(0), 256)": "key(0), 16)",
+    },
     "04_bank": {
         "num_scenes, num_objects = 200, 10": "num_scenes, num_objects = 6, 2",
         "    max_files=20,": "    render=False, max_files=20,",
@@ -67,7 +70,8 @@ SMALLER = {
         "num_scenes=6,": "num_scenes=2,",
     },
 }
-ARMS, EYES = ("10_rearrange", "15_robot_in_a_bank", "16_own_parts"), "11_perception"
+ARMS = ("10_rearrange", "15_robot_in_a_bank", "16_own_parts")
+EYES = "11_perception"
 SLOW = set(EXPECTED) - {"01_five_lines"}
 
 

@@ -36,7 +36,8 @@ def names(folder):
 
 
 def test_a_file_is_what_was_written_with_the_usual_rights(tmp_path):
-    path, plain = tmp_path / "far" / "away.mp4", tmp_path / "plain"
+    path = tmp_path / "far" / "away.mp4"
+    plain = tmp_path / "plain"
     files.write_atomically(path, b"old", is_durable=True)
     with files.file_whole(path) as fresh:
         assert fresh.suffix == ".mp4"
@@ -132,7 +133,9 @@ with files.file_whole(Path({str(tmp_path)!r}) / "film.mp4") as fresh:
     assert names(tmp_path) == {"other.mp4", "third"}
 
 
-@pytest.mark.parametrize("name", ["file", "n" * 250, "\xe9" * 120, ".partial", "old", "a.b.partial"])
+@pytest.mark.parametrize(
+    "name", ["file", "n" * 250, "\xe9" * 120, ".partial", "old", "a.b.partial"]
+)
 def test_any_name_can_be_written(tmp_path, name):
     files.write_atomically(tmp_path / name, b"")
     assert names(tmp_path) == {name}
@@ -144,14 +147,22 @@ def test_any_name_can_be_written(tmp_path, name):
 
 
 def test_links_laid_at_temporary_names_lead_nowhere(tmp_path):
-    precious, place = tmp_path / "precious", tmp_path / "place"
+    precious = tmp_path / "precious"
+    place = tmp_path / "place"
     precious.mkdir()
     place.mkdir()
     (precious / "letter").write_text("mine")
     write_folder(place / "folder", "old")
     tag = f"{files._machine()}-{2**22 + 1}-00000000"
     for name in ("folder", "file"):
-        for ending in (".partial", ".old", ".removed", f".{tag}.partial", f".{tag}.begun", f".{tag}.old"):
+        for ending in (
+            ".partial",
+            ".old",
+            ".removed",
+            f".{tag}.partial",
+            f".{tag}.begun",
+            f".{tag}.old",
+        ):
             (place / f".{name}{ending}").symlink_to(precious)
     # A folder in which a link lies, as one that an archive brings.
     (place / f".folder.{tag[:-1]}1.begun").mkdir()
@@ -212,7 +223,10 @@ def test_a_kept_folder_is_continued_by_the_same_recipe_alone(tmp_path):
     with pytest.raises(BankError, match=said + ".*another `out`"):
         check_recipe(tmp_path, "a bank made", other, written)
     folder = KeptFolder(
-        tmp_path / "kept", lambda path: (path / "index").exists(), "{other} is in {path}", Path.is_dir
+        tmp_path / "kept",
+        lambda path: (path / "index").exists(),
+        "{other} is in {path}",
+        Path.is_dir,
     )
     with folder.lock(), pytest.raises(BankError, match=f"written by process {os.getpid()}"):
         folder.lock()

@@ -43,8 +43,10 @@ from tests.helpers.placing import write_bank
 from tests.helpers.worlds import box
 
 PANDA = find_robot()
-DOWN, STRAIGHT = np.diag([1.0, -1.0, -1.0]), np.eye(3)
-MIDDLE, HALF = np.array([0.12, 0.17, vgn.DEPTH + 0.03]), np.array([0.02, 0.045, 0.03])
+DOWN = np.diag([1.0, -1.0, -1.0])
+STRAIGHT = np.eye(3)
+MIDDLE = np.array([0.12, 0.17, vgn.DEPTH + 0.03])
+HALF = np.array([0.02, 0.045, 0.03])
 SIZE = vgn.SIZE
 
 
@@ -85,12 +87,17 @@ def test_what_the_network_sees_does_not_depend_on_how_scene_and_grasp_are_turned
 
 def test_a_convolution_by_folding_is_that_of_xla():
     rng = np.random.default_rng(0)
-    x, kernel = rng.normal(size=(2, 7, 6, 4, 3)), rng.normal(size=(4, 4, 4, 3, 5))
+    x = rng.normal(size=(2, 7, 6, 4, 3))
+    kernel = rng.normal(size=(4, 4, 4, 3, 5))
     folded = kernel.reshape(2, 2, 2, 2, 2, 2, 3, 5).transpose(0, 2, 4, 1, 3, 5, 6, 7).reshape(-1, 5)
     found = convolve_by_two(jnp.asarray(x), lambda patches: patches @ folded)
     pads = [(1, 2), (1, 1), (1, 1)]
     expected = jax.lax.conv_general_dilated(
-        jnp.asarray(x), jnp.asarray(kernel), (2,) * 3, pads, dimension_numbers=("NDHWC", "DHWIO", "NDHWC")
+        jnp.asarray(x),
+        jnp.asarray(kernel),
+        (2,) * 3,
+        pads,
+        dimension_numbers=("NDHWC", "DHWIO", "NDHWC"),
     )
     assert found.shape == expected.shape == (2, 4, 3, 2, 5)
     np.testing.assert_allclose(found, expected, atol=1e-4)
@@ -103,10 +110,12 @@ def test_the_loss_falls_and_a_mirrored_grasp_is_the_same():
     seen = network_inputs(volume(), grasps_at(*above, *beside))
     examples = {**seen, "label": np.repeat(np.array([1, 0], np.float32), 4)}
     examples["weight"] = np.ones(8, np.float32)
-    params, optimizer = jax.jit(learner.init)(jax.random.key(0)), optax.adam(1e-2)
+    params = jax.jit(learner.init)(jax.random.key(0))
+    optimizer = optax.adam(1e-2)
     value = jax.jit(jax.value_and_grad(learner.loss, has_aux=True))
     start = float(value(params, examples, jax.random.key(0))[0][0])
-    state, update = optimizer.init(params), jax.jit(optimizer.update)
+    state = optimizer.init(params)
+    update = jax.jit(optimizer.update)
     for step in range(80):
         (loss, _), slope = value(params, examples, jax.random.key(step))
         change, state = update(slope, state)
@@ -119,7 +128,8 @@ def test_the_loss_falls_and_a_mirrored_grasp_is_the_same():
 
 
 def test_the_area_under_the_curve_is_the_share_of_pairs_in_order():
-    score, is_good = np.array([0.1, 0.4, 0.35, 0.8, 0.4]), np.array([0, 0, 1, 1, 1], bool)
+    score = np.array([0.1, 0.4, 0.35, 0.8, 0.4])
+    is_good = np.array([0, 0, 1, 1, 1], bool)
     pairs = [(a > b) + 0.5 * (a == b) for a in score[is_good] for b in score[~is_good]]
     assert area_under_curve(score, is_good) == pytest.approx(np.mean(pairs))
 
@@ -134,7 +144,8 @@ def test_geometry_takes_a_box_across_its_narrow_side(hand):
     grid = volume(turn=turn)
     found = draw_grasps(grid, hand)
     row = hand.first_clear(grid, found)
-    pose, width = found.pose[row], found.width[row]
+    pose = found.pose[row]
+    width = found.width[row]
     assert width == pytest.approx(0.04, abs=0.004)
     assert abs(pose[:3, 1] @ turn[:, 0]) > 0.97
     assert pose[2, 2] < -0.7
@@ -147,7 +158,8 @@ def test_geometry_takes_a_box_across_its_narrow_side(hand):
 
 
 def test_what_is_behind_a_surface_is_solid_and_what_is_above_is_free():
-    grid, room = volume(), free_room(volume())
+    grid = volume()
+    room = free_room(volume())
     field = distance_field(grid)
     assert grid[16, 22, 0] == 0
     assert field[16, 22, 0] < 0 < field[16, 22, -1]
@@ -158,7 +170,8 @@ def test_what_is_behind_a_surface_is_solid_and_what_is_above_is_free():
 
 
 def test_the_grasp_is_proposed_of_which_the_network_is_surest(hand):
-    grid, rng = volume(), np.random.default_rng(0)
+    grid = volume()
+    rng = np.random.default_rng(0)
     wanted = MIDDLE + np.array([0, 0, 0.01])
 
     def near(seen):
@@ -173,8 +186,11 @@ def test_the_grasp_is_proposed_of_which_the_network_is_surest(hand):
 
 
 def test_a_round_ends_when_all_is_cleared_when_two_fail_and_when_nothing_is_proposed():
-    support, asset = find_support("table"), box("block", (0.02, 0.03, 0.03), 0.1)
-    places = support.region_points[0] + np.array([[0.0, 0.0, 0.03], [0.08, 0.05, 0.03], [0.4, 0.0, 0.03]])
+    support = find_support("table")
+    asset = box("block", (0.02, 0.03, 0.03), 0.1)
+    places = support.region_points[0] + np.array(
+        [[0.0, 0.0, 0.03], [0.08, 0.05, 0.03], [0.4, 0.0, 0.03]]
+    )
     poses = np.concatenate([places, np.tile([1.0, 0, 0, 0], (3, 1))], axis=1)
     scene = Scene(("a", "b", "far"), (asset, asset, asset), poses, support)
     T_task = inverse(vgn.task_frame(support))
@@ -191,21 +207,27 @@ def test_a_round_ends_when_all_is_cleared_when_two_fail_and_when_nothing_is_prop
 
     good = [(tool(index, 0.015), 0.04) for index in (0, 1)]
     assert run(*good) == grasp_rounds.Round(2, ("lifted", "lifted"))
-    above, below = (tool(0, 0.15), 0.04), (tool(0, -0.05), 0.04)
+    above = (tool(0, 0.15), 0.04)
+    below = (tool(0, -0.05), 0.04)
     assert run(above, below).ends == ("empty", "blocked")
     assert run(above, good[1], below, below).ends == ("empty", "lifted", "blocked", "blocked")
     assert run(good[0], None) == grasp_rounds.Round(2, ("lifted",))
 
 
 def test_what_is_left_is_at_rest_and_what_leaves_the_cube_is_gone():
-    support, asset = find_support("table"), box("block", (0.02, 0.03, 0.03), 0.1)
-    start = support.region_points[0] + np.array([[0.0, 0.0, 0.1], [0.05, 0.0, -0.3], [0.2, 0.0, 0.03]])
+    support = find_support("table")
+    asset = box("block", (0.02, 0.03, 0.03), 0.1)
+    start = support.region_points[0] + np.array(
+        [[0.0, 0.0, 0.1], [0.05, 0.0, -0.3], [0.2, 0.0, 0.03]]
+    )
     poses = np.concatenate([start, np.tile([1.0, 0, 0, 0], (3, 1))], axis=1)
     scene = Scene(("a", "fallen", "far"), (asset, asset, asset), poses, support)
     left = grasp_rounds.settle(scene)
     assert left.names == ("a",)
     assert left.poses[0, 2] == pytest.approx(support.top + 0.03, abs=1e-3)
-    assert not grasp_rounds.settle(replace(left, names=(), objects=(), poses=np.zeros((0, 7)))).names
+    assert not grasp_rounds.settle(
+        replace(left, names=(), objects=(), poses=np.zeros((0, 7)))
+    ).names
 
 
 @pytest.mark.slow

@@ -33,11 +33,14 @@ def path(*stops, steps=10):
         rows.append((1 - share) * first + share * np.array(second))
     whole = np.concatenate(rows)
     tools = np.tile(np.eye(4), (len(whole), 1, 1))
-    tools[:, :3, :3], tools[:, :3, 3] = DOWN, whole[:, :3]
+    tools[:, :3, :3] = DOWN
+    tools[:, :3, 3] = whole[:, :3]
     return tools, whole[:, 3]
 
 
-STOPS = np.array([[0, 0, 0.8, 1], [0.1, 0, 0.6, 1], [0.1, 0, 0.5, 1], [0.1, 0, 0.5, -1], [0.1, 0, 0.7, -1.0]])
+STOPS = np.array(
+    [[0, 0, 0.8, 1], [0.1, 0, 0.6, 1], [0.1, 0, 0.5, 1], [0.1, 0, 0.5, -1], [0.1, 0, 0.7, -1.0]]
+)
 
 
 def test_key_poses_are_where_the_tool_rests_and_where_the_grip_has_changed():
@@ -63,7 +66,9 @@ def episode():
     held = grip < 0
     objects[held, 0, 2] = tools[held, 2, 3]
     poses = np.array([pose_of(each) for each in tools])
-    agent_pos = np.concatenate([np.zeros((len(tools), 14)), 0.02 + 0.02 * grip[:, None], poses], axis=1)
+    agent_pos = np.concatenate(
+        [np.zeros((len(tools), 14)), 0.02 + 0.02 * grip[:, None], poses], axis=1
+    )
     action = np.zeros((len(tools), 8))
     action[:, -1] = np.append(grip[1:], grip[-1])
     return {"agent_pos": agent_pos, "objects": objects, "action": action, "goal": GOAL}, tools
@@ -79,14 +84,24 @@ def test_a_key_pose_is_decoded_as_it_was_encoded_in_each_reference():
     example = one(examples_of(made, tools), 5)
     turn = Rotation.from_euler("xyz", [3.0, 0.2, 0.7]).as_matrix()
     for place in ([0.1, 0.01, 0.51], [0.0, 0.02, 0.75], [0.3, 0.21, 0.6]):
-        wanted = {"place": jnp.array(place), "turn": jnp.asarray(turn, jnp.float32), "grip": jnp.array(-0.5)}
+        wanted = {
+            "place": jnp.array(place),
+            "turn": jnp.asarray(turn, jnp.float32),
+            "grip": jnp.array(-0.5),
+        }
         pose, grip = decode_key(example, encode_key(example, wanted))
-        np.testing.assert_allclose(pose, np.block([[turn, np.array([place]).T], [np.eye(4)[3:]]]), atol=1e-5)
+        np.testing.assert_allclose(
+            pose, np.block([[turn, np.array([place]).T], [np.eye(4)[3:]]]), atol=1e-5
+        )
         assert grip == -0.5
     # Where the tool is when what it holds is at its goal, is 0 in the last reference.
     held = one(examples_of(made, tools), -1)
     T = matrix_of(GOAL) @ np.linalg.inv(matrix_of(made["objects"][-1, 0, :7])) @ tools[-1]
-    at_goal = {"place": jnp.asarray(T[:3, 3]), "turn": jnp.asarray(T[:3, :3]), "grip": jnp.array(1.0)}
+    at_goal = {
+        "place": jnp.asarray(T[:3, 3]),
+        "turn": jnp.asarray(T[:3, :3]),
+        "grip": jnp.array(1.0),
+    }
     np.testing.assert_allclose(encode_key(held, at_goal).reshape(-1)[18:21], 0, atol=1e-4)
 
 
@@ -100,14 +115,18 @@ def test_a_shifted_tool_takes_with_it_what_it_holds_and_nothing_else():
         assert min(shifts) == 0 < max(shifts) < 0.03
         for each in moved:
             np.testing.assert_array_equal(each["wanted"]["place"], before["wanted"]["place"])
-            np.testing.assert_array_equal(each["objects"]["place"][1:], before["objects"]["place"][1:])
+            np.testing.assert_array_equal(
+                each["objects"]["place"][1:], before["objects"]["place"][1:]
+            )
 
             def seen(example):
                 away = example["objects"]["place"][0] - example["tool"]["place"]
                 return example["tool"]["turn"].T @ away
 
             stays = np.allclose(seen(each), seen(before), atol=1e-6)
-            assert stays == (is_held or np.array_equal(each["tool"]["place"], before["tool"]["place"]))
+            assert stays == (
+                is_held or np.array_equal(each["tool"]["place"], before["tool"]["place"])
+            )
 
 
 @pytest.mark.slow

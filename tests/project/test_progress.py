@@ -20,7 +20,8 @@ def answers_ctrl_c():
 
 @pytest.mark.usefixtures("answers_ctrl_c")
 def test_ctrl_c_does_not_wait_for_a_long_call():
-    is_running, is_over = threading.Event(), threading.Event()
+    is_running = threading.Event()
+    is_over = threading.Event()
 
     def long_call():
         is_running.set()

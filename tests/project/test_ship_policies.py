@@ -16,7 +16,14 @@ spec = importlib.util.spec_from_file_location("ship_policies", ROOT / "scenes" /
 ship_policies = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(ship_policies)
 
-CALIBRATION = {"number": 4321, "share": 0.5, "auc": 0.987, "brier": 0.04, "trust": [0.1], "count": [3]}
+CALIBRATION = {
+    "number": 4321,
+    "share": 0.5,
+    "auc": 0.987,
+    "brier": 0.04,
+    "trust": [0.1],
+    "count": [3],
+}
 GUIDED = {
     "kind": "stability",
     "variant": "guided",
@@ -68,7 +75,9 @@ def test_a_policy_is_shipped_with_its_curve(tmp_path):
     header = "attempts,attempts_per_second,success,num_placed,entropy"
     rows = "100,50,0.5,7.5,-1\n200,50,0.75,8.5,-2\n"
     (tmp_path / "run" / "progress.csv").write_text(f"{header}\n{rows}")
-    (tmp_path / "run" / "evaluations.csv").write_text("attempts,success,low95,high95\n100,0.5,0.4,0.6\n")
+    (tmp_path / "run" / "evaluations.csv").write_text(
+        "attempts,success,low95,high95\n100,0.5,0.4,0.6\n"
+    )
     folder = ship_policies.ship(tmp_path / "run", tmp_path / "shipped")
     assert folder.name == "dining-policy"
     assert "`python train.py --pool dining --variant policy" in (folder / "README.md").read_text()

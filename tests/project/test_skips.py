@@ -17,13 +17,16 @@ def reasons() -> set[str]:
     for path in (ROOT / "tests").rglob("*.py"):
         calls = path.read_text().split("importorskip(")[1:]
         found |= {
-            (re.search(r'reason="([^"]*)"', call.split("\n")[0]) or ["", path.name])[1] for call in calls
+            (re.search(r'reason="([^"]*)"', call.split("\n")[0]) or ["", path.name])[1]
+            for call in calls
         }
     return found - {Path(__file__).name}
 
 
 def test_whatever_needs_an_extra_names_one_that_exists():
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
     assert reasons() <= {f"needs the extra {name}" for name in extras}
 
 
@@ -37,7 +40,8 @@ def test_what_is_not_installed_by_make_test_may_be_missing_and_the_rest_may_not(
 
 
 @pytest.mark.parametrize(
-    "reason", ["could not import 'jax': No module named 'jax'", "", "flaky", "not needs the extra peers"]
+    "reason",
+    ["could not import 'jax': No module named 'jax'", "", "flaky", "not needs the extra peers"],
 )
 def test_other_reasons_are_none(reason):
     assert not is_allowed(reason)

@@ -38,9 +38,21 @@ def test_wheel_generates_outside_the_checkout(tmp_path):
     assert run(cluttergen, "--version", cwd=tmp_path).startswith("cluttergen_jax ")
     listed = run(cluttergen, "list", cwd=tmp_path)
     assert all(
-        name in listed for name in ("dining", "study", "office", "kitchen", "household", "round_table")
+        name in listed
+        for name in ("dining", "study", "office", "kitchen", "household", "round_table")
     )
-    run(cluttergen, "generate", "-n", "1", "--method", "clear", "--out", "bank", "--no-render", cwd=tmp_path)
+    run(
+        cluttergen,
+        "generate",
+        "-n",
+        "1",
+        "--method",
+        "clear",
+        "--out",
+        "bank",
+        "--no-render",
+        cwd=tmp_path,
+    )
     assert "1 of 1 scenes stand" in run(cluttergen, "verify", "bank", cwd=tmp_path)
 
 
@@ -48,19 +60,25 @@ def test_wheel_generates_outside_the_checkout(tmp_path):
 @pytest.mark.timeout(300)
 def test_both_distributions_are_ready_to_be_published(tmp_path):
     run(sys.executable, "-m", "build", "--outdir", tmp_path, ROOT, cwd=tmp_path)
-    (wheel,), (sdist,) = tmp_path.glob("*.whl"), tmp_path.glob("*.tar.gz")
+    (wheel,) = tmp_path.glob("*.whl")
+    (sdist,) = tmp_path.glob("*.tar.gz")
     run(sys.executable, "-m", "twine", "check", "--strict", wheel, sdist, cwd=tmp_path)
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
     folders = ("checkpoints", "placers", "pools", "segmenters", "supports")
     names = ("cluttergen_jax", *(f"scenes/{name}" for name in folders))
     files = {path for name in names for path in (ROOT / name).rglob("*")}
-    data = {path.relative_to(ROOT) for path in files if path.is_file() and "__pycache__" not in path.parts}
+    data = {
+        path.relative_to(ROOT)
+        for path in files
+        if path.is_file() and "__pycache__" not in path.parts
+    }
     assert "cluttergen_jax/py.typed" in held
     # The folder `scenes` of a checkout is installed as `cluttergen_jax/data`.
     package = Path("cluttergen_jax")
     inside = (
-        path if path.parts[0] == package.name else package / "data" / Path(*path.parts[1:]) for path in data
+        path if path.parts[0] == package.name else package / "data" / Path(*path.parts[1:])
+        for path in data
     )
     assert {str(path) for path in inside} <= held
     assert not any("ablations" in name or "/ready/" in name for name in held)
@@ -76,7 +94,14 @@ def test_source_distribution_carries_what_the_documents_speak_of(tmp_path):
     for path in ROOT.iterdir():
         if path.suffix in (".md", ".cff", ".py"):
             assert path.name in held
-    for folder, kind in (("docs", "*"), ("examples", "*.py"), ("benchmarks", "*.py"), ("tests", "*.py")):
-        assert {str(path.relative_to(ROOT)) for path in (ROOT / folder).glob(kind) if path.is_file()} <= held
+    for folder, kind in (
+        ("docs", "*"),
+        ("examples", "*.py"),
+        ("benchmarks", "*.py"),
+        ("tests", "*.py"),
+    ):
+        assert {
+            str(path.relative_to(ROOT)) for path in (ROOT / folder).glob(kind) if path.is_file()
+        } <= held
     # Records of measurements are of the repository alone.
     assert not [name for name in held if name.startswith(("reports/", "tests/reports/"))]

@@ -11,7 +11,9 @@ from cluttergen_jax.importing.settings import read_settings
 from cluttergen_jax.schema import SchemaError, parse_toml, parse_written_json, parse_yaml
 from cluttergen_jax.sensing.camera_plan import parse_cameras
 
-MERGED = "l0: &l0 {a: 1}\n" + "".join(f"l{i}: &l{i} {{<<: [*l{i - 1}, *l{i - 1}]}}\n" for i in range(1, 30))
+MERGED = "l0: &l0 {a: 1}\n" + "".join(
+    f"l{i}: &l{i} {{<<: [*l{i - 1}, *l{i - 1}]}}\n" for i in range(1, 30)
+)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +66,9 @@ def test_json_has_each_key_once_and_an_end(text, said):
         parse_written_json(text.encode())
 
 
-@pytest.mark.parametrize("text", ["a = 1\na = 2", "a = " + "[" * 51 + "]" * 51, "a = " + "[" * 10**5])
+@pytest.mark.parametrize(
+    "text", ["a = 1\na = 2", "a = " + "[" * 51 + "]" * 51, "a = " + "[" * 10**5]
+)
 def test_toml_has_each_key_once_and_an_end(text):
     with pytest.raises(SchemaError, match=r"TOML|deep"):
         parse_toml(text)

@@ -64,9 +64,16 @@ def test_files_and_their_entries_are_those_of_the_format(dataset, scene):
     }  # fmt: skip
     names = [f"{view:06d}.png" for view in range(2)]
     masks = [f"{view:06d}_{index:06d}.png" for view in range(2) for index in range(4)]
-    for kind, expected in (("rgb", names), ("depth", names), ("mask", masks), ("mask_visib", masks)):
+    for kind, expected in (
+        ("rgb", names),
+        ("depth", names),
+        ("mask", masks),
+        ("mask_visib", masks),
+    ):
         assert sorted(each.name for each in (images / kind).iterdir()) == expected
-    cameras, poses, infos = (load(images / f"scene_{name}.json") for name in ("camera", "gt", "gt_info"))
+    cameras, poses, infos = (
+        load(images / f"scene_{name}.json") for name in ("camera", "gt", "gt_info")
+    )
     assert list(cameras) == list(poses) == list(infos) == [0, 1]
     for view in range(2):
         sizes = {name: len(cameras[view][name]) for name in ("cam_K", "cam_R_w2c", "cam_t_w2c")}
@@ -92,7 +99,9 @@ def test_files_and_their_entries_are_those_of_the_format(dataset, scene):
 def test_projected_models_cover_their_masks_and_lie_where_depth_says(dataset):
     folder, _ = dataset
     images = folder / SPLIT / "000003"
-    cameras, poses, infos = (load(images / f"scene_{name}.json") for name in ("camera", "gt", "gt_info"))
+    cameras, poses, infos = (
+        load(images / f"scene_{name}.json") for name in ("camera", "gt", "gt_info")
+    )
     for view in range(2):
         K = np.reshape(cameras[view]["cam_K"], (3, 3))
         depth = pixels(images / "depth" / f"{view:06d}.png") * cameras[view]["depth_scale"]
@@ -127,7 +136,8 @@ def test_projected_models_cover_their_masks_and_lie_where_depth_says(dataset):
             assert info["px_count_valid"] == mask.sum()
             assert info["px_count_all"] >= mask.sum()
             assert info["visib_fract"] == pytest.approx(visible.sum() / info["px_count_all"])
-            low, size = np.array(info["bbox_visib"][:2]), np.array(info["bbox_visib"][2:])
+            low = np.array(info["bbox_visib"][:2])
+            size = np.array(info["bbox_visib"][2:])
             assert [columns.min(), rows.min()] == low.tolist()
             assert [columns.max(), rows.max()] == (low + size).tolist()
         assert claimed.max() == 1
@@ -150,16 +160,22 @@ def overlap(one, other):
     return (one & other).sum() / (one | other).sum()
 
 
-@pytest.mark.parametrize(("pixel_origin", "to_middle", "wrong"), [("center", 0.0, 0.5), ("corner", 0.5, 0.0)])
-def test_masks_are_where_a_rasteriser_of_that_origin_has_them(tmp_path, pixel_origin, to_middle, wrong):
-    rng, poses = np.random.default_rng(4), np.array([[0.0, 0, 0.75, 0.8, 0, 0, 0.6]])
+@pytest.mark.parametrize(
+    ("pixel_origin", "to_middle", "wrong"), [("center", 0.0, 0.5), ("corner", 0.5, 0.0)]
+)
+def test_masks_are_where_a_rasteriser_of_that_origin_has_them(
+    tmp_path, pixel_origin, to_middle, wrong
+):
+    rng = np.random.default_rng(4)
+    poses = np.array([[0.0, 0, 0.75, 0.8, 0, 0, 0.6]])
     cameras = [free(TABLE, rng, *SIZE) for _ in range(4)]
     dataset = BopDataset(tmp_path, pixel_origin=pixel_origin)
     images = dataset.add(0, [RED], poses, TABLE, cameras, PICTURE, is_drawn=False)
     seen, gts = (load(images / f"scene_{name}.json") for name in ("camera", "gt"))
     model = trimesh.load(tmp_path / "models" / "obj_000001.ply", process=False)
     for view, camera in enumerate(cameras):
-        K, pose = np.reshape(seen[view]["cam_K"], (3, 3)), gts[view][0]
+        K = np.reshape(seen[view]["cam_K"], (3, 3))
+        pose = gts[view][0]
         corners = model.vertices @ np.reshape(pose["cam_R_m2c"], (3, 3)).T + pose["cam_t_m2c"]
         mask = pixels(images / "mask" / f"{view:06d}_000000.png") > 0
         assert 300 < mask.sum() < 3000
@@ -177,7 +193,10 @@ def test_masks_are_where_a_rasteriser_of_that_origin_has_them(tmp_path, pixel_or
 
 def motions_of(info, num_steps=12):
     """As bop_toolkit combines them: each discrete motion, then each turn about an axis; f64[4, 4] each."""
-    discrete = [np.eye(4), *(np.reshape(each, (4, 4)) for each in info.get("symmetries_discrete", []))]
+    discrete = [
+        np.eye(4),
+        *(np.reshape(each, (4, 4)) for each in info.get("symmetries_discrete", [])),
+    ]
     turns = [
         trimesh.transformations.rotation_matrix(angle, each["axis"], each["offset"])
         for each in info.get("symmetries_continuous", [])
@@ -190,7 +209,8 @@ def test_symmetries_are_told_as_the_format_has_them(tmp_path):
     dining = find_pool("dining")
     add_models(tmp_path, [RED, dining["bowl"], dining["mug"], dining["soup_can"]])
     infos = {
-        each["name"]: (key, each) for key, each in load(tmp_path / "models" / "models_info.json").items()
+        each["name"]: (key, each)
+        for key, each in load(tmp_path / "models" / "models_info.json").items()
     }
     assert not {"symmetries_discrete", "symmetries_continuous"} & set(infos["mug"][1])
     (axis,) = infos["bowl"][1]["symmetries_continuous"]
@@ -200,7 +220,8 @@ def test_symmetries_are_told_as_the_format_has_them(tmp_path):
         number, info = infos[name]
         model = trimesh.load(tmp_path / "models" / f"obj_{number:06d}.ply", process=False)
         points = trimesh.sample.sample_surface(model, 20_000, seed=0)[0]
-        tree, motions = cKDTree(points), motions_of(info)
+        tree = cKDTree(points)
+        motions = motions_of(info)
         assert len(motions) == count
         for motion in motions:
             # Points of the same surface lie 3 mm apart or so.
@@ -219,11 +240,15 @@ def test_another_model_of_a_name_is_refused_and_leaves_nothing_behind(tmp_path):
 
 def test_models_are_in_millimetres_with_normals_and_colours():
     mug = find_pool("dining")["mug"]
-    model = trimesh.load(trimesh.util.wrap_as_stream(model_ply(mug)), file_type="ply", process=False)
+    model = trimesh.load(
+        trimesh.util.wrap_as_stream(model_ply(mug)), file_type="ply", process=False
+    )
     vertices = np.concatenate([piece.mesh.vertices for piece in mug.pieces]) * 1000
     np.testing.assert_allclose(model.bounds, [vertices.min(0), vertices.max(0)], atol=1e-3)
     area = sum(trimesh.Trimesh(piece.mesh.vertices, piece.mesh.faces).area for piece in mug.pieces)
     assert model.area == pytest.approx(area * 1e6, rel=1e-3)
     np.testing.assert_allclose(np.linalg.norm(model.vertex_normals, axis=1), 1.0, atol=1e-4)
     colours = {tuple(row[:3]) for row in model.visual.vertex_colors}
-    assert {tuple(np.round(255 * np.array(piece.rgba[:3])).astype(int)) for piece in mug.pieces} == colours
+    assert {
+        tuple(np.round(255 * np.array(piece.rgba[:3])).astype(int)) for piece in mug.pieces
+    } == colours

@@ -22,7 +22,9 @@ def nothing_draws(monkeypatch):
 
 def written(path, first):
     """A bank whose scene 0 stands as scene `first` of another, and so on."""
-    rows = banks.rows(0).to_pydict() | {"poses": banks.rows(first // BLOCK_SIZE)["poses"].to_pylist()}
+    rows = banks.rows(0).to_pydict() | {
+        "poses": banks.rows(first // BLOCK_SIZE)["poses"].to_pylist()
+    }
     seen = {each.name: replace(each, pieces=(Piece(each.parts[0].hull()),)) for each in trio()}
     with banks.writer(path, BLOCK_SIZE, objects=seen) as bank:
         bank.write_block(0, pa.Table.from_pydict(rows, schema=banks.SCHEMA))
@@ -52,7 +54,10 @@ def added(bank, out, scenes="0-2", **changes):
 def tree(folder):
     """What each file of a dataset holds, and when it was written."""
     files = [each for each in sorted(folder.rglob("*")) if each.is_file()]
-    return {each.relative_to(folder).as_posix(): (each.read_bytes(), each.stat().st_ino) for each in files}
+    return {
+        each.relative_to(folder).as_posix(): (each.read_bytes(), each.stat().st_ino)
+        for each in files
+    }
 
 
 def numbers(out, split="train_synt"):
@@ -68,7 +73,9 @@ def test_scenes_of_a_second_bank_are_added_and_nothing_is_made_twice(first, seco
     after = tree(tmp_path / "bop" / "train_synt")
     assert {name: after[name] for name in before} == before
     for number, (source, scene) in {4: ("first", 4), 5: ("second", 0), 7: ("second", 2)}.items():
-        record = json.loads((tmp_path / "bop" / "train_synt" / f"{number:06d}" / "origin.json").read_text())
+        record = json.loads(
+            (tmp_path / "bop" / "train_synt" / f"{number:06d}" / "origin.json").read_text()
+        )
         assert (record["source"], record["scene"]) == (source, scene)
     for bank, scenes in ((second, "0-2"), (first, "0,4,2")):
         report = added(bank, tmp_path, scenes)
@@ -84,7 +91,8 @@ def test_a_call_that_was_interrupted_goes_on_where_it_stopped(first, second, tmp
     for bank in (first, second):
         added(bank, tmp_path / "whole")
     added(first, tmp_path / "cut")
-    honest, calls = BopDataset.add, []
+    honest = BopDataset.add
+    calls = []
 
     def interrupted(self, number, *args):
         calls.append(number)

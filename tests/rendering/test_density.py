@@ -29,7 +29,9 @@ def proposed(x, y):
 
 @needs_gl
 def test_the_figure_colours_the_table_there_and_nothing_else():
-    right, left = (density_figure(proposed(x, 0.1), picture=PICTURE).astype(int) for x in (0.9, 0.1))
+    right, left = (
+        density_figure(proposed(x, 0.1), picture=PICTURE).astype(int) for x in (0.9, 0.1)
+    )
     # Violet on a brown table takes red away.
     where = {
         name: np.argwhere(change > 25)

@@ -24,7 +24,9 @@ def test_replay_shows_the_trajectory_and_only_what_stood():
     recording = cubes()
     frames = replay_frames(recording, FilmConfig(fps=40, seconds=60))
     for frame in frames:
-        current = [k for k, style in enumerate(frame.styles) if style is not None and style.strength > 0]
+        current = [
+            k for k, style in enumerate(frame.styles) if style is not None and style.strength > 0
+        ]
         assert len(current) <= 1
         # What is tinted is the current object, and red itself is never tinted: it failed at nothing.
         assert current in ([], [1])
@@ -57,7 +59,8 @@ def test_closed_loop_figure_rings_failures_red_and_the_end_green():
 
 @needs_gl
 def test_a_camera_of_ones_own_stays_or_goes_around():
-    recording, picture = cubes(), PictureConfig(width=64, height=48, samples=2)
+    recording = cubes()
+    picture = PictureConfig(width=64, height=48, samples=2)
     middle = np.append(recording.region.center, recording.support.top)
     one, other = (
         Camera.looking(middle + np.array([side * 0.5, 0.1 * side, 0.4]), middle, 80, 60, 90.0)
@@ -69,7 +72,9 @@ def test_a_camera_of_ones_own_stays_or_goes_around():
     ends = [[*replay(recording, plain, picture, each)][-1] for each in (one, other)]
     assert {image.shape for image in (*around, *ends)} == {(60, 80, 3)}
     # Half a turn leads to where the other camera begins; only the light has gone along.
-    near, far = (np.abs(around[2].astype(int) - image).mean() for image in (from_other[0], around[0]))
+    near, far = (
+        np.abs(around[2].astype(int) - image).mean() for image in (from_other[0], around[0])
+    )
     assert near < 0.8 * far
     np.testing.assert_array_equal(ends[0], around[0])
     np.testing.assert_array_equal(ends[1], from_other[0])
@@ -89,7 +94,9 @@ def test_gif_holds_every_frame_at_its_pace(tmp_path):
         for k, expected in enumerate(moving_square()):
             film.seek(k)
             assert film.info["duration"] == 50
-            np.testing.assert_allclose(np.asarray(film.convert("RGB")).astype(int), expected, atol=8)
+            np.testing.assert_allclose(
+                np.asarray(film.convert("RGB")).astype(int), expected, atol=8
+            )
     assert [each.name for each in path.parent.iterdir()] == ["a.gif"]
 
 
@@ -103,7 +110,9 @@ def test_mp4_holds_every_frame(tmp_path):
     assert meta["fps"] == pytest.approx(10)
     assert len(frames) == 6
     for frame, expected in zip(frames, moving_square(size=(49, 65)), strict=True):
-        np.testing.assert_allclose(frame[12:18].mean((0, 1)), expected[12:18, :64].mean((0, 1)), atol=12)
+        np.testing.assert_allclose(
+            frame[12:18].mean((0, 1)), expected[12:18, :64].mean((0, 1)), atol=12
+        )
 
 
 def test_films_that_cannot_be_are_refused_and_leave_nothing(tmp_path, monkeypatch):

@@ -21,14 +21,17 @@ PATIENCE = 60
 class Scenes:
     """Scenes of two objects by a physics with known answers: what is let go at x > 0 stands."""
 
-    name, keep_out = "test", (Rectangle((0.1, 0.1), (0.02, 0.02)),)
+    name = "test"
+    keep_out = (Rectangle((0.1, 0.1), (0.02, 0.02)),)
 
     def __init__(self):
         problem = trio_problem(history_stride=0, num_objects=2)
         rules = problem.rules.replace(physics=HalfTable())
         self.setup = Setup(replace(problem, rules=rules), no_keep_out(), Start.empty(3))
-        self.support, self.region = problem.world.support, problem.region
-        self.kept, self.is_full = [], False
+        self.support = problem.world.support
+        self.region = problem.region
+        self.kept = []
+        self.is_full = False
 
     @property
     def num_kept(self):
@@ -55,7 +58,8 @@ def panel(scenes):
     from cluttergen_jax.rendering.viewer.placing import PlacingPanel
 
     server = open_server("127.0.0.1", 0, "test")
-    scenes.kept, scenes.is_full = [], False
+    scenes.kept = []
+    scenes.is_full = False
     panel = PlacingPanel(scenes, server)
     yield panel
     panel.close()

@@ -20,7 +20,9 @@ from tests.helpers.drawing import GREEN, RED, needs_gl
 def status_with(value, **settings):
     code = "from cluttergen_jax.rendering.gl import renderer_status; print(*renderer_status(), sep='|')"
     env = {**os.environ, "MUJOCO_GL": value, **settings}
-    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=120
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip().split("|", 1)
 
@@ -36,7 +38,9 @@ def test_nonsense_backend_is_named_and_choices_given():
 @pytest.mark.parametrize(
     ("asked", "hint"), [(["--depth"], "--no-picture, since depth can"), ([], "unsetting")]
 )
-def test_what_has_to_be_drawn_is_refused_before_any_work(tmp_path, monkeypatch, capsys, asked, hint):
+def test_what_has_to_be_drawn_is_refused_before_any_work(
+    tmp_path, monkeypatch, capsys, asked, hint
+):
     file = tmp_path / "ball.xml"
     ball = '<body pos="0 0 1"><freejoint/><geom size="0.1" group="2"/></body>'
     table = '<geom type="box" size="0.5 0.5 0.1" group="2"/>'
@@ -75,13 +79,16 @@ def test_objects_have_their_colours_where_they_stand():
     poses = np.array([[-0.15, 0, 0.75, 1, 0, 0, 0], [0.15, 0, 0.74, 1, 0, 0, 0]])
     # Seen from above with +x to the right: azimuth 90 looks along +y.
     view = CameraView(azimuth=90, elevation=-89)
-    image = render_scene([RED, GREEN], poses, cuboid_table(0.6, 0.4, 0.7), camera=view, samples=4).astype(int)
+    image = render_scene(
+        [RED, GREEN], poses, cuboid_table(0.6, 0.4, 0.7), camera=view, samples=4
+    ).astype(int)
     height, width, _ = image.shape
     assert (height, width) == (480, 640)
     is_red = (image[..., 0] > 2 * image[..., 1]) & (image[..., 0] > 100)
     is_green = (image[..., 1] > 2 * image[..., 0]) & (image[..., 1] > 80)
     # The table's 0.6 m fill the width but for the margins, so 0.25 m from the middle is about 0.22 of it.
-    red_x, green_x = np.argwhere(is_red)[:, 1].mean() / width, np.argwhere(is_green)[:, 1].mean() / width
+    red_x = np.argwhere(is_red)[:, 1].mean() / width
+    green_x = np.argwhere(is_green)[:, 1].mean() / width
     assert red_x + green_x == pytest.approx(1.0, abs=0.02)
     assert 0.2 < red_x < 0.35
     for mask, half in ((is_red, 0.05), (is_green, 0.04)):
@@ -97,7 +104,8 @@ def test_hulls_replace_surfaces_and_show_selects_bodies():
     assert not is_red.any()
     spec, qpos = scene_spec([RED, GREEN], poses, None)
     model = spec.compile()
-    groups, colours = model.geom_group.copy(), model.geom_rgba.copy()
+    groups = model.geom_group.copy()
+    colours = model.geom_rgba.copy()
     alone = render_model(model, qpos, show=["00-red"], samples=2).astype(int)
     assert ((alone[..., 0] > 2 * alone[..., 1]) & (alone[..., 0] > 100)).any()
     assert not ((alone[..., 1] > 2 * alone[..., 0]) & (alone[..., 1] > 80)).any()
@@ -111,7 +119,8 @@ def test_hulls_replace_surfaces_and_show_selects_bodies():
 def test_object_sheet_draws_surface_and_parts():
     sheet = object_sheet([RED, GREEN, RED], columns=2, samples=2)
     assert sheet.shape == (2 * (240 + 8 + 24) + 8, 2 * (480 + 8) + 8, 3)
-    left, right = sheet[8:248, 8:188].astype(int), sheet[8:248, 308:488].astype(int)
+    left = sheet[8:248, 8:188].astype(int)
+    right = sheet[8:248, 308:488].astype(int)
     assert not np.array_equal(right, np.broadcast_to(right[0, 0], right.shape))
     assert ((left[..., 0] > 3 * left[..., 1]) & (left[..., 0] > 100)).any()
     assert not ((right[..., 0] > 3 * right[..., 1]) & (right[..., 0] > 100)).any()

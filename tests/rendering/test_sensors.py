@@ -41,7 +41,9 @@ def test_rays_and_opengl_see_the_same(name):
     data = sensor.make_data()
     sensor.pose(data, poses)
     cast = sensor.sense(data, camera)
-    shifted = np.stack([np.roll(cast.label, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    shifted = np.stack(
+        [np.roll(cast.label, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    )
     is_inside = np.zeros_like(cast.label, bool)
     is_inside[1:-1, 1:-1] = True
     assert (shifted == drawn.label).any(0)[is_inside].all()

@@ -16,7 +16,16 @@ from cluttergen_jax.generation.sources import BankSource, open_source
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from tests.helpers.drawing import needs_gl
 
-GENERATE = ["generate", "--objects", "mug", "bowl", "--support", "table-0.20x0.24", "--method", "random"]
+GENERATE = [
+    "generate",
+    "--objects",
+    "mug",
+    "bowl",
+    "--support",
+    "table-0.20x0.24",
+    "--method",
+    "random",
+]
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +44,8 @@ def source(bank):
 def test_attempts_are_made_again_and_end_in_the_stored_scene(source):
     assert source.numbers == (0, 1, 2, 3)
     for number in source.numbers:
-        stored, recording = source.still(number), source.replay(number)
+        stored = source.still(number)
+        recording = source.replay(number)
         assert not stored.attempts
         assert recording.attempts
         assert (stored.is_success, stored.verdict) == (recording.is_success, recording.verdict)
@@ -62,7 +72,8 @@ def test_a_scene_that_ends_elsewhere_is_not_passed_off(bank, source, monkeypatch
 def test_scene_file_is_read_as_the_bank_has_it(bank, source, tmp_path):
     number = int(source.successes[0])
     file = bank / "scenes" / f"{number:06d}.xml"
-    scene, stored = read_mjcf_scene(file), source.still(number)
+    scene = read_mjcf_scene(file)
+    stored = source.still(number)
     assert scene.names == stored.names
     np.testing.assert_allclose(scene.poses, stored.poses, atol=1e-6)
     assert scene.support.top == pytest.approx(stored.support.top, abs=0.001)
@@ -76,7 +87,9 @@ def test_scene_file_is_read_as_the_bank_has_it(bank, source, tmp_path):
         gaps = np.linalg.norm(ours.cloud[:100, None] - theirs.cloud[None], axis=-1).min(1)
         assert gaps.max() < 0.02
     elsewhere = tmp_path / "plain.xml"
-    elsewhere.write_text('<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>')
+    elsewhere.write_text(
+        '<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
+    )
     with pytest.raises(AssetError, match="move freely"):
         open_source(str(elsewhere))
     elsewhere.write_text("<mujoco>")
@@ -87,8 +100,28 @@ def test_scene_file_is_read_as_the_bank_has_it(bank, source, tmp_path):
 @needs_gl
 def test_render_writes_what_is_asked_for(bank, source, tmp_path):
     number = int(source.successes[0])
-    quick = ["--size", "96x72", "--samples", "1", "--fps", "4", "--seconds", "1", "--out", str(tmp_path)]
-    asked = ["--turntable", "--replay", "--depth", "--segmentation", "--points", "--bop", "--views", "2"]
+    quick = [
+        "--size",
+        "96x72",
+        "--samples",
+        "1",
+        "--fps",
+        "4",
+        "--seconds",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
+    asked = [
+        "--turntable",
+        "--replay",
+        "--depth",
+        "--segmentation",
+        "--points",
+        "--bop",
+        "--views",
+        "2",
+    ]
     assert main(["render", f"{bank}:{number}", *asked, *quick]) == 0
     endings = [
         ".png",
@@ -100,9 +133,9 @@ def test_render_writes_what_is_asked_for(bank, source, tmp_path):
         "-turntable.gif",
         "-replay.gif",
     ]
-    assert {each.name for each in tmp_path.iterdir()} == {f"{number:06d}{ending}" for ending in endings} | {
-        "bop"
-    }
+    assert {each.name for each in tmp_path.iterdir()} == {
+        f"{number:06d}{ending}" for ending in endings
+    } | {"bop"}
     views = tmp_path / "bop" / "train_synt" / f"{number:06d}" / "rgb"
     assert [each.name for each in sorted(views.iterdir())] == ["000000.png", "000001.png"]
     with pytest.raises(ConfigError, match="views = 0"):
@@ -118,7 +151,13 @@ def test_render_writes_what_is_asked_for(bank, source, tmp_path):
 @needs_gl
 def test_cameras_and_qualities_of_pictures(bank, source, tmp_path):
     number = int(source.successes[0])
-    asked = {"scenes": [number], "depth": True, "cameras": ("overhead", "free"), "size": "80x60", "seed": 2}
+    asked = {
+        "scenes": [number],
+        "depth": True,
+        "cameras": ("overhead", "free"),
+        "size": "80x60",
+        "seed": 2,
+    }
 
     def drawn(quality):
         out = tmp_path / quality
@@ -137,7 +176,8 @@ def test_cameras_and_qualities_of_pictures(bank, source, tmp_path):
             assert np.abs(sensors["rgb"] - picture).mean() < 8
         return picture
 
-    draft, fine = drawn("draft"), drawn("fine")
+    draft = drawn("draft")
+    fine = drawn("fine")
     assert draft.shape == fine.shape == (60, 80, 3)
     assert 0 < np.abs(draft - fine).mean() < 20
     with pytest.raises(ConfigError, match="quality = 'best'"):

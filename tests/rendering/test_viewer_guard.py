@@ -63,7 +63,9 @@ def test_the_address_that_is_printed_is_answered(server):
     with dial(server, path.rstrip("/"), origin=f"http://{own}") as line:
         assert line.recv(timeout=20)
     # As a forwarded port is seen from the other machine.
-    with dial(server, path, host="localhost", origin=f"http://localhost:{server.get_port()}") as line:
+    with dial(
+        server, path, host="localhost", origin=f"http://localhost:{server.get_port()}"
+    ) as line:
         assert line.recv(timeout=20)
 
 
@@ -78,7 +80,15 @@ def test_the_address_that_is_printed_is_answered(server):
         (True, "evil.example", None),
         (True, "evil.example", "own"),
     ],
-    ids=["no token", "no token, own page", "foreign", "other port", "file", "rebound", "rebound, own page"],
+    ids=[
+        "no token",
+        "no token, own page",
+        "foreign",
+        "other port",
+        "file",
+        "rebound",
+        "rebound, own page",
+    ],
 )
 def test_strangers_are_refused(server, is_told, host, origin):
     entered = []
@@ -98,7 +108,9 @@ def test_strangers_are_refused(server, is_told, host, origin):
     assert not entered
 
 
-@pytest.mark.parametrize("path", ["", "/", "/index.html", "//", "/?token", "/%2e%2e/", "/\xe9/", "*"])
+@pytest.mark.parametrize(
+    "path", ["", "/", "/index.html", "//", "/?token", "/%2e%2e/", "/\xe9/", "*"]
+)
 def test_no_path_but_the_one_with_the_token_is_answered(path):
     guard = Guard("localhost")
     own = Headers({"Host": "localhost:8080"})
@@ -143,7 +155,8 @@ def test_other_machines_are_let_in_on_request_alone_and_with_the_token():
     try:
         told = []
         announce(server, browser=False, show=told.append)
-        port, token = server.get_port(), server.guard.token
+        port = server.get_port()
+        token = server.guard.token
         assert told[0].startswith(f"viewer     http://localhost:{port}/{token}/ ")
         name = guarding.socket.gethostname()
         assert told[1] == f"elsewhere  http://{name}:{port}/{token}/"

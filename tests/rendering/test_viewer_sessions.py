@@ -33,7 +33,9 @@ CAMERA = {
 class Scenes:
     """Three scenes that differ by their titles; each is held back until `go` is set."""
 
-    name, numbers, methods = "test", (0, 1, 2), ("random",)
+    name = "test"
+    numbers = (0, 1, 2)
+    methods = ("random",)
 
     def __init__(self):
         self.go = threading.Event()
@@ -115,7 +117,8 @@ def test_two_browsers_look_at_different_scenes_and_leave_alone(viewer):
 
 @pytest.mark.parametrize(("support", "surface"), [("bookcase", "all"), ("tilted_board_10", "")])
 def test_regions_are_outlined_on_the_surfaces_that_objects_are_asked_for_on(support, surface):
-    asked, server = find_support(support).on_surface(surface), MagicMock()
+    asked = find_support(support).on_surface(surface)
+    server = MagicMock()
     SceneNodes(server)._add_region(SimpleNamespace(support=asked, region=asked.region, keep_out=()))
     drawn = [call.args[1] for call in server.scene.add_line_segments.call_args_list]
     assert len(drawn) == len(asked.asked)

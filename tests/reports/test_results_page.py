@@ -7,7 +7,13 @@ import pytest
 
 from cluttergen_jax.downstream.suite import STUDIES as DOWNSTREAM
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.report import document, provenance, read_results, tables_of, with_earlier_rows
+from cluttergen_jax.evaluation.report import (
+    document,
+    provenance,
+    read_results,
+    tables_of,
+    with_earlier_rows,
+)
 from cluttergen_jax.evaluation.studies import table1
 from cluttergen_jax.evaluation.studies.study import Scale
 from cluttergen_jax.evaluation.suites import STUDIES
@@ -16,7 +22,8 @@ REPORTS = Path(__file__).parents[2] / "reports"
 
 
 def test_results_page_agrees_with_its_json():
-    results, notes = read_results(REPORTS / "results"), (REPORTS / "missed.md").read_text(encoding="utf-8")
+    results = read_results(REPORTS / "results")
+    notes = (REPORTS / "missed.md").read_text(encoding="utf-8")
     # New studies have no result until they are made.
     assert {result["name"] for result in results} <= {*STUDIES, *DOWNSTREAM}
     assert (REPORTS / "results.md").read_text(encoding="utf-8") == document(results, notes)
@@ -33,13 +40,19 @@ def test_rows_of_episodes_come_with_what_a_suite_made(tmp_path, monkeypatch):
     rows.write_bytes(b"{}\n")
     make_results.take_over(tmp_path / "made", keep_rows=False)
     taken = [each for each in (tmp_path / "results").rglob("*") if each.is_file()]
-    assert [each.relative_to(tmp_path / "results") for each in taken] == [rows.relative_to(tmp_path / "made")]
+    assert [each.relative_to(tmp_path / "results") for each in taken] == [
+        rows.relative_to(tmp_path / "made")
+    ]
     assert taken[0].read_bytes() == rows.read_bytes()
 
 
 def test_seeds_that_were_trained_in_another_way_have_a_row_of_their_own():
     (result,) = (each for each in read_results(REPORTS / "results") if each["name"] == "table1")
-    one = next(row for row in result["records"] if row["trial"]["method"] == "beta_free" and "figures" in row)
+    one = next(
+        row
+        for row in result["records"]
+        if row["trial"]["method"] == "beta_free" and "figures" in row
+    )
     alike = one | {"trial": one["trial"] | {"training_seed": 1}}
     other = one | {"policy": one["policy"] | {"attempts": 1000}}
     missing = {"trial": one["trial"], "missing": "no checkpoint", "hint": "train it"}
@@ -62,14 +75,20 @@ def test_rows_that_were_not_made_again_stay_with_where_they_come_from():
     of_before = first | {"trial": first["trial"] | {"method": "beta"}}
     earlier = earlier | {"records": [first, of_before, *others]}
     # As an older version wrote it, which knew of no other order.
-    first = first | {"trial": {name: value for name, value in first["trial"].items() if name != "order"}}
+    first = first | {
+        "trial": {name: value for name, value in first["trial"].items() if name != "order"}
+    }
     earlier = earlier | {"records": [first, *earlier["records"][1:]]}
     again = first | {
         "trial": first["trial"] | {"order": "random"},
         "figures": first["figures"] | {"success": 0.5},
     }
     fresh = first | {"trial": again["trial"] | {"method": "guided"}}
-    made = earlier | {"records": [again, fresh], "command": "cluttergen again", "date": "2026-12-01"}
+    made = earlier | {
+        "records": [again, fresh],
+        "command": "cluttergen again",
+        "date": "2026-12-01",
+    }
     made.pop("earlier", None)
     merged = with_earlier_rows(made, earlier)
     assert len(merged["records"]) == len(others) + 2
@@ -83,9 +102,13 @@ def test_rows_that_were_not_made_again_stay_with_where_they_come_from():
     assert with_earlier_rows(earlier, made | {"records": [first]}) is earlier
     # What the older version did not know of sets new rows apart.
     largest = again | {"trial": again["trial"] | {"order": "largest"}}
-    merged = with_earlier_rows(made | {"records": [again, largest]}, earlier | {"records": [first, *others]})
+    merged = with_earlier_rows(
+        made | {"records": [again, largest]}, earlier | {"records": [first, *others]}
+    )
     assert len(merged["records"]) == len(others) + 2
-    imported = next(each for each in read_results(REPORTS / "results") if each["name"] == "imported")
+    imported = next(
+        each for each in read_results(REPORTS / "results") if each["name"] == "imported"
+    )
     last = imported | {"records": [imported["records"][-1] | {"figures": again["figures"]}]}
     assert len(with_earlier_rows(last, imported)["records"]) == len(imported["records"])
     robot = next(each for each in read_results(REPORTS / "results") if each["name"] == "robot")

@@ -51,7 +51,9 @@ def test_files_hold_the_poses_twice_and_stand(bank):
     for scene in scenes:
         path = bank / "scenes" / f"{scene.index:06d}.xml"
         model = mujoco.MjModel.from_xml_path(str(path))
-        np.testing.assert_array_equal(model.key("scene").qpos.astype(np.float32), scene.poses.ravel())
+        np.testing.assert_array_equal(
+            model.key("scene").qpos.astype(np.float32), scene.poses.ravel()
+        )
         np.testing.assert_allclose(model.qpos0, scene.poses.ravel(), atol=1e-6)
         assert model.opt.timestep == 1 / 480
         assert verify_scene(path).stands

@@ -24,7 +24,9 @@ def test_a_bank_is_not_continued_with_other_bits(tmp_path):
     with pytest.raises(BankError, match="allow_other_bits") as caught:
         banks.writer(path, 600, bits=THERE)
     assert "instructions (here nothing more, the bank avx2 fma)" in str(caught.value)
-    assert "xla_flags (here --xla_backend_optimization_level=0, the bank nothing more)" in str(caught.value)
+    assert "xla_flags (here --xla_backend_optimization_level=0, the bank nothing more)" in str(
+        caught.value
+    )
     assert (path / INDEX).read_bytes() == before
 
 

@@ -15,12 +15,15 @@ from cluttergen_jax.scene.bank.hub import check_whole
 from cluttergen_jax.scene.bank.record import index_bytes
 from tests.helpers import banks
 
-PART, SCENE = "assets/objects/prism/part-00.obj", "scenes/000000.xml"
+PART = "assets/objects/prism/part-00.obj"
+SCENE = "scenes/000000.xml"
 ROWS = "scenes-000000.parquet"
 
 
 def all_bytes(path):
-    files = [each for each in path.rglob("*") if each.is_file() and each.name != "verification.json"]
+    files = [
+        each for each in path.rglob("*") if each.is_file() and each.name != "verification.json"
+    ]
     return {each.relative_to(path): each.read_bytes() for each in files}
 
 
@@ -51,7 +54,9 @@ def verify(path):
         ("assets/support/support.json", str.upper, 0),
     ],
 )
-def test_what_was_changed_is_named_does_not_count_and_is_mended(bank, whole, capsys, name, change, stand):
+def test_what_was_changed_is_named_does_not_count_and_is_mended(
+    bank, whole, capsys, name, change, stand
+):
     text = (bank / name).read_text()
     (bank / name).write_text(change(text))
     assert (bank / name).read_text() != text
@@ -71,10 +76,15 @@ def test_what_was_changed_is_named_does_not_count_and_is_mended(bank, whole, cap
     ("change", "said"),
     [
         (lambda text: text[:-20], "cannot be loaded"),
-        (lambda text: text.replace('key name="scene"', 'key name="other"'), "has no keyframe called 'scene'"),
+        (
+            lambda text: text.replace('key name="scene"', 'key name="other"'),
+            "has no keyframe called 'scene'",
+        ),
     ],
 )
-def test_a_file_that_cannot_be_simulated_is_reported_and_the_others_are_checked(bank, capsys, change, said):
+def test_a_file_that_cannot_be_simulated_is_reported_and_the_others_are_checked(
+    bank, capsys, change, said
+):
     text = (bank / SCENE).read_text()
     (bank / SCENE).write_text(change(text))
     assert (bank / SCENE).read_text() != text
@@ -129,7 +139,9 @@ def renamed(rows):
 def test_rows_that_were_changed_are_named_do_not_count_and_are_mended(bank, whole, capsys, change):
     table = StoredBlocks.of(bank).read(0)
     record = {k: v for k, v in read_bank(bank).record.items() if k not in ("num_scenes", "files")}
-    banks.write_rows(bank, 0, table.from_pylist(change(table.to_pylist()), schema=table.schema), record)
+    banks.write_rows(
+        bank, 0, table.from_pylist(change(table.to_pylist()), schema=table.schema), record
+    )
     assert verify(bank) == 1
     assert f"  {ROWS}: changed\n" in (out := capsys.readouterr().out)
     assert "0 of 2 scenes stand" in out

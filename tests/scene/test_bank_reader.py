@@ -57,7 +57,8 @@ def rich(tmp_path_factory):
     """A bank of one scene with all that a scene can have, and the scene."""
     plain = dining_scene()
     # In place of the fork.
-    objects, names = (plain.objects[0], sticker(), *plain.objects[2:]), ("mug", "slab", *plain.names[2:])
+    objects = (plain.objects[0], sticker(), *plain.objects[2:])
+    names = ("mug", "slab", *plain.names[2:])
     scene = replace(spread(objects, plain.support, names), stability=ROBUST)
     recipe = {"names": list(names), "stability": asdict(ROBUST), "contact": asdict(ContactConfig())}
     path = tmp_path_factory.mktemp("banks") / "rich"
@@ -77,13 +78,18 @@ def elements(text, unlike=()):
 @pytest.mark.parametrize("bank", ["few", GOLDEN, "whole"])
 def test_it_reads_what_the_package_reads(request, bank):
     path = bank if isinstance(bank, Path) else request.getfixturevalue(bank)
-    ours, theirs = read_bank(path), bank_reader.Bank(path)
+    ours = read_bank(path)
+    theirs = bank_reader.Bank(path)
     rows = list(ours.scenes())
     assert (len(theirs), theirs.num_asked) == (len(rows), ours.num_scenes)
     assert theirs.recipe == ours.recipe
     numbers = ours.table["object_index"].to_pylist()
     for row, scene, slots in zip(rows, theirs, numbers, strict=True):
-        assert (scene.index, scene.is_success, scene.verdict) == (row.index, row.is_success, row.verdict)
+        assert (scene.index, scene.is_success, scene.verdict) == (
+            row.index,
+            row.is_success,
+            row.verdict,
+        )
         assert scene.names == row.objects
         assert tuple(theirs.names[each] for each in scene.object_index) == scene.names
         assert len(scene.names) + len(scene.unplaced) == len(slots)
@@ -92,14 +98,16 @@ def test_it_reads_what_the_package_reads(request, bank):
         assert again.names == scene.names
         np.testing.assert_array_equal(again.qpos.reshape(-1, 7), scene.poses)
     for name in ours.assets["objects"]:
-        asset, own = theirs.asset(name), ours.object(name)
+        asset = theirs.asset(name)
+        own = ours.object(name)
         assert (asset.label, asset.record["mass"]) == (own.label, own.mass)
         assert (len(asset.parts), len(asset.surfaces)) == (len(own.parts), len(own.pieces))
         assert all(each.is_file() for each in asset.parts)
 
 
 def test_it_draws_what_load_bank_draws(few):
-    bank, loaded = bank_reader.Bank(few), cg.load_bank(few)
+    bank = bank_reader.Bank(few)
+    loaded = cg.load_bank(few)
     arrays = bank.arrays
     np.testing.assert_array_equal(arrays.index, loaded.index)
     np.testing.assert_array_equal(arrays.is_placed, loaded.is_placed)
@@ -109,7 +117,9 @@ def test_it_draws_what_load_bank_draws(few):
     keys = jax.random.split(jax.random.key(5), 8)
     # What is read first within a compiled function is no part of it.
     drawn = jax.jit(jax.vmap(bank.reset_jax))(keys)
-    np.testing.assert_array_equal(drawn.index, jax.jit(jax.vmap(lambda key: loaded.reset(key).index))(keys))
+    np.testing.assert_array_equal(
+        drawn.index, jax.jit(jax.vmap(lambda key: loaded.reset(key).index))(keys)
+    )
     np.testing.assert_array_equal(bank.reset_jax(keys[0]).poses, drawn.poses[0])
     assert not bank.scene(4).is_success
     assert 4 not in arrays.index
@@ -125,7 +135,8 @@ def test_all_objects_stand_in_one_model(few):
     model = bank.model()
     data = mujoco.MjData(model)
     qpos, held = jax.jit(bank.state)(bank.reset_jax(jax.random.key(0)))
-    data.qpos[:], data.xfrc_applied[2:] = qpos, held
+    data.qpos[:] = qpos
+    data.xfrc_applied[2:] = held
     mujoco.mj_step(model, data, 120)
     assert np.abs(data.qpos - np.asarray(qpos)).max() < 1e-3
     # Another object in the air: the box is not in the scene, and does not fall.
@@ -134,7 +145,8 @@ def test_all_objects_stand_in_one_model(few):
     qpos, held = bank.state(scene)
     np.testing.assert_allclose(qpos.reshape(-1, 7)[1:], scene.poses[1:])
     mujoco.mj_resetData(model, data)
-    data.qpos[:], data.xfrc_applied[2:] = qpos, held
+    data.qpos[:] = qpos
+    data.xfrc_applied[2:] = held
     mujoco.mj_step(model, data, 120)
     assert qpos[0] > 10
     assert np.abs(data.qpos[:7] - qpos[:7]).max() < 1e-3
@@ -144,7 +156,12 @@ def test_all_objects_stand_in_one_model(few):
 def test_its_models_are_those_of_the_scene_files(rich):
     path, scene = rich
     wanted = scene_xml(
-        scene.objects, scene.poses.astype(np.float32), scene.support, ROBUST, scene.contact, names=scene.names
+        scene.objects,
+        scene.poses.astype(np.float32),
+        scene.support,
+        ROBUST,
+        scene.contact,
+        names=scene.names,
     )
     bank = bank_reader.Bank(path)
     given = bank.xml(0, assets="../assets")
@@ -187,10 +204,8 @@ def test_objects_and_the_support_come_alone_too(rich):
 def test_an_old_bank_gives_the_models_of_its_scene_files():
     bank = bank_reader.Bank(GOLDEN)
     for index in bank.arrays.index.tolist():
-        saved, model = (
-            mujoco.MjModel.from_xml_path(str(GOLDEN / f"scenes/{index:06d}.xml")),
-            bank.model(index),
-        )
+        saved = mujoco.MjModel.from_xml_path(str(GOLDEN / f"scenes/{index:06d}.xml"))
+        model = bank.model(index)
         for name in (
             "body_mass",
             "body_inertia",
@@ -201,16 +216,26 @@ def test_an_old_bank_gives_the_models_of_its_scene_files():
             "qpos0",
         ):
             np.testing.assert_array_equal(getattr(model, name), getattr(saved, name), name)
-        assert (model.opt.timestep, model.opt.disableflags) == (saved.opt.timestep, saved.opt.disableflags)
+        assert (model.opt.timestep, model.opt.disableflags) == (
+            saved.opt.timestep,
+            saved.opt.disableflags,
+        )
 
 
 def test_older_versions_get_the_words_that_they_know(rich):
     bank = bank_reader.Bank(rich[0])
     known = {
-        version: bank.xml(0, version=version) for version in ("2.3.7", "3.2.2", "3.2.3", "3.3.0", "3.17.0")
+        version: bank.xml(0, version=version)
+        for version in ("2.3.7", "3.2.2", "3.2.3", "3.3.0", "3.17.0")
     }
     assert ['nativeccd="' in text for text in known.values()] == [False, False, True, True, True]
-    assert ['inertia="shell"' in text for text in known.values()] == [False, False, False, True, True]
+    assert ['inertia="shell"' in text for text in known.values()] == [
+        False,
+        False,
+        False,
+        True,
+        True,
+    ]
     # Otherwise they say the same.
     unlike = ["nativeccd", "inertia"]
     assert all(elements(text, unlike) == elements(bank.xml(0), unlike) for text in known.values())
@@ -256,10 +281,16 @@ def test_shards_gaps_and_shelves_are_read(tmp_path):
     ) as bank:
         for block in (0, 1, 2, 4):
             rows = banks.rows(block, 256 if block < 4 else 7).to_pylist()
-            shelved = [row | {"object_index": [each + 1 for each in row["object_index"]]} for row in rows]
+            shelved = [
+                row | {"object_index": [each + 1 for each in row["object_index"]]} for row in rows
+            ]
             bank.write_block(block, pa.Table.from_pylist(shelved, schema=SCHEMA))
     files = sorted(each.name for each in (tmp_path / "bank").glob("*.parquet"))
-    assert files == ["scenes-000000-000001.parquet", "scenes-000002.parquet", "scenes-000004.parquet"]
+    assert files == [
+        "scenes-000000-000001.parquet",
+        "scenes-000002.parquet",
+        "scenes-000004.parquet",
+    ]
     ours = read_bank(tmp_path / "bank")
     bank = bank_reader.Bank(tmp_path / "bank")
     assert (len(bank), bank.num_asked) == (3 * 256 + 7, 5 * 256)
@@ -270,9 +301,16 @@ def test_shards_gaps_and_shelves_are_read(tmp_path):
         np.testing.assert_array_equal(bank.scene(index).poses, row.poses)
     np.testing.assert_array_equal(
         np.concatenate([scene.object_index for scene in bank.successes()]),
-        [each for row in ours.table.to_pylist() if row["is_success"] for each in row["object_index"]],
+        [
+            each
+            for row in ours.table.to_pylist()
+            if row["is_success"]
+            for each in row["object_index"]
+        ],
     )
-    with pytest.raises(bank_reader.BankError, match=r"no scene 800. Allowed: 0 to 1030, 775 scenes"):
+    with pytest.raises(
+        bank_reader.BankError, match=r"no scene 800. Allowed: 0 to 1030, 775 scenes"
+    ):
         bank.scene(800)
 
 
@@ -281,9 +319,12 @@ def test_a_block_that_is_written_again_holds_beside_its_shard(tmp_path):
     with banks.writer(path, 2 * 256, shard_blocks=2) as bank:
         for block in (0, 1):
             bank.write_block(block, banks.rows(block))
-    rows, ours = banks.rows(1).to_pylist(), read_bank(path)
+    rows = banks.rows(1).to_pylist()
+    ours = read_bank(path)
     rows[0]["poses"][0][0] = 0.111
-    record = {name: value for name, value in ours.record.items() if name not in ("num_scenes", "files")}
+    record = {
+        name: value for name, value in ours.record.items() if name not in ("num_scenes", "files")
+    }
     banks.write_rows(path, 1, pa.Table.from_pylist(rows, schema=SCHEMA), record)
     assert len(list(path.glob("*.parquet"))) == 2
     assert bank_reader.Bank(path).scene(256).poses[0][0] == np.float32(0.111)
@@ -336,11 +377,17 @@ def read_all(path):
     ("harm", "says"),
     [
         (no_bank, "is not a bank: it has no bank.json. Allowed: a folder of"),
-        (newer, "made by a newer version .format 7; this file reads 1.. Try: the bank_reader.py of a newer"),
+        (
+            newer,
+            "made by a newer version .format 7; this file reads 1.. Try: the bank_reader.py of a newer",
+        ),
         (forged, "bank.json is damaged .it does not match its own digest"),
         (damaged, "scenes-000000.parquet is damaged .*Try: the same `cluttergen generate` again"),
         (cut, "scenes-000000.parquet is damaged"),
-        (exchanged, "scenes-000003.parquet is damaged .its scenes are not those that its name says"),
+        (
+            exchanged,
+            "scenes-000003.parquet is damaged .its scenes are not those that its name says",
+        ),
         (heavier, "object.json is damaged .it is not what was written"),
         (without_part, "part-00.obj is damaged .*No such file"),
     ],
@@ -404,7 +451,10 @@ def test_it_travels_with_its_bank(bank, tmp_path):
     assert copy.read_bytes() == SOURCE.read_bytes()
 
 
-ENVIRONMENTS = [("mujoco==2.3.7", "numpy<2", "pyarrow<21"), ("mujoco==3.5.0", "jax==0.6.2", "pyarrow")]
+ENVIRONMENTS = [
+    ("mujoco==2.3.7", "numpy<2", "pyarrow<21"),
+    ("mujoco==3.5.0", "jax==0.6.2", "pyarrow"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -63,7 +63,9 @@ def contents(url):
 
 def files(path):
     return {
-        each.relative_to(path).as_posix(): each.read_bytes() for each in path.rglob("*") if each.is_file()
+        each.relative_to(path).as_posix(): each.read_bytes()
+        for each in path.rglob("*")
+        if each.is_file()
     }
 
 
@@ -71,7 +73,8 @@ def test_a_bank_there_is_the_bank_here(url, tmp_path):
     write(url)
     write(tmp_path / "bank")
     assert contents(url) == files(tmp_path / "bank")
-    here, there = read_bank(tmp_path / "bank"), read_bank(url)
+    here = read_bank(tmp_path / "bank")
+    there = read_bank(url)
     assert there.table.equals(here.table)
     assert cg.stats_of(there) == cg.stats_of(here)
     one, two = (cg.load_bank(place, num_scenes=40) for place in (tmp_path / "bank", url))
@@ -98,7 +101,8 @@ def test_scenes_of_a_bank_there_are_exported_and_a_whole_bank_is_not(url, tmp_pa
 
 def test_a_mirror_has_no_files_of_a_bank_that_was_made_anew(url):
     write(url)
-    remote, mirror = RemoteFolder.of(url), fetch_mirror(url)
+    remote = RemoteFolder.of(url)
+    mirror = fetch_mirror(url)
     for name, text in (("scenes/000000.xml", "old"), ("assets/objects/gone/object.xml", "old")):
         (mirror / name).parent.mkdir(parents=True, exist_ok=True)
         (mirror / name).write_text(text)
@@ -115,7 +119,9 @@ def test_a_mirror_has_no_files_of_a_bank_that_was_made_anew(url):
 def test_a_bank_goes_on_where_it_stopped_even_without_its_mirror(url, home, tmp_path):
     assert write(url, until=3) == [0, 1, 2]
     # Block 2 is in no shard yet and waits in the mirror.
-    assert {name for name in contents(url) if name.startswith("scenes")} == {"scenes-000000-000001.parquet"}
+    assert {name for name in contents(url) if name.startswith("scenes")} == {
+        "scenes-000000-000001.parquet"
+    }
     shutil.copytree(home, tmp_path / "copy")
     assert write(url) == [3, 4]
     whole = contents(url)
@@ -130,7 +136,8 @@ def test_a_bank_goes_on_where_it_stopped_even_without_its_mirror(url, home, tmp_
 def test_a_mirror_follows_what_was_made_anew_there(url, home):
     write(url)
     name = next(name for name in contents(url) if name.endswith("object.json"))
-    remote, kept = RemoteFolder.of(url), fetch_mirror(url) / name
+    remote = RemoteFolder.of(url)
+    kept = fetch_mirror(url) / name
     before = kept.read_bytes()
     kept.write_bytes(before + b" ")
     assert read_bank(url).path == fetch_mirror(url)
@@ -150,7 +157,9 @@ def bucket(tmp_path, monkeypatch):
     """A bucket of a real S3 server, moto's, in an environment of its own for its older python-dateutil."""
     python = os.environ.get("CLUTTERGEN_MOTO_PYTHON")
     if not python:
-        pytest.skip("CLUTTERGEN_MOTO_PYTHON names no interpreter of an environment that has moto[server]")
+        pytest.skip(
+            "CLUTTERGEN_MOTO_PYTHON names no interpreter of an environment that has moto[server]"
+        )
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

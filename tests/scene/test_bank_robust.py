@@ -167,10 +167,15 @@ class SmallDisk:
     """Files that together take so many bytes, and not one more."""
 
     def __init__(self, monkeypatch, room):
-        self.room, self.open = room, Path.open
-        monkeypatch.setattr(Path, "open", lambda path, *args, **kwargs: self.opened(path, *args, **kwargs))
+        self.room = room
+        self.open = Path.open
+        monkeypatch.setattr(
+            Path, "open", lambda path, *args, **kwargs: self.opened(path, *args, **kwargs)
+        )
         monkeypatch.setattr(Path, "write_bytes", lambda path, data: self.store(path, data))
-        monkeypatch.setattr(Path, "write_text", lambda path, text, **_: self.store(path, text.encode()))
+        monkeypatch.setattr(
+            Path, "write_text", lambda path, text, **_: self.store(path, text.encode())
+        )
 
     def store(self, path, data):
         with path.open("wb") as file:
@@ -187,7 +192,8 @@ class Limited:
     """A file on a small disk: what still fits is written, then the error comes, as from the system."""
 
     def __init__(self, disk, file):
-        self.disk, self.file = disk, file
+        self.disk = disk
+        self.file = file
 
     def write(self, data):
         fits = data[: max(self.disk.room, 0)]
@@ -211,7 +217,8 @@ def test_a_full_disk_loses_nothing_wherever_it_strikes(whole, tmp_path):
     size = sum(each.stat().st_size for each in whole.rglob("*") if each.is_file())
     draw = random.Random(1)
     rooms = [0, 1, 500, *sorted(draw.randrange(size) for _ in range(12)), size - 1]
-    path, failed = tmp_path / "bank", 0
+    path = tmp_path / "bank"
+    failed = 0
     for room in rooms:
         with pytest.MonkeyPatch.context() as monkeypatch:
             disk = SmallDisk(monkeypatch, room)
@@ -281,7 +288,8 @@ STEPS = [
 
 def at_step(patch, number, act):
     """From now on `act` is called before the step of this number; a list of how many there were so far."""
-    count, busy = [0], []
+    count = [0]
+    busy = []
 
     def step(call, *args, **kwargs):
         if not busy:
@@ -307,7 +315,11 @@ def at_step(patch, number, act):
 
 def _stepped(owner, call, step):
     # Called on a path, a function is given the path; those of modules are given nothing more.
-    return (lambda *args, **kwargs: step(call, *args, **kwargs)) if owner is Path else partial(step, call)
+    return (
+        (lambda *args, **kwargs: step(call, *args, **kwargs))
+        if owner is Path
+        else partial(step, call)
+    )
 
 
 def write_whole(path, held):
@@ -340,7 +352,9 @@ def test_a_writer_is_overtaken_at_each_step_of_its_beginning(tmp_path, other):
         banks.write(tmp_path / "alone", 1)
     assert count[0] > 5
     for number in range(1, count[0] + 1):
-        path, held, errors = tmp_path / f"bank-{number}", [], []
+        path = tmp_path / f"bank-{number}"
+        held = []
+        errors = []
         act = partial(refusal_of, partial(other, path, held), errors)
         with pytest.MonkeyPatch.context() as patch:
             at_step(patch, number, act)
@@ -365,15 +379,19 @@ def test_what_another_has_just_begun_is_not_taken_for_something_else(tmp_path):
 
 
 def test_a_killed_writer_loses_nothing(tmp_path):
-    path, num_blocks = tmp_path / "bank", 60
+    path = tmp_path / "bank"
+    num_blocks = 60
     banks.write(tmp_path / "whole", num_blocks)
-    draw, kills = random.Random(2), 0
+    draw = random.Random(2)
+    kills = 0
     # Killed before the first block, and again whenever some more blocks are there, at any point of the next.
     for wanted in (0, 0, 1, 2, 8, 15, 30, 45):
         before = {each.name: each.read_bytes() for each in path.glob("scenes-*.parquet")}
         running = PROCESSES.Process(target=banks.write, args=(path, num_blocks))
         running.start()
-        while not (path / "bank.json").exists() or len(list(path.glob("scenes-*.parquet"))) < wanted:
+        while (
+            not (path / "bank.json").exists() or len(list(path.glob("scenes-*.parquet"))) < wanted
+        ):
             assert running.is_alive()
             time.sleep(0.001)
         time.sleep(draw.uniform(0.0, 0.01))
@@ -394,9 +412,28 @@ def test_a_killed_writer_loses_nothing(tmp_path):
 @pytest.mark.timeout(1200)
 def test_generate_killed_half_way_goes_on_to_the_same_bank(tmp_path):
     pool = write_pool(tmp_path / "trio", Pool("trio", tuple(trio())))
-    more = ["--pool", str(pool), "--method", "random", "--num-objects", "2", "-n", "600", "--max-files", "0"]
+    more = [
+        "--pool",
+        str(pool),
+        "--method",
+        "random",
+        "--num-objects",
+        "2",
+        "-n",
+        "600",
+        "--max-files",
+        "0",
+    ]
     assert main(["generate", "--out", str(tmp_path / "whole"), *more]) == 0
-    command = [sys.executable, "-m", "cluttergen_jax", "generate", "--out", str(tmp_path / "bank"), *more]
+    command = [
+        sys.executable,
+        "-m",
+        "cluttergen_jax",
+        "generate",
+        "--out",
+        str(tmp_path / "bank"),
+        *more,
+    ]
     running = subprocess.Popen(command, cwd=ROOT)
     while running.poll() is None and not list((tmp_path / "bank").glob("scenes-*.parquet")):
         time.sleep(0.01)
@@ -461,7 +498,15 @@ def test_stats_count_by_hand(bank, capsys):
 def test_stats_report_what_is_missing_and_what_repeats(tmp_path):
     table = banks.rows(1, 20).to_pylist()
     # Scene 260 is 256 over again with its slots in another order; 261 differs in the last bit only.
-    for name in ("objects", "poses", "object_index", "is_placed", "attempts", "steps", "rest_steps"):
+    for name in (
+        "objects",
+        "poses",
+        "object_index",
+        "is_placed",
+        "attempts",
+        "steps",
+        "rest_steps",
+    ):
         table[4][name] = table[0][name][::-1]
         table[5][name] = json.loads(json.dumps(table[0][name]))
     table[5]["poses"][0][0] *= 1 + 2e-7
@@ -478,7 +523,14 @@ def test_stats_report_what_is_missing_and_what_repeats(tmp_path):
 def test_card_says_what_is_there_and_respects_the_users_own(bank, capsys):
     assert main(["stats", str(bank), "--card"]) == 0
     text = (bank / CARD).read_text()
-    for expected in ("512 cluttered", "384 (75.0%)", "| `poses` |", "Apache-2.0", "seed: 3", "`prism`"):
+    for expected in (
+        "512 cluttered",
+        "384 (75.0%)",
+        "| `poses` |",
+        "Apache-2.0",
+        "seed: 3",
+        "`prism`",
+    ):
         assert expected in text, expected
     assert str(bank.parent) not in text
     (bank / CARD).write_text("mine")

@@ -23,7 +23,8 @@ from cluttergen_jax.scene.bank.index import BankIndex
 from cluttergen_jax.scene.bank.stats import stats_of
 from tests.helpers import banks
 
-NUM_BLOCKS, IN_A_SHARD = 8, 3
+NUM_BLOCKS = 8
+IN_A_SHARD = 3
 
 
 def write(path, num_blocks=NUM_BLOCKS, order=None, shard_blocks=IN_A_SHARD):
@@ -57,7 +58,8 @@ def sharded(tmp_path_factory):
 def test_shards_hold_what_block_files_hold(plain, sharded):
     names = sorted(each.name for each in sharded.glob("*.parquet"))
     assert names == [f"scenes-{a:06d}-{b:06d}.parquet" for a, b in ((0, 2), (3, 5), (6, 7))]
-    one, two = read_bank(plain), read_bank(sharded)
+    one = read_bank(plain)
+    two = read_bank(sharded)
     assert one.table.equals(two.table)
     assert stats_of(one) == stats_of(two)
     assert {number: row.verdict for number, row in two.rows([3, 1000, 9999]).items()} == {
@@ -123,9 +125,12 @@ def test_a_damaged_row_group_is_named_and_mended_alone(sharded, tmp_path):
     assert files(path) == files(sharded)
 
 
-def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_looks_changed(tmp_path):
+def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_looks_changed(
+    tmp_path,
+):
     write(tmp_path)
-    index, rows = BankIndex.of(read_bank(tmp_path)), StoredBlocks.of(tmp_path).read(7)
+    index = BankIndex.of(read_bank(tmp_path))
+    rows = StoredBlocks.of(tmp_path).read(7)
     shake = pa.array(np.ones(rows.num_rows, np.float32))
     rows = rows.set_column(rows.schema.names.index("shake"), "shake", shake)
     index.write_block(7, rows)
@@ -182,7 +187,8 @@ def test_a_bank_is_read_while_its_blocks_become_a_shard(tmp_path, monkeypatch, r
 )
 def test_damaged_is_said_of_what_was_read_alone(tmp_path, read, error):
     write(tmp_path, shard_blocks=1000)
-    scenes, file = read(tmp_path), block_path(tmp_path, 1)
+    scenes = read(tmp_path)
+    file = block_path(tmp_path, 1)
     next(scenes)
     file.unlink()
     with pytest.raises(error, match=r"scenes-000001\.parquet is missing"):
@@ -200,10 +206,15 @@ def test_damaged_is_said_of_what_was_read_alone(tmp_path, read, error):
 def test_a_listing_that_is_overtaken_by_a_shard_is_made_again(tmp_path, monkeypatch):
     """A folder's listing may lack both a shard that came and the blocks that went while it was made."""
     write(tmp_path, shard_blocks=1000)
-    whole, listed = read_bank(tmp_path).table, os.listdir
+    whole = read_bank(tmp_path).table
+    listed = os.listdir
     BankIndex.of(read_bank(tmp_path)).write_shard(range(IN_A_SHARD))
-    first = [each for each in listed(tmp_path) if each != shard_path(tmp_path, range(IN_A_SHARD)).name]
+    first = [
+        each for each in listed(tmp_path) if each != shard_path(tmp_path, range(IN_A_SHARD)).name
+    ]
     for read in (lambda: read_bank(tmp_path).table.num_rows, lambda: len(list(theirs(tmp_path)))):
         overtaken = iter([first])
-        monkeypatch.setattr(os, "listdir", lambda place, late=overtaken: next(late, None) or listed(place))
+        monkeypatch.setattr(
+            os, "listdir", lambda place, late=overtaken: next(late, None) or listed(place)
+        )
         assert read() == whole.num_rows

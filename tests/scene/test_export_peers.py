@@ -33,7 +33,13 @@ def asked(peer, format, names, tmp_path, *words):
         pytest.skip(f"CLUTTERGEN_{peer.upper()}_PYTHON names no interpreter that has {peer}")
     pool = find_pool("dining")
     scenes = [
-        spread([pool[name.split("#")[0]] for name in own], find_support("round_table"), own, index, turn)
+        spread(
+            [pool[name.split("#")[0]] for name in own],
+            find_support("round_table"),
+            own,
+            index,
+            turn,
+        )
         for index, (own, turn) in enumerate([(names, 0.7), (names[1:] + names[:1], 0.2)])
     ]
     folder = export_scenes(scenes, tmp_path / "out", format)
@@ -76,4 +82,8 @@ def check_task(scenes, report):
     for name, pose in zip(other.names, other.poses, strict=True):
         assert_same_pose(report["other"][name][:3], report["other"][name][3:], pose)
     assert report["touched"] == []
-    assert [report[key] for key in ("done", "restored_success", "other_success")] == [False, True, False]
+    assert [report[key] for key in ("done", "restored_success", "other_success")] == [
+        False,
+        True,
+        False,
+    ]

@@ -94,9 +94,11 @@ def tree(root, *without):
 
 def refused(command, bank, capsys):
     """Runs a command on the bank; whether it was refused. Nothing may be written outside of bank and out."""
-    root, out = bank.parents[4], bank.parent / "out"
+    root = bank.parents[4]
+    out = bank.parent / "out"
     before = tree(root, bank, out)
-    words, more = command.split(), [str(out) if word == "OUT" else word for word in COMMANDS[command]]
+    words = command.split()
+    more = [str(out) if word == "OUT" else word for word in COMMANDS[command]]
     status = main([words[0], str(bank), *words[1:], *more])
     assert tree(root, bank, out) == before
     said = capsys.readouterr()
@@ -130,7 +132,9 @@ def test_an_object_that_calls_itself_a_path_is_refused(bank, capsys, command):
 @pytest.mark.parametrize("name", [OUTSIDE, "/outside", "a/b", "A", "", "mug#2", "..", "mug\n"])
 def test_rows_and_records_name_objects_plainly(bank, name):
     record = read_bank(bank).record
-    (bank / "bank.json").write_bytes(index_bytes(record | {"assets": {"objects": {name: ""}, "support": ""}}))
+    (bank / "bank.json").write_bytes(
+        index_bytes(record | {"assets": {"objects": {name: ""}, "support": ""}})
+    )
     with pytest.raises(BankError, match="names an object"):
         read_bank(bank)
     (bank / "bank.json").write_bytes(index_bytes(record))
@@ -148,7 +152,9 @@ def test_an_object_in_anothers_folder_is_refused(bank):
         read_bank(bank).object("box")
 
 
-@pytest.mark.parametrize("change", [{"name": OUTSIDE}, {"name": 7}, {"pieces": "../../outside.obj"}])
+@pytest.mark.parametrize(
+    "change", [{"name": OUTSIDE}, {"name": 7}, {"pieces": "../../outside.obj"}]
+)
 def test_a_support_names_itself_and_its_files_plainly(bank, change):
     file = bank / "assets/support/support.json"
     if "pieces" in change:
@@ -177,10 +183,14 @@ def test_a_pool_names_its_objects_plainly(tmp_path):
         read_object(path / "box")
 
 
-@pytest.mark.parametrize("name", [name for name in FORMATS if name not in ("usd", "arena", "mjcf-joints")])
+@pytest.mark.parametrize(
+    "name", [name for name in FORMATS if name not in ("usd", "arena", "mjcf-joints")]
+)
 def test_an_export_of_objects_made_in_memory_stays_in_its_folder(whole, tmp_path, name):
     scene = next(read_scenes(read_bank(whole)))
-    scene = replace(scene, objects=tuple(replace(each, name="../../../x") for each in scene.objects[:1] * 2))
+    scene = replace(
+        scene, objects=tuple(replace(each, name="../../../x") for each in scene.objects[:1] * 2)
+    )
     with pytest.raises(UnsafePathError):
         export_scenes([scene], tmp_path / "a/b/out", name)
     assert tree(tmp_path) == {}
@@ -224,7 +234,11 @@ def test_links_that_lead_out_are_neither_read_nor_written_through(bank, tmp_path
         ('meshdir="../assets"', 'meshdir="/usr/share"', "000000.xml names the folder"),
         ('meshdir="../assets"', 'meshdir="../../../assets"', "000000.xml names the folder"),
         ('file="objects/box/part-00.obj"', 'file="../../part.obj"', "names the path"),
-        ("<worldbody>", '<include file="/etc/hostname"/><worldbody>', "000000.xml includes another file"),
+        (
+            "<worldbody>",
+            '<include file="/etc/hostname"/><worldbody>',
+            "000000.xml includes another file",
+        ),
     ],
 )
 def test_a_scene_file_of_a_bank_names_files_of_the_bank(bank, capsys, old, new, said):
@@ -239,7 +253,21 @@ def test_a_scene_file_of_a_bank_names_files_of_the_bank(bank, capsys, old, new, 
     assert said in capsys.readouterr().err
 
 
-BAD = [OUTSIDE, "/etc/passwd", "a//b", "", ".", "a/..", "a\\b", "c:x", "a\0b", "a\nb", None, 3, ["a"]]
+BAD = [
+    OUTSIDE,
+    "/etc/passwd",
+    "a//b",
+    "",
+    ".",
+    "a/..",
+    "a\\b",
+    "c:x",
+    "a\0b",
+    "a\nb",
+    None,
+    3,
+    ["a"],
+]
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -274,7 +302,12 @@ def test_a_recipe_that_cannot_be_names_its_bank(bank, tmp_path, capsys, recipe, 
     record = read_bank(bank).record
     record["recipe"] |= recipe
     sign_index(bank, record)
-    assert main([words[0], str(bank), *(str(tmp_path / "out") if w == "OUT" else w for w in words[1:])]) == 2
+    assert (
+        main(
+            [words[0], str(bank), *(str(tmp_path / "out") if w == "OUT" else w for w in words[1:])]
+        )
+        == 2
+    )
     said = capsys.readouterr().err
     assert f"{bank / 'bank.json'}: the record of how the bank was made is damaged" in said
     with pytest.raises(BankError, match="no 'region'"):

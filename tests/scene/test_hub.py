@@ -51,7 +51,9 @@ def hub(request):
 
 
 def contents(path):
-    return {str(each.relative_to(path)): each.read_bytes() for each in path.rglob("*") if each.is_file()}
+    return {
+        str(each.relative_to(path)): each.read_bytes() for each in path.rglob("*") if each.is_file()
+    }
 
 
 def test_what_is_pushed_is_pulled_to_the_bit(bank, tmp_path, hub, capsys):
@@ -80,7 +82,13 @@ def test_a_bank_is_loaded_by_its_name_and_pulled_once(bank, folder, monkeypatch)
     with pytest.raises(BankError, match="is not a bank"):
         find_bank(NAME, hub=str(folder / "other"))
     assert (
-        len({pulled_path(NAME, *asked) for asked in ((), (None, "v1"), ("here", None), ("here", "v1"))}) == 4
+        len(
+            {
+                pulled_path(NAME, *asked)
+                for asked in ((), (None, "v1"), ("here", None), ("here", "v1"))
+            }
+        )
+        == 4
     )
 
 
@@ -120,7 +128,9 @@ def test_without_a_network_it_is_said(bank, tmp_path, monkeypatch):
             call()
         assert "goes on where it stopped" in str(caught.value)
     monkeypatch.setenv("CLUTTERGEN_HUB", url)
-    with pytest.raises(BankError, match=r"no such folder, and as a name on a hub: .*does not answer"):
+    with pytest.raises(
+        BankError, match=r"no such folder, and as a name on a hub: .*does not answer"
+    ):
         cg.load_bank("runs/bank")
 
 

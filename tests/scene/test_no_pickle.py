@@ -48,7 +48,11 @@ def _fault_of_call(node: ast.Call) -> list[str]:
         return [name]
     if owner in ("np", "numpy", "jnp") and name in ("load", "save"):
         # NumPy's own default has changed once already.
-        return [] if _is_off(keywords.get("allow_pickle")) else [f"{owner}.{name} without allow_pickle=False"]
+        return (
+            []
+            if _is_off(keywords.get("allow_pickle"))
+            else [f"{owner}.{name} without allow_pickle=False"]
+        )
     if owner == "torch" and name == "load":
         return ["torch.load"]
     return [] if _is_off(keywords.get("allow_pickle", _OFF)) else [f"{name} with allow_pickle"]

@@ -20,7 +20,8 @@ from tests.helpers.environments import python_with
 from tests.helpers.exports import dining_scene
 from tests.helpers.worlds import TOP, layout_of, prism, scene, tilted, trio
 
-VERSIONS, OLDER = ("3.3.7", "3.5.0", "3.10.0"), ("3.0.1", "3.2.0")
+VERSIONS = ("3.3.7", "3.5.0", "3.10.0")
+OLDER = ("3.0.1", "3.2.0")
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "other_mujoco.py"
 BOTH = StabilityConfig(both_detectors=True)
 
@@ -34,7 +35,9 @@ def test_files_name_the_detector_they_were_checked_with(tmp_path):
     text = exported(tmp_path / "new", "mjcf")
     assert '<flag multiccd="enable" nativeccd="disable"/>' in text
     # Whatever is called has a name that dm_control takes, and no word that older versions do not know.
-    assert not any("/" in name for name in re.findall(r' (?:name|mesh|material|texture)="([^"]*)"', text))
+    assert not any(
+        "/" in name for name in re.findall(r' (?:name|mesh|material|texture)="([^"]*)"', text)
+    )
     assert "inertia=" not in text.replace("fullinertia=", "")
     unsaid = text.replace(' nativeccd="disable"', "")
     assert exported(tmp_path / "old", "mjcf-old", BOTH) == unsaid
@@ -47,7 +50,8 @@ def test_files_name_the_detector_they_were_checked_with(tmp_path):
 def test_the_detectors_are_two():
     """A prism that falls on another one ends elsewhere by each of them."""
     layout = layout_of([prism("a", 0.04, 0.03), prism("b", 0.03, 0.02, sides=7)])
-    sims, ends = NativePhysics(layout, StabilityConfig(), 1).simulations(1), {}
+    sims = NativePhysics(layout, StabilityConfig(), 1).simulations(1)
+    ends = {}
     where = {0: (0, 0, TOP + 0.03), 1: (0.01, 0.005, TOP + 0.0801)}
     poses, placed = scene(layout, where, {1: tilted((0.6, 0.8, 0), 7)})
     for name in DETECTORS:
@@ -63,7 +67,11 @@ def test_contacts_of_robust_scenes_begin_at_a_distance(tmp_path):
     robust = replace(BOTH, robust_tilt=0.1)
     assert "margin=" not in exported(tmp_path / "plain", "mjcf")
     assert '<geom margin="5e-05"' in exported(tmp_path / "robust", "mjcf", robust)
-    assert [each.file_margin for each in (BOTH, robust, StabilityConfig(robust_tilt=0.1))] == [0, 5e-5, 0]
+    assert [each.file_margin for each in (BOTH, robust, StabilityConfig(robust_tilt=0.1))] == [
+        0,
+        5e-5,
+        0,
+    ]
 
 
 @pytest.mark.parametrize("falls", [None, "native", "libccd"])
@@ -74,7 +82,9 @@ def test_the_last_check_asks_both_detectors(monkeypatch, falls):
 
     def choose(sims, detector, margin=0.0):
         asked.append(detector)
-        sims.turn_gravity(np.array([1.0, 0, -1]) / 2**0.5 if detector == falls else np.array([0.0, 0, -1]))
+        sims.turn_gravity(
+            np.array([1.0, 0, -1]) / 2**0.5 if detector == falls else np.array([0.0, 0, -1])
+        )
 
     monkeypatch.setattr(Simulations, "choose_detector", choose)
     poses, is_placed = scene(layout, {0: (0, 0, TOP + 0.05), 1: (0.2, 0, TOP + 0.03)})
@@ -98,7 +108,10 @@ def interpreters(tmp_path_factory):
     """By version of MuJoCo, the Python of an environment that has it alone."""
 
     folder = tmp_path_factory.mktemp("environments")
-    return {version: python_with(folder / version, f"mujoco=={version}") for version in (*VERSIONS, *OLDER)}
+    return {
+        version: python_with(folder / version, f"mujoco=={version}")
+        for version in (*VERSIONS, *OLDER)
+    }
 
 
 @pytest.fixture(scope="module")

@@ -25,10 +25,14 @@ def arm(timestep=0.002):
     base.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.05, 0.05, 0.05))
     upper = base.add_body(name="upper", pos=(0, 0, 0.1))
     upper.add_joint(name="shoulder", type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 0, 1), damping=5)
-    upper.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(0, 0, 0, 0, 0, 0.3), size=(0.02, 0, 0))
+    upper.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(0, 0, 0, 0, 0, 0.3), size=(0.02, 0, 0)
+    )
     fore = upper.add_body(name="fore", pos=(0, 0, 0.3))
     fore.add_joint(name="elbow", type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 1, 0), damping=5)
-    fore.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(0, 0, 0, -0.2, 0, 0), size=(0.02, 0, 0))
+    fore.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=(0, 0, 0, -0.2, 0, 0), size=(0.02, 0, 0)
+    )
     spec.add_key(name="home", qpos=[0.3, -0.2])
     return spec
 
@@ -67,7 +71,9 @@ def test_beside_a_robot_poses_names_and_options_are_what_they_were(scene):
     # The robot's own keyframe keeps its joints and has the scene beside them.
     np.testing.assert_allclose(model.key("home").qpos[:2], [0.3, -0.2])
     np.testing.assert_allclose(model.key("home").qpos[2:], scene.poses.ravel())
-    np.testing.assert_allclose(attachment.qpos(model, model.key("home").qpos), model.key("home").qpos)
+    np.testing.assert_allclose(
+        attachment.qpos(model, model.key("home").qpos), model.key("home").qpos
+    )
     for geom in range(model.ngeom):
         if model.geom(geom).name.startswith("clutter/"):
             np.testing.assert_allclose(model.geom_friction[geom], scene.contact.friction)
@@ -99,7 +105,9 @@ def test_many_scenes_are_one_model_and_stand_in_it():
     for row, scene in enumerate(scenes):
         many.reset(data, row)
         start = data.qpos.reshape(-1, 7).copy()
-        for asset, pose, index in zip(scene.objects, scene.poses, many.object_index[row], strict=False):
+        for asset, pose, index in zip(
+            scene.objects, scene.poses, many.object_index[row], strict=False
+        ):
             assert many.objects[index].name == asset.name
             np.testing.assert_allclose(start[index], pose)
         mujoco.mj_step(many.model, data, nstep=480)

@@ -192,7 +192,9 @@ def test_poses_and_names_of_rows_are_checked(bank, read, error, change, says):
 @BOTH
 def test_columns_have_their_types(bank, read, error):
     table = pq.read_table(bank / ROWS)
-    texts = pa.array([[[str(x) for x in pose] for pose in row] for row in table["poses"].to_pylist()])
+    texts = pa.array(
+        [[[str(x) for x in pose] for pose in row] for row in table["poses"].to_pylist()]
+    )
     place = table.schema.get_field_index("poses")
     pq.write_table(table.set_column(place, "poses", texts), bank / ROWS)
     sign(bank)
@@ -214,7 +216,9 @@ def test_the_reader_that_travels_knows_digests_of_rows(bank):
     rows = banks.rows(0, 8).to_pylist()
     rows[0]["poses"][0][0] += 0.01
     pq.write_table(pa.Table.from_pylist(rows, schema=banks.rows(0, 8).schema), bank / ROWS)
-    with pytest.raises(bank_reader.BankError, match=f"{ROWS} is damaged .it is not what was written"):
+    with pytest.raises(
+        bank_reader.BankError, match=f"{ROWS} is damaged .it is not what was written"
+    ):
         read_alone(bank)
     # A bank that is written while it is open: what bank.json says by then is what counts.
     shutil.rmtree(bank)
@@ -249,7 +253,9 @@ def test_numbers_of_an_object_are_those_of_a_body(bank, read, error, name, value
     record.pop("hash")
     record[name] = value
     text = json.dumps(record, sort_keys=True, separators=(",", ":"))
-    file.write_text(json.dumps({**record, "hash": bank_reader.hashlib.sha256(text.encode()).hexdigest()}))
+    file.write_text(
+        json.dumps({**record, "hash": bank_reader.hashlib.sha256(text.encode()).hexdigest()})
+    )
     sign(bank)
     with pytest.raises(error, match=r"object\.json"):
         read(bank)
@@ -260,7 +266,9 @@ def test_a_record_holds_finite_numbers(bank, text):
     file = bank / "assets/support/support.json"
     file.write_text(file.read_text().replace('"yaw": 0.0', f'"yaw": {text}'))
     sign(bank)
-    with pytest.raises(bank_reader.BankError, match=r"support\.json is damaged .it holds the number"):
+    with pytest.raises(
+        bank_reader.BankError, match=r"support\.json is damaged .it holds the number"
+    ):
         read_alone(bank)
 
 
@@ -275,7 +283,8 @@ def test_a_record_holds_no_key_twice(bank, name):
 
 def test_a_link_in_place_of_a_cache_of_blobs_leads_nowhere(bank, tmp_path):
     """The Hugging Face Hub's cache links from snapshots to blobs, which is a folder."""
-    outside, snapshot = tmp_path / "outside", tmp_path / "cache/snapshots/1"
+    outside = tmp_path / "outside"
+    snapshot = tmp_path / "cache/snapshots/1"
     snapshot.parent.mkdir(parents=True)
     shutil.move(bank, snapshot)
     outside.mkdir()

@@ -38,14 +38,23 @@ def seen_from_above(model, height):
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
-    camera.lookat[:], camera.distance, camera.elevation, camera.azimuth = (0, 0, height), 0.3, -90, 90
-    model.vis.global_.fovy, model.vis.global_.offwidth, model.vis.global_.offheight = 40, 200, 200
+    camera.lookat[:] = (0, 0, height)
+    camera.distance = 0.3
+    camera.elevation = -90
+    camera.azimuth = 90
+    model.vis.global_.fovy = 40
+    model.vis.global_.offwidth = 200
+    model.vis.global_.offheight = 200
     pixels = np.empty((200, 200, 3), np.uint8)
     with gl_context(200, 200):
-        view, context = mujoco.MjvScene(model, 200), mujoco.MjrContext(model, 100)
-        option, rectangle = mujoco.MjvOption(), mujoco.MjrRect(0, 0, 200, 200)
+        view = mujoco.MjvScene(model, 200)
+        context = mujoco.MjrContext(model, 100)
+        option = mujoco.MjvOption()
+        rectangle = mujoco.MjrRect(0, 0, 200, 200)
         option.geomgroup[:] = [0, 1, 1, 0, 0, 0]
-        mujoco.mjv_updateScene(model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, view)
+        mujoco.mjv_updateScene(
+            model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, view
+        )
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
         mujoco.mjr_render(rectangle, view, context)
         mujoco.mjr_readPixels(pixels, None, rectangle, context)
@@ -56,11 +65,16 @@ def seen_from_above(model, height):
 def as_piece(geometry, image):
     """A trimesh geometry with an image as a piece."""
     return Piece(
-        Mesh(geometry.vertices, geometry.faces), (1.0, 1.0, 1.0, 1.0), geometry.visual.uv, Texture.of(image)
+        Mesh(geometry.vertices, geometry.faces),
+        (1.0, 1.0, 1.0, 1.0),
+        geometry.visual.uv,
+        Texture.of(image),
     )
 
 
-@pytest.mark.parametrize("format", ["mjcf", "urdf", "sdf", "usd", "maniskill", "robosuite", "libero"])
+@pytest.mark.parametrize(
+    "format", ["mjcf", "urdf", "sdf", "usd", "maniskill", "robosuite", "libero"]
+)
 def test_an_image_is_stored_once(format, folder_of):
     if format == "usd":
         pytest.importorskip("pxr", reason="needs the extra usd")

@@ -15,15 +15,21 @@ TABLE = cuboid_table()
 
 def model_of(objects: list[ObjectAsset], support: SupportAsset = TABLE) -> mujoco.MjModel:
     """Objects without surfaces, parked."""
-    return populated_spec([each.name for each in objects], objects, support, 0.004, ContactConfig()).compile()
+    return populated_spec(
+        [each.name for each in objects], objects, support, 0.004, ContactConfig()
+    ).compile()
 
 
-def standing(x: float, y: float, half_height: float, yaw: float = 0.0, top: float = TABLE.top) -> np.ndarray:
+def standing(
+    x: float, y: float, half_height: float, yaw: float = 0.0, top: float = TABLE.top
+) -> np.ndarray:
     """f64[7]: upright on the table."""
     return np.array([x, y, top + half_height, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
 
 
-def random_boxes(rng: np.random.Generator, count: int) -> tuple[list[ObjectAsset], np.ndarray, np.ndarray]:
+def random_boxes(
+    rng: np.random.Generator, count: int
+) -> tuple[list[ObjectAsset], np.ndarray, np.ndarray]:
     """Boxes that may overlap, their poses f64[K, 7], and f64[K, 6]: x, y, yaw and half extents."""
     half = rng.uniform([0.02, 0.02, 0.01], [0.08, 0.08, 0.12], (count, 3))
     place = rng.uniform([-0.22, -0.27, -np.pi], [0.22, 0.27, np.pi], (count, 3))

@@ -74,7 +74,9 @@ def test_free_cameras_are_where_they_may_be_and_all_around():
 def test_presets_follow_the_region():
     support = cuboid_table()
     moved = Rectangle((0.1, -0.05), (0.1, 0.2), 0.5)
-    turned = type(support)(support.name, support.label, support.boxes, support.top, moved, support.provenance)
+    turned = type(support)(
+        support.name, support.label, support.boxes, support.top, moved, support.provenance
+    )
     for name in PRESETS:
         camera = find_preset(name)(turned, np.random.default_rng(0))
         pixel = camera.project([0.1, -0.05, support.top])[0]

@@ -43,7 +43,11 @@ def test_cameras_of_a_file(tmp_path):
         tmp_path,
         {"name": "front", "width": 300, "height": 200, "fovy": 60, "eye": [0.5, 0, 0.4]},
         {"name": "world", "frame": "world", "eye": [1, 0, 2], "target": [0, 0, 1], "focal": 500},
-        {"name": "mine", "K": [[400, 0, 320], [0, 410, 240], [0, 0, 1]], "T_world_camera": turned.tolist()},
+        {
+            "name": "mine",
+            "K": [[400, 0, 320], [0, 410, 240], [0, 0, 1]],
+            "T_world_camera": turned.tolist(),
+        },
         {"name": "ring", "azimuth": [0, 90], "elevation": [30, 40], "distance": [0.8, 0.9]},
     )
     front, world, mine, ring = parse_cameras([path])
@@ -60,7 +64,9 @@ def test_cameras_of_a_file(tmp_path):
         assert 30 <= np.degrees(np.arcsin(away[2] / np.linalg.norm(away))) <= 40
         assert away[0] > 0 < away[1]
     # At half of its size a camera sees the same.
-    (half,) = parse_cameras([stored(tmp_path, {"name": "a", "focal": 500, "eye": [1, 0, 1]})], (320, 240))
+    (half,) = parse_cameras(
+        [stored(tmp_path, {"name": "a", "focal": 500, "eye": [1, 0, 1]})], (320, 240)
+    )
     (whole,) = parse_cameras([stored(tmp_path, {"name": "a", "focal": 500, "eye": [1, 0, 1]})])
     np.testing.assert_allclose(drawn(half).K[:2], drawn(whole).K[:2] / 2)
 
@@ -95,14 +101,20 @@ def test_a_size_of_another_shape_is_none_for_a_given_lens(tmp_path):
     [
         ({"eye": [1, 0, 1]}, "name"),
         ({"name": "a"}, "0 of T_world_camera, eye and azimuth"),
-        ({"name": "a", "eye": [1, 0, 1], "azimuth": [0, 1]}, "2 of T_world_camera, eye and azimuth"),
+        (
+            {"name": "a", "eye": [1, 0, 1], "azimuth": [0, 1]},
+            "2 of T_world_camera, eye and azimuth",
+        ),
         ({"name": "a", "eye": [1, 0, 1], "fovy": 40, "focal": 3}, "2 of K, focal and fovy"),
         ({"name": "a", "eye": [1, 0, 1], "fovy": 179}, "1 to 170 degrees"),
         ({"name": "a", "eye": [1, 0]}, "eye|length 3"),
         ({"name": "a", "azimuth": [9, 1]}, "a range, low first"),
         ({"name": "a", "azimuth": [0, 1], "distance": [0, 1]}, "metres above 0"),
         ({"name": "a", "eye": [1, 0, 1], "fov": 4}, "fov"),
-        ({"name": "a", "eye": [1, 0, 1], "K": [[300, 9, 160], [0, 300, 120], [0, 0, 1]]}, "without skew"),
+        (
+            {"name": "a", "eye": [1, 0, 1], "K": [[300, 9, 160], [0, 300, 120], [0, 0, 1]]},
+            "without skew",
+        ),
     ],
 )
 def test_a_file_that_says_too_little_or_too_much_is_refused(tmp_path, camera, message):

@@ -28,7 +28,9 @@ def test_without_noise_nothing_changes():
 
 @pytest.mark.parametrize("distance", [0.5, 0.9, 1.5])
 def test_axial_noise_has_the_spread_that_is_said(distance):
-    measured, _ = drawn(np.full((120, 160), distance), replace(NOISE_OFF, axial=0.0012, axial_growth=0.0019))
+    measured, _ = drawn(
+        np.full((120, 160), distance), replace(NOISE_OFF, axial=0.0012, axial_growth=0.0019)
+    )
     error = measured - distance
     assert error.std() == pytest.approx(0.0012 + 0.0019 * (distance - 0.4) ** 2, rel=0.05)
     assert abs(error.mean()) < 5e-5
@@ -84,7 +86,9 @@ def test_the_stated_pose_is_off_by_as_much_as_is_said():
     cameras = [drawn(FLAT, config, seed)[1] for seed in range(300)]
     shift = np.stack([camera.eye - CAMERA.eye for camera in cameras])
     np.testing.assert_allclose(shift.std(0), 0.002, rtol=0.2)
-    turn = [np.degrees(np.arccos((np.trace(c.rotation @ CAMERA.rotation.T) - 1) / 2)) for c in cameras]
+    turn = [
+        np.degrees(np.arccos((np.trace(c.rotation @ CAMERA.rotation.T) - 1) / 2)) for c in cameras
+    ]
     assert np.sqrt(np.mean(np.square(turn)) / 3) == pytest.approx(0.3, rel=0.1)
     np.testing.assert_array_equal(drawn(FLAT, config)[0], FLAT)
 

@@ -14,7 +14,13 @@ from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
 from cluttergen_jax.sensing.camera import Camera, free, overhead, side
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
-from cluttergen_jax.sensing.partial import Grid, PartialMap, _height_of_rank, level_camera, merge_maps
+from cluttergen_jax.sensing.partial import (
+    Grid,
+    PartialMap,
+    _height_of_rank,
+    level_camera,
+    merge_maps,
+)
 from cluttergen_jax.sensing.rays import RaySensor
 from tests.helpers.worlds import box, trio
 from tests.sensing.scenes import TABLE, model_of, random_boxes, standing, true_heights
@@ -37,7 +43,8 @@ def test_from_above_the_map_is_the_true_one_to_a_cell(seed):
     camera = Camera.looking([0, 0, 15.7], [0, 0, 0.7], 320, 320, 6000.0, up=(0, 1, 0))
     found = PartialMap.of(seen(objects, poses, camera), camera, GRID)
     true = true_heights(GRID, boxes)
-    low, high = minimum_filter(true, 3)[INNER], maximum_filter(true, 3)[INNER]
+    low = minimum_filter(true, 3)[INNER]
+    high = maximum_filter(true, 3)[INNER]
     is_flat = high == low
     assert is_flat.mean() > 0.3
     for heights in (found.height[INNER], found.ceiling[INNER]):
@@ -90,7 +97,9 @@ def test_what_was_not_measured_hides_everything_unless_it_is_a_speck():
     whole = PartialMap.of(depth, camera, GRID)
     specks = depth.copy()
     specks[10::20, 10::20] = np.nan
-    np.testing.assert_allclose(PartialMap.of(specks, camera, GRID).ceiling, whole.ceiling, atol=0.03)
+    np.testing.assert_allclose(
+        PartialMap.of(specks, camera, GRID).ceiling, whole.ceiling, atol=0.03
+    )
     patched = depth.copy()
     patched[40:80, 60:100] = np.nan
     found = PartialMap.of(patched, camera, GRID)
@@ -107,7 +116,8 @@ def test_two_cameras_see_what_either_sees():
     cameras = [Camera.looking([x, 0, 1.35], [0.0, 0.0, 0.7], 320, 240, 300.0) for x in (-0.7, 0.7)]
     maps = [PartialMap.of(seen(*wall, camera), camera, GRID) for camera in cameras]
     both = merge_maps(maps)
-    x, y = GRID.columns[..., 0], GRID.columns[..., 1]
+    x = GRID.columns[..., 0]
+    y = GRID.columns[..., 1]
     within = (np.abs(y) < 0.2) & (np.abs(x) < 0.25)
     sides = within & (x > 0.05), within & (x < -0.05)
     for one, hidden, shown in zip(maps, sides, sides[::-1], strict=True):
@@ -127,7 +137,8 @@ def test_two_cameras_see_what_either_sees():
 def test_the_height_of_a_cell_is_that_which_so_many_points_reach(rank):
     rng = np.random.default_rng(rank)
     # Few heights, so that some are equal.
-    cells, z = rng.integers(0, 40, 150), rng.integers(0, 6, 150).astype(np.float32)
+    cells = rng.integers(0, 40, 150)
+    z = rng.integers(0, 6, 150).astype(np.float32)
     count = np.bincount(cells, minlength=50)
     found = _height_of_rank(cells, z, count, rank)
     for cell in range(50):
@@ -143,7 +154,8 @@ def test_the_known_top_mends_the_stated_pose():
         camera = free(TABLE, rng)
         depth, stated = noisy(seen(objects, poses, camera), camera, REALSENSE, rng)
         is_bare = maximum_filter(true_heights(GRID, boxes), 5) == 0
-        is_bare[[0, -1]], is_bare[:, [0, -1]] = False, False
+        is_bare[[0, -1]] = False
+        is_bare[:, [0, -1]] = False
         errors.append([])
         for used in (stated, level_camera(depth, stated, GRID)):
             # Without the bare top as a lower bound, so that what is too low is seen too.
@@ -161,9 +173,13 @@ def test_the_known_top_mends_the_stated_pose():
 def test_the_grid_is_laid_out_as_the_true_map_is(rectangle):
     support = cuboid_table(0.8, 0.7, 0.5)
     region = rectangle or support.region
-    problem = compose(trio(), support, ProblemConfig(placement=PlacementConfig(num_objects=3), region=region))
+    problem = compose(
+        trio(), support, ProblemConfig(placement=PlacementConfig(num_objects=3), region=region)
+    )
     mapper = HeightMapper.of(problem.rules.geometry, region_of(region, support))
-    radius = float(np.linalg.norm(np.asarray(problem.rules.geometry.half_extents)[:, :2], axis=1).max())
+    radius = float(
+        np.linalg.norm(np.asarray(problem.rules.geometry.half_extents)[:, :2], axis=1).max()
+    )
     grid = Grid.of(support, radius, region, cell=0.0072)
     assert grid.bare.shape == mapper.shape
     np.testing.assert_allclose(grid.cell, mapper.cell, rtol=1e-6)

@@ -50,7 +50,8 @@ def test_a_boxs_depth_is_the_distance_along_the_axis():
     sensor.pose(data, standing(0, 0, 0.05)[None])
     camera = overhead(TABLE)
     image = sensor.sense(data, camera)
-    on_box, on_table = image.label == FIRST_OBJECT, image.label == SUPPORT
+    on_box = image.label == FIRST_OBJECT
+    on_table = image.label == SUPPORT
     # Straight from above, off the axis too: only distances along the ray would grow.
     np.testing.assert_allclose(image.depth[on_box], camera.eye[2] - 0.8, atol=1e-6)
     np.testing.assert_allclose(image.depth[on_table], camera.eye[2] - 0.7, atol=1e-6)
@@ -66,7 +67,9 @@ def test_what_is_not_placed_is_not_seen(model):
     poses[1] = POSES[1]
     for is_placed, expected in (([False, False], set()), ([False, True], {FIRST_OBJECT + 1})):
         sensor.pose(data, poses, is_placed)
-        assert set(np.unique(sensor.sense(data, overhead(TABLE)).label)) - {FLOOR, SUPPORT} == expected
+        assert (
+            set(np.unique(sensor.sense(data, overhead(TABLE)).label)) - {FLOOR, SUPPORT} == expected
+        )
         # Not even from where the parking places are in sight.
         assert set(np.unique(sensor.sense(data, level).label)) == {FLOOR}
 
@@ -80,7 +83,8 @@ def test_scenes_one_after_another_and_on_threads_are_alike(model):
         sensor.pose(data, POSES + shift)
         return sensor.sense(data, overhead(TABLE)).depth
 
-    data, afresh = sensor.make_data(), [sensed(shift) for shift in shifts]
+    data = sensor.make_data()
+    afresh = [sensed(shift) for shift in shifts]
     for shift, expected in zip(shifts, afresh, strict=True):
         sensor.pose(data, POSES + shift)
         np.testing.assert_array_equal(sensor.sense(data, overhead(TABLE)).depth, expected)

@@ -63,7 +63,8 @@ def _without_folds_once(mesh: Mesh, uv: np.ndarray | None) -> Mesh:
     kept = np.flatnonzero((welded.faces != np.roll(welded.faces, 1, axis=1)).all(1))
     welded = Mesh(welded.vertices, welded.faces[kept])
     near = _neighbours(welded)
-    stays, faces = np.ones(len(mesh.faces), bool), []
+    stays = np.ones(len(mesh.faces), bool)
+    faces = []
     for place in _places(near, len(kept)):
         cut = _cut_anew(welded, place) if stays[kept[place]].all() else None
         if cut is not None:
@@ -80,7 +81,8 @@ def _places(near: _Neighbours, number: int) -> Iterator[np.ndarray]:
     """
     if not near.is_fold.any():
         return
-    whole, folded = _components(near.pairs, number), _components(near.pairs[near.is_fold], number)
+    whole = _components(near.pairs, number)
+    folded = _components(near.pairs[near.is_fold], number)
     for each in np.unique(whole[near.pairs[near.is_fold, 0]]):
         yield np.flatnonzero(whole == each)
     for each in np.unique(folded[near.pairs[near.is_fold, 0]]):
@@ -104,7 +106,9 @@ def _weld(mesh: Mesh, uv: np.ndarray | None) -> tuple[Mesh, np.ndarray]:
     """The mesh with vertices of equal place and texture coordinates as one, and i64[V], which one."""
     digits = 6 - int(np.floor(np.log10(max(float(np.ptp(mesh.vertices)), 1e-9))))
     columns = [np.round(mesh.vertices, digits), *([] if uv is None else [np.round(uv, 6)])]
-    _, first, label = np.unique(np.concatenate(columns, 1), axis=0, return_index=True, return_inverse=True)
+    _, first, label = np.unique(
+        np.concatenate(columns, 1), axis=0, return_index=True, return_inverse=True
+    )
     label = label.reshape(-1)
     return Mesh(mesh.vertices[first], label[mesh.faces]), label
 
@@ -113,14 +117,18 @@ def _neighbours(mesh: Mesh) -> _Neighbours:
     """Of each edge that two triangles share; triangles without area have no neighbours."""
     faces = mesh.faces.astype(np.int64)
     start, end, tip = (np.roll(faces, -turn, axis=1).reshape(-1) for turn in range(3))
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    _, edge, number = np.unique(low * len(mesh.vertices) + high, return_inverse=True, return_counts=True)
+    low = np.minimum(start, end)
+    high = np.maximum(start, end)
+    _, edge, number = np.unique(
+        low * len(mesh.vertices) + high, return_inverse=True, return_counts=True
+    )
     edge = edge.reshape(-1)
     order = np.argsort(edge, kind="stable")
     one, two = order[number[edge[order]] == 2].reshape(-1, 2).T
     # A sheet drawn from both sides is a triangle and its reverse, and no fold; nor are two that turn unlike.
     is_pair = (start[one] == end[two]) & (tip[one] != tip[two])
-    one, two = one[is_pair], two[is_pair]
+    one = one[is_pair]
+    two = two[is_pair]
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     normals = mesh.normals
     length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -129,7 +137,8 @@ def _neighbours(mesh: Mesh) -> _Neighbours:
     along = _unit(mesh.vertices[end[one]] - base)
     arms = [mesh.vertices[tip[side]] - base for side in (one, two)]
     arms = [arm - (arm * along).sum(1, keepdims=True) * along for arm in arms]
-    a, b = normals[one // 3], normals[two // 3]
+    a = normals[one // 3]
+    b = normals[two // 3]
     off = np.maximum(np.abs((arms[1] * a).sum(1)), np.abs((arms[0] * b).sum(1)))
     is_flat = (off < _FLAT * diagonal) & (np.abs((a * b).sum(1)) > 1 - _STRAIGHT)
     width = np.minimum(*(np.linalg.norm(arm, axis=1) for arm in arms))
@@ -161,7 +170,8 @@ def _cut_anew(mesh: Mesh, place: np.ndarray) -> np.ndarray | None:
         cut = np.asarray(manifold3d.triangulate(np.split(flat, ends)), np.int64).reshape(-1, 3)
     except (RuntimeError, ValueError):
         return None
-    (ax, ay), (bx, by) = (flat[cut[:, 1]] - flat[cut[:, 0]]).T, (flat[cut[:, 2]] - flat[cut[:, 0]]).T
+    (ax, ay) = (flat[cut[:, 1]] - flat[cut[:, 0]]).T
+    (bx, by) = (flat[cut[:, 2]] - flat[cut[:, 0]]).T
     areas = ax * by - ay * bx
     is_sound = bool((areas > -1e-9 * area).all()) and np.isclose(areas.sum(), area, rtol=1e-4)
     return corners[cut] if is_sound else None
@@ -171,7 +181,8 @@ def _loops(faces: np.ndarray) -> list[np.ndarray]:
     """The outlines of some triangles: vertices in the triangles' own order."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], -1).reshape(-1, 2)
     size = int(faces.max()) + 1
-    there, back = edges[:, 0] * size + edges[:, 1], edges[:, 1] * size + edges[:, 0]
+    there = edges[:, 0] * size + edges[:, 1]
+    back = edges[:, 1] * size + edges[:, 0]
     onward: dict[int, list[int]] = {}
     for start, end in edges[~np.isin(there, back)].tolist():
         onward.setdefault(start, []).append(end)

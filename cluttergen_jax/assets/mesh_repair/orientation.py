@@ -83,7 +83,8 @@ def _orient(piece: Piece, patches: _Patches, skin: Skin | None) -> Piece:
     vote = np.zeros(patches.count)
     is_seen = np.ones(patches.count, bool)
     if skin is not None and not closed.all():
-        agreement, area = skin.agreement(turned), _directions(turned)[1]
+        agreement = skin.agreement(turned)
+        area = _directions(turned)[1]
         seen = _sums(patches, area * np.abs(agreement))
         vote = _sums(patches, area * agreement) / np.maximum(seen, 1e-30)
         is_seen = seen > _MIN_SEEN * np.maximum(_sums(patches, area), area.mean())
@@ -122,20 +123,27 @@ def _patches(mesh: Mesh) -> _Patches:
     num = len(mesh.faces)
     _, place = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
     corners = place.reshape(-1)[mesh.faces]
-    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    low, high = np.minimum(start, end).astype(np.int64), np.maximum(start, end)
-    _, edge, count = np.unique(low * (corners.max() + 1) + high, return_inverse=True, return_counts=True)
+    start = corners.ravel()
+    end = np.roll(corners, -1, axis=1).ravel()
+    low = np.minimum(start, end).astype(np.int64)
+    high = np.maximum(start, end)
+    _, edge, count = np.unique(
+        low * (corners.max() + 1) + high, return_inverse=True, return_counts=True
+    )
     order = np.argsort(edge.reshape(-1), kind="stable")
     order = order[count[edge.reshape(-1)[order]] == 2]
-    first, second = order[::2], order[1::2]
-    a, b = first // 3, second // 3
+    first = order[::2]
+    second = order[1::2]
+    a = first // 3
+    b = second // 3
     # Two triangles that face alike pass their common edge in opposite directions.
     is_alike = (start < end)[first] != (start < end)[second]
     rows = np.concatenate([a, a + num])
     columns = np.concatenate([np.where(is_alike, b, b + num), np.where(is_alike, b + num, b)])
     graph = coo_array((np.ones(len(rows), bool), (rows, columns)), shape=(2 * num, 2 * num))
     _, group = connected_components(graph, directed=False)
-    as_is, turned = group[:num], group[num:]
+    as_is = group[:num]
+    turned = group[num:]
     _, label = np.unique(np.minimum(as_is, turned), return_inverse=True)
     label = label.reshape(-1)
     total = int(label.max()) + 1
@@ -161,7 +169,8 @@ def _hole_areas(points: np.ndarray, ends: np.ndarray, label: np.ndarray, count: 
     num_loops, loop_of = connected_components(graph, directed=False)
     loop = label * num_loops + loop_of[ends[0]]
     loops, which = np.unique(loop, return_inverse=True)
-    start, end = points[ends[0]], points[ends[1]]
+    start = points[ends[0]]
+    end = points[ends[1]]
     about = _means(which, start, len(loops))
     swept = np.cross(start - about[which], end - about[which]) / 2
     area = np.zeros((len(loops), 3))

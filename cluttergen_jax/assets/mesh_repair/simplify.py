@@ -29,14 +29,16 @@ def transfer_texture(piece: Piece, mesh: Mesh) -> Piece:
     there; elsewhere it is continued as it lies on the old triangle in the middle.
     """
     assert piece.uv is not None
-    old, uv = piece.mesh, piece.uv.astype(np.float64)
+    old = piece.mesh
+    uv = piece.uv.astype(np.float64)
     tree = cKDTree(old.vertices[old.faces].mean(1))
     corners = mesh.corners
     middle = corners.mean(1)
     places, away, owner = _candidates(old, uv, tree, middle)
     best = np.argmin(away, axis=1)
     row = np.arange(len(middle))
-    start, triangle = places[row, best], owner[row, best]
+    start = places[row, best]
+    triangle = owner[row, best]
     stretch = _STRETCH * _scale(old, uv)[triangle]
     found = np.empty((len(middle), 3, 2))
     for k in range(3):
@@ -75,7 +77,8 @@ def _candidates(
 
 def _scale(mesh: Mesh, uv: np.ndarray) -> np.ndarray:
     """f64[F]: the most that the image moves on a triangle, in uv for each metre."""
-    corners, places = mesh.corners, uv[mesh.faces]
+    corners = mesh.corners
+    places = uv[mesh.faces]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     steps = np.linalg.norm(places - np.roll(places, 1, axis=1), axis=2)
     return (steps / np.maximum(sides, 1e-9)).max(1)
@@ -135,10 +138,14 @@ def _weld(piece: Piece) -> Piece:
     _, place = np.unique(np.round(mesh.vertices, digits), axis=0, return_inverse=True)
     keys = np.column_stack([place.reshape(-1), np.round(piece.uv, UV_DIGITS)])
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    faces, corners = inverse.reshape(-1)[mesh.faces], place.reshape(-1)[mesh.faces]
+    faces = inverse.reshape(-1)[mesh.faces]
+    corners = place.reshape(-1)[mesh.faces]
     is_sound = (corners != np.roll(corners, 1, axis=1)).all(1)
-    faces, corners = faces[is_sound], np.sort(corners[is_sound], axis=1)
-    faces = faces[np.sort(np.unique(corners, axis=0, return_index=True)[1])] if len(faces) else faces
+    faces = faces[is_sound]
+    corners = np.sort(corners[is_sound], axis=1)
+    faces = (
+        faces[np.sort(np.unique(corners, axis=0, return_index=True)[1])] if len(faces) else faces
+    )
     used, faces = np.unique(faces, return_inverse=True)
     kept = first[used]
     return replace(piece, mesh=Mesh(mesh.vertices[kept], faces.reshape(-1, 3)), uv=piece.uv[kept])

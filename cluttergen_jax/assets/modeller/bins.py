@@ -21,16 +21,23 @@ SIZES: dict[str, tuple[float, float, float]] = {
 }
 """Width, depth and height inside, metres."""
 
-WALL, LEAST, MOST = 0.008, 0.02, 2.0
-"""Metres: thickness of walls and floor, the shortest and the longest side inside."""
+# Metres: thickness of walls and floor, the shortest and the longest side inside.
+WALL = 0.008
+LEAST = 0.02
+MOST = 2.0
 
-_TABLE, _AROUND, _HEIGHT = (0.60, 0.70), 0.10, 0.70
-"""Metres: the paper's table, wider where less of it than this would be left around the container."""
+# Metres: the paper's table, wider where less of it than this would be left around the container.
+_TABLE = (0.60, 0.70)
+_AROUND = 0.10
+_HEIGHT = 0.70
+
 _CORNER = 0.012
 _COLORS = dict(zip(SIZES, hex_colors("4f6d8c 8a9099 b5814f"), strict=True))
 
 
-def open_container(kind: str, size: tuple[float, ...] | None = None, rng: Rng = None) -> SupportAsset:
+def open_container(
+    kind: str, size: tuple[float, ...] | None = None, rng: Rng = None
+) -> SupportAsset:
     """A bin, a tote or a tray on a table of 0.70 m.
 
     Args:
@@ -49,13 +56,19 @@ def open_container(kind: str, size: tuple[float, ...] | None = None, rng: Rng = 
             f"support='{kind}-{'x'.join(f'{side:.2f}' for side in SIZES[kind])}'",
         )
     width, depth, height = (vary(rng, float(side), 0.1) for side in given)
-    outer, top = (width + 2 * WALL, depth + 2 * WALL), _HEIGHT + WALL
+    outer = (width + 2 * WALL, depth + 2 * WALL)
+    top = _HEIGHT + WALL
     table = tuple(max(least, side + 2 * _AROUND) for least, side in zip(_TABLE, outer, strict=True))
-    color, wood = shade(rng, (_COLORS[kind],)), shade(rng, joinery.WOODS)
+    color = shade(rng, (_COLORS[kind],))
+    wood = shade(rng, joinery.WOODS)
     walls: list[Box] = []
     for sign in (-1, 1):
-        walls.append(joinery.slab((WALL, outer[1], WALL + height), (sign * (width + WALL) / 2, 0), _HEIGHT))
-        walls.append(joinery.slab((width, WALL, WALL + height), (0, sign * (depth + WALL) / 2), _HEIGHT))
+        walls.append(
+            joinery.slab((WALL, outer[1], WALL + height), (sign * (width + WALL) / 2, 0), _HEIGHT)
+        )
+        walls.append(
+            joinery.slab((width, WALL, WALL + height), (0, sign * (depth + WALL) / 2), _HEIGHT)
+        )
     shell = cad.difference(
         cad.extrude(cad.rounded_rect(*outer, _CORNER), WALL + height, _HEIGHT),
         cad.box((width, depth, 2 * height), z=top),

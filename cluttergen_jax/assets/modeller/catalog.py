@@ -24,7 +24,13 @@ from cluttergen_jax.errors import PoolError
 _POOLS: dict[str, tuple[Family, ...]] = {
     # What stands on a laid table.
     "dining": (
-        *(tableware.mug, tableware.bowl, tableware.dinner_plate, tableware.water_glass, tableware.wine_glass),
+        *(
+            tableware.mug,
+            tableware.bowl,
+            tableware.dinner_plate,
+            tableware.water_glass,
+            tableware.wine_glass,
+        ),
         *(
             containers.bottle,
             containers.soup_can,
@@ -41,24 +47,49 @@ _POOLS: dict[str, tuple[Family, ...]] = {
     ),
     # What stands about on a study's desk.
     "study": (
-        *(stationery.hardback_book, curios.desk_lamp, gadgets.alarm_clock, gadgets.camera, curios.globe),
-        *(computing.laptop, computing.mouse, stationery.stapler, curios.eyeglasses, organizers.pencil_cup),
+        *(
+            stationery.hardback_book,
+            curios.desk_lamp,
+            gadgets.alarm_clock,
+            gadgets.camera,
+            curios.globe,
+        ),
+        *(
+            computing.laptop,
+            computing.mouse,
+            stationery.stapler,
+            curios.eyeglasses,
+            organizers.pencil_cup,
+        ),
     ),
     # What is worked with at a desk.
     "office": (
         *(computing.keyboard, computing.calculator, stationery.tape_dispenser, stationery.scissors),
-        *(organizers.pen_holder, computing.desk_phone, organizers.letter_tray, stationery.hole_punch),
+        *(
+            organizers.pen_holder,
+            computing.desk_phone,
+            organizers.letter_tray,
+            stationery.hole_punch,
+        ),
         *(stationery.sticky_notes, stationery.ring_binder),
     ),
     # What is found about the house.
     "household": (
-        *(homeware.tissue_box, homeware.tape_roll, homeware.spray_bottle, curios.candle, homeware.flower_pot),
+        *(
+            homeware.tissue_box,
+            homeware.tape_roll,
+            homeware.spray_bottle,
+            curios.candle,
+            homeware.flower_pot,
+        ),
         *(gadgets.remote_control, curios.toy_car, homeware.soap_dispenser, curios.photo_frame),
         homeware.basket,
     ),
 }
 
-FAMILIES: dict[str, Family] = {family.__name__: family for pool in _POOLS.values() for family in pool}
+FAMILIES: dict[str, Family] = {
+    family.__name__: family for pool in _POOLS.values() for family in pool
+}
 POOLS = {pool: tuple(family.__name__ for family in families) for pool, families in _POOLS.items()}
 
 
@@ -73,7 +104,9 @@ def make_shape(family: str, seed: int | None = None) -> Shape:
       PoolError: there is no such family.
     """
     if family not in FAMILIES:
-        raise PoolError(f"no family named {family!r}", ", ".join(sorted(FAMILIES)), "one of these names")
+        raise PoolError(
+            f"no family named {family!r}", ", ".join(sorted(FAMILIES)), "one of these names"
+        )
     if seed is None:
         return FAMILIES[family](None)
     shape = FAMILIES[family](np.random.default_rng(seed))

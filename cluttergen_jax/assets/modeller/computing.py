@@ -29,14 +29,18 @@ def key_grid(
     columns: int, rows: int, size: Sequence[float], height: float, center: Sequence[float] = (0, 0)
 ) -> list[list[Manifold]]:
     """Keys over a rectangle `size` (x, y): rows from the back to the front, each a list of keys."""
-    pitch_x, pitch_y = size[0] / columns, size[1] / rows
+    pitch_x = size[0] / columns
+    pitch_y = size[1] / rows
     return [
         [
             key(
                 0.86 * pitch_x,
                 0.84 * pitch_y,
                 height,
-                (center[0] + (i - (columns - 1) / 2) * pitch_x, center[1] + ((rows - 1) / 2 - j) * pitch_y),
+                (
+                    center[0] + (i - (columns - 1) / 2) * pitch_x,
+                    center[1] + ((rows - 1) / 2 - j) * pitch_y,
+                ),
             )
             for i in range(columns)
         ]
@@ -62,8 +66,11 @@ def _on_slope(solid: Manifold, front: float, back: float, slope: float) -> Manif
 
 def laptop(rng: Rng = None) -> Shape:
     """An open laptop, keyboard towards -y."""
-    width, depth = vary(rng, 0.300, 0.08), vary(rng, 0.205, 0.06)
-    base, lid, lean = 0.016, 0.007, vary(rng, 16.0, 0.4)
+    width = vary(rng, 0.300, 0.08)
+    depth = vary(rng, 0.205, 0.06)
+    base = 0.016
+    lid = 0.007
+    lean = vary(rng, 16.0, 0.4)
     pose = {"rotate": (-lean, 0, 0), "move": (0, depth / 2 - 0.006, base - 0.004)}
 
     def raise_lid(solid: Manifold) -> Manifold:
@@ -73,24 +80,38 @@ def laptop(rng: Rng = None) -> Shape:
     screen = cad.box((0.93 * width, 0.002, 0.82 * depth), (0, -lid / 2), 0.10 * depth)
     windows = [
         (
-            cad.box((0.40 * width, 0.002, 0.46 * depth), (-0.16 * width, -lid / 2 - 0.0006), 0.33 * depth),
+            cad.box(
+                (0.40 * width, 0.002, 0.46 * depth),
+                (-0.16 * width, -lid / 2 - 0.0006),
+                0.33 * depth,
+            ),
             rgb.WHITE,
         ),
         (
-            cad.box((0.40 * width, 0.002, 0.06 * depth), (-0.16 * width, -lid / 2 - 0.0010), 0.76 * depth),
+            cad.box(
+                (0.40 * width, 0.002, 0.06 * depth),
+                (-0.16 * width, -lid / 2 - 0.0010),
+                0.76 * depth,
+            ),
             rgb.ORANGE,
         ),
         (
-            cad.box((0.24 * width, 0.002, 0.30 * depth), (0.24 * width, -lid / 2 - 0.0006), 0.42 * depth),
+            cad.box(
+                (0.24 * width, 0.002, 0.30 * depth), (0.24 * width, -lid / 2 - 0.0006), 0.42 * depth
+            ),
             rgb.YELLOW,
         ),
     ]
     deck = (0.86 * width, 0.42 * depth)
     grid = key_grid(13, 5, deck, 0.0016, (0, 0.16 * depth))
-    grid[4][3:9] = [key(0.44 * deck[0], 0.84 * deck[1] / 5, 0.0016, (-0.03 * width, -0.008 * depth))]
+    grid[4][3:9] = [
+        key(0.44 * deck[0], 0.84 * deck[1] / 5, 0.0016, (-0.03 * width, -0.008 * depth))
+    ]
     keys = cad.union(*[one for row in grid for one in row]).translate((0, 0, base))
     pad = cad.box((0.34 * width, 0.27 * depth, 0.001), (0, -0.29 * depth), base - 0.0006)
-    shell = cad.rounded_box((width, depth, base), 0.003) + raise_lid(cad.rounded_box(screen_size, 0.003))
+    shell = cad.rounded_box((width, depth, base), 0.003) + raise_lid(
+        cad.rounded_box(screen_size, 0.003)
+    )
     return assemble(
         name="laptop",
         pieces=(
@@ -112,7 +133,9 @@ def mouse(rng: Rng = None) -> Shape:
     """A computer mouse with two buttons and a wheel, its front towards -y."""
     size = np.array([vary(rng, 0.063, 0.1), vary(rng, 0.108, 0.1), vary(rng, 0.037, 0.1)])
     # Each level: height, share of width, share of length, and how far it sits back.
-    levels = np.array([(0, 0.90, 0.93, 0), (0.30, 1, 1, 0), (0.68, 0.84, 0.84, 0.03), (1, 0.40, 0.36, 0.09)])
+    levels = np.array(
+        [(0, 0.90, 0.93, 0), (0.30, 1, 1, 0), (0.68, 0.84, 0.84, 0.03), (1, 0.40, 0.36, 0.09)]
+    )
     body = cad.hull(_mouse_skin(cad.smooth_path(levels, 13), 40) * size)
     core = cad.hull(_mouse_skin(cad.smooth_path(levels, 13), 40) * size * (0.90, 0.93, 0.93))
     seam = 0.06 * size[1]
@@ -145,14 +168,20 @@ def _mouse_skin(levels: np.ndarray, num: int) -> np.ndarray:
     """Rounded outlines of `num` corners at each level, in shares of the size: f64[L * num, 3]."""
     turns = np.linspace(0, 2 * np.pi, num, endpoint=False) + np.pi / num
     x, y = (np.sign(c) * np.abs(c) ** 0.8 / 2 for c in (np.cos(turns), np.sin(turns)))
-    rings = [np.column_stack([x * wide, y * long + back, np.full(num, z)]) for z, wide, long, back in levels]
+    rings = [
+        np.column_stack([x * wide, y * long + back, np.full(num, z)])
+        for z, wide, long, back in levels
+    ]
     return np.concatenate(rings)
 
 
 def keyboard(rng: Rng = None) -> Shape:
     """A compact computer keyboard, its space bar towards -y."""
-    width, depth = vary(rng, 0.330, 0.1), vary(rng, 0.125, 0.06)
-    front, back, travel = 0.011, vary(rng, 0.021, 0.15), 0.006
+    width = vary(rng, 0.330, 0.1)
+    depth = vary(rng, 0.125, 0.06)
+    front = 0.011
+    back = vary(rng, 0.021, 0.15)
+    travel = 0.006
     corners, slope = wedge(width, depth, front, back)
     columns = 14 if rng is None else int(rng.integers(12, 16))
     area = (width - 0.014, depth - 0.014)
@@ -170,7 +199,9 @@ def keyboard(rng: Rng = None) -> Shape:
         *grid[4][:3],
         *grid[4][-4:-1],
     ]
-    plain = [one for line in grid for one in line if all(one is not other for other in accent + grey)]
+    plain = [
+        one for line in grid for one in line if all(one is not other for other in accent + grey)
+    ]
     tops = corners[corners[:, 2] > 0] * (0.955, 0.90, 1) + (0, 0, 0.85 * travel)
     return assemble(
         name="keyboard",
@@ -194,14 +225,17 @@ def keyboard(rng: Rng = None) -> Shape:
 
 def calculator(rng: Rng = None) -> Shape:
     """A desk calculator, its display at the back."""
-    width, depth = vary(rng, 0.098, 0.12), vary(rng, 0.150, 0.1)
-    front, back = 0.015, vary(rng, 0.034, 0.2)
+    width = vary(rng, 0.098, 0.12)
+    depth = vary(rng, 0.150, 0.1)
+    front = 0.015
+    back = vary(rng, 0.034, 0.2)
     corners, slope = wedge(width, depth, front, back)
     grid = key_grid(4, 5, (0.86 * width, 0.58 * depth), 0.005, (0, -0.16 * depth))
     frame = cad.box((0.84 * width, 0.21 * depth, 0.003), (0, 0.31 * depth), -0.001)
     glass = cad.box((0.76 * width, 0.15 * depth, 0.001), (0, 0.31 * depth), 0.0016)
     number = "".join(
-        str(d) for d in ([1, 2, 3, 4, 5] if rng is None else rng.choice([0, 1, 2, 3, 4, 5, 7, 8, 9], 5))
+        str(d)
+        for d in ([1, 2, 3, 4, 5] if rng is None else rng.choice([0, 1, 2, 3, 4, 5, 7, 8, 9], 5))
     )
     digits = lettering(number, 0.085 * depth).translate((0.08 * width, 0.31 * depth, 0.0026))
     operators = [grid[j][3] for j in range(4)]
@@ -229,19 +263,23 @@ def calculator(rng: Rng = None) -> Shape:
 
 def desk_phone(rng: Rng = None) -> Shape:
     """A desk telephone, its handset lying on the left of the keypad."""
-    width, depth = vary(rng, 0.185, 0.08), vary(rng, 0.195, 0.08)
-    front, back = 0.028, vary(rng, 0.066, 0.15)
+    width = vary(rng, 0.185, 0.08)
+    depth = vary(rng, 0.195, 0.08)
+    front = 0.028
+    back = vary(rng, 0.066, 0.15)
     corners, slope = wedge(width, depth, front, back)
     pad = key_grid(3, 4, (0.36 * width, 0.40 * depth), 0.005, (0.22 * width, -0.20 * depth))
     display = cad.box((0.42 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)
     glass = cad.box((0.38 * width, 0.17 * depth, 0.001), (0.22 * width, 0.24 * depth), 0.0046)
     time = lettering("12:45", 0.07 * depth).translate((0.22 * width, 0.24 * depth, 0.0056))
-    left, reach = -0.26 * width, 0.42 * depth
+    left = -0.26 * width
+    reach = 0.42 * depth
     ends = [((0.050, 0.050, 0.030), (left, s * reach), -0.001) for s in (-1, 1)]
     grip = ((0.036, 2 * reach, 0.017), (left, 0), 0.020)
     cradle = cad.box((0.024, 0.020, 0.027), (left, 0), -0.001)
     handset = cad.union(*[cad.rounded_box(size, 0.008, at, z) for size, at, z in (*ends, grip)])
-    turn, lift = (slope, 0, 0), (0, 0, (front + back) / 2)
+    turn = (slope, 0, 0)
+    lift = (0, 0, (front + back) / 2)
     tinted = [
         (cad.union(*[one for row in pad for one in row]), rgb.WHITE),
         (display, rgb.BLACK),
@@ -254,14 +292,19 @@ def desk_phone(rng: Rng = None) -> Shape:
         name="desk_phone",
         label="desk telephone",
         pieces=(
-            (cad.hull(corners), shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.RED, rgb.GREEN, rgb.PAPER))),
+            (
+                cad.hull(corners),
+                shade(rng, (rgb.CHARCOAL, *rgb.DARK, rgb.RED, rgb.GREEN, rgb.PAPER)),
+            ),
             *[(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
         ),
         parts=(
             part.hull(corners),
             *[part.rotate_part(part.box(size, at, z), turn, lift) for size, at, z in (*ends, grip)],
             part.rotate_part(
-                part.box(*((0.40 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)),
+                part.box(
+                    *((0.40 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)
+                ),
                 turn,
                 lift,
             ),

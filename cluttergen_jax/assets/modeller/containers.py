@@ -7,7 +7,15 @@ from manifold3d import Manifold
 
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_colors, hex_rgb, shade, vary
+from cluttergen_jax.assets.modeller.draw import (
+    Rng,
+    assemble,
+    choose,
+    hex_colors,
+    hex_rgb,
+    shade,
+    vary,
+)
 from cluttergen_jax.assets.shape import Shape
 
 BOTTLE_GLASS = hex_colors("2f5d3a 6b3f1d 1f3b2c 7f9a4a 2b4a6b")
@@ -21,15 +29,27 @@ FILLINGS = hex_colors("a3202f d9822b 5b2a4f 8a5a2b 6f8f3a")
 
 def bottle(rng: Rng = None) -> Shape:
     """A closed wine bottle with a label and a foil cap."""
-    radius, height = vary(rng, 0.037, 0.1), vary(rng, 0.295, 0.12)
-    shoulder, neck = height * vary(rng, 0.60, 0.1), vary(rng, 0.0142, 0.08)
+    radius = vary(rng, 0.037, 0.1)
+    height = vary(rng, 0.295, 0.12)
+    shoulder = height * vary(rng, 0.60, 0.1)
+    neck = vary(rng, 0.0142, 0.08)
     top = shoulder + vary(rng, 0.20, 0.2) * height
     bend = [(0.97, 0.16), (0.88, 0.36), (0.68, 0.60), (0.50, 0.80)]
-    curve = [(neck + (radius - neck) * (r - 0.4) / 0.6, shoulder + (top - shoulder) * z) for r, z in bend]
-    body = [(radius - 0.003, 0.0), (radius, 0.004), (radius, shoulder), *curve, (neck, top), (neck, height)]
+    curve = [
+        (neck + (radius - neck) * (r - 0.4) / 0.6, shoulder + (top - shoulder) * z) for r, z in bend
+    ]
+    body = [
+        (radius - 0.003, 0.0),
+        (radius, 0.004),
+        (radius, shoulder),
+        *curve,
+        (neck, top),
+        (neck, height),
+    ]
     foil_foot = top + 0.25 * (height - top)
     foil = _sleeve(neck, foil_foot, height - 0.001, 0.0008)
-    low, high = 0.14 * height, shoulder - 0.05 * height
+    low = 0.14 * height
+    high = shoulder - 0.05 * height
     return assemble(
         name="bottle",
         label="wine bottle",
@@ -50,12 +70,24 @@ def bottle(rng: Rng = None) -> Shape:
 
 def soup_can(rng: Rng = None) -> Shape:
     """A closed tin can with a two-coloured paper label and a medallion band."""
-    radius, height = vary(rng, 0.034, 0.2), vary(rng, 0.102, 0.2)
-    rim, lip = 0.0014, 0.0035
-    tin = [(radius - 0.001, 0.0), (radius + rim, 0.0008), (radius + rim, lip), (radius, lip + 0.001)]
-    tin += [(radius, height - lip - 0.001), (radius + rim, height - lip), (radius + rim, height - 0.0008)]
+    radius = vary(rng, 0.034, 0.2)
+    height = vary(rng, 0.102, 0.2)
+    rim = 0.0014
+    lip = 0.0035
+    tin = [
+        (radius - 0.001, 0.0),
+        (radius + rim, 0.0008),
+        (radius + rim, lip),
+        (radius, lip + 0.001),
+    ]
+    tin += [
+        (radius, height - lip - 0.001),
+        (radius + rim, height - lip),
+        (radius + rim, height - 0.0008),
+    ]
     tin += [(radius - 0.001, height), (radius - 0.002, height - 0.003), (0.0, height - 0.003)]
-    low, high = lip + 0.002, height - lip - 0.002
+    low = lip + 0.002
+    high = height - lip - 0.002
     middle = low + (0.52 if rng is None else rng.uniform(0.35, 0.65)) * (high - low)
     band = 0.07 * (high - low)
     color = shade(rng, LABELS)
@@ -74,17 +106,29 @@ def soup_can(rng: Rng = None) -> Shape:
 
 def jar(rng: Rng = None) -> Shape:
     """A filled glass jar with a screw lid."""
-    radius, height = vary(rng, 0.040, 0.2), vary(rng, 0.110, 0.25)
-    lid, neck = vary(rng, 0.016), radius * vary(rng, 0.88, 0.06)
+    radius = vary(rng, 0.040, 0.2)
+    height = vary(rng, 0.110, 0.25)
+    lid = vary(rng, 0.016)
+    neck = radius * vary(rng, 0.88, 0.06)
     shoulder = height - lid - 0.014
-    outer = [(radius - 0.004, 0.0), (radius, 0.004), (radius, shoulder), (neck - 0.002, shoulder + 0.012)]
+    outer = [
+        (radius - 0.004, 0.0),
+        (radius, 0.004),
+        (radius, shoulder),
+        (neck - 0.002, shoulder + 0.012),
+    ]
     body = cad.revolve([(0.0, 0.0), *outer, (neck - 0.002, height - 0.002), (0.0, height - 0.002)])
     level = shoulder * (0.90 if rng is None else rng.uniform(0.82, 0.95))
     # The glass above the jam is a skin: a surface inside the body would count as a part of its outside.
     rising = [(radius, level), (radius, shoulder), (neck - 0.002, shoulder + 0.012)]
-    skin = cad.revolve([(0.0, level), *((r + 0.0003, z) for r, z in rising), (0.0, shoulder + 0.012)])
-    low, high = 0.24 * shoulder, 0.78 * shoulder
-    ribs = [(neck + 0.0005 * (k % 2), height - lid + 0.002 + (lid - 0.005) * k / 8) for k in range(9)]
+    skin = cad.revolve(
+        [(0.0, level), *((r + 0.0003, z) for r, z in rising), (0.0, shoulder + 0.012)]
+    )
+    low = 0.24 * shoulder
+    high = 0.78 * shoulder
+    ribs = [
+        (neck + 0.0005 * (k % 2), height - lid + 0.002 + (lid - 0.005) * k / 8) for k in range(9)
+    ]
     cap = cad.revolve(
         [(0.0, height - lid), (neck, height - lid), *ribs, (neck - 0.002, height), (0.0, height)]
     )
@@ -109,7 +153,8 @@ def jar(rng: Rng = None) -> Shape:
 
 def _sleeve(radius: float, low: float, high: float, thickness: float = 0.0005) -> Manifold:
     """A thin ring around a cylinder, such as a label; its foot lies just inside the surface."""
-    inner, outer = radius - 0.0003, radius + thickness
+    inner = radius - 0.0003
+    outer = radius + thickness
     return cad.revolve([(inner, low), (outer, low), (outer, high), (inner, high)])
 
 
@@ -120,7 +165,9 @@ CREAM = hex_rgb("f6efdf")
 
 def cereal_box(rng: Rng = None) -> Shape:
     """A tall carton with a title and a bowl of flakes printed on its -y face."""
-    width, depth, height = vary(rng, 0.160), vary(rng, 0.058), vary(rng, 0.225)
+    width = vary(rng, 0.160)
+    depth = vary(rng, 0.058)
+    height = vary(rng, 0.225)
     accent = shade(rng, ACCENTS)
     flap = cad.box((0.30 * width, 0.30 * depth, 0.0008), z=height - 0.0002)
     return assemble(
@@ -135,13 +182,20 @@ def cereal_box(rng: Rng = None) -> Shape:
     )
 
 
-def _breakfast(rng: Rng, width: float, height: float, face: float, accent: cad.Rgb) -> list[cad.Painted]:
+def _breakfast(
+    rng: Rng, width: float, height: float, face: float, accent: cad.Rgb
+) -> list[cad.Painted]:
     """The print of a cereal box: a title panel, a bowl, milk and flakes."""
-    place, high = np.array([0.0, 0.34 * height]), np.array([0.0, 0.82 * height])
+    place = np.array([0.0, 0.34 * height])
+    high = np.array([0.0, 0.82 * height])
     title = cad.rounded_rect(0.84 * width, 0.20 * height, 0.05 * height) + high
     letters = [
-        cad.rounded_rect(0.075 * width, size * height, 0.01 * height) + high + np.array([x * width, 0.0])
-        for x, size in zip(np.linspace(-0.30, 0.30, 6), (0.11, 0.08, 0.08, 0.11, 0.08, 0.08), strict=True)
+        cad.rounded_rect(0.075 * width, size * height, 0.01 * height)
+        + high
+        + np.array([x * width, 0.0])
+        for x, size in zip(
+            np.linspace(-0.30, 0.30, 6), (0.11, 0.08, 0.08, 0.11, 0.08, 0.08), strict=True
+        )
     ]
     reach = 0.36 * width
     turns = np.linspace(np.pi, 2 * np.pi, 24)
@@ -160,9 +214,13 @@ def _breakfast(rng: Rng, width: float, height: float, face: float, accent: cad.R
 
 def milk_carton(rng: Rng = None) -> Shape:
     """A gable-top carton with a screw cap; its ridge runs along x."""
-    side, height = vary(rng, 0.070, 0.12), vary(rng, 0.205)
-    eaves, fin = 0.76 * height, 0.075 * height
-    ridge, half, thin = height - fin, side / 2, 0.0018
+    side = vary(rng, 0.070, 0.12)
+    height = vary(rng, 0.205)
+    eaves = 0.76 * height
+    fin = 0.075 * height
+    ridge = height - fin
+    half = side / 2
+    thin = 0.0018
     right = [(half, 0.0), (half, eaves), (thin, ridge)]
     left = [(-y, z) for y, z in reversed(right)]
     carton = cad.upright([*right, (thin, height), (-thin, height), *left], side).rotate((0, 0, 90))
@@ -177,7 +235,10 @@ def milk_carton(rng: Rng = None) -> Shape:
         pieces=(
             (carton, hex_rgb("f3f3ee")),
             (stripe - carton, color),
-            (cad.upright(_drop(0.15 * side) + np.array([0.0, 0.46 * height]), 0.0006, -half), color),
+            (
+                cad.upright(_drop(0.15 * side) + np.array([0.0, 0.46 * height]), 0.0006, -half),
+                color,
+            ),
             (screw - carton, color),
         ),
         parts=(part.hull(gable), part.box((side, 2 * thin, fin + 0.002), z=ridge - 0.002)),
@@ -188,4 +249,6 @@ def milk_carton(rng: Rng = None) -> Shape:
 def _drop(radius: float) -> np.ndarray:
     """The outline of a falling drop, its round end around the origin, f64[25, 2]."""
     turns = np.linspace(0.85 * np.pi, 2.15 * np.pi, 24)
-    return np.concatenate([radius * np.stack([np.cos(turns), np.sin(turns)], -1), [(0.0, 2.4 * radius)]])
+    return np.concatenate(
+        [radius * np.stack([np.cos(turns), np.sin(turns)], -1), [(0.0, 2.4 * radius)]]
+    )

@@ -8,7 +8,15 @@ from manifold3d import Manifold
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import parts as part
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, assemble, choose, hex_colors, hex_rgb, shade, vary
+from cluttergen_jax.assets.modeller.draw import (
+    Rng,
+    assemble,
+    choose,
+    hex_colors,
+    hex_rgb,
+    shade,
+    vary,
+)
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Cavity, Shape
 
@@ -20,18 +28,24 @@ UP = (0.0, 0.0, 1.0)
 
 def pot(rng: Rng = None) -> Shape:
     """An open cooking pot with two loop handles on its x axis."""
-    radius, height, wall = vary(rng, 0.100, 0.15), vary(rng, 0.110, 0.25), vary(rng, 0.0038)
+    radius = vary(rng, 0.100, 0.15)
+    height = vary(rng, 0.110, 0.25)
+    wall = vary(rng, 0.0038)
     outer = [(radius - 0.006, 0.0), (radius - 0.001, 0.003), (radius, 0.008), (radius, height)]
     inner = [(radius - wall - 0.004, 0.006), (radius - wall, 0.010), (radius - wall, height)]
     body = Vessel(outer, inner)
     outside, lining = body.layers(0.0012)
     loops = [_loop(side, radius, 0.80 * height, 0.036, 0.038) for side in (1, -1)]
     bar = cad.rounded_rect(0.0075, 0.0100, 0.003, 3)
-    handles = [cad.difference(cad.sweep(path, bar, UP), body.inside(), body.solid()) for path in loops]
+    handles = [
+        cad.difference(cad.sweep(path, bar, UP), body.inside(), body.solid()) for path in loops
+    ]
     edge = radius + 0.002
     rim = cad.revolve([(radius - wall, height - 0.004), (edge, height - 0.004), (edge, height)])
     corners = bar[[0, 3, 4, 7, 8, 11, 12, 15]]
-    legs = [cell for path in loops for cell in part.sweep(part.thin_path(path, 3, 0.05), corners, UP)]
+    legs = [
+        cell for path in loops for cell in part.sweep(part.thin_path(path, 3, 0.05), corners, UP)
+    ]
     return assemble(
         name="pot",
         label="cooking pot",
@@ -50,23 +64,34 @@ def pot(rng: Rng = None) -> Shape:
 def _loop(side: int, radius: float, z: float, half: float, reach: float) -> np.ndarray:
     """The middle line of a horizontal handle on the +x or -x side of a round wall, f64[20, 3]."""
     start = np.sqrt(radius**2 - half**2) - 0.002
-    knots = [(start, -half), (radius + 0.55 * reach, -0.98 * half), (radius + 0.92 * reach, -0.6 * half)]
+    knots = [
+        (start, -half),
+        (radius + 0.55 * reach, -0.98 * half),
+        (radius + 0.92 * reach, -0.6 * half),
+    ]
     knots += [(radius + reach, 0.0), *((x, -y) for x, y in reversed(knots))]
     return cad.smooth_path([(side * x, side * y, z) for x, y in knots], 20)
 
 
 def frying_pan(rng: Rng = None) -> Shape:
     """A low pan with a long handle at +x, balanced so that it stands on its base."""
-    radius, height = vary(rng, 0.125, 0.12), vary(rng, 0.046, 0.15)
-    base, wall = radius * vary(rng, 0.80, 0.05), 0.0040
+    radius = vary(rng, 0.125, 0.12)
+    height = vary(rng, 0.046, 0.15)
+    base = radius * vary(rng, 0.80, 0.05)
+    wall = 0.0040
     bend = (base + 0.45 * (radius - base), 0.30 * height)
     outer = [(base - 0.003, 0.0), (base, 0.002), bend, (radius, height)]
     inner = [(base - 0.006, 0.006), (bend[0] - wall, bend[1] + 0.002), (radius - wall, height)]
     body = Vessel(outer, inner)
     outside, lining = body.layers(0.0010)
-    length, start = vary(rng, 0.175, 0.12), body.outer_radius(0.72 * height) - 0.002
-    path = cad.smooth_path([(start + s * length, 0, 0.72 * height + lift) for s, lift in _PAN_HANDLE], 24)
-    sizes = np.interp(np.linspace(0, 1, 24), [0.0, 0.2, 0.45, 0.9, 1.0], [0.62, 0.62, 0.95, 1.0, 0.75])
+    length = vary(rng, 0.175, 0.12)
+    start = body.outer_radius(0.72 * height) - 0.002
+    path = cad.smooth_path(
+        [(start + s * length, 0, 0.72 * height + lift) for s, lift in _PAN_HANDLE], 24
+    )
+    sizes = np.interp(
+        np.linspace(0, 1, 24), [0.0, 0.2, 0.45, 0.9, 1.0], [0.62, 0.62, 0.95, 1.0, 0.75]
+    )
     bar = cad.ellipse(0.0125, 0.0070, 16)
     grip = cad.difference(cad.sweep(path, bar, scales=sizes), body.inside(), body.solid())
     stations = part.thin_path(path, 3)
@@ -78,7 +103,10 @@ def frying_pan(rng: Rng = None) -> Shape:
             (lining, hex_rgb("3a3d42")),
             (grip, shade(rng, (hex_rgb("6b4226"), DARK, hex_rgb("9a6a3a")), 0.03)),
         ),
-        parts=(*body.parts(8), *part.sweep(stations, cad.ellipse(0.0125, 0.0070, 8), scales=scales)),
+        parts=(
+            *body.parts(8),
+            *part.sweep(stations, cad.ellipse(0.0125, 0.0070, 8), scales=scales),
+        ),
         cavity=body.cavity(),
         mass=vary(rng, 0.95, 0.15) * (radius / 0.125) ** 2,
     )
@@ -89,19 +117,29 @@ _PAN_HANDLE = [(0.0, 0.0), (0.25, 0.008), (0.55, 0.018), (0.85, 0.022), (1.0, 0.
 
 def colander(rng: Rng = None) -> Shape:
     """A metal sieve bowl with rows of holes, a flat base and two ears."""
-    radius, height, wall = vary(rng, 0.115, 0.12), vary(rng, 0.095, 0.15), 0.0030
+    radius = vary(rng, 0.115, 0.12)
+    height = vary(rng, 0.095, 0.15)
+    wall = 0.0030
     foot = 0.50 * radius
     curve = [(0.0, 0.05), (0.29, 0.22), (0.60, 0.47), (0.85, 0.75), (1.0, 1.0)]
     outer = [(foot + (radius - foot) * r, height * z) for r, z in curve]
     inner = [(r - wall, z) for r, z in outer[1:]]
     body = Vessel([(foot, 0.0), *outer], [(foot - 0.004, 0.05 * height + 0.003), *inner])
     rows = [(0.40, 22, 0.0), (0.58, 26, 0.5), (0.76, 30, 0.0)]
-    holes = [_hole(body, share * height, (k + shift) / num) for share, num, shift in rows for k in range(num)]
+    holes = [
+        _hole(body, share * height, (k + shift) / num)
+        for share, num, shift in rows
+        for k in range(num)
+    ]
     ears = [_loop(side, radius, height - 0.004, 0.030, 0.030) for side in (1, -1)]
     turns = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    rim_path = np.stack([radius + 0.0035 * np.cos(turns), height - 0.0035 * (1 - np.sin(turns))], -1)
+    rim_path = np.stack(
+        [radius + 0.0035 * np.cos(turns), height - 0.0035 * (1 - np.sin(turns))], -1
+    )
     shell = cad.difference(cad.union(body.solid(), cad.revolve(rim_path)), *holes)
-    wires = [cad.difference(cad.tube(path, 0.0034, UP, segments=10), body.inside()) for path in ears]
+    wires = [
+        cad.difference(cad.tube(path, 0.0034, UP, segments=10), body.inside()) for path in ears
+    ]
     legs = [cell for path in ears for cell in part.sweep(part.thin_path(path, 3, 0.04), 0.0036, UP)]
     return assemble(
         name="colander",
@@ -124,8 +162,12 @@ TOASTER_DARK = hex_rgb("23262a")
 
 def toaster(rng: Rng = None) -> Shape:
     """A two-slot toaster: slots along x, its lever at +x, a dial on the same end."""
-    width, depth, height = vary(rng, 0.265, 0.1), vary(rng, 0.165, 0.08), vary(rng, 0.185, 0.08)
-    long, wide, deep = 0.56 * width, vary(rng, 0.032, 0.06), 0.55 * height
+    width = vary(rng, 0.265, 0.1)
+    depth = vary(rng, 0.165, 0.08)
+    height = vary(rng, 0.185, 0.08)
+    long = 0.56 * width
+    wide = vary(rng, 0.032, 0.06)
+    deep = 0.55 * height
     middle = 0.21 * depth
     floor = height - deep
     slots = [cad.box((long, wide, deep + 0.01), (0.0, side * middle), floor) for side in (-1, 1)]
@@ -133,7 +175,9 @@ def toaster(rng: Rng = None) -> Shape:
     frame = cad.extrude(
         cad.rounded_rect(long + 0.024, 2 * middle + wide + 0.024, 0.010), 0.0012, height - 0.0006
     )
-    base = cad.difference(cad.extrude(cad.rounded_rect(width + 0.003, depth + 0.003, 0.022), 0.016), shell)
+    base = cad.difference(
+        cad.extrude(cad.rounded_rect(width + 0.003, depth + 0.003, 0.022), 0.016), shell
+    )
     end = width / 2
     lever = cad.rounded_box((0.026, 0.036, 0.014), 0.004, (end + 0.010, 0.0), 0.66 * height)
     track = cad.box((0.002, 0.008, 0.50 * height), (end, 0.0), 0.30 * height)
@@ -143,7 +187,9 @@ def toaster(rng: Rng = None) -> Shape:
     rib = 2 * middle - wide
     cheek = (width - long) / 2
     # The upper parts are sunk into their neighbours, so that no face of theirs lies bare inside the body.
-    rise, low, span = deep + 0.002, floor - 0.002, long + 0.004
+    rise = deep + 0.002
+    low = floor - 0.002
+    span = long + 0.004
     return assemble(
         name="toaster",
         pieces=(
@@ -154,8 +200,14 @@ def toaster(rng: Rng = None) -> Shape:
         ),
         parts=(
             part.box((width, depth, floor)),
-            *(part.box((cheek, depth, rise), (side * (end - cheek / 2), 0), low) for side in (-1, 1)),
-            *(part.box((span, wall, rise), (0, side * (depth - wall) / 2), low) for side in (-1, 1)),
+            *(
+                part.box((cheek, depth, rise), (side * (end - cheek / 2), 0), low)
+                for side in (-1, 1)
+            ),
+            *(
+                part.box((span, wall, rise), (0, side * (depth - wall) / 2), low)
+                for side in (-1, 1)
+            ),
             part.box((span, rib, rise), z=low),
             part.box((0.026, 0.036, 0.014), (end + 0.010, 0.0), 0.66 * height),
         ),
@@ -176,23 +228,35 @@ RAISE = 0.0004
 
 def fork(rng: Rng = None) -> Shape:
     """A table fork that lies on the end of its handle and on the root of its four tines."""
-    length, width = vary(rng, 0.192, 0.1), vary(rng, 0.0250, 0.1)
-    thick, arch = vary(rng, 0.0026, 0.12), vary(rng, 0.0080, 0.2)
+    length = vary(rng, 0.192, 0.1)
+    width = vary(rng, 0.0250, 0.1)
+    thick = vary(rng, 0.0026, 0.12)
+    arch = vary(rng, 0.0080, 0.2)
     ends = np.array([0.0, 0.03, 0.20, 0.45, 0.60, 0.70, 0.76, 0.83, 1.0]) * length
     lifts = np.array([0.0, 0.0, 0.0, 0.75, 1.0, 0.35, 0.0, 0.0, 0.9]) * arch
     grip = vary(rng, 0.0085, 0.12)
-    handle, head = [0.55 * grip, grip, 0.95 * grip, 0.0042, 0.0036], [0.3, 0.5, 0.5, 0.44]
+    handle = [0.55 * grip, grip, 0.95 * grip, 0.0042, 0.0036]
+    head = [0.3, 0.5, 0.5, 0.44]
     halves = np.array([*handle, *(share * width for share in head)])
     slot = 0.125 * width
     prong = (width - 3 * slot) / 4
     places = (np.arange(4) - 1.5) * (prong + slot)
-    gaps = [cad.box((length, slot, 0.1), (1.30 * length, y), z=-0.01) for y in (places[:-1] + places[1:]) / 2]
+    gaps = [
+        cad.box((length, slot, 0.1), (1.30 * length, y), z=-0.01)
+        for y in (places[:-1] + places[1:]) / 2
+    ]
     solid = cad.difference(_ribbon(ends, halves, lifts, thick), *gaps)
     # Only the two flat legs, the handle's end and the head, reach down to the table.
     raised = [RAISE * (k not in (0, 1, 6)) for k in range(7)]
-    legs = [_slab(ends[k : k + 2], halves[k : k + 2], lifts[k : k + 2] + raised[k], thick) for k in range(7)]
+    legs = [
+        _slab(ends[k : k + 2], halves[k : k + 2], lifts[k : k + 2] + raised[k], thick)
+        for k in range(7)
+    ]
     end = part.hull(np.concatenate([legs[0].vertices, legs[1].vertices]))
-    tines = [_slab(ends[-2:], np.full(2, prong / 2), lifts[-2:] + RAISE, thick, y, 0.88 * y) for y in places]
+    tines = [
+        _slab(ends[-2:], np.full(2, prong / 2), lifts[-2:] + RAISE, thick, y, 0.88 * y)
+        for y in places
+    ]
     shift = np.array([-length / 2, 0.0, 0.0])
     parts = [piece.transform(np.eye(3), shift) for piece in (end, *legs[2:], *tines)]
     return assemble(
@@ -207,9 +271,14 @@ def fork(rng: Rng = None) -> Shape:
 def _ribbon(ends: np.ndarray, halves: np.ndarray, lifts: np.ndarray, thick: float) -> Manifold:
     """A bent strip along x: half widths and heights of the underside at the stations `ends`."""
     x = np.linspace(ends[0], ends[-1], 65)
-    low, half = _ease(x, ends, lifts), _ease(x, ends, halves)
-    side = cad.upright(np.column_stack([np.append(x, x[::-1]), np.append(low, low[::-1] + thick)]), 1.0)
-    plan = cad.extrude(np.column_stack([np.append(x, x[::-1]), np.append(-half, half[::-1])]), 0.2, -0.1)
+    low = _ease(x, ends, lifts)
+    half = _ease(x, ends, halves)
+    side = cad.upright(
+        np.column_stack([np.append(x, x[::-1]), np.append(low, low[::-1] + thick)]), 1.0
+    )
+    plan = cad.extrude(
+        np.column_stack([np.append(x, x[::-1]), np.append(-half, half[::-1])]), 0.2, -0.1
+    )
     return side ^ plan
 
 
@@ -242,15 +311,23 @@ def _slab(
 
 def knife(rng: Rng = None) -> Shape:
     """A chef's knife lying on its side, blade and handle flat on the table."""
-    blade, grip = vary(rng, 0.195, 0.15), vary(rng, 0.125, 0.08)
-    heel, height = vary(rng, 0.046, 0.15), vary(rng, 0.017, 0.1)
+    blade = vary(rng, 0.195, 0.15)
+    grip = vary(rng, 0.125, 0.08)
+    heel = vary(rng, 0.046, 0.15)
+    height = vary(rng, 0.017, 0.1)
     spine = 0.012
-    belly = [(blade, spine - 0.004), (0.86 * blade, spine - 0.42 * heel), (0.62 * blade, spine - 0.80 * heel)]
+    belly = [
+        (blade, spine - 0.004),
+        (0.86 * blade, spine - 0.42 * heel),
+        (0.62 * blade, spine - 0.80 * heel),
+    ]
     belly += [(0.35 * blade, spine - 0.96 * heel), (0.0, spine - heel)]
     edge = cad.smooth_path(belly, 24)
     outline = np.concatenate([[(-0.012, spine), (0.70 * blade, spine)], edge, [(-0.012, -0.012)]])
     flat = cad.extrude(outline, 0.0024)
-    handle = cad.above(cad.rounded_box((grip, 0.026, height), 0.005, (-grip / 2 - 0.004, 0.0), z=-0.0016))
+    handle = cad.above(
+        cad.rounded_box((grip, 0.026, height), 0.005, (-grip / 2 - 0.004, 0.0), z=-0.0016)
+    )
     handle = handle ^ cad.box((1.0, 1.0, 1.0))
     spots = [(-0.2 * grip, 0.0), (-0.5 * grip, 0.0), (-0.8 * grip, 0.0)]
     rivets = cad.union(
@@ -267,7 +344,9 @@ def knife(rng: Rng = None) -> Shape:
             (cad.difference(rivets, handle), steel),
         ),
         parts=(
-            part.prism([(-0.004, spine), (0.70 * blade, spine), *belly[1:], (-0.004, -0.012)], 0.0024),
+            part.prism(
+                [(-0.004, spine), (0.70 * blade, spine), *belly[1:], (-0.004, -0.012)], 0.0024
+            ),
             part.prism([(0.70 * blade, spine), *belly[:2]], 0.0024),
             part.box((grip, 0.026, top), (-grip / 2 - 0.004, 0.0)),
         ),
@@ -277,16 +356,26 @@ def knife(rng: Rng = None) -> Shape:
 
 def wooden_spoon(rng: Rng = None) -> Shape:
     """A cooking spoon with a flat underside, its bowl at +x."""
-    length, reach, half = vary(rng, 0.290, 0.12), vary(rng, 0.040, 0.12), vary(rng, 0.028, 0.12)
+    length = vary(rng, 0.290, 0.12)
+    reach = vary(rng, 0.040, 0.12)
+    half = vary(rng, 0.028, 0.12)
     radius = vary(rng, 0.0062, 0.12)
     center = length / 2 - reach
-    bowl = cad.above(Manifold.sphere(1.0, 48).scale((reach, half, 0.017)).translate((center, 0, 0.009)))
+    bowl = cad.above(
+        Manifold.sphere(1.0, 48).scale((reach, half, 0.017)).translate((center, 0, 0.009))
+    )
     bowl = bowl.trim_by_plane((0, 0, -1), -0.016)
-    scoop = Manifold.sphere(1.0, 40).scale((0.86 * reach, 0.84 * half, 0.0135)).translate((center, 0, 0.0188))
+    scoop = (
+        Manifold.sphere(1.0, 40)
+        .scale((0.86 * reach, 0.84 * half, 0.0135))
+        .translate((center, 0, 0.0188))
+    )
     ends = ((-length / 2, 1.15 * radius), (center - 0.5 * reach, radius))
     stick = Manifold.hull(cad.union(*(_rod_end(x, size) for x, size in ends)))
     rings = [(0.82, 0.0, 4), (0.86, part.LIFT, 8), (1.0, 0.009, 8), (0.91, 0.016, 8)]
-    corners = [np.column_stack([cad.ellipse(s * reach, s * half, n), np.full(n, z)]) for s, z, n in rings]
+    corners = [
+        np.column_stack([cad.ellipse(s * reach, s * half, n), np.full(n, z)]) for s, z, n in rings
+    ]
     grip = [(x, y, z) for x, size in ends for y, z in _rod_corners(size)]
     return assemble(
         name="wooden_spoon",
@@ -298,7 +387,11 @@ def wooden_spoon(rng: Rng = None) -> Shape:
 
 def _rod_end(x: float, radius: float) -> Manifold:
     """A short round piece of a rod along x, cut flat at z = 0."""
-    disc = cad.cylinder(radius, 0.002, segments=24).rotate((0, 90, 0)).translate((x - 0.001, 0, 0.7 * radius))
+    disc = (
+        cad.cylinder(radius, 0.002, segments=24)
+        .rotate((0, 90, 0))
+        .translate((x - 0.001, 0, 0.7 * radius))
+    )
     return cad.above(disc)
 
 
@@ -310,16 +403,24 @@ def _rod_corners(radius: float) -> cad.Points2:
 
 def cutting_board(rng: Rng = None) -> Shape:
     """A wooden board with a juice groove and a handle with a hole at its +x end."""
-    width, depth, thick = vary(rng, 0.270, 0.15), vary(rng, 0.190, 0.15), vary(rng, 0.018, 0.2)
-    handle, span = vary(rng, 0.085, 0.15), vary(rng, 0.062, 0.12)
+    width = vary(rng, 0.270, 0.15)
+    depth = vary(rng, 0.190, 0.15)
+    thick = vary(rng, 0.018, 0.2)
+    handle = vary(rng, 0.085, 0.15)
+    span = vary(rng, 0.062, 0.12)
     reach = width / 2 + handle
     tongue, tip = (
-        cad.rounded_rect(handle + more, span, 0.45 * span, num) + np.array([reach - (handle + more) / 2, 0.0])
+        cad.rounded_rect(handle + more, span, 0.45 * span, num)
+        + np.array([reach - (handle + more) / 2, 0.0])
         for more, num in ((0.06, 10), (0.01, 2))
     )
-    board = cad.union(cad.extrude(cad.rounded_rect(width, depth, 0.018), thick), cad.extrude(tongue, thick))
+    board = cad.union(
+        cad.extrude(cad.rounded_rect(width, depth, 0.018), thick), cad.extrude(tongue, thick)
+    )
     inner, outer = (cad.rounded_rect(width - gap, depth - gap, 0.014) for gap in (0.040, 0.028))
-    groove = cad.difference(cad.extrude(outer, 0.01, thick - 0.003), cad.extrude(inner, 0.01, thick - 0.003))
+    groove = cad.difference(
+        cad.extrude(outer, 0.01, thick - 0.003), cad.extrude(inner, 0.01, thick - 0.003)
+    )
     hole = cad.cylinder(0.22 * span, 0.1, -0.01, center=(reach - 0.45 * span, 0.0))
     wood = shade(rng, WOODS)
     stripe = choose(rng, (0.28, -0.28, 0.0)) * depth

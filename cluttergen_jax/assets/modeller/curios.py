@@ -17,11 +17,14 @@ WARM = (1.0, 0.93, 0.66)
 def desk_lamp(rng: Rng = None) -> Shape:
     """A jointed lamp on a heavy round foot, its shade looking down to the front (-x)."""
     size = vary(rng, 1.0, 0.10)
-    radius, lean = 0.088 * size, vary(rng, 0.075, 0.25) * size
+    radius = 0.088 * size
+    lean = vary(rng, 0.075, 0.25) * size
     foot = (0.020 * size, 0.0, 0.016 * size)
     elbow = (lean, 0.0, vary(rng, 0.225, 0.12) * size)
     head = (elbow[0] - 0.110 * size, 0.0, elbow[2] + vary(rng, 0.115, 0.2) * size)
-    mouth, depth, pitch = 0.058 * size, 0.085 * size, vary(rng, 28.0, 0.3)
+    mouth = 0.058 * size
+    depth = 0.085 * size
+    pitch = vary(rng, 28.0, 0.3)
     # The shade is drawn hanging from the origin, then pitched so that its mouth looks to the front.
     outline = [(0.019 * size, 0.0), (mouth, -depth)]
     shell = [*outline, (mouth - 0.002, -depth), (0.017 * size, -0.003), (0.0, -0.003), (0.0, 0.0)]
@@ -29,8 +32,13 @@ def desk_lamp(rng: Rng = None) -> Shape:
         cad.revolve(shell[::-1]), cad.cylinder(0.019 * size, 0.018 * size, top=0.012 * size)
     )
     glow = cad.cylinder(mouth * 0.97 - 0.004, 0.004, z=-depth + 0.004)
-    shroud = cad.cylinder(mouth, depth, z=-depth, top=0.019 * size).rotate((0, pitch, 0)).translate(head)
-    arms = cad.union(*[cad.tube([a, b], 0.0065 * size) for a, b in ((foot, elbow), (elbow, head))]) - shroud
+    shroud = (
+        cad.cylinder(mouth, depth, z=-depth, top=0.019 * size).rotate((0, pitch, 0)).translate(head)
+    )
+    arms = (
+        cad.union(*[cad.tube([a, b], 0.0065 * size) for a, b in ((foot, elbow), (elbow, head))])
+        - shroud
+    )
     joints = cad.union(*[_hinge(point, 0.013 * size) for point in (foot, elbow, head)]) - shroud
     color = shade(rng, (rgb.CRIMSON, rgb.TEAL, rgb.CHARCOAL, *rgb.BRIGHT))
     base = [(radius, 0.0), (radius, 0.010 * size), (radius * 0.72, 0.020 * size)]
@@ -38,7 +46,9 @@ def desk_lamp(rng: Rng = None) -> Shape:
         part.disc([(radius, 0.0), (0.86 * radius, 0.020 * size)], 14, is_standing=True),
         *part.sweep([foot, elbow], 0.008 * size),
         *part.sweep([elbow, head], 0.008 * size),
-        part.rotate_part(part.disc([(mouth, -depth), (0.019 * size, 0.012 * size)], 14), (0, pitch, 0), head),
+        part.rotate_part(
+            part.disc([(mouth, -depth), (0.019 * size, 0.012 * size)], 14), (0, pitch, 0), head
+        ),
     ]
     return assemble(
         name="desk_lamp",
@@ -62,13 +72,23 @@ def _hinge(center: tuple[float, float, float], radius: float) -> Manifold:
 
 def candle(rng: Rng = None) -> Shape:
     """A burning candle in a chamberstick: a dish with a socket and a finger ring."""
-    radius, height = vary(rng, 0.019, 0.12), vary(rng, 0.115, 0.25)
-    dish, lip = vary(rng, 0.058, 0.12), 0.012
+    radius = vary(rng, 0.019, 0.12)
+    height = vary(rng, 0.115, 0.25)
+    dish = vary(rng, 0.058, 0.12)
+    lip = 0.012
     floor = 0.006
-    saucer = [(0.0, 0.0), (0.72 * dish, 0.0), (dish, lip), (dish - 0.003, lip + 0.001), (0.68 * dish, floor)]
+    saucer = [
+        (0.0, 0.0),
+        (0.72 * dish, 0.0),
+        (dish, lip),
+        (dish - 0.003, lip + 0.001),
+        (0.68 * dish, floor),
+    ]
     socket = [(0.0, 0.0), (radius + 0.004, 0.0), (radius + 0.005, 0.022), (0.0, 0.022)]
     turns = np.linspace(0.0, 2 * np.pi, 25)[:-1]
-    reach, ring, bar = dish + 0.010, 0.014, 0.0035
+    reach = dish + 0.010
+    ring = 0.014
+    bar = 0.0035
     loop = cad.revolve(cad.ellipse(bar, bar, 10) + np.array([ring, 0.0]), 32)
     loop = loop.rotate((90, 0, 0)).translate((reach, 0, lip + 0.007))
     wax = cad.union(cad.cylinder(radius, height, z=floor), *_drips(rng, radius, floor + height))
@@ -96,12 +116,17 @@ def candle(rng: Rng = None) -> Shape:
             (wax, shade(rng, (rgb.CREAM, rgb.WHITE, rgb.PINK, rgb.CRIMSON))),
             (cad.cylinder(0.0012, 0.012, z=floor + height, segments=10), rgb.BLACK),
             (flame, shade(rng, (rgb.ORANGE,))),
-            (flame.scale((1.02, 1.02, 1.0)).trim_by_plane((0, 0, -1), -wick_top - 0.002), rgb.YELLOW),
+            (
+                flame.scale((1.02, 1.02, 1.0)).trim_by_plane((0, 0, -1), -wick_top - 0.002),
+                rgb.YELLOW,
+            ),
         ),
         parts=(
             part.disc([(0.72 * dish, 0.0), (dish, lip)], 14, is_standing=True),
             part.disc([(radius, 0.002), (radius, floor + height)], 12),
-            part.disc([(0.007, wick_top), (0.0, wick_top + 0.024), (0.0, floor + height - 0.002)], 8),
+            part.disc(
+                [(0.007, wick_top), (0.0, wick_top + 0.024), (0.0, floor + height - 0.002)], 8
+            ),
             *cells,
         ),
         mass=vary(rng, 0.30, 0.2),
@@ -114,7 +139,8 @@ def _drips(rng: Rng, radius: float, top: float) -> list[Manifold]:
     lengths = (0.022, 0.034, 0.016, 0.028, 0.018)
     drips = []
     for angle, length in zip(angles, lengths, strict=True):
-        x, y = (radius - 0.0005) * np.cos(angle), (radius - 0.0005) * np.sin(angle)
+        x = (radius - 0.0005) * np.cos(angle)
+        y = (radius - 0.0005) * np.sin(angle)
         run = [(x, y, top - 0.001), (x, y, top - length / 2), (x, y, top - length)]
         drips.append(cad.tube(run, 0.003, side=(1, 0, 0), scales=[0.7, 0.8, 1.0], segments=10))
     return drips
@@ -128,7 +154,18 @@ LAND = (
     ((-55, 80), (-25, 82), (-22, 70), (-43, 60), (-53, 68)),
     ((-80, 7), (-62, 11), (-50, 1), (-35, -7), (-40, -21), (-55, -33), (-71, -22), (-81, -5)),
     ((-71, -20), (-52, -30), (-64, -42), (-68, -54), (-74, -50)),
-    ((-17, 15), (-16, 25), (-6, 35), (10, 37), (32, 31), (43, 12), (51, 11), (40, 2), (9, 3), (-9, 5)),
+    (
+        (-17, 15),
+        (-16, 25),
+        (-6, 35),
+        (10, 37),
+        (32, 31),
+        (43, 12),
+        (51, 11),
+        (40, 2),
+        (9, 3),
+        (-9, 5),
+    ),
     ((9, 4), (42, 2), (40, -15), (32, -28), (20, -35), (13, -18)),
     ((-9, 37), (-9, 43), (2, 50), (10, 57), (30, 68), (40, 60), (40, 47), (28, 38)),
     ((5, 59), (12, 56), (30, 62), (40, 67), (26, 71), (14, 66)),
@@ -147,16 +184,19 @@ GROUND = (rgb.GREEN, (0.83, 0.72, 0.45), (0.62, 0.66, 0.33))
 def globe(rng: Rng = None) -> Shape:
     """A terrestrial globe, its axis tilted in a half ring on a round foot."""
     radius = vary(rng, 0.082, 0.15)
-    foot, middle = 0.86 * radius, 2.05 * radius
+    foot = 0.86 * radius
+    middle = 2.05 * radius
     sea = shade(rng, (rgb.BLUE, rgb.NAVY, rgb.SKY))
     spin = (0.0, 0.0, -65.0 if rng is None else float(rng.uniform(0, 360)))
-    tilt, at = (0.0, 23.4, 0.0), (0.0, 0.0, middle)
+    tilt = (0.0, 23.4, 0.0)
+    at = (0.0, 0.0, middle)
     skin = Manifold.sphere(radius, 64) - Manifold.sphere(radius - 0.003, 48)
     film = Manifold.sphere(radius + 0.0007, 96) - Manifold.sphere(radius - 0.0012, 48)
     caps = cad.union(*[cad.box((1, 1, 1), z=z) for z in (0.955 * radius, -1 - 0.93 * radius)])
     land = (cad.union(*[_cone(patch, 3 * radius) for patch in LAND]) ^ film).rotate(spin) - caps
     ice = (Manifold.sphere(radius + 0.0012, 96) - Manifold.sphere(radius - 0.0018, 48)) ^ caps
-    reach, bar = radius + 0.008, 0.0045
+    reach = radius + 0.008
+    bar = 0.0045
     turns = np.radians(np.linspace(-90, 90, 25))
     arc = np.column_stack([reach * np.cos(turns), 0 * turns, reach * np.sin(turns)])
     ring = cad.tube(arc, bar)
@@ -169,7 +209,9 @@ def globe(rng: Rng = None) -> Shape:
     stem = [(0.0, 0.014), (0.020, 0.014), (0.009, 0.030), (0.007, neck), (0.0, neck)]
     brass = shade(rng, (rgb.GOLD, rgb.SILVER, rgb.STEEL))
     coarse = np.radians(np.linspace(-90, 90, 6))
-    bow = np.column_stack([1.03 * reach * np.cos(coarse), 0 * coarse, 1.03 * reach * np.sin(coarse)])
+    bow = np.column_stack(
+        [1.03 * reach * np.cos(coarse), 0 * coarse, 1.03 * reach * np.sin(coarse)]
+    )
     return assemble(
         name="globe",
         pieces=(
@@ -202,23 +244,33 @@ def _cone(patch: tuple[tuple[float, float], ...], reach: float) -> Manifold:
 def eyeglasses(rng: Rng = None) -> Shape:
     """A pair of glasses with open temples, resting on rims and tips, lenses towards -y."""
     lens = (vary(rng, 0.052, 0.08), vary(rng, 0.042, 0.12))
-    rim, deep, gap = 0.0045, 0.006, 0.0085
+    rim = 0.0045
+    deep = 0.006
+    gap = 0.0085
     reach = vary(rng, 0.125, 0.06)
     size = (lens[0] + 2 * rim, lens[1] + 2 * rim)
     middle = (size[0] / 2 + gap, size[1] / 2)
     corner = choose(rng, (0.014, 0.006, 0.019))
-    outline, coarse = cad.rounded_rect(*size, corner + rim), cad.rounded_rect(*size, corner + rim, 2)
+    outline = cad.rounded_rect(*size, corner + rim)
+    coarse = cad.rounded_rect(*size, corner + rim, 2)
     pane = cad.rounded_rect(*lens, corner)
-    rims, panes, parts = [], [], []
+    rims = []
+    panes = []
+    parts = []
     for side in (-1, 1):
         shift = np.array([side * middle[0], middle[1]])
         rims.append(cad.upright(outline + shift, deep) - cad.upright(pane + shift, 1.0))
         panes.append(cad.upright(pane + shift, 0.002))
         parts.append(part.upright(coarse + shift, deep))
         hinge = middle[0] + size[0] / 2 - 0.004
-        tall, top = 0.0045, 0.78 * size[1]
+        tall = 0.0045
+        top = 0.78 * size[1]
         # Three stations of a temple: hinge, the bend behind the ear, the tip with its flat foot.
-        stations = [(hinge, -0.003, top), (hinge + 0.004, 0.72 * reach, top), (hinge + 0.002, reach, tall)]
+        stations = [
+            (hinge, -0.003, top),
+            (hinge + 0.004, 0.72 * reach, top),
+            (hinge + 0.002, reach, tall),
+        ]
         corners = [(w, h) for w in (-0.0025, 0.0025) for h in (-tall, tall)]
         sections = [[(side * (x + w), y, z + h) for w, h in corners] for x, y, z in stations]
         foot = [(x, y + 0.008, z) for x, y, z in sections[2]]
@@ -241,10 +293,13 @@ def eyeglasses(rng: Rng = None) -> Shape:
 
 def toy_car(rng: Rng = None) -> Shape:
     """A wooden toy car on wheels with flat treads, its bonnet towards -x."""
-    length, width = vary(rng, 0.140, 0.12), vary(rng, 0.062, 0.1)
+    length = vary(rng, 0.140, 0.12)
+    width = vary(rng, 0.062, 0.1)
     waist = vary(rng, 0.046, 0.08)
     wheel = min(vary(rng, 0.0195, 0.1), 0.43 * waist)
-    nose, tail, low = -length / 2, length / 2, 0.012
+    nose = -length / 2
+    tail = length / 2
+    low = 0.012
     body = [(nose + 0.004, low), (tail - 0.004, low), (tail, 0.7 * waist), (tail - 0.008, waist)]
     body += [(nose + 0.012, 0.86 * waist), (nose, 0.6 * waist)]
     roof = waist + vary(rng, 0.026, 0.15)
@@ -258,7 +313,9 @@ def toy_car(rng: Rng = None) -> Shape:
         cad.upright(panes, 0.86 * width + 0.0016) - cad.upright(panes, 0.86 * width - 0.001) - post
     )
     shield = [(0.55, 0.18), (0.55, 0.82)]
-    front, rear = ((_along(cabin[a], cabin[b], waist), np.array(cabin[b])) for a, b in ((0, 3), (1, 2)))
+    front, rear = (
+        (_along(cabin[a], cabin[b], waist), np.array(cabin[b])) for a, b in ((0, 3), (1, 2))
+    )
     for bottom, top in (front, rear):
         across = np.array([bottom + (top - bottom) * share for _, share in shield])
         outline = [(x + dx, z) for x, z in across for dx in (-0.0012, 0.0012)]
@@ -271,7 +328,9 @@ def toy_car(rng: Rng = None) -> Shape:
     tyres = [cad.above(cad.facing(wheel, tread).translate((x, y, axle))) for x, y in places]
     caps = [cad.facing(0.5 * wheel, tread + 0.002).translate((x, y, axle)) for x, y in places]
     lamp = cad.facing(0.0055, 0.003).rotate((0, 0, 90))
-    lamps = cad.union(*[lamp.translate((nose + 0.0015, s * 0.3 * width, 0.62 * waist)) for s in (-1, 1)])
+    lamps = cad.union(
+        *[lamp.translate((nose + 0.0015, s * 0.3 * width, 0.62 * waist)) for s in (-1, 1)]
+    )
     shell = cad.union(cad.upright(body, width), cad.upright(cabin, 0.86 * width))
     paint = shade(rng, (rgb.RED, *rgb.BRIGHT))
     roller = part.rotate_part(
@@ -298,8 +357,11 @@ def toy_car(rng: Rng = None) -> Shape:
 
 def photo_frame(rng: Rng = None) -> Shape:
     """A picture frame leaning back on its strut, the picture towards -y."""
-    width, height = vary(rng, 0.150, 0.12), vary(rng, 0.195, 0.12)
-    lean, thick, border = vary(rng, 15.0, 0.2), 0.014, vary(rng, 0.016, 0.2)
+    width = vary(rng, 0.150, 0.12)
+    height = vary(rng, 0.195, 0.12)
+    lean = vary(rng, 15.0, 0.2)
+    thick = 0.014
+    border = vary(rng, 0.016, 0.2)
     turn = (-lean, 0.0, 0.0)
     sink = -0.006
 
@@ -311,7 +373,8 @@ def photo_frame(rng: Rng = None) -> Shape:
     rim_open = rim - cad.box((inside[0], 0.006, inside[1]), (0, 0.0), border)
     mat = cad.box((inside[0] - 0.0005, 0.0015, inside[1] - 0.0005), (0, 0.0026), border + 0.0002)
     view = (inside[0] - 0.024, inside[1] - 0.030)
-    low, left = border + 0.015, -view[0] / 2
+    low = border + 0.015
+    left = -view[0] / 2
     sky = cad.upright(
         [(left, low), (-left, low), (-left, low + view[1]), (left, low + view[1])], 0.001, 0.0014
     )
@@ -319,7 +382,11 @@ def photo_frame(rng: Rng = None) -> Shape:
     hills = []
     for y, skyline in ((0.0010, (0.30, share + 0.28, 0.22)), (0.0006, (0.10, share, 0.24))):
         peak = (0.2 if y > 0.0008 else -0.2) * view[0]
-        outline = [(left, 0), (-left, 0), *zip((-left, peak, left), view[1] * np.array(skyline), strict=True)]
+        outline = [
+            (left, 0),
+            (-left, 0),
+            *zip((-left, peak, left), view[1] * np.array(skyline), strict=True),
+        ]
         hills.append(cad.upright(np.add(outline, (0, low)), 0.001, y))
     sun = cad.cylinder(0.13 * view[0], 0.001).rotate((90, 0, 0))
     sun = sun.translate((-0.24 * view[0], 0.0010, low + 0.76 * view[1]))

@@ -12,13 +12,24 @@ from cluttergen_jax.assets.support import Rectangle, SupportAsset
 
 def l_desk(rng: Rng = None) -> SupportAsset:
     """An L-shaped desk on steel legs. The region is the larger of the L's two limbs."""
-    width, depth = vary(rng, 1.50, 0.1), vary(rng, 0.65, 0.1)
-    reach, limb = vary(rng, 1.25, 0.08), vary(rng, 0.55, 0.1)
-    top, thickness, side = vary(rng, 0.735, 0.02), 0.026, 0.045
-    low, x, y = top - thickness, width / 2, reach / 2
+    width = vary(rng, 1.50, 0.1)
+    depth = vary(rng, 0.65, 0.1)
+    reach = vary(rng, 1.25, 0.08)
+    limb = vary(rng, 0.55, 0.1)
+    top = vary(rng, 0.735, 0.02)
+    thickness = 0.026
+    side = 0.045
+    low = top - thickness
+    x = width / 2
+    y = reach / 2
     inner = y - depth
     outline = [(-x, -y), (-x + limb, -y), (-x + limb, inner), (x, inner), (x, y), (-x, y)]
-    feet = [(-x + 0.06, y - 0.06), (x - 0.06, y - 0.06), (x - 0.06, inner + 0.06), (-x + 0.06, -y + 0.06)]
+    feet = [
+        (-x + 0.06, y - 0.06),
+        (x - 0.06, y - 0.06),
+        (x - 0.06, inner + 0.06),
+        (-x + 0.06, -y + 0.06),
+    ]
     feet += [(-x + limb - 0.06, -y + 0.06)]
     rails = [
         cad.box((width - 0.12, 0.03, 0.045), (0, y - 0.06), low - 0.045),
@@ -53,26 +64,38 @@ def l_desk(rng: Rng = None) -> SupportAsset:
 
 def shelf_desk(rng: Rng = None) -> SupportAsset:
     """A desk with a shelf below and a riser along its back. The region is the top before the riser."""
-    width, depth, top = vary(rng, 1.20, 0.1), vary(rng, 0.66, 0.08), vary(rng, 0.74, 0.03)
-    low, side, sheet = top - 0.025, 0.05, 0.018
-    wood, paint = shade(rng, joinery.WOODS), shade(rng, joinery.PAINTS, 0.03)
-    x, y = width / 2 - 0.04, depth / 2 - 0.04
+    width = vary(rng, 1.20, 0.1)
+    depth = vary(rng, 0.66, 0.08)
+    top = vary(rng, 0.74, 0.03)
+    low = top - 0.025
+    side = 0.05
+    sheet = 0.018
+    wood = shade(rng, joinery.WOODS)
+    paint = shade(rng, joinery.PAINTS, 0.03)
+    x = width / 2 - 0.04
+    y = depth / 2 - 0.04
     leg_boxes, leg_pieces = joinery.square_legs(x, y, side, low, paint)
-    riser_width, riser_depth, riser_height = 0.86 * width, 0.22, vary(rng, 0.125)
+    riser_width = 0.86 * width
+    riser_depth = 0.22
+    riser_height = vary(rng, 0.125)
     back = depth / 2 - 0.01
-    front, middle = back - riser_depth, back - riser_depth / 2
+    front = back - riser_depth
+    middle = back - riser_depth / 2
     columns = [-riser_width / 2 + sheet / 2, 0.18 * riser_width, riser_width / 2 - sheet / 2]
     under = riser_height - sheet
     panels = [((sheet, riser_depth, under), (column, middle), top) for column in columns]
     shelf = (2 * x - side, 0.55 * depth, sheet)
-    shelf_place, shelf_low = (0.0, y - 0.55 * depth / 2), 0.20
+    shelf_place = (0.0, y - 0.55 * depth / 2)
+    shelf_low = 0.20
     rails = [cad.box((2 * x, 0.022, 0.07), (0, sign * y), low - 0.07) for sign in (-1, 1)]
     rails += [cad.box((0.022, 2 * y, 0.07), (sign * x, 0), low - 0.07) for sign in (-1, 1)]
     rails += [cad.box((0.022, 2 * y, 0.04), (sign * x, 0), shelf_low - 0.04) for sign in (-1, 1)]
     return joinery.table(
         "shelf_desk",
         top,
-        Rectangle((0.0, (front - 0.01 - depth / 2) / 2), (width / 2, (front - 0.01 + depth / 2) / 2)),
+        Rectangle(
+            (0.0, (front - 0.01 - depth / 2) / 2), (width / 2, (front - 0.01 + depth / 2) / 2)
+        ),
         [
             joinery.slab((width, depth, top - low), (0, 0), low),
             *leg_boxes,
@@ -94,16 +117,18 @@ def shelf_desk(rng: Rng = None) -> SupportAsset:
 
 def drawer_desk(rng: Rng = None) -> SupportAsset:
     """A writing desk with a cabinet of three drawers. Its whole top is the region."""
-    width, depth, top = vary(rng, 1.20, 0.1), vary(rng, 0.60, 0.08), vary(rng, 0.75, 0.03)
-    low, wood, paint = (
-        top - 0.028,
-        shade(rng, (joinery.WOODS[1], *joinery.WOODS)),
-        shade(rng, joinery.PAINTS, 0.03),
-    )
-    side, cabinet = 0.05, (vary(rng, 0.40, 0.1), depth - 0.07, low - 0.07)
+    width = vary(rng, 1.20, 0.1)
+    depth = vary(rng, 0.60, 0.08)
+    top = vary(rng, 0.75, 0.03)
+    low = top - 0.028
+    wood = shade(rng, (joinery.WOODS[1], *joinery.WOODS))
+    paint = shade(rng, joinery.PAINTS, 0.03)
+    side = 0.05
+    cabinet = (vary(rng, 0.40, 0.1), depth - 0.07, low - 0.07)
     place = (width / 2 - 0.02 - cabinet[0] / 2, 0.01)
     face = place[1] - cabinet[1] / 2
-    x, y = -width / 2 + 0.05, depth / 2 - 0.05
+    x = -width / 2 + 0.05
+    y = depth / 2 - 0.05
     inner = place[0] - cabinet[0] / 2
     apron = ((inner - x, 0.40 * depth, 0.09), ((inner + x) / 2, -0.02), low - 0.09)
     panel = ((inner - x, 0.016, 0.34), ((inner + x) / 2, y), low - 0.34)
@@ -111,7 +136,9 @@ def drawer_desk(rng: Rng = None) -> SupportAsset:
     wide_front = (apron[0][0] - 0.06, 0.014, 0.075)
     wide_y = apron[1][1] - apron[0][1] / 2 - 0.007
     fronts.append((wide_front, (apron[1][0], wide_y), low - 0.083))
-    knobs = [_handle(front[1][0], front[1][1] - 0.007, front[2] + front[0][2] / 2) for front in fronts]
+    knobs = [
+        _handle(front[1][0], front[1][1] - 0.007, front[2] + front[0][2] / 2) for front in fronts
+    ]
     feet = [joinery.bar((x, s * y, 0.0), (x, s * y, low), side, side) for s in (-1, 1)]
     plinth = cad.box((cabinet[0] - 0.04, cabinet[1] - 0.04, 0.07), place)
     return joinery.table(
@@ -128,9 +155,15 @@ def drawer_desk(rng: Rng = None) -> SupportAsset:
         ],
         [
             (joinery.board((width, depth, top - low), (0, 0), low, 0.005), wood),
-            (cad.union(cad.box(cabinet, place, 0.07), cad.box(*apron), cad.box(*panel), *feet), paint),
+            (
+                cad.union(cad.box(cabinet, place, 0.07), cad.box(*apron), cad.box(*panel), *feet),
+                paint,
+            ),
             (plinth, joinery.DARK_STEEL),
-            (cad.union(*(joinery.board(*front, 0.003) for front in fronts)), joinery.darker(wood, 0.95)),
+            (
+                cad.union(*(joinery.board(*front, 0.003) for front in fronts)),
+                joinery.darker(wood, 0.95),
+            ),
             (cad.union(*knobs), joinery.METALS[1]),
         ],
         "desk with drawers",
@@ -140,9 +173,12 @@ def drawer_desk(rng: Rng = None) -> SupportAsset:
 _Block = tuple[tuple[float, float, float], tuple[float, float], float]
 
 
-def _drawer_fronts(x: float, face: float, cabinet: tuple[float, float, float], low: float) -> list[_Block]:
+def _drawer_fronts(
+    x: float, face: float, cabinet: tuple[float, float, float], low: float
+) -> list[_Block]:
     """Size, place and lower height of three fronts on a cabinet's -y face, the lowest the tallest."""
-    room, gap = cabinet[2], 0.008
+    room = cabinet[2]
+    gap = 0.008
     shares = (0.42, 0.32, 0.26)
     fronts: list[_Block] = []
     for share in shares:

@@ -31,7 +31,9 @@ def shade(rng: Rng, options: Sequence[Rgb], spread: float = 0.06) -> Rgb:
     color = choose(rng, options)
     if rng is None:
         return color
-    return tuple(float(c) for c in np.clip(np.asarray(color) + rng.uniform(-spread, spread, 3), 0.02, 0.98))  # type: ignore[return-value]
+    return tuple(
+        float(c) for c in np.clip(np.asarray(color) + rng.uniform(-spread, spread, 3), 0.02, 0.98)
+    )  # type: ignore[return-value]
 
 
 def made_by(family: str) -> Provenance:
@@ -47,7 +49,11 @@ def assemble(name: str, pieces: Iterable[Painted], label: str = "", **body: Any)
       body: more of the shape's fields: parts, mass, cavity.
     """
     return Shape(
-        name, label or name.replace("_", " "), tuple(piece(*each) for each in pieces), made_by(name), **body
+        name,
+        label or name.replace("_", " "),
+        tuple(piece(*each) for each in pieces),
+        made_by(name),
+        **body,
     )
 
 

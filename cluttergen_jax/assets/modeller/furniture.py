@@ -69,7 +69,9 @@ SUPPORTS: dict[str, Callable[[np.random.Generator | None], SupportAsset]] = {
 }
 
 
-def make_support(name: str, seed: int | None = None, size: tuple[float, ...] | None = None) -> SupportAsset:
+def make_support(
+    name: str, seed: int | None = None, size: tuple[float, ...] | None = None
+) -> SupportAsset:
     """A support by name.
 
     Args:

@@ -37,7 +37,8 @@ def flask(
 
 def spray_bottle(rng: Rng = None) -> Shape:
     """A trigger spray bottle, its nozzle towards -x."""
-    width, depth = vary(rng, 0.088, 0.1), vary(rng, 0.056, 0.1)
+    width = vary(rng, 0.088, 0.1)
+    depth = vary(rng, 0.056, 0.1)
     shoulder = vary(rng, 0.130, 0.12)
     top = shoulder + 0.036
     body, body_part = flask(width, depth, 0.018, shoulder, top, 0.014)
@@ -45,7 +46,8 @@ def spray_bottle(rng: Rng = None) -> Shape:
     shell = [(-46, 10), (-46, 25), (-12, 37), (30, 34), (38, 18), (16, -1), (-14, -1)]
     head = [(0.001 * x, head_at + 0.001 * z) for x, z in shell]
     trigger = [
-        (x, head_at + z) for x, z in ((-0.015, 0.006), (-0.030, 0.010), (-0.043, -0.030), (-0.037, -0.034))
+        (x, head_at + z)
+        for x, z in ((-0.015, 0.006), (-0.030, 0.010), (-0.043, -0.030), (-0.037, -0.034))
     ]
     neck = cad.cylinder(0.0125, head_at - top + 0.001, top - 0.001)
     collar = cad.cylinder(0.0175, 0.015, top - 0.002, top=0.0155) - cad.cylinder(0.0124, 1.0)
@@ -82,7 +84,10 @@ def _labels(
     panel = cad.box((size[0], size[1], 0.0012), z=-0.0004)
     height = min(share * size[1], 0.86 * size[0] / len(word))
     rows = ((0.94, 0.05, 0.44), (0.94, 0.05, -0.44), (0.70, 0.035, -0.12), (0.50, 0.035, -0.24))
-    bars = [cad.box((wide * size[0], tall * size[1], 0.0012), (0, row * size[1])) for wide, tall, row in rows]
+    bars = [
+        cad.box((wide * size[0], tall * size[1], 0.0012), (0, row * size[1]))
+        for wide, tall, row in rows
+    ]
     printed = cad.union(*bars, lettering(word, height).translate((0, 0.16 * size[1], 0.0008)))
     placed = []
     for solid in (panel, printed):
@@ -93,7 +98,8 @@ def _labels(
 
 def soap_dispenser(rng: Rng = None) -> Shape:
     """A soap dispenser with a pump, its spout towards -y."""
-    width, depth = vary(rng, 0.072, 0.1), vary(rng, 0.060, 0.1)
+    width = vary(rng, 0.072, 0.1)
+    depth = vary(rng, 0.060, 0.1)
     shoulder = vary(rng, 0.112, 0.15)
     top = shoulder + 0.016
     body, body_part = flask(width, depth, 0.020, shoulder, top, 0.015)
@@ -103,7 +109,12 @@ def soap_dispenser(rng: Rng = None) -> Shape:
     stem = cad.cylinder(0.0048, pump - top - 0.010, top + 0.010)
     side = ((0.0075, 0, 0.001), (0.0075, 0, 0.013), (0.005, -0.048, -0.001), (0.005, -0.048, 0.006))
     spout = [(s * w, y, pump + z) for s in (-1, 1) for w, y, z in side]
-    tip = [(s * 0.005, y, pump + z) for s in (-1, 1) for y in (-0.0485, -0.040) for z in (-0.010, 0.004)]
+    tip = [
+        (s * 0.005, y, pump + z)
+        for s in (-1, 1)
+        for y in (-0.0485, -0.040)
+        for z in (-0.010, 0.004)
+    ]
     press = cad.rounded_box((0.034, 0.034, 0.013), 0.005, (0, 0.002), pump)
     panel, words = _labels((0.66 * width, 0.62 * shoulder), depth / 2, 0.5 * shoulder, "SOAP", 0.26)
     metal = shade(rng, (rgb.WHITE, rgb.STEEL, rgb.CHARCOAL))
@@ -131,7 +142,9 @@ KRAFT = (0.72, 0.55, 0.36)
 
 def tissue_box(rng: Rng = None) -> Shape:
     """A box of paper tissues, one of them pulled half out."""
-    width, depth, height = vary(rng, 0.225, 0.1), vary(rng, 0.115, 0.1), vary(rng, 0.078, 0.2)
+    width = vary(rng, 0.225, 0.1)
+    depth = vary(rng, 0.115, 0.1)
+    height = vary(rng, 0.078, 0.2)
     slot = cad.extrude(cad.ellipse(0.30 * width, 0.24 * depth), 0.0012, height - 0.0006)
     ring = cad.extrude(cad.ellipse(0.33 * width, 0.29 * depth), 0.0010, height - 0.0006)
     ring = ring - cad.extrude(cad.ellipse(0.30 * width, 0.24 * depth), 1.0)
@@ -153,7 +166,10 @@ def tissue_box(rng: Rng = None) -> Shape:
     return assemble(
         name="tissue_box",
         pieces=(
-            (cad.box((width, depth, height)), shade(rng, (rgb.SKY, rgb.PINK, rgb.CREAM, *rgb.BRIGHT))),
+            (
+                cad.box((width, depth, height)),
+                shade(rng, (rgb.SKY, rgb.PINK, rgb.CREAM, *rgb.BRIGHT)),
+            ),
             (lower, shade(rng, (rgb.BLUE, rgb.TEAL, rgb.RED, rgb.GREEN))),
             (ring, rgb.WHITE),
             (slot - ring, rgb.GREY),
@@ -178,14 +194,28 @@ def _tuft(reach: float, base: float) -> np.ndarray:
 
 def tape_roll(rng: Rng = None) -> Shape:
     """A roll of parcel tape lying flat, with its core and a loose end."""
-    outer, width = vary(rng, 0.054, 0.12), vary(rng, 0.048, 0.1)
+    outer = vary(rng, 0.054, 0.12)
+    width = vary(rng, 0.048, 0.1)
     inner = min(vary(rng, 0.038, 0.06), outer - 0.010)
-    tape = cad.revolve([(inner + 0.002, 0.0), (outer, 0.0), (outer, width), (inner + 0.002, width)], 64)
-    core = cad.revolve([(inner, 0.0), (inner + 0.0021, 0.0), (inner + 0.0021, width), (inner, width)], 64)
+    tape = cad.revolve(
+        [(inner + 0.002, 0.0), (outer, 0.0), (outer, width), (inner + 0.002, width)], 64
+    )
+    core = cad.revolve(
+        [(inner, 0.0), (inner + 0.0021, 0.0), (inner + 0.0021, width), (inner, width)], 64
+    )
     seam = cad.cylinder(outer - 0.004, 0.0008, width - 0.0004) - cad.cylinder(outer - 0.006, 1.0)
-    end = np.array([(outer - 0.0006, 0), (outer - 0.0002, 0.008), (outer - 0.0002, 0.014), (outer, 0.019)])
+    end = np.array(
+        [(outer - 0.0006, 0), (outer - 0.0002, 0.008), (outer - 0.0002, 0.014), (outer, 0.019)]
+    )
     tab = [
-        cad.hull([(x + t, y, z) for x, y in end[k : k + 2] for t in (-0.0006, 0.0006) for z in (0.0, width)])
+        cad.hull(
+            [
+                (x + t, y, z)
+                for x, y in end[k : k + 2]
+                for t in (-0.0006, 0.0006)
+                for z in (0.0, width)
+            ]
+        )
         for k in range(3)
     ]
     section = [(inner, 0.0), (1.03 * outer, 0.0), (1.03 * outer, width), (inner, width)]
@@ -207,9 +237,12 @@ def tape_roll(rng: Rng = None) -> Shape:
 
 def flower_pot(rng: Rng = None) -> Shape:
     """An empty clay pot with a rolled rim, standing in its saucer."""
-    foot, height = vary(rng, 0.046, 0.1), vary(rng, 0.112, 0.12)
-    waist, floor = foot + vary(rng, 0.016, 0.2), 0.013
-    rim, band = waist + 0.006, height - 0.030
+    foot = vary(rng, 0.046, 0.1)
+    height = vary(rng, 0.112, 0.12)
+    waist = foot + vary(rng, 0.016, 0.2)
+    floor = 0.013
+    rim = waist + 0.006
+    band = height - 0.030
     outer = [(foot, 0.003), (waist, band), (rim, band), (rim + 0.003, height)]
     inner = [(foot - 0.005, floor), (waist - 0.006, band), (rim - 0.004, height)]
     pot = Vessel(outer, inner)
@@ -244,7 +277,9 @@ def _trim(pot: Vessel, low: float, high: float) -> Manifold:
 
 def basket(rng: Rng = None) -> Shape:
     """A woven basket with an arched handle over its width."""
-    width, depth, height = vary(rng, 0.190, 0.1), vary(rng, 0.135, 0.1), vary(rng, 0.095, 0.15)
+    width = vary(rng, 0.190, 0.1)
+    depth = vary(rng, 0.135, 0.1)
+    height = vary(rng, 0.095, 0.15)
     tub = Crate(width, depth, height, 0.005, 0.005, flare=vary(rng, 0.014, 0.3))
     reach = tub.width / 2 + tub.flare - 0.003
     rise = vary(rng, 0.105, 0.15)
@@ -257,7 +292,9 @@ def basket(rng: Rng = None) -> Shape:
 
     edge = tub.height - 0.010
     rim = cad.hull(np.concatenate([tub.outline(z, -0.003) for z in (edge, tub.height)]))
-    rim = rim - cad.hull(np.concatenate([tub.outline(z, 0.003) for z in (edge - 0.001, tub.height + 0.001)]))
+    rim = rim - cad.hull(
+        np.concatenate([tub.outline(z, 0.003) for z in (edge - 0.001, tub.height + 0.001)])
+    )
     handle = cad.sweep(bow(25, 1.0), flat) - cad.hull(
         np.concatenate([tub.outline(z, 0.001) for z in (0.0, tub.height)])
     )
@@ -279,7 +316,8 @@ def _weave(tub: Crate, top: float, rows: int = 7) -> Manifold:
     strands = []
     levels = np.linspace(0.004, top - 0.001, rows + 1)
     for j in range(rows):
-        low, high = levels[j] + 0.0008, levels[j + 1] - 0.0008
+        low = levels[j] + 0.0008
+        high = levels[j + 1] - 0.0008
         rings = [tub.outline(z, inset) for z in (low, high) for inset in (0.001, -0.0018)]
         for wall in range(4):
             columns = (12, 8)[wall % 2]

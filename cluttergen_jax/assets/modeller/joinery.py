@@ -33,8 +33,10 @@ def darker(color: cad.Rgb, factor: float) -> cad.Rgb:
 
 def block(lower: Sequence[float], upper: Sequence[float]) -> Box:
     """The collision box between two corners."""
-    low, high = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
-    center, half = ((low + high) / 2).tolist(), ((high - low) / 2).tolist()
+    low = np.asarray(lower, np.float64)
+    high = np.asarray(upper, np.float64)
+    center = ((low + high) / 2).tolist()
+    half = ((high - low) / 2).tolist()
     return Box((center[0], center[1], center[2]), (half[0], half[1], half[2]))
 
 
@@ -73,10 +75,13 @@ def oval_region(rx: float, ry: float) -> Rectangle:
     return Rectangle((0.0, 0.0), (rx * np.sqrt(0.5).item(), ry * np.sqrt(0.5).item()))
 
 
-def rounded_boxes(width: float, depth: float, radius: float, low: float, top: float) -> tuple[Box, ...]:
+def rounded_boxes(
+    width: float, depth: float, radius: float, low: float, top: float
+) -> tuple[Box, ...]:
     """A rectangle with round corners as three boxes of the same area."""
     length = width / 2 - radius * (1 - np.pi / 4)
-    inner, outer = depth / 2 - radius, depth / 2
+    inner = depth / 2 - radius
+    outer = depth / 2
     return (
         block((-width / 2, -inner, low), (width / 2, inner, top)),
         block((-length, -outer, low), (length, -inner, top)),
@@ -89,14 +94,20 @@ def plate(outline: np.ndarray, low: float, top: float, bevel: float = 0.003) -> 
     half = np.abs(outline).max(0)
     inner = outline * (1 - bevel / half)
     layers = [(inner, low), (outline, low + bevel), (outline, top - bevel), (inner, top)]
-    return cad.hull(np.concatenate([np.column_stack([rim, np.full(len(rim), z)]) for rim, z in layers]))
+    return cad.hull(
+        np.concatenate([np.column_stack([rim, np.full(len(rim), z)]) for rim, z in layers])
+    )
 
 
-def board(size: Sequence[float], center: Sequence[float], low: float, bevel: float = 0.002) -> Manifold:
+def board(
+    size: Sequence[float], center: Sequence[float], low: float, bevel: float = 0.002
+) -> Manifold:
     """A rectangular board of `size` (x, y, z) on height `low` with broken edges."""
     half = np.asarray(size[:2]) / 2
     outline = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
-    return plate(outline, low, low + size[2], min(bevel, min(size) / 4)).translate((center[0], center[1], 0))
+    return plate(outline, low, low + size[2], min(bevel, min(size) / 4)).translate(
+        (center[0], center[1], 0)
+    )
 
 
 def bar(start: Sequence[float], end: Sequence[float], width: float, depth: float) -> Manifold:
@@ -112,7 +123,9 @@ def round_leg(
     turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(24)])
     return cad.hull(
-        np.concatenate([ring * foot_radius + np.asarray(foot), ring * head_radius + np.asarray(head)])
+        np.concatenate(
+            [ring * foot_radius + np.asarray(foot), ring * head_radius + np.asarray(head)]
+        )
     )
 
 
@@ -127,7 +140,9 @@ def square_legs(
     """Four upright square legs centred on (+-x, +-y)."""
     places = mirror_corners(x, y)
     solids = [cad.box((side, side, height), place) for place in places]
-    return tuple(slab((side, side, height), place, 0.0) for place in places), ((cad.union(*solids), color),)
+    return tuple(slab((side, side, height), place, 0.0) for place in places), (
+        (cad.union(*solids), color),
+    )
 
 
 def planks(
@@ -147,7 +162,8 @@ def planks(
       low, high: heights of the lower and the upper face.
     """
     noise = np.random.default_rng(5) if rng is None else rng
-    boxes, pieces = [], []
+    boxes = []
+    pieces = []
     for depth in depths:
         center = (0.0, y + depth / 2)
         size = (width, depth, high - low)
@@ -168,5 +184,11 @@ def table(
     """Puts a table together; its provenance is the modeller, and its label the name's words if empty."""
     label = label or name.replace("_", " ")
     return SupportAsset(
-        name, label, tuple(boxes), top, region, made_by(name), tuple(cad.piece(*each) for each in pieces)
+        name,
+        label,
+        tuple(boxes),
+        top,
+        region,
+        made_by(name),
+        tuple(cad.piece(*each) for each in pieces),
     )

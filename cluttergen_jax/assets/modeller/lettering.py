@@ -48,7 +48,8 @@ def lettering(text: str, height: float, relief: float = 0.0006) -> Manifold:
       relief: metres; as much again is sunk below the plane, to join what it stands on.
     """
     cell = height / 5
-    bars, pen = [], 0
+    bars = []
+    pen = 0
     for glyph in (_GLYPHS[letter].split("|") for letter in text):
         for row, line in enumerate(glyph):
             bars += [
@@ -66,7 +67,8 @@ def lettering(text: str, height: float, relief: float = 0.0006) -> Manifold:
 
 def _runs(line: str) -> list[tuple[int, str]]:
     """The filled stretches of a row: where each starts, and its cells."""
-    runs, start = [], 0
+    runs = []
+    start = 0
     for mark, cells in itertools.groupby(line):
         run = "".join(cells)
         if mark == "#":

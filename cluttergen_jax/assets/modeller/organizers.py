@@ -21,7 +21,8 @@ Block = tuple[tuple[float, float, float], tuple[float, float], float]
 
 def pencil_cup(rng: Rng = None) -> Shape:
     """A round cup with two pencils that lean on its rim."""
-    foot, rim = vary(rng, 0.036, 0.1), vary(rng, 0.041, 0.1)
+    foot = vary(rng, 0.036, 0.1)
+    rim = vary(rng, 0.041, 0.1)
     height = vary(rng, 0.100, 0.12)
     cup = Vessel([(foot, 0.0), (rim, height)], [(foot - 0.003, 0.005), (rim - 0.003, height)])
     levels = [
@@ -40,7 +41,10 @@ def pencil_cup(rng: Rng = None) -> Shape:
         start = _around(angle + vary(rng, 0.5, 0.5), foot - 0.010, 0.0068)
         along = _around(angle, rim - 0.0085, height) - start
         solids, core = _pencil(
-            start, along / np.linalg.norm(along), vary(rng, length, 0.1), shade(rng, (color, *rgb.BRIGHT))
+            start,
+            along / np.linalg.norm(along),
+            vary(rng, length, 0.1),
+            shade(rng, (color, *rgb.BRIGHT)),
         )
         pieces += solids
         parts.append(core)
@@ -75,14 +79,20 @@ def _pencil(
 
 def pen_holder(rng: Rng = None) -> Shape:
     """A box in two compartments; two pens and a ruler stand in the smaller one."""
-    crate = Crate(vary(rng, 0.108, 0.12), vary(rng, 0.076, 0.1), vary(rng, 0.098, 0.12), 0.004, 0.005)
+    crate = Crate(
+        vary(rng, 0.108, 0.12), vary(rng, 0.076, 0.1), vary(rng, 0.098, 0.12), 0.004, 0.005
+    )
     shelf = 0.16 * crate.width
     wall = ((0.003, crate.depth - 0.006, 0.86 * crate.height), (shelf, 0), 0.002)
-    left, right = shelf + 0.0035, crate.width / 2 - 0.006
+    left = shelf + 0.0035
+    right = crate.width / 2 - 0.006
     stripe = [cad.box((crate.width + 0.001, crate.depth + 0.001, 0.010), z=0.80 * crate.height)]
     stripe.append(stripe[0] - cad.box((crate.width - 0.001, crate.depth - 0.001, 1.0)))
     pieces = [
-        (crate.solid() + cad.box(*wall), shade(rng, (rgb.CHARCOAL, *rgb.DARK, *rgb.BRIGHT, rgb.WOOD))),
+        (
+            crate.solid() + cad.box(*wall),
+            shade(rng, (rgb.CHARCOAL, *rgb.DARK, *rgb.BRIGHT, rgb.WOOD)),
+        ),
         (stripe[1], shade(rng, (rgb.GREY, rgb.WHITE, rgb.YELLOW))),
     ]
     parts = [*crate.parts(), part.box(*wall)]
@@ -109,19 +119,25 @@ def pen_holder(rng: Rng = None) -> Shape:
     )
 
 
-def _pen(start: np.ndarray, end: np.ndarray, color: cad.Rgb) -> tuple[list[tuple[Manifold, cad.Rgb]], Mesh]:
+def _pen(
+    start: np.ndarray, end: np.ndarray, color: cad.Rgb
+) -> tuple[list[tuple[Manifold, cad.Rgb]], Mesh]:
     """A pen with its cap up, and its part."""
     neck = start + 0.62 * (end - start)
     outline = cad.ellipse(0.0042, 0.0042, 12)
-    barrel, cap = cad.sweep(np.stack([start, neck]), 0.9 * outline), cad.sweep(np.stack([neck, end]), outline)
+    barrel = cad.sweep(np.stack([start, neck]), 0.9 * outline)
+    cap = cad.sweep(np.stack([neck, end]), outline)
     return [(barrel, rgb.WHITE), (cap, color)], part.sweep(np.stack([start, end]), 0.0042)[0]
 
 
 def letter_tray(rng: Rng = None) -> Shape:
     """Two trays one above the other, open to the front (-y), with paper in both."""
-    width, depth = vary(rng, 0.245, 0.08), vary(rng, 0.190, 0.08)
-    height, wall = vary(rng, 0.115, 0.1), 0.0045
-    step, sheets = 0.52 * height, vary(rng, 0.010, 0.5)
+    width = vary(rng, 0.245, 0.08)
+    depth = vary(rng, 0.190, 0.08)
+    height = vary(rng, 0.115, 0.1)
+    wall = 0.0045
+    step = 0.52 * height
+    sheets = vary(rng, 0.010, 0.5)
     side = [(-0.5, 0.0), (0.5, 0.0), (0.5, 1.0), (0.1, 1.0), (-0.5, 0.78)]
     panels = [
         np.array([(x + s, y * depth, z * height) for s in (-wall / 2, wall / 2) for y, z in side])
@@ -130,13 +146,16 @@ def letter_tray(rng: Rng = None) -> Shape:
     inner = width - 2 * wall
     back: Block = ((inner, wall, height), (0, (depth - wall) / 2), 0.0)
     shelves: list[Block] = [((inner, depth - wall, wall), (0, -wall / 2), z) for z in (0.0, step)]
-    lips: list[Block] = [((inner, wall, 0.014), (0, (wall - depth) / 2), z + wall) for z in (0.0, step)]
+    lips: list[Block] = [
+        ((inner, wall, 0.014), (0, (wall - depth) / 2), z + wall) for z in (0.0, step)
+    ]
     papers: list[Block] = [
         ((0.86 * inner, depth - 3.5 * wall, thick), (0.03 * inner, 0), z + wall)
         for z, thick in ((0.0, 1.6 * sheets), (step, sheets))
     ]
     frame = cad.union(
-        *[cad.hull(panel) for panel in panels], *[cad.box(*cell) for cell in (back, *shelves, *lips)]
+        *[cad.hull(panel) for panel in panels],
+        *[cad.box(*cell) for cell in (back, *shelves, *lips)],
     )
     floor = step + wall
     inside = cad.box((inner, depth - 2 * wall, height - floor), z=floor) - cad.box(*papers[1])

@@ -36,7 +36,9 @@ def hull(points: Sequence[Sequence[float]] | np.ndarray) -> Mesh:
         ) from error
     if len(corners) > MAX_PART_VERTICES:
         raise AssetError(
-            f"a part with {len(corners)} corners", f"at most {MAX_PART_VERTICES}", "fewer sides or more parts"
+            f"a part with {len(corners)} corners",
+            f"at most {MAX_PART_VERTICES}",
+            "fewer sides or more parts",
         )
     return Mesh.points(corners)
 
@@ -76,8 +78,11 @@ def disc(
     feet: list[np.ndarray] = []
     if is_standing:
         (radius, low), *others = profile
-        feet, profile = [_ring(radius, low, 4, phase)], [(radius, low + LIFT), *others]
-    rings = [_ring(radius, z, num, phase) if radius > 0 else [[0.0, 0.0, z]] for radius, z in profile]
+        feet = [_ring(radius, low, 4, phase)]
+        profile = [(radius, low + LIFT), *others]
+    rings = [
+        _ring(radius, z, num, phase) if radius > 0 else [[0.0, 0.0, z]] for radius, z in profile
+    ]
     return hull(np.concatenate([*feet, *rings]) + np.array([center[0], center[1], 0.0]))
 
 
@@ -101,11 +106,14 @@ def ring_sectors(
     outline = np.asarray(profile, np.float64)
     shift = np.array([center[0], center[1], 0.0])
     edges = [
-        np.column_stack([outline[:, 0] * np.cos(a), outline[:, 0] * np.sin(a), outline[:, 1]]) + shift
+        np.column_stack([outline[:, 0] * np.cos(a), outline[:, 0] * np.sin(a), outline[:, 1]])
+        + shift
         for a in angles
     ]
     if np.isclose(stop - start, 2 * np.pi):
-        edges[-1] = edges[0]  # sin(2 pi) is not quite 0: a gap, however fine, would show up as two more faces
+        edges[-1] = edges[
+            0
+        ]  # sin(2 pi) is not quite 0: a gap, however fine, would show up as two more faces
     return tuple(hull(np.concatenate([edges[k], edges[k + 1]])) for k in range(num))
 
 
@@ -145,7 +153,8 @@ def upright(outline: Points2, depth: float, y: float = 0.0) -> Mesh:
     """The hull of an outline of (x, z) given `depth` along y, centred on `y`; see `solids.upright`."""
     flat = np.asarray(outline, np.float64)
     faces = [
-        np.column_stack([flat[:, 0], np.full(len(flat), y + s * depth), flat[:, 1]]) for s in (-0.5, 0.5)
+        np.column_stack([flat[:, 0], np.full(len(flat), y + s * depth), flat[:, 1]])
+        for s in (-0.5, 0.5)
     ]
     return hull(np.concatenate(faces))
 
@@ -169,7 +178,9 @@ def corners_of(solid: Manifold) -> Mesh:
 
 def rotate_part(part: Mesh, degrees: Sequence[float], shift: Sequence[float] = (0, 0, 0)) -> Mesh:
     """A part turned about x, then y, then z (as `Manifold.rotate` does), then moved by `shift`."""
-    return part.transform(Rotation.from_euler("xyz", degrees, degrees=True).as_matrix(), np.asarray(shift))
+    return part.transform(
+        Rotation.from_euler("xyz", degrees, degrees=True).as_matrix(), np.asarray(shift)
+    )
 
 
 def _ring(radius: float, z: float, num: int, phase: float) -> np.ndarray:

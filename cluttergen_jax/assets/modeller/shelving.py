@@ -21,10 +21,15 @@ _Slab = tuple[tuple[float, float, float], tuple[float, float], float]
 
 def bookcase(rng: Rng = None) -> SupportAsset:
     """A bookcase of four boards between two sides, closed at the back; its top carries objects, too."""
-    width, depth, height = vary(rng, 0.80, 0.1), vary(rng, 0.30, 0.08), vary(rng, 1.08, 0.05)
-    sheet, back, plinth = 0.018, 0.008, 0.06
+    width = vary(rng, 0.80, 0.1)
+    depth = vary(rng, 0.30, 0.08)
+    height = vary(rng, 1.08, 0.05)
+    sheet = 0.018
+    back = 0.008
+    plinth = 0.06
     wood = shade(rng, (joinery.WOODS[3], *joinery.WOODS))
-    inner, front = width - 2 * sheet, depth - back
+    inner = width - 2 * sheet
+    front = depth - back
     shelves: list[_Slab] = []
     pitch = (height - plinth - sheet) / 3
     for k in (2, 1, 0):
@@ -52,9 +57,14 @@ def bookcase(rng: Rng = None) -> SupportAsset:
 
 def rack(rng: Rng = None) -> SupportAsset:
     """A rack of two boards on four posts, open on all sides."""
-    width, depth = vary(rng, 0.70, 0.1), vary(rng, 0.36, 0.08)
-    top, low, sheet, post = vary(rng, 0.72, 0.05), vary(rng, 0.34, 0.05), 0.022, 0.03
-    wood, paint = shade(rng, (joinery.WOODS[1], *joinery.WOODS)), shade(rng, joinery.METALS, 0.02)
+    width = vary(rng, 0.70, 0.1)
+    depth = vary(rng, 0.36, 0.08)
+    top = vary(rng, 0.72, 0.05)
+    low = vary(rng, 0.34, 0.05)
+    sheet = 0.022
+    post = 0.03
+    wood = shade(rng, (joinery.WOODS[1], *joinery.WOODS))
+    paint = shade(rng, joinery.METALS, 0.02)
     # The lower board lies between the posts, so that none of them stands on it.
     boards: list[_Slab] = [
         ((width, depth, sheet), (0.0, 0.0), top - sheet),
@@ -81,15 +91,23 @@ def rack(rng: Rng = None) -> SupportAsset:
 
 def kitchen_drawer(rng: Rng = None) -> SupportAsset:
     """A kitchen cabinet whose upper drawer is open; things go into the drawer, and on the worktop."""
-    width, depth, height = vary(rng, 0.60, 0.08), vary(rng, 0.56, 0.05), vary(rng, 0.90, 0.03)
-    wall, floor, sheet, reach = 0.015, 0.012, 0.035, 0.44
-    wood, paint = shade(rng, joinery.WOODS), shade(rng, joinery.PAINTS, 0.03)
+    width = vary(rng, 0.60, 0.08)
+    depth = vary(rng, 0.56, 0.05)
+    height = vary(rng, 0.90, 0.03)
+    wall = 0.015
+    floor = 0.012
+    sheet = 0.035
+    reach = 0.44
+    wood = shade(rng, joinery.WOODS)
+    paint = shade(rng, joinery.PAINTS, 0.03)
     back = reach / 2
     carcass: _Slab = ((width, depth, height - sheet - 0.08), (0.0, back), 0.08)
     face = back - depth / 2
     lid: _Slab = ((width + 0.01, depth + 0.02, sheet), (0.0, back), height - sheet)
-    low, deep = height - sheet - 0.15, 0.105
-    inner, length = width - 0.04 - 2 * wall, reach - 0.02
+    low = height - sheet - 0.15
+    deep = 0.105
+    inner = width - 0.04 - 2 * wall
+    length = reach - 0.02
     middle = face - length / 2
     bottom: _Slab = ((inner + 2 * wall, length, floor), (0.0, middle), low)
     walls: list[_Slab] = [
@@ -98,12 +116,19 @@ def kitchen_drawer(rng: Rng = None) -> SupportAsset:
     ]
     front: _Slab = ((width - 0.006, 0.02, 0.145), (0.0, face - length - 0.01), low)
     doors: list[_Slab] = [
-        ((width - 0.006, 0.02, (low - 0.09) / 2 - 0.004), (0.0, face - 0.01), 0.085 + k * (low - 0.09) / 2)
+        (
+            (width - 0.006, 0.02, (low - 0.09) / 2 - 0.004),
+            (0.0, face - 0.01),
+            0.085 + k * (low - 0.09) / 2,
+        )
         for k in (0, 1)
     ]
     handles = [
         cad.cylinder(0.006, 0.20, -0.10).rotate((0, 90, 0)).translate((0, y - 0.03, z))
-        for y, z in ((front[1][1], front[2] + 0.09), *((d[1][1], d[2] + d[0][2] - 0.06) for d in doors))
+        for y, z in (
+            (front[1][1], front[2] + 0.09),
+            *((d[1][1], d[2] + d[0][2] - 0.06) for d in doors),
+        )
     ]
     inside: _Slab = ((inner, length - wall, floor), (0.0, middle - wall / 2), low)
     return _furniture(
@@ -124,19 +149,30 @@ def kitchen_drawer(rng: Rng = None) -> SupportAsset:
 
 def dish_rack(rng: Rng = None) -> SupportAsset:
     """A dish rack: a tray with a rim of two wires, and a comb of pegs for plates along its back."""
-    width, depth = vary(rng, 0.46, 0.08), vary(rng, 0.36, 0.06)
-    foot, floor, rim, wire = 0.012, 0.008, 0.055, 0.005
-    steel, plastic = shade(rng, joinery.METALS[1:], 0.02), shade(rng, joinery.PAINTS, 0.03)
+    width = vary(rng, 0.46, 0.08)
+    depth = vary(rng, 0.36, 0.06)
+    foot = 0.012
+    floor = 0.008
+    rim = 0.055
+    wire = 0.005
+    steel = shade(rng, joinery.METALS[1:], 0.02)
+    plastic = shade(rng, joinery.PAINTS, 0.03)
     top = foot + floor
     tray: _Slab = ((width, depth, floor), (0.0, 0.0), foot)
-    comb, side = depth / 2 - 0.075, depth / 2 - wire
+    comb = depth / 2 - 0.075
+    side = depth / 2 - wire
     xs = np.linspace(-width / 2 + 0.05, width / 2 - 0.05, max(int(width / 0.042), 4))
-    pegs: list[_Slab] = [((wire, wire, 0.085), (x, y), top) for x in xs.tolist() for y in (comb, side - 0.02)]
+    pegs: list[_Slab] = [
+        ((wire, wire, 0.085), (x, y), top) for x in xs.tolist() for y in (comb, side - 0.02)
+    ]
     walls: list[_Slab] = []
     for z in (0.5 * rim, rim):
-        walls += [((width, wire, wire), (0.0, s * (depth - wire) / 2), top + z - wire) for s in (-1, 1)]
         walls += [
-            ((wire, depth - 2 * wire, wire), (s * (width - wire) / 2, 0.0), top + z - wire) for s in (-1, 1)
+            ((width, wire, wire), (0.0, s * (depth - wire) / 2), top + z - wire) for s in (-1, 1)
+        ]
+        walls += [
+            ((wire, depth - 2 * wire, wire), (s * (width - wire) / 2, 0.0), top + z - wire)
+            for s in (-1, 1)
         ]
     places = joinery.mirror_corners((width - wire) / 2, (depth - wire) / 2)
     posts: list[_Slab] = [((wire, wire, rim), place, top) for place in places]
@@ -162,8 +198,12 @@ def dish_rack(rng: Rng = None) -> SupportAsset:
 
 def tilted_board(rng: Rng, degrees: int) -> SupportAsset:
     """A drawing board on a stand, its front edge lower by so many degrees of slope."""
-    width, depth, height, sheet = vary(rng, 0.70, 0.1), vary(rng, 0.55, 0.08), vary(rng, 0.72, 0.04), 0.024
-    wood, paint = shade(rng, (joinery.WOODS[3], *joinery.WOODS)), shade(rng, joinery.METALS, 0.02)
+    width = vary(rng, 0.70, 0.1)
+    depth = vary(rng, 0.55, 0.08)
+    height = vary(rng, 0.72, 0.04)
+    sheet = 0.024
+    wood = shade(rng, (joinery.WOODS[3], *joinery.WOODS))
+    paint = shade(rng, joinery.METALS, 0.02)
     slope = math.radians(degrees)
     turn = (math.cos(slope / 2), math.sin(slope / 2), 0.0, 0.0)
     region = Rectangle((0.0, 0.0), (width / 2, depth / 2))
@@ -176,7 +216,8 @@ def tilted_board(rng: Rng, degrees: int) -> SupportAsset:
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 0)], np.float64)
     board = Mesh.points(tilt(corners * (width / 2, depth / 2, sheet)))
     drawn = joinery.board((width, depth, sheet), (0.0, 0.0), -sheet, 0.004).rotate((degrees, 0, 0))
-    x, y = 0.40 * width, 0.30 * depth
+    x = 0.40 * width
+    y = 0.30 * depth
     legs: list[_Slab] = []
     for s in (-1, 1):
         under = height + s * y * math.tan(slope) - sheet / math.cos(slope) - 0.022 * math.tan(slope)
@@ -198,8 +239,11 @@ def tilted_board(rng: Rng, degrees: int) -> SupportAsset:
 
 def steps(rng: Rng = None) -> SupportAsset:
     """Three steps, each as deep as the next."""
-    width, tread, rise = vary(rng, 0.60, 0.1), vary(rng, 0.26, 0.08), vary(rng, 0.17, 0.08)
-    wood, nosing = shade(rng, (joinery.WOODS[1], *joinery.WOODS)), 0.022
+    width = vary(rng, 0.60, 0.1)
+    tread = vary(rng, 0.26, 0.08)
+    rise = vary(rng, 0.17, 0.08)
+    wood = shade(rng, (joinery.WOODS[1], *joinery.WOODS))
+    nosing = 0.022
     treads: list[_Slab] = []
     blocks: list[_Slab] = []
     for k in (3, 2, 1):

@@ -61,11 +61,17 @@ def extrude(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0) -
 
 def box(size: Sequence[float], center: Sequence[float] = (0, 0), z: float = 0.0) -> Manifold:
     """A box of `size` (x, y, z) standing on height `z`, centred on `center` (x, y)."""
-    return Manifold.cube(tuple(size)).translate((center[0] - size[0] / 2, center[1] - size[1] / 2, z))
+    return Manifold.cube(tuple(size)).translate(
+        (center[0] - size[0] / 2, center[1] - size[1] / 2, z)
+    )
 
 
 def rounded_box(
-    size: Sequence[float], radius: float, center: Sequence[float] = (0, 0), z: float = 0.0, segments: int = 16
+    size: Sequence[float],
+    radius: float,
+    center: Sequence[float] = (0, 0),
+    z: float = 0.0,
+    segments: int = 16,
 ) -> Manifold:
     """A box with all edges rounded by `radius`; its top and bottom stay flat inside the rounding."""
     ball = Manifold.sphere(radius, segments)
@@ -136,10 +142,14 @@ def sweep(
     rings = section_rings(path, section, side, scales)
     num_stations, num_corners = rings.shape[:2]
     index = np.arange(num_stations * num_corners).reshape(num_stations, num_corners)
-    a, b = index[:-1], np.roll(index, -1, 1)[:-1]
-    c, d = index[1:], np.roll(index, -1, 1)[1:]
+    a = index[:-1]
+    b = np.roll(index, -1, 1)[:-1]
+    c = index[1:]
+    d = np.roll(index, -1, 1)[1:]
     walls = np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
-    fan = np.stack([np.zeros(num_corners - 2), np.arange(1, num_corners - 1), np.arange(2, num_corners)], -1)
+    fan = np.stack(
+        [np.zeros(num_corners - 2), np.arange(1, num_corners - 1), np.arange(2, num_corners)], -1
+    )
     fan = fan.astype(np.int64)
     faces = np.concatenate([walls, index[0][fan[:, ::-1]], index[-1][fan]])
     mesh = manifold3d.Mesh64(
@@ -172,7 +182,9 @@ def section_rings(
     sizes = np.ones(len(stations)) if scales is None else np.asarray(scales, np.float64)
     tangents = np.gradient(stations, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    sides = np.asarray(side, np.float64) - tangents * (tangents @ np.asarray(side, np.float64))[:, None]
+    sides = (
+        np.asarray(side, np.float64) - tangents * (tangents @ np.asarray(side, np.float64))[:, None]
+    )
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
     ups = np.cross(tangents, sides)
     flat = outline[None] * sizes[:, None, None]
@@ -190,7 +202,9 @@ def smooth_path(points: Sequence[Sequence[float]] | np.ndarray, num: int = 24) -
     cell = np.minimum(time.astype(int), len(knots) - 2)
     t = (time - cell)[:, None]
     p0, p1, p2, p3 = (padded[cell + k] for k in range(4))
-    linear, square, cube = p2 - p0, 2 * p0 - 5 * p1 + 4 * p2 - p3, 3 * p1 - p0 - 3 * p2 + p3
+    linear = p2 - p0
+    square = 2 * p0 - 5 * p1 + 4 * p2 - p3
+    cube = 3 * p1 - p0 - 3 * p2 + p3
     return p1 + 0.5 * t * (linear + t * (square + t * cube))
 
 

@@ -18,15 +18,20 @@ BOARD = 0.003
 
 def hardback_book(rng: Rng = None) -> Shape:
     """A closed book lying on its back cover, its rounded spine towards -y."""
-    width, depth = vary(rng, 0.215, 0.12), vary(rng, 0.150, 0.12)
+    width = vary(rng, 0.215, 0.12)
+    depth = vary(rng, 0.150, 0.12)
     height = vary(rng, 0.034, 0.35)
     turns = np.linspace(-np.pi / 2, np.pi / 2, 9)
     arc = np.column_stack([-depth / 2 - 0.005 * np.cos(turns), height / 2 * (1 + np.sin(turns))])
     rounded = [(x, y, z) for y, z in arc for x in (-width / 2, width / 2)]
     boards = [cad.box((width, depth, BOARD), z=z) for z in (0.0, height - BOARD)]
-    cover = cad.union(*boards, cad.hull([*rounded, *[(x, -depth / 2 + 0.001, z) for x, _, z in rounded]]))
+    cover = cad.union(
+        *boards, cad.hull([*rounded, *[(x, -depth / 2 + 0.001, z) for x, _, z in rounded]])
+    )
     pages = cad.box((width - 0.010, depth - 0.008, height - 2 * BOARD), (0, 0.002), BOARD)
-    corners = [(x * width, y * depth, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, height)]
+    corners = [
+        (x * width, y * depth, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, height)
+    ]
     title = _cover_art(choose(rng, ("ATLAS", "FABLES", "DUNES", "TALES")), width, depth, height)
     return assemble(
         name="hardback_book",
@@ -43,7 +48,9 @@ def hardback_book(rng: Rng = None) -> Shape:
 def _cover_art(word: str, width: float, depth: float, height: float) -> Manifold:
     """A framed title on the front cover and bands across the spine."""
     size = (width * 0.84, depth * 0.80)
-    frame = cad.box((*size, 0.0012), z=-0.0006) - cad.box((size[0] - 0.006, size[1] - 0.006, 0.01), z=-0.005)
+    frame = cad.box((*size, 0.0012), z=-0.0006) - cad.box(
+        (size[0] - 0.006, size[1] - 0.006, 0.01), z=-0.005
+    )
     front = cad.union(frame, lettering(word, 0.17 * depth).translate((0, 0.10 * depth, 0)))
     front += cad.box((0.3 * width, 0.004, 0.0012), (0, -0.18 * depth), -0.0006)
     spine = [
@@ -72,7 +79,9 @@ def sticky_notes(rng: Rng = None) -> Shape:
         (cad.box((side, side, high - low), z=low) - cad.box(core, z=low - 0.1), color)
         for low, high, color in zip(cuts[:2], cuts[1:3], colors[1:], strict=True)
     ]
-    block = cad.union(cad.box((*core[:2], height)), cad.box((side, side, height - cuts[2]), z=cuts[2]))
+    block = cad.union(
+        cad.box((*core[:2], height)), cad.box((side, side, height - cuts[2]), z=cuts[2])
+    )
     note = lettering("TO DO", 0.16 * side).translate((0, 0.24 * side, 0))
     for k, length in enumerate((0.62, 0.52, 0.58)):
         row = (0.06 - 0.15 * k) * side
@@ -96,7 +105,8 @@ CURL = 0.052
 def _curled_sheet(side: float) -> Manifold:
     """The front edge of a sheet that bends up from z = 0, as wide as the block."""
     share = np.linspace(0.0, 1.0, 7)
-    y, z = -(0.26 + 0.24 * share) * side, CURL * share**2 * side
+    y = -(0.26 + 0.24 * share) * side
+    z = CURL * share**2 * side
     strips = []
     for k in range(6):
         edges = [(y[k + j], z[k + j] + up) for j in (0, 1) for up in (-0.0002, 0.0010)]
@@ -107,12 +117,15 @@ def _curled_sheet(side: float) -> Manifold:
 def _curl_part(side: float, height: float) -> Mesh:
     """A flat leaf along the curled edge, thick enough to be felt."""
     ends = ((-0.30, 0.0, -0.001), (-0.30, 0.0, 0.001), (-0.5, CURL, -0.001), (-0.5, CURL, 0.001))
-    return part.hull([(s * side / 2, y * side, height + z * side + up) for s in (-1, 1) for y, z, up in ends])
+    return part.hull(
+        [(s * side / 2, y * side, height + z * side + up) for s in (-1, 1) for y, z, up in ends]
+    )
 
 
 def ring_binder(rng: Rng = None) -> Shape:
     """A lever-arch file standing upright, its labelled spine towards -y."""
-    height, depth = vary(rng, 0.250, 0.08), vary(rng, 0.205, 0.08)
+    height = vary(rng, 0.250, 0.08)
+    depth = vary(rng, 0.205, 0.08)
     width = vary(rng, 0.066, 0.2)
     hole = 0.20 * height
     spine = cad.difference(
@@ -130,7 +143,9 @@ def ring_binder(rng: Rng = None) -> Shape:
     front = -depth / 2 - 0.001
     label = cad.box((0.68 * width, 0.0016, 0.42 * height), (0, front + 0.0008), 0.46 * height)
     words = lettering("FILE", 0.13 * width).rotate((90, 0, 0)).translate((0, front, 0.79 * height))
-    lines = [cad.box((0.5 * width, 0.001, 0.003), (0, front), z * height) for z in (0.54, 0.61, 0.68)]
+    lines = [
+        cad.box((0.5 * width, 0.001, 0.003), (0, front), z * height) for z in (0.54, 0.61, 0.68)
+    ]
     return assemble(
         name="ring_binder",
         pieces=(
@@ -139,7 +154,10 @@ def ring_binder(rng: Rng = None) -> Shape:
                 shade(rng, (rgb.CRIMSON, rgb.NAVY, rgb.FOREST, *rgb.BRIGHT[:3], rgb.CHARCOAL)),
             ),
             (pages, rgb.PAPER),
-            (cad.union(ring.rotate((90, 0, 0)).translate((0, -depth / 2 + 0.002, hole)), *arch), rgb.STEEL),
+            (
+                cad.union(ring.rotate((90, 0, 0)).translate((0, -depth / 2 + 0.002, hole)), *arch),
+                rgb.STEEL,
+            ),
             (label, rgb.WHITE),
             (cad.union(words, *lines), rgb.CHARCOAL),
         ),
@@ -157,10 +175,21 @@ TAPE = (0.93, 0.86, 0.62)
 
 def stapler(rng: Rng = None) -> Shape:
     """A desk stapler, its jaws towards -x."""
-    length, width = vary(rng, 0.150, 0.12), vary(rng, 0.034, 0.12)
-    low, high = 0.010 + vary(rng, 0.012, 0.25), 0.016
-    tail, nose, heel = length / 2, -length / 2, length / 2 - 0.034
-    base = [(nose, 0), (tail, 0), (tail, 0.006), (tail - 0.006, 0.010), (nose + 0.010, 0.010), (nose, 0.006)]
+    length = vary(rng, 0.150, 0.12)
+    width = vary(rng, 0.034, 0.12)
+    low = 0.010 + vary(rng, 0.012, 0.25)
+    high = 0.016
+    tail = length / 2
+    nose = -length / 2
+    heel = length / 2 - 0.034
+    base = [
+        (nose, 0),
+        (tail, 0),
+        (tail, 0.006),
+        (tail - 0.006, 0.010),
+        (nose + 0.010, 0.010),
+        (nose, 0.006),
+    ]
     pivot = [(heel, 0.009), (tail - 0.006, 0.009), (tail - 0.008, 0.027), (heel, 0.0275)]
     rail = [
         (nose + 0.004, low),
@@ -196,9 +225,18 @@ def stapler(rng: Rng = None) -> Shape:
 
 def tape_dispenser(rng: Rng = None) -> Shape:
     """A weighted tape dispenser, its cutter towards -x."""
-    length, width = vary(rng, 0.150, 0.1), vary(rng, 0.058, 0.1)
-    roll, nose, tail = vary(rng, 0.036, 0.08), -length / 2, length / 2
-    base = [(nose + 0.004, 0), (tail, 0), (tail, 0.012), (tail - 0.006, 0.018), (nose + 0.012, 0.018)]
+    length = vary(rng, 0.150, 0.1)
+    width = vary(rng, 0.058, 0.1)
+    roll = vary(rng, 0.036, 0.08)
+    nose = -length / 2
+    tail = length / 2
+    base = [
+        (nose + 0.004, 0),
+        (tail, 0),
+        (tail, 0.012),
+        (tail - 0.006, 0.018),
+        (nose + 0.012, 0.018),
+    ]
     base.append((nose, 0.010))
     post = [(nose, 0.010), (nose + 0.036, 0.012), (nose + 0.024, 0.046), (nose + 0.006, 0.050)]
     hub = (tail - roll - 0.016, roll + 0.010)
@@ -209,14 +247,19 @@ def tape_dispenser(rng: Rng = None) -> Shape:
     slot = 2 * (side - 0.0048)
     # The roll is solid but for a recess on either side, where its core shows above the cheeks.
     cover = cad.upright(cheek, 1.0)
-    recesses = [cad.facing(roll - 0.010, 0.004, hub).translate((0, s * slot / 2, 0)) - cover for s in (-1, 1)]
+    recesses = [
+        cad.facing(roll - 0.010, 0.004, hub).translate((0, s * slot / 2, 0)) - cover
+        for s in (-1, 1)
+    ]
     core = cad.facing(roll - 0.0095, slot - 0.002, hub) - cad.facing(roll - 0.014, 1.0, hub) - cover
     spool = cad.difference(cad.facing(roll, slot, hub), *recesses)
     cheeks = [cad.upright(cheek, 0.010, s * side) for s in (-1, 1)]
     frame = cad.union(cad.upright(base, width), cad.upright(post, slot + 0.006), *cheeks)
     # The tape's free end runs from the roll to the teeth; its part is thicker, below.
     ends = ((nose + 0.015, 0.0495), (hub[0] - 0.2 * roll, hub[1] + 0.97 * roll))
-    strip, tongue = ([(x, z + t) for x, z in ends for t in (below, 0.0003)] for below in (-0.0003, -0.0025))
+    strip, tongue = (
+        [(x, z + t) for x, z in ends for t in (below, 0.0003)] for below in (-0.0003, -0.0025)
+    )
     tooth = [(x, s * 0.002, z) for x, z in ((0.003, 0.047), (0.010, 0.050)) for s in (-1, 1)]
     comb = cad.hull([*tooth, (0.001, 0, 0.054)])
     teeth = [comb.translate((nose, float(y), 0)) for y in np.linspace(-0.4, 0.4, 9) * slot]
@@ -233,7 +276,9 @@ def tape_dispenser(rng: Rng = None) -> Shape:
             part.upright(base, width),
             part.upright(post, slot + 0.006),
             part.rotate_part(
-                part.disc([(roll, -slot / 2), (roll, slot / 2)], 14), (90, 0, 0), (hub[0], 0, hub[1])
+                part.disc([(roll, -slot / 2), (roll, slot / 2)], 14),
+                (90, 0, 0),
+                (hub[0], 0, hub[1]),
             ),
             *[part.upright(cheek, 0.010, s * side) for s in (-1, 1)],
             part.upright(tongue, 0.72 * slot),
@@ -244,22 +289,35 @@ def tape_dispenser(rng: Rng = None) -> Shape:
 
 def hole_punch(rng: Rng = None) -> Shape:
     """A two-hole punch on a punched sheet, its paper slot towards -y."""
-    width, depth = vary(rng, 0.118, 0.1), vary(rng, 0.104, 0.1)
+    width = vary(rng, 0.118, 0.1)
+    depth = vary(rng, 0.104, 0.1)
     rise = vary(rng, 0.060, 0.1)
     tray = cad.extrude(cad.rounded_rect(width, depth, 0.010), 0.012)
-    back, front = depth / 2 - 0.012, -depth / 2 + 0.034
+    back = depth / 2 - 0.012
+    front = -depth / 2 + 0.034
     bar = ((0.86 * width, 0.030, 0.016), (0, back - 0.019), 0.020)
     wall = ((0.86 * width, 0.014, 0.026), (0, back - 0.008), 0.010)
     # From the hinge forward: half width, y and the two heights of the lever.
     profile: list[tuple[float, ...]] = [(0.92, back + 0.006, 0.030, 0.042)]
-    profile += [(0.90, front + 0.008, rise, rise + 0.009), (0.66, front - 0.008, rise + 0.001, rise + 0.008)]
-    lever = [(s * w * width / 2, y, z) for s in (-1, 1) for w, y, *levels in profile for z in levels]
+    profile += [
+        (0.90, front + 0.008, rise, rise + 0.009),
+        (0.66, front - 0.008, rise + 0.001, rise + 0.008),
+    ]
+    lever = [
+        (s * w * width / 2, y, z) for s in (-1, 1) for w, y, *levels in profile for z in levels
+    ]
     lid = cad.hull(lever)
     places = [s * 0.30 * width for s in (-1, 1)]
-    pins = [cad.cylinder(0.0075, 0.026, z=0.018, center=(x, back - 0.030), segments=24) for x in places]
-    rests = [cad.box((0.008, 0.034, 0.026), (s * 0.45 * width, back - 0.014), 0.010) for s in (-1, 1)]
+    pins = [
+        cad.cylinder(0.0075, 0.026, z=0.018, center=(x, back - 0.030), segments=24) for x in places
+    ]
+    rests = [
+        cad.box((0.008, 0.034, 0.026), (s * 0.45 * width, back - 0.014), 0.010) for s in (-1, 1)
+    ]
     holes = [cad.cylinder(0.0055, 1.0, center=(x, -0.36 * depth), segments=24) for x in places]
-    sheet = cad.difference(cad.box((0.80 * width, 0.84 * depth, 0.0015), (0, -0.07 * depth), 0.012), *holes)
+    sheet = cad.difference(
+        cad.box((0.80 * width, 0.84 * depth, 0.0015), (0, -0.07 * depth), 0.012), *holes
+    )
     metal = cad.union(cad.box(*bar), cad.box(*wall), *pins, *rests) - lid - tray
     return assemble(
         name="hole_punch",
@@ -276,23 +334,40 @@ def hole_punch(rng: Rng = None) -> Shape:
 
 def scissors(rng: Rng = None) -> Shape:
     """A pair of scissors lying a little open, points towards +y."""
-    size, opening = vary(rng, 1.0, 0.12), vary(rng, 8.0, 0.4)
+    size = vary(rng, 1.0, 0.12)
+    opening = vary(rng, 8.0, 0.4)
     blade = 0.001 * size * np.array([(-8, -12), (8, -12), (8, 20), (0.5, 100), (-2, 100), (-8, 24)])
-    loop, bar, thick = np.array([0.021, 0.029]) * size, 0.0075, 0.009
-    ring = cad.extrude(cad.ellipse(*loop), thick) - cad.extrude(cad.ellipse(*(loop - bar)), 1.0, -0.5)
+    loop = np.array([0.021, 0.029]) * size
+    bar = 0.0075
+    thick = 0.009
+    ring = cad.extrude(cad.ellipse(*loop), thick) - cad.extrude(
+        cad.ellipse(*(loop - bar)), 1.0, -0.5
+    )
     inner = 1 - bar / loop[0]
     section = [(1.10, 0), (1.10, thick), (inner, thick), (inner, 0)]
     stretch = np.diag([*loop, 1.0])
-    cells = [cell.transform(stretch, np.zeros(3)) for cell in part.ring_sectors(section, 4, np.pi / 4)]
-    grips, blades, parts = [], [], []
+    cells = [
+        cell.transform(stretch, np.zeros(3)) for cell in part.ring_sectors(section, 4, np.pi / 4)
+    ]
+    grips = []
+    blades = []
+    parts = []
     for side, z in ((-1, 0.0), (1, 0.003)):
-        turn, spin = (0.0, 0.0, side * opening), (0.0, 0.0, -side * 14.0)
+        turn = (0.0, 0.0, side * opening)
+        spin = (0.0, 0.0, -side * 14.0)
         outline = blade * (side, 1)
         blades.append(cad.extrude(outline, 0.003, z).rotate(turn))
         # Each blade runs on through the pivot into the loop of the other side.
         center = np.array([side * 0.025, -0.072]) * size
-        roots = np.array([(8, -8), (-8, -8), (side * 25 - 10, -42), (side * 25 + 10, -46)]) * 0.001 * size
-        grips += [ring.rotate(spin).translate((*center, 0)), cad.hull(part.prism(roots, thick).vertices)]
+        roots = (
+            np.array([(8, -8), (-8, -8), (side * 25 - 10, -42), (side * 25 + 10, -46)])
+            * 0.001
+            * size
+        )
+        grips += [
+            ring.rotate(spin).translate((*center, 0)),
+            cad.hull(part.prism(roots, thick).vertices),
+        ]
         parts += [part.rotate_part(part.prism(outline, 0.003, z), turn), part.prism(roots, thick)]
         parts += [part.rotate_part(cell, spin, (*center, 0.0)) for cell in cells]
     handles = cad.union(*grips)

@@ -15,12 +15,19 @@ _ROUND_CORNER = 1 - np.sqrt(0.5).item()
 
 def round_table(rng: Rng = None) -> SupportAsset:
     """A round dining table on four splayed legs. The region is the square in the circle."""
-    radius, top, thickness = vary(rng, 0.45, 0.12), vary(rng, 0.74, 0.03), vary(rng, 0.028)
+    radius = vary(rng, 0.45, 0.12)
+    top = vary(rng, 0.74, 0.03)
+    thickness = vary(rng, 0.028)
     low = top - thickness
     wood = shade(rng, joinery.WOODS)
-    head, foot = 0.46 * radius, 0.62 * radius
-    feet, heads = joinery.mirror_corners(foot, foot), joinery.mirror_corners(head, head)
-    legs = [joinery.round_leg((*f, 0.0), (*h, low), 0.014, 0.024) for f, h in zip(feet, heads, strict=True)]
+    head = 0.46 * radius
+    foot = 0.62 * radius
+    feet = joinery.mirror_corners(foot, foot)
+    heads = joinery.mirror_corners(head, head)
+    legs = [
+        joinery.round_leg((*f, 0.0), (*h, low), 0.014, 0.024)
+        for f, h in zip(feet, heads, strict=True)
+    ]
     apron = _ring(0.70 * radius, 0.66 * radius, low - 0.05, low)
     middle = 0.5 * (head + foot)
     return joinery.table(
@@ -43,16 +50,30 @@ def round_table(rng: Rng = None) -> SupportAsset:
 
 def oval_table(rng: Rng = None) -> SupportAsset:
     """An oval dining table on two columns with long feet. The region is the largest rectangle inside."""
-    rx, ry = vary(rng, 0.72, 0.12), vary(rng, 0.43, 0.1)
-    top, thickness = vary(rng, 0.745, 0.03), vary(rng, 0.030)
+    rx = vary(rng, 0.72, 0.12)
+    ry = vary(rng, 0.43, 0.1)
+    top = vary(rng, 0.745, 0.03)
+    thickness = vary(rng, 0.030)
     low = top - thickness
     wood = shade(rng, joinery.WOODS[1:])
-    x, reach = 0.48 * rx, 0.66 * ry
-    solids, boxes = [], []
+    x = 0.48 * rx
+    reach = 0.66 * ry
+    solids = []
+    boxes = []
     for sign in (-1, 1):
-        spine = [(-reach, 0.0), (reach, 0.0), (reach, 0.028), (0.06, 0.075), (-0.06, 0.075), (-reach, 0.028)]
+        spine = [
+            (-reach, 0.0),
+            (reach, 0.0),
+            (reach, 0.028),
+            (0.06, 0.075),
+            (-0.06, 0.075),
+            (-reach, 0.028),
+        ]
         sole = (
-            cad.extrude(spine, 0.07).rotate((90, 0, 0)).rotate((0, 0, 90)).translate((sign * x - 0.035, 0, 0))
+            cad.extrude(spine, 0.07)
+            .rotate((90, 0, 0))
+            .rotate((0, 0, 90))
+            .translate((sign * x - 0.035, 0, 0))
         )
         column = cad.box((0.075, 0.16, low - 0.10), (sign * x, 0), 0.05)
         yoke = joinery.board((0.06, 1.25 * ry, 0.05), (sign * x, 0), low - 0.05, 0.008)
@@ -79,15 +100,22 @@ def oval_table(rng: Rng = None) -> SupportAsset:
 
 def bar_table(rng: Rng = None) -> SupportAsset:
     """A small, high, round table on a steel column. The region is the square in the circle."""
-    radius, top, thickness = vary(rng, 0.33, 0.1), vary(rng, 1.06, 0.04), 0.030
+    radius = vary(rng, 0.33, 0.1)
+    top = vary(rng, 1.06, 0.04)
+    thickness = 0.030
     low = top - thickness
     base = 0.74 * radius
     steel = shade(rng, joinery.METALS, 0.02)
-    foot = cad.revolve([(0, 0), (base, 0), (base, 0.006), (0.93 * base, 0.014), (0.05, 0.045), (0, 0.045)])
+    foot = cad.revolve(
+        [(0, 0), (base, 0), (base, 0.006), (0.93 * base, 0.014), (0.05, 0.045), (0, 0.045)]
+    )
     column = cad.cylinder(0.033, low - 0.06, 0.03)
     collar = cad.cylinder(0.05, 0.07, low - 0.075, top=0.13)
     rail = _ring(0.62 * base, 0.62 * base - 0.012, 0.30, 0.312)
-    spokes = [cad.box((1.2 * base, 0.012, 0.010), z=0.301), cad.box((0.012, 1.2 * base, 0.010), z=0.301)]
+    spokes = [
+        cad.box((1.2 * base, 0.012, 0.010), z=0.301),
+        cad.box((0.012, 1.2 * base, 0.010), z=0.301),
+    ]
     core = 0.8 * base
     return joinery.table(
         "bar_table",
@@ -111,11 +139,18 @@ def bar_table(rng: Rng = None) -> SupportAsset:
 
 def coffee_table(rng: Rng = None) -> SupportAsset:
     """A low table with round corners over a slatted shelf. The region stays within the round corners."""
-    width, depth, top = vary(rng, 1.10, 0.12), vary(rng, 0.60, 0.12), vary(rng, 0.42, 0.08)
-    radius, low, side = 0.05, top - 0.034, 0.05
-    wood, paint = shade(rng, joinery.WOODS[1:]), shade(rng, joinery.PAINTS, 0.03)
-    x, y = width / 2 - 0.075, depth / 2 - 0.075
-    shelf_low, shelf_high = 0.13, 0.148
+    width = vary(rng, 1.10, 0.12)
+    depth = vary(rng, 0.60, 0.12)
+    top = vary(rng, 0.42, 0.08)
+    radius = 0.05
+    low = top - 0.034
+    side = 0.05
+    wood = shade(rng, joinery.WOODS[1:])
+    paint = shade(rng, joinery.PAINTS, 0.03)
+    x = width / 2 - 0.075
+    y = depth / 2 - 0.075
+    shelf_low = 0.13
+    shelf_high = 0.148
     frame = [cad.box((side, side, low), place) for place in joinery.mirror_corners(x, y)]
     frame += [cad.box((2 * x, 0.022, 0.06), (0, sign * y), low - 0.06) for sign in (-1, 1)]
     frame += [cad.box((0.022, 2 * y, 0.06), (sign * x, 0), low - 0.06) for sign in (-1, 1)]
@@ -123,7 +158,9 @@ def coffee_table(rng: Rng = None) -> SupportAsset:
     count = 5
     pitch = (2 * y - side) / count
     rows = [(k - (count - 1) / 2) * pitch for k in range(count)]
-    slats = [joinery.board((2 * x + 0.02, 0.78 * pitch, 0.018), (0, row), shelf_low) for row in rows]
+    slats = [
+        joinery.board((2 * x + 0.02, 0.78 * pitch, 0.018), (0, row), shelf_low) for row in rows
+    ]
     cut = radius * _ROUND_CORNER
     return joinery.table(
         "coffee_table",
@@ -131,7 +168,10 @@ def coffee_table(rng: Rng = None) -> SupportAsset:
         Rectangle((0.0, 0.0), (width / 2 - cut, depth / 2 - cut)),
         [
             *joinery.rounded_boxes(width, depth, radius, low, top),
-            *(joinery.slab((side, side, low), place, 0.0) for place in joinery.mirror_corners(x, y)),
+            *(
+                joinery.slab((side, side, low), place, 0.0)
+                for place in joinery.mirror_corners(x, y)
+            ),
             joinery.slab((2 * x - side, 2 * y - side, shelf_high - shelf_low), (0, 0), shelf_low),
         ],
         [
@@ -145,30 +185,42 @@ def coffee_table(rng: Rng = None) -> SupportAsset:
 def _ring(outer: float, inner: float, low: float, high: float) -> Manifold:
     """A flat ring around the z axis."""
     return cad.difference(
-        cad.cylinder(outer, high - low, low, segments=96), cad.cylinder(inner, 1.0, low - 0.1, segments=96)
+        cad.cylinder(outer, high - low, low, segments=96),
+        cad.cylinder(inner, 1.0, low - 0.1, segments=96),
     )
 
 
 def tray_table(rng: Rng = None) -> SupportAsset:
     """A butler's tray on legs: a rim all around, with a grip at each short side. The region is its floor."""
-    width, depth, top = vary(rng, 0.66, 0.12), vary(rng, 0.46, 0.1), vary(rng, 0.52, 0.06)
-    floor, wall, rim, side = 0.016, 0.014, vary(rng, 0.060, 0.1), 0.032
+    width = vary(rng, 0.66, 0.12)
+    depth = vary(rng, 0.46, 0.1)
+    top = vary(rng, 0.52, 0.06)
+    floor = 0.016
+    wall = 0.014
+    rim = vary(rng, 0.060, 0.1)
+    side = 0.032
     low = top - floor
-    wood, paint = (
-        shade(rng, (joinery.WOODS[2], *joinery.WOODS)),
-        shade(rng, (joinery.METALS[0], *joinery.PAINTS), 0.02),
-    )
-    inner_x, inner_y = width / 2 - wall, depth / 2 - wall
-    grip, sill, bar_height = 0.13, 0.40 * rim, 0.25 * rim
+    wood = shade(rng, (joinery.WOODS[2], *joinery.WOODS))
+    paint = shade(rng, (joinery.METALS[0], *joinery.PAINTS), 0.02)
+    inner_x = width / 2 - wall
+    inner_y = depth / 2 - wall
+    grip = 0.13
+    sill = 0.40 * rim
+    bar_height = 0.25 * rim
     hole = cad.upright(cad.rounded_rect(grip, rim - sill - bar_height, 0.010), 2 * width)
     hole = hole.rotate((0, 0, 90)).translate((0, 0, top + (sill + rim - bar_height) / 2))
     walls = cad.difference(
         cad.box((width, depth, floor + rim), z=low), cad.box((2 * inner_x, 2 * inner_y, 1.0), z=top)
     )
-    x, y = inner_x - 0.03, inner_y - 0.03
+    x = inner_x - 0.03
+    y = inner_y - 0.03
     leg_boxes, leg_pieces = joinery.square_legs(x, y, side, low, paint)
-    rails = [cad.box((2 * x, 0.02, 0.03), (0, s * y), h) for s in (-1, 1) for h in (low - 0.03, 0.14)]
-    rails += [cad.box((0.02, 2 * y, 0.03), (s * x, 0), h) for s in (-1, 1) for h in (low - 0.03, 0.14)]
+    rails = [
+        cad.box((2 * x, 0.02, 0.03), (0, s * y), h) for s in (-1, 1) for h in (low - 0.03, 0.14)
+    ]
+    rails += [
+        cad.box((0.02, 2 * y, 0.03), (s * x, 0), h) for s in (-1, 1) for h in (low - 0.03, 0.14)
+    ]
     ends: list[Box] = []
     cheek = inner_y - grip / 2
     for s in (-1, 1):
@@ -176,7 +228,9 @@ def tray_table(rng: Rng = None) -> SupportAsset:
         ends.append(joinery.slab((wall, 2 * inner_y, sill), (end, 0), top))
         ends.append(joinery.slab((wall, 2 * inner_y, bar_height), (end, 0), top + rim - bar_height))
         ends += [
-            joinery.slab((wall, cheek, rim - sill - bar_height), (end, t * (inner_y - cheek / 2)), top + sill)
+            joinery.slab(
+                (wall, cheek, rim - sill - bar_height), (end, t * (inner_y - cheek / 2)), top + sill
+            )
             for t in (-1, 1)
         ]
     return joinery.table(
@@ -185,7 +239,10 @@ def tray_table(rng: Rng = None) -> SupportAsset:
         Rectangle((0.0, 0.0), (inner_x, inner_y)),
         [
             joinery.slab((width, depth, floor), (0, 0), low),
-            *(joinery.slab((width, wall, rim), (0, s * (inner_y + wall / 2)), top) for s in (-1, 1)),
+            *(
+                joinery.slab((width, wall, rim), (0, s * (inner_y + wall / 2)), top)
+                for s in (-1, 1)
+            ),
             *ends,
             *leg_boxes,
         ],
@@ -195,12 +252,18 @@ def tray_table(rng: Rng = None) -> SupportAsset:
 
 def trestle_table(rng: Rng = None) -> SupportAsset:
     """A long board on two trestles. Its whole top is the region."""
-    width, depth, top = vary(rng, 1.60, 0.1), vary(rng, 0.76, 0.08), vary(rng, 0.74, 0.02)
-    low, wood = top - 0.032, shade(rng, (joinery.WOODS[3], *joinery.WOODS))
+    width = vary(rng, 1.60, 0.1)
+    depth = vary(rng, 0.76, 0.08)
+    top = vary(rng, 0.74, 0.02)
+    low = top - 0.032
+    wood = shade(rng, (joinery.WOODS[3], *joinery.WOODS))
     _, boards = joinery.planks(rng, width, [depth / 4] * 4, 0.0, -depth / 2, low, top, wood)
-    x, foot, head = 0.34 * width, 0.42 * depth, 0.10 * depth
+    x = 0.34 * width
+    foot = 0.42 * depth
+    head = 0.10 * depth
     beam = low - 0.07
-    solids, boxes = [], []
+    solids = []
+    boxes = []
     for sx in (-1, 1):
         solids.append(joinery.board((0.06, 0.86 * depth, 0.07), (sx * x, 0), beam, 0.004))
         boxes.append(joinery.slab((0.06, 0.86 * depth, 0.07), (sx * x, 0), beam))
@@ -211,11 +274,16 @@ def trestle_table(rng: Rng = None) -> SupportAsset:
                 spread = sx * x + sz * 0.10
                 solids.append(
                     joinery.bar(
-                        (spread, sy * foot, 0.0), (sx * x + sz * 0.035, sy * head, beam + 0.04), 0.035, 0.05
+                        (spread, sy * foot, 0.0),
+                        (sx * x + sz * 0.035, sy * head, beam + 0.04),
+                        0.035,
+                        0.05,
                     )
                 )
                 boxes.append(
-                    joinery.slab((0.035, 0.05, beam), (sx * x + sz * 0.07, sy * (foot + head) / 2), 0.0)
+                    joinery.slab(
+                        (0.035, 0.05, beam), (sx * x + sz * 0.07, sy * (foot + head) / 2), 0.0
+                    )
                 )
     return joinery.table(
         "trestle_table",
@@ -228,19 +296,27 @@ def trestle_table(rng: Rng = None) -> SupportAsset:
 
 def picnic_table(rng: Rng = None) -> SupportAsset:
     """A garden table of five planks with gaps, and its two benches. The region is the table's whole top."""
-    width, top, thickness = vary(rng, 1.60, 0.1), vary(rng, 0.74, 0.03), 0.038
-    plank, gap = vary(rng, 0.140, 0.05), 0.008
+    width = vary(rng, 1.60, 0.1)
+    top = vary(rng, 0.74, 0.03)
+    thickness = 0.038
+    plank = vary(rng, 0.140, 0.05)
+    gap = 0.008
     depth = 5 * plank + 4 * gap
-    low, wood = top - thickness, shade(rng, (joinery.WOODS[1], *joinery.WOODS))
+    low = top - thickness
+    wood = shade(rng, (joinery.WOODS[1], *joinery.WOODS))
     boxes, pieces = joinery.planks(rng, width, [plank] * 5, gap, -depth / 2, low, top, wood)
-    seat, seat_depth = 0.60 * top, 2 * 0.130 + gap
+    seat = 0.60 * top
+    seat_depth = 2 * 0.130 + gap
     near = depth / 2 + 0.11
     for start in (near, -near - seat_depth):
         bench = joinery.planks(rng, width, [0.130] * 2, gap, start, seat - thickness, seat, wood)
-        boxes, pieces = boxes + bench[0], pieces + bench[1]
-    x, reach = 0.36 * width, near + 0.8 * seat_depth
+        boxes = boxes + bench[0]
+        pieces = pieces + bench[1]
+    x = 0.36 * width
+    reach = near + 0.8 * seat_depth
     under = seat - thickness
-    solids, frame = [], []
+    solids = []
+    frame = []
     for sx in (-1, 1):
         beams = (
             ((0.04, 2 * reach, 0.09), (sx * x, 0.0), under - 0.09),
@@ -249,12 +325,15 @@ def picnic_table(rng: Rng = None) -> SupportAsset:
         solids += [joinery.board(*beam, 0.004) for beam in beams]
         frame += [joinery.slab(*beam) for beam in beams]
         for sy in (-1, 1):
-            foot, head = sy * (near + 0.02), sy * 0.30 * depth
+            foot = sy * (near + 0.02)
+            head = sy * 0.30 * depth
             place = sx * (x - 0.04)
             solids.append(joinery.bar((place, foot, 0.0), (place, head, low), 0.04, 0.10))
             frame.append(
                 joinery.slab(
-                    (0.04, 0.10, under - 0.09), (place, (foot + head) / 2 + 0.2 * (foot - head)), 0.0
+                    (0.04, 0.10, under - 0.09),
+                    (place, (foot + head) / 2 + 0.2 * (foot - head)),
+                    0.0,
                 )
             )
     return joinery.table(

@@ -46,8 +46,13 @@ class Vessel:
 
     def layers(self, thickness: float, segments: int = cad.SEGMENTS) -> tuple[Manifold, Manifold]:
         """The solid in two closed shells, outside and lining, for two colours."""
-        grown = [(0.0, self.floor - thickness), *((r + thickness, z - thickness) for r, z in self.inner)]
-        tool = cad.revolve([*grown, (grown[-1][0], self.rim + 1.0), (0.0, self.rim + 1.0)], segments)
+        grown = [
+            (0.0, self.floor - thickness),
+            *((r + thickness, z - thickness) for r, z in self.inner),
+        ]
+        tool = cad.revolve(
+            [*grown, (grown[-1][0], self.rim + 1.0), (0.0, self.rim + 1.0)], segments
+        )
         whole = self.solid(segments)
         return whole - tool, whole ^ tool
 
@@ -55,7 +60,8 @@ class Vessel:
         """The space inside, open upwards: what has to be cut from handles that reach through the wall."""
         radius = self.inner[-1][0]
         return cad.revolve(
-            [(0.0, self.floor), *self.inner, (radius, self.rim + 1.0), (0.0, self.rim + 1.0)], segments
+            [(0.0, self.floor), *self.inner, (radius, self.rim + 1.0), (0.0, self.rim + 1.0)],
+            segments,
         )
 
     def cavity(self, segments: int = cad.SEGMENTS) -> Cavity:
@@ -140,5 +146,7 @@ class Crate:
         low = self.floor / 2
         rings = [self.outline(low), self.outline(self.height)]
         rings += [self.outline(low, self.wall), self.outline(self.height, self.wall)]
-        walls = [part.hull(np.concatenate([ring[[k, (k + 1) % 4]] for ring in rings])) for k in range(4)]
+        walls = [
+            part.hull(np.concatenate([ring[[k, (k + 1) % 4]] for ring in rings])) for k in range(4)
+        ]
         return (floor, *walls)

@@ -44,7 +44,9 @@ def is_within_parts(points: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarr
     for hull in map(hull_of, parts):
         if hull is None:
             continue
-        near = np.flatnonzero(((points >= hull.min_bound) & (points <= hull.max_bound)).all(1) & ~inside)
+        near = np.flatnonzero(
+            ((points >= hull.min_bound) & (points <= hull.max_bound)).all(1) & ~inside
+        )
         height = points[near] @ hull.equations[:, :3].T + hull.equations[:, 3]
         inside[near] = height.max(1, initial=-np.inf) < 0
     return inside
@@ -57,9 +59,11 @@ def deviation(parts: Sequence[np.ndarray], solid: Solid, seed: int = 0) -> float
     make it larger than it is. Faces along which pieces touch, such as a box and its lid, are no surface.
     """
     dense = NUM_SAMPLES * _DENSITY
-    on_solid, on_parts = sample_solid(solid, dense, seed), sample_parts(parts, dense, seed + 1000)
+    on_solid = sample_solid(solid, dense, seed)
+    on_parts = sample_parts(parts, dense, seed + 1000)
     some = on_solid[:NUM_SAMPLES]
-    there, back = _farthest(some, on_parts), _farthest(on_parts[:NUM_SAMPLES], on_solid)
+    there = _farthest(some, on_parts)
+    back = _farthest(on_parts[:NUM_SAMPLES], on_solid)
     if solid.is_exact and there > back:
         # Pieces that only touch are united with a gap between them, which nothing can enter.
         is_outer = Voxels.of(solid.mesh, _FINE).is_exposed(some)
@@ -74,7 +78,9 @@ def _farthest(points: np.ndarray, others: np.ndarray) -> float:
     """
     if not len(points):
         return 0.0
-    bound, largest, start = np.full(len(points), np.inf), 0.0, 0
+    bound = np.full(len(points), np.inf)
+    largest = 0.0
+    start = 0
     for end in (len(others) // 10, len(others) // 3, len(others)):
         # Asked so little, a tree that is made quickly is the quicker one.
         tree = cKDTree(others[start:end], balanced_tree=False, compact_nodes=False)
@@ -83,7 +89,9 @@ def _farthest(points: np.ndarray, others: np.ndarray) -> float:
             break
         worst = points[bound.argmax()]
         largest = max(largest, float(np.sqrt(((others - worst) ** 2).sum(1).min())))
-        points, bound, start = points[bound > largest], bound[bound > largest], end
+        points = points[bound > largest]
+        bound = bound[bound > largest]
+        start = end
         if not len(points):
             break
     return max(largest, float(bound.max(initial=0.0)))
@@ -99,12 +107,15 @@ def size_alarm(surface: np.ndarray, colliding: np.ndarray) -> str:
     Args:
       surface, colliding: f64[N, 3], all vertices of each.
     """
-    spaces = [_spaces(points) for points in (surface, colliding, np.concatenate([surface, colliding]))]
+    spaces = [
+        _spaces(points) for points in (surface, colliding, np.concatenate([surface, colliding]))
+    ]
     ratio = float((spaces[2] / np.minimum(spaces[0], spaces[1])).min())
     if ratio < ALARM_FACTOR:
         return ""
     seen, hit = (
-        " x ".join(f"{1000 * side:.0f}" for side in np.ptp(each, axis=0)) for each in (surface, colliding)
+        " x ".join(f"{1000 * side:.0f}" for side in np.ptp(each, axis=0))
+        for each in (surface, colliding)
     )
     return (
         f"what is seen ({seen} mm) and what collides ({hit} mm) do not match in size or place: "
@@ -115,7 +126,8 @@ def size_alarm(surface: np.ndarray, colliding: np.ndarray) -> str:
 def _spaces(points: np.ndarray) -> np.ndarray:
     """f64[2]: the volumes of the hull and of the box around it, m^3; what is flat is given a thickness."""
     points = sound_points(points)
-    hull, box = hull_of(points), float(np.ptp(points, axis=0).prod())
+    hull = hull_of(points)
+    box = float(np.ptp(points, axis=0).prod())
     return np.array([box if hull is None else hull.volume, box])
 
 
@@ -145,7 +157,9 @@ def piece_gaps(solid: Solid) -> list[float]:
         shell = left.pop(near)
         gaps += [distance[near]] if distance[near] > least else []
         for index, other in left.items():
-            distance[index] = min(distance.get(index, np.inf), shell.min_gap(other, 2 * solid.diagonal))
+            distance[index] = min(
+                distance.get(index, np.inf), shell.min_gap(other, 2 * solid.diagonal)
+            )
     return gaps
 
 

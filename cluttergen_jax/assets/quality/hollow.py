@@ -38,7 +38,9 @@ class Hollow:
 
     def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Hollow:
         """The same cavity with every point p at rotation @ p + translation."""
-        return Hollow(self.points @ rotation.T + translation, self.pitch, rotation @ self.mouth + translation)
+        return Hollow(
+            self.points @ rotation.T + translation, self.pitch, rotation @ self.mouth + translation
+        )
 
     def fill(self, parts: Sequence[np.ndarray]) -> float:
         """The share of the cavity that convex parts cover."""
@@ -48,7 +50,9 @@ class Hollow:
 def known_hollow(cavity: Cavity) -> Hollow:
     """The cavity that a shape's author has given."""
     voxels = Voxels.of(cavity.solid, 40)
-    return Hollow(voxels.centers(voxels.solid & ~voxels.surface), voxels.pitch, np.array(cavity.mouth))
+    return Hollow(
+        voxels.centers(voxels.solid & ~voxels.surface), voxels.pitch, np.array(cavity.mouth)
+    )
 
 
 def find_hollow(solid: Solid) -> Hollow | None:
@@ -67,7 +71,10 @@ def find_hollow(solid: Solid) -> Hollow | None:
     depth = len(levels) * voxels.pitch
     room = ndimage.distance_transform_edt(top)
     middle = np.unravel_index(int(room.argmax()), room.shape)
-    if depth < max(_MIN_DEPTH, _MIN_DEPTH_SHARE * width) or room.max() * voxels.pitch < BALL_RADIUS + 0.001:
+    if (
+        depth < max(_MIN_DEPTH, _MIN_DEPTH_SHARE * width)
+        or room.max() * voxels.pitch < BALL_RADIUS + 0.001
+    ):
         return None
     mouth = voxels.origin + np.array([*middle, levels[-1]]) * voxels.pitch
     return Hollow(voxels.centers(cells), voxels.pitch, mouth)

@@ -104,14 +104,18 @@ def make_dataset(
         raise ConfigError(f"vary = {tuple(vary)} without colours", "colours", "colour=True")
     if form == "bop" and (vary or cluster is not None):
         told = f"vary = {tuple(vary)}" if vary else f"cluster = {cluster!r}"
-        raise ConfigError(f"{told} with form 'bop'", "one of the two", "form='parquet' or 'webdataset'")
+        raise ConfigError(
+            f"{told} with form 'bop'", "one of the two", "form='parquet' or 'webdataset'"
+        )
     chosen = [banks] if isinstance(banks, str | Path) else list(banks)
     if not chosen:
         raise ConfigError("no bank", "one or more")
     folders = [bank_folder(each) for each in chosen]
     if len({each.resolve().name for each in folders}) < len(chosen):
         told = f"banks = {[str(each) for each in chosen]}"
-        raise ConfigError(told, "each bank once, and no two folders of one name", "another name of a folder")
+        raise ConfigError(
+            told, "each bank once, and no two folders of one name", "another name of a folder"
+        )
     place = cluster_of(cluster, workers)
     config = ViewConfig(seen_by, seed, tuple(vary), quality, colour)
     return make(folders, parse_splits(splits), num_scenes, config, Path(out), form, place)
@@ -130,9 +134,13 @@ def parse_splits(text: str) -> dict[str, float]:
         is_bare = match is not None and match[2] is None and len(terms) > 1
         if match is None or match[1] not in _SPLITS or match[1] in shares or is_bare:
             raise ConfigError(
-                f"splits = {text!r}", "one of train, val and test, or shares of them", "'train=0.9, test=0.1'"
+                f"splits = {text!r}",
+                "one of train, val and test, or shares of them",
+                "'train=0.9, test=0.1'",
             )
         shares[match[1]] = 1.0 if match[2] is None else float(match[2])
     if abs(sum(shares.values()) - 1) > 1e-6:
-        raise ConfigError(f"splits = {text!r}, {sum(shares.values()):g} in all", "shares that make 1")
+        raise ConfigError(
+            f"splits = {text!r}, {sum(shares.values()):g} in all", "shares that make 1"
+        )
     return shares

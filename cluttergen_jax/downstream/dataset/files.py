@@ -67,7 +67,9 @@ def encode_rows(rows: Sequence[dict[str, Any]], form: ShardForm) -> bytes:
         buffer = io.BytesIO()
         table = pa.Table.from_pylist(rows, schema=SCHEMA)
         # Images are compressed already.
-        pq.write_table(table, buffer, compression="none", write_page_checksum=True, row_group_size=16)
+        pq.write_table(
+            table, buffer, compression="none", write_page_checksum=True, row_group_size=16
+        )
         return buffer.getvalue()
     return _tar(rows)
 
@@ -84,7 +86,9 @@ def _tar(rows: Sequence[dict[str, Any]]) -> bytes:
 
         for row in rows:
             key = f"{row['bank']}-{row['scene']:06d}-{row['camera']}".replace(".", "_")
-            images = {name: row[name] for name in ("rgb", "depth", "label") if row[name] is not None}
+            images = {
+                name: row[name] for name in ("rgb", "depth", "label") if row[name] is not None
+            }
             images |= {f"amodal-{place:03d}": mask for place, mask in enumerate(row["amodal"])}
             rest = {name: value for name, value in row.items() if name not in _IMAGES}
             for name, data in images.items():
@@ -141,5 +145,8 @@ def begin_record(path: Path, recipe: dict[str, Any], content: str = "views") -> 
 
 def write_record(path: Path, record: dict[str, Any], content: str = "views") -> None:
     """Stores the record of a dataset."""
-    text = json.dumps(with_checksum({"format": 1, "kind": f"{content} of scenes", **record}), indent=1) + "\n"
+    text = (
+        json.dumps(with_checksum({"format": 1, "kind": f"{content} of scenes", **record}), indent=1)
+        + "\n"
+    )
     write_atomically(path / INDEX, text.encode(), is_durable=True)

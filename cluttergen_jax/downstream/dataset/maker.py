@@ -136,8 +136,13 @@ class DatasetPlan:
             # By number, so that a bank that grew has its first scenes where they were.
             number = good // SCENES_PER_SHARD
             for each in np.unique(number):
-                own = {split: tuple(good[(number == each) & (names == split)].tolist()) for split in shares}
-                shards.append(Shard(place, int(each), {split: some for split, some in own.items() if some}))
+                own = {
+                    split: tuple(good[(number == each) & (names == split)].tolist())
+                    for split in shares
+                }
+                shards.append(
+                    Shard(place, int(each), {split: some for split, some in own.items() if some})
+                )
         return cls(tuple(banks), shares, tuple(numbers), config, tuple(shards), tuple(grown))
 
     def num_views(self) -> dict[str, int]:
@@ -145,7 +150,10 @@ class DatasetPlan:
         total = Counter[str]()
         for shard in self.shards:
             total.update(
-                {split: len(some) * len(self.config.cameras) for split, some in shard.scenes.items()}
+                {
+                    split: len(some) * len(self.config.cameras)
+                    for split, some in shard.scenes.items()
+                }
             )
         return {split: total[split] for split in self.shares}
 
@@ -154,7 +162,9 @@ class DatasetPlan:
         config = self.config
         return {
             "banks": list(map(_bank_record, self.banks)),
-            "cameras": [_plain(asdict(plan)) | {"stored": repr(plan.stored)} for plan in config.cameras],
+            "cameras": [
+                _plain(asdict(plan)) | {"stored": repr(plan.stored)} for plan in config.cameras
+            ],
             "shares": self.shares,
             "seed": config.seed,
             "vary": list(config.vary),
@@ -195,7 +205,9 @@ def _runs_of(numbers: np.ndarray) -> Runs:
     """Sorted numbers as runs without a gap."""
     starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 2) > 1)
     ends = np.append(starts[1:], len(numbers)) - 1
-    return [[int(numbers[first]), int(numbers[last])] for first, last in zip(starts, ends, strict=True)]
+    return [
+        [int(numbers[first]), int(numbers[last])] for first, last in zip(starts, ends, strict=True)
+    ]
 
 
 def _is_within(numbers: np.ndarray, rounds: Sequence[Runs]) -> np.ndarray:
@@ -232,7 +244,9 @@ class ShardMaker:
             yield
         for split, rows in made.items():
             data = encode_rows(rows, self.form)
-            write_atomically(self.out / shard_name(split, shard.bank, shard.number, self.form), data)
+            write_atomically(
+                self.out / shard_name(split, shard.bank, shard.number, self.form), data
+            )
 
 
 def make(
@@ -249,9 +263,14 @@ def make(
     with hold(dataset_folder(out).lock()), writing(out):
         remove_partial(out)
         known = begin_record(out, recipe)
-        there, rounds = known.get("num_scenes", ()), known.get("rounds", ())
+        there = known.get("num_scenes", ())
+        rounds = known.get("rounds", ())
         plan = DatasetPlan.of(banks, shares, num_scenes, config, there, rounds)
-        record = {"recipe": recipe, "num_scenes": list(plan.num_scenes), "num_views": plan.num_views()}
+        record = {
+            "recipe": recipe,
+            "num_scenes": list(plan.num_scenes),
+            "num_views": plan.num_views(),
+        }
         record["rounds"] = list(plan.rounds)
         # Before the first file: another call shares its scenes out as this one does.
         digests = known.get("shards", {})
@@ -268,7 +287,8 @@ def _make_shards(
     plan: DatasetPlan, out: Path, form: ShardForm, cluster: Cluster | None, digests: dict[str, str]
 ) -> dict[str, str]:
     """Makes those that are missing or damaged; the digest of each by its name."""
-    maker, num_cameras = ShardMaker(plan.banks, plan.config, out, form), len(plan.config.cameras)
+    maker = ShardMaker(plan.banks, plan.config, out, form)
+    num_cameras = len(plan.config.cameras)
     names = {
         (shard, split): shard_name(split, shard.bank, shard.number, form)
         for shard in plan.shards
@@ -283,7 +303,8 @@ def _make_shards(
         )
 
     missing = [shard for shard in plan.shards if not is_there(shard)]
-    total, left = sum(plan.num_views().values()), num_cameras * sum(map(_num_scenes, missing))
+    total = sum(plan.num_views().values())
+    left = num_cameras * sum(map(_num_scenes, missing))
     with Progress("views", total, "view", total - left) as progress:
         if cluster is None:
             for shard in missing:
@@ -307,11 +328,17 @@ def _make_bop(plan: DatasetPlan, out: Path) -> None:
     from cluttergen_jax.rendering.config import QUALITIES
     from cluttergen_jax.rendering.scene_renderer import PictureConfig
 
-    config, quality = plan.config, QUALITIES[plan.config.quality]
+    config = plan.config
+    quality = QUALITIES[plan.config.quality]
     for place, path in enumerate(plan.banks):
         source = BankSource(path)
         for split in plan.shares:
-            chosen = [n for shard in plan.shards if shard.bank == place for n in shard.scenes.get(split, ())]
+            chosen = [
+                n
+                for shard in plan.shards
+                if shard.bank == place
+                for n in shard.scenes.get(split, ())
+            ]
             if not chosen:
                 continue
             width, height = config.cameras[0].size

@@ -14,14 +14,20 @@ from PIL import Image
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import Variation
 from cluttergen_jax.rendering.config import QUALITIES, Quality
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, SceneRenderer, scene_renderer
+from cluttergen_jax.rendering.scene_renderer import (
+    PictureConfig,
+    RenderStyle,
+    SceneRenderer,
+    scene_renderer,
+)
 from cluttergen_jax.rendering.sensors import depth_png, png_of
 from cluttergen_jax.rendering.variation import TEXTURES_OF, Appearance, draw_light
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.sensing import Camera, CameraPlan, Instance, InstanceSensor
 
-_AROUND, _HIGH = 0.2, 0.4
-"""Metres beside the region, and above and below the top: what light and shadows are made for."""
+# Metres beside the region, and above and below the top: what light and shadows are made for.
+_AROUND = 0.2
+_HIGH = 0.4
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,8 @@ class View:
 
 def _box_of(mask: np.ndarray) -> list[int]:
     """First column and row, width and height, pixels; zeros where nothing is."""
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    rows = np.flatnonzero(mask.any(1))
+    columns = np.flatnonzero(mask.any(0))
     if not len(rows):
         return [0, 0, 0, 0]
     return [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
@@ -168,7 +175,9 @@ class ViewMaker:
                 sensor = InstanceSensor(scene.objects, support)
                 poses = np.asarray(scene.poses, np.float64)
                 for number, plan in enumerate(self.config.cameras):
-                    rng = np.random.default_rng([self.config.seed, self.place, scene.origin.index, number])
+                    rng = np.random.default_rng(
+                        [self.config.seed, self.place, scene.origin.index, number]
+                    )
                     camera = plan.draw(support, rng)
                     image, instances = sensor.sense(poses, camera)
                     rgb = None
@@ -200,7 +209,8 @@ class ViewMaker:
         yaw = 0.0
         if look is not None:
             # Always all draws, so that what varies does not decide how.
-            texture, light = int(rng.choice(TEXTURES_OF[self.split_of[scene.origin.index]])), draw_light(rng)
+            texture = int(rng.choice(TEXTURES_OF[self.split_of[scene.origin.index]]))
+            light = draw_light(rng)
             colours = look.draw_colours(rng)
             if "texture" in self.config.vary:
                 look.set_texture(texture)

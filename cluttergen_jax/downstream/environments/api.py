@@ -72,14 +72,22 @@ def make_robot_env(
             raise
         raise MissingExtraError("gym", "make_robot_env") from error
     if task not in TASKS:
-        raise ConfigError(f"task = {task!r}", ", ".join(TASKS), "task='place'", closest(task, TASKS))
+        raise ConfigError(
+            f"task = {task!r}", ", ".join(TASKS), "task='place'", closest(task, TASKS)
+        )
     check_settings(action, cameras, image_size, control_hz, max_seconds)
     if not isinstance(bank, (BankArrays, str, Path)):
-        raise ConfigError(f"a bank of type {type(bank).__name__}", "a folder, or that of cg.load_bank")
+        raise ConfigError(
+            f"a bank of type {type(bank).__name__}", "a folder, or that of cg.load_bank"
+        )
     kind = TASKS[task]
     found = bank if isinstance(bank, BankArrays) else load_bank(bank)
     world = with_robot(
-        found, robot, physics=physics, stands=kind.stands(support_of(found)), randomization=randomization
+        found,
+        robot,
+        physics=physics,
+        stands=kind.stands(support_of(found)),
+        randomization=randomization,
     )
     recipe = partial(
         make_robot_env,
@@ -94,7 +102,9 @@ def make_robot_env(
         control_hz=control_hz,
         max_seconds=max_seconds,
     )
-    return RobotEnv(world, kind, action, tuple(cameras), image_size, control_hz, max_seconds, recipe)
+    return RobotEnv(
+        world, kind, action, tuple(cameras), image_size, control_hz, max_seconds, recipe
+    )
 
 
 def scripted_actions(env: RobotEnv, seed: int = 0) -> Iterator[np.ndarray]:

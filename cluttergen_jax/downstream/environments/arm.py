@@ -32,7 +32,11 @@ def arm_spec(contact: ContactConfig, robot: RobotDescription, is_simple: bool) -
         _simplify(spec, robot)
     camera = Camera.of(HAND_CAMERA, wrist_camera(gripper_of(robot).T_hand_tool))
     spec.body(robot.of_gripper(robot.gripper.body)).add_camera(
-        name=HAND_CAMERA, pos=camera.position, quat=camera.quaternion, fovy=camera.fovy, resolution=SIZE
+        name=HAND_CAMERA,
+        pos=camera.position,
+        quat=camera.quaternion,
+        fovy=camera.fovy,
+        resolution=SIZE,
     )
     return spec
 
@@ -94,7 +98,8 @@ class GripShare:
     def __init__(self, robot: RobotDescription) -> None:
         given = robot.gripper
         self._meet = float(gripper_of(robot).control[0])
-        self._open, self._closed = given.open - self._meet, given.closed - self._meet
+        self._open = given.open - self._meet
+        self._closed = given.closed - self._meet
         self.speed = _GRIP_RATE * abs(self._open)
 
     def control_of(self, share: float) -> float:

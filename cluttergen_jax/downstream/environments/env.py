@@ -25,9 +25,12 @@ from cluttergen_jax.generation.arguments import required_recipe
 RobotAction = Literal["joint", "joint_delta", "tool"]
 TIME_LIMIT = "time limit"
 """The outcome of an episode that ends in nothing else."""
-MAX_TOOL_SPEED, MAX_TURN_SPEED = 0.5, 2.0
-"""m/s and rad/s of a tool action of length 1."""
-_OBJECT_ROW, _POSE = 11, 7
+# m/s and rad/s of a tool action of length 1.
+MAX_TOOL_SPEED = 0.5
+MAX_TURN_SPEED = 2.0
+
+_OBJECT_ROW = 11
+_POSE = 7
 Info = dict[str, Any]
 
 
@@ -70,11 +73,14 @@ class RobotEnv(gymnasium.Env):
         max_seconds: float | None,
         recipe: partial[RobotEnv] | None = None,
     ) -> None:
-        self.world, self.task_kind, self.recipe = world, task, recipe
+        self.world = world
+        self.task_kind = task
+        self.recipe = recipe
         self._places = task.places(world.bank)
         prefix = world.description.prefix
         check_cameras(world.model, cameras, prefix)
-        self._action, self._cameras = action, cameras
+        self._action = action
+        self._cameras = cameras
         self.render_mode = "rgb_array"
         self._substeps = max(1, round(1 / control_hz / world.model.opt.timestep))
         self._period = self._substeps * float(world.model.opt.timestep)
@@ -82,9 +88,11 @@ class RobotEnv(gymnasium.Env):
         self._num_slots = int((np.asarray(world.bank.object_index) >= 0).sum(1).max())
         seconds = max_seconds or task.seconds * (self._num_slots if task.has_goals else 1)
         self._max_episode_steps = max(1, round(seconds / self._period))
-        self.task, self.task_description = task.name, task.name
+        self.task = task.name
+        self.task_description = task.name
         arm = world.robot
-        self._low, self._high = arm.low, arm.high
+        self._low = arm.low
+        self._high = arm.high
         self._most = np.array(world.description.arm.speed) * self._period
         self._share = GripShare(world.description)
         self._pictures = Pictures(world.model, *image_size, prefix)
@@ -118,8 +126,12 @@ class RobotEnv(gymnasium.Env):
         self.start = self.task_kind.begin(scene, self.world.bank, place, self.np_random)
         self.execution = WorldExecution(self.world, state, self.start.scene, self.start.target)
         self._judge = self.task_kind.judge(self.start, self.execution)
-        self._order = [self.start.target, *(k for k in range(len(scene.names)) if k != self.start.target)]
-        self._tool, self._num_steps = self.execution.tool, 0
+        self._order = [
+            self.start.target,
+            *(k for k in range(len(scene.names)) if k != self.start.target),
+        ]
+        self._tool = self.execution.tool
+        self._num_steps = 0
         objects = [self.start.scene.objects[k] for k in self._order]
         self._extents = np.array([asset.half_extents for asset in objects])
         self.task_description = self.task_kind.sentence([asset.label for asset in objects])
@@ -129,10 +141,14 @@ class RobotEnv(gymnasium.Env):
     def _place_of(self, options: Info | None) -> int:
         options = {} if options is None else options
         if not isinstance(options, Mapping):
-            raise ConfigError(f"reset(options={options!r})", "a dict", 'reset(options={"scene": 0})')
+            raise ConfigError(
+                f"reset(options={options!r})", "a dict", 'reset(options={"scene": 0})'
+            )
         # LeRobot tells every environment of a new rollout.
         names = sorted(str(each) for each in options)
-        if unknown := [each for each in names if each != "scene" and not each.startswith("lerobot_")]:
+        if unknown := [
+            each for each in names if each != "scene" and not each.startswith("lerobot_")
+        ]:
             raise ConfigError(f"options {unknown} of reset", "scene", 'reset(options={"scene": 0})')
         if (number := options.get("scene")) is None:
             return int(self.np_random.choice(self._places))
@@ -146,17 +162,22 @@ class RobotEnv(gymnasium.Env):
     def step(self, action: Any) -> tuple[Any, float, bool, bool, Info]:
         """One step of control. After the episode's last one, `reset` has to follow."""
         if self.execution is None:
-            raise gymnasium.error.ResetNeeded("reset() has to be called before the first step of an episode")
+            raise gymnasium.error.ResetNeeded(
+                "reset() has to be called before the first step of an episode"
+            )
         ctrl = self._ctrl_of(action)
         self._num_steps += 1
-        outcome, detail = "", ""
+        outcome = ""
+        detail = ""
         try:
             self.execution.advance(ctrl, self._substeps)
             outcome = str(Outcome.SUCCESS) if self._judge.check() else ""
         except Failed as failure:
-            outcome, detail = str(failure.outcome), failure.detail
+            outcome = str(failure.outcome)
+            detail = failure.detail
         is_late = not outcome and self._num_steps >= self._max_episode_steps
-        seen, told = self._observe(), self._info_at(TIME_LIMIT if is_late else outcome, detail)
+        seen = self._observe()
+        told = self._info_at(TIME_LIMIT if is_late else outcome, detail)
         if outcome or is_late:
             self.execution = None
         return seen, float(told["is_success"]), bool(outcome), is_late, told
@@ -167,7 +188,8 @@ class RobotEnv(gymnasium.Env):
 
     def _ctrl_of(self, action: Any) -> np.ndarray:
         """f64[nu]: the set-points that an action asks for, as far as speed limits let them come."""
-        run, arm = self.execution, self.world.robot
+        run = self.execution
+        arm = self.world.robot
         assert run is not None
         values = numbers_of(action)
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
@@ -175,8 +197,10 @@ class RobotEnv(gymnasium.Env):
                 f"an action {action!r}"[:200],
                 f"{self.action_space.shape[0]} finite numbers, -1 to 1",
             )
-        values, ctrl = np.clip(values, -1, 1), run.data.ctrl.copy()
-        now, most = ctrl[arm.ctrl], self._most
+        values = np.clip(values, -1, 1)
+        ctrl = run.data.ctrl.copy()
+        now = ctrl[arm.ctrl]
+        most = self._most
         if self._action == "joint":
             wanted = self._low + (values[:-1] + 1) / 2 * (self._high - self._low)
         elif self._action == "joint_delta":
@@ -207,9 +231,12 @@ class RobotEnv(gymnasium.Env):
           ConfigError: actions are the tool's.
         """
         if self._action == "tool" or self.execution is None:
-            raise ConfigError("set-points as an action of the tool", "action='joint' or 'joint_delta'")
+            raise ConfigError(
+                "set-points as an action of the tool", "action='joint' or 'joint_delta'"
+            )
         arm = self.world.robot
-        joints, grip = ctrl[arm.ctrl], float(ctrl[arm.grip])
+        joints = ctrl[arm.ctrl]
+        grip = float(ctrl[arm.grip])
         if self._action == "joint":
             share = 2 * (joints - self._low) / (self._high - self._low) - 1
         else:
@@ -232,7 +259,8 @@ class RobotEnv(gymnasium.Env):
         self._pictures.close()
 
     def _observe(self) -> dict[str, Any]:
-        run, arm = self.execution, self.world.robot
+        run = self.execution
+        arm = self.world.robot
         assert run is not None
         assert self.start is not None
         self._data = run.data
@@ -241,7 +269,9 @@ class RobotEnv(gymnasium.Env):
         hand = np.array([*run.joints, *speed, run.opening, *pose_of(run.tool)])
         columns = _OBJECT_ROW + _POSE * self.task_kind.has_goals
         rows = np.zeros((self._num_slots, columns))
-        rows[: len(poses), :_OBJECT_ROW] = np.column_stack([poses, self._extents, np.ones(len(poses))])
+        rows[: len(poses), :_OBJECT_ROW] = np.column_stack(
+            [poses, self._extents, np.ones(len(poses))]
+        )
         if self.task_kind.has_goals:
             rows[: len(poses), _OBJECT_ROW:] = self.start.goals[self._order]
         seen: dict[str, Any] = {
@@ -264,11 +294,15 @@ def check_settings(
     if action not in get_args(RobotAction):
         raise ConfigError(f"action = {action!r}", ", ".join(get_args(RobotAction)))
     if not isinstance(cameras, (tuple, list)) or len(set(cameras)) < len(cameras):
-        raise ConfigError(f"cameras = {cameras!r}", "a sequence of names, each once", 'cameras=("front",)')
+        raise ConfigError(
+            f"cameras = {cameras!r}", "a sequence of names, each once", 'cameras=("front",)'
+        )
     is_size = isinstance(image_size, (tuple, list)) and len(image_size) == 2
     if not is_size or not all(isinstance(side, int) and 16 <= side <= 4096 for side in image_size):
         raise ConfigError(f"image_size = {image_size!r}", "height and width, 16 to 4096 pixels")
     if not isinstance(control_hz, Real) or not 1 <= control_hz <= 240:
         raise ConfigError(f"control_hz = {control_hz!r}", "1 to 240", "control_hz=20")
-    if max_seconds is not None and not (isinstance(max_seconds, Real) and 0.1 <= max_seconds <= 3600):
+    if max_seconds is not None and not (
+        isinstance(max_seconds, Real) and 0.1 <= max_seconds <= 3600
+    ):
         raise ConfigError(f"max_seconds = {max_seconds!r}", "0.1 to 3600, or None")

@@ -31,10 +31,12 @@ class Pictures:
     """
 
     def __init__(self, model: mujoco.MjModel, height: int, width: int, prefix: str) -> None:
-        self._model, self._prefix = model, prefix
+        self._model = model
+        self._prefix = prefix
         self._rect = mujoco.MjrRect(0, 0, width, height)
         shown = model.vis.global_
-        shown.offwidth, shown.offheight = max(shown.offwidth, width), max(shown.offheight, height)
+        shown.offwidth = max(shown.offwidth, width)
+        shown.offheight = max(shown.offheight, height)
         self._gl: Any = None
 
     def _open(self) -> None:
@@ -62,7 +64,9 @@ class Pictures:
         number = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, name)
         camera.fixedcamid = number if number >= 0 else self._model.camera(self._prefix + name).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(self._model, data, self._option, None, camera, everything, self._scene)
+        mujoco.mjv_updateScene(
+            self._model, data, self._option, None, camera, everything, self._scene
+        )
         pixels = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
         mujoco.mjr_render(self._rect, self._scene, self._context)
         mujoco.mjr_readPixels(pixels, None, self._rect, self._context)

@@ -20,7 +20,9 @@ from cluttergen_jax.types import Array
 _MOST = 10.0
 _LEAST_FACTOR = 0.05
 _FACTORS = ("mass", "friction", "light")
-_MAX_COLOUR, _MAX_SHIFT, _MAX_TURN = 1.0, 1.0, math.pi
+_MAX_COLOUR = 1.0
+_MAX_SHIFT = 1.0
+_MAX_TURN = math.pi
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,11 @@ class RandomizationConfig:
         most = {"colour": _MAX_COLOUR, "camera_shift": _MAX_SHIFT, "camera_turn": _MAX_TURN}
         for name, limit in most.items():
             given = getattr(self, name)
-            if isinstance(given, bool) or not isinstance(given, (int, float)) or not 0 <= given <= limit:
+            if (
+                isinstance(given, bool)
+                or not isinstance(given, (int, float))
+                or not 0 <= given <= limit
+            ):
                 raise ConfigError(f"{type(self).__name__}.{name} = {given!r}", f"0 to {limit:g}")
         if not isinstance(self.texture, bool):
             raise ConfigError(f"{type(self).__name__}.texture = {self.texture!r}", "True or False")
@@ -78,7 +84,9 @@ def prepare(spec: mujoco.MjSpec, config: RandomizationConfig) -> None:
         add_table_materials(spec)
 
 
-def draw_fields(key: Array, config: RandomizationConfig, world: BankWorld) -> tuple[dict[str, Array], Array]:
+def draw_fields(
+    key: Array, config: RandomizationConfig, world: BankWorld
+) -> tuple[dict[str, Array], Array]:
     """Fields of a world's model for one episode, drawn about its own, whatever episodes before have written.
 
     Args:
@@ -87,13 +95,19 @@ def draw_fields(key: Array, config: RandomizationConfig, world: BankWorld) -> tu
     Returns:
       The fields, and f32[K], the factor of each object's mass.
     """
-    model, own, bodies, dofs = world.model, world.own_field, world.bodies, world.object_dofs
+    model = world.model
+    own = world.own_field
+    bodies = world.bodies
+    dofs = world.object_dofs
     keys = dict(zip((each.name for each in fields(config)), jax.random.split(key, 7), strict=True))
     found: dict[str, Array] = {}
-    mass = jax.random.uniform(keys["mass"], (len(bodies),), minval=config.mass[0], maxval=config.mass[1])
+    mass = jax.random.uniform(
+        keys["mass"], (len(bodies),), minval=config.mass[0], maxval=config.mass[1]
+    )
     if config.mass != (1, 1):
         # A free body's inverse weight is exactly proportional; MuJoCo's own way would need a whole model.
-        factor, inverse = mass[:, None], 1 / mass[:, None]
+        factor = mass[:, None]
+        inverse = 1 / mass[:, None]
         found["body_mass"] = _times(own("body_mass"), bodies, mass)
         found["body_inertia"] = _times(own("body_inertia"), bodies, factor)
         found["body_subtreemass"] = _times(own("body_subtreemass"), bodies, mass)
@@ -105,13 +119,17 @@ def draw_fields(key: Array, config: RandomizationConfig, world: BankWorld) -> tu
             keys["friction"], (), minval=config.friction[0], maxval=config.friction[1]
         )
         found["geom_friction"] = factor * jnp.asarray(own("geom_friction"), jnp.float32)
-    is_support = (model.geom_bodyid == model.body("support").id) & (model.geom_group == VISUAL_GROUP)
+    is_support = (model.geom_bodyid == model.body("support").id) & (
+        model.geom_group == VISUAL_GROUP
+    )
     if config.colour:
         seen = np.flatnonzero(
             (np.isin(model.geom_bodyid, bodies) & (model.geom_group == VISUAL_GROUP)) | is_support
         )
         most = math.log1p(config.colour)
-        gain = jnp.exp(jax.random.uniform(keys["colour"], (len(seen), 3), minval=-most, maxval=most))
+        gain = jnp.exp(
+            jax.random.uniform(keys["colour"], (len(seen), 3), minval=-most, maxval=most)
+        )
         rgb = jnp.clip(own("geom_rgba")[seen, :3] * gain, 0, 1)
         found["geom_rgba"] = jnp.asarray(own("geom_rgba")).at[seen, :3].set(rgb)
     if config.texture:
@@ -119,12 +137,18 @@ def draw_fields(key: Array, config: RandomizationConfig, world: BankWorld) -> tu
         drawn = jax.random.choice(keys["texture"], materials)
         found["geom_matid"] = jnp.where(is_support, drawn, jnp.asarray(own("geom_matid")))
     if config.light != (1, 1) and model.nlight:
-        factor = jax.random.uniform(keys["light"], (), minval=config.light[0], maxval=config.light[1])
+        factor = jax.random.uniform(
+            keys["light"], (), minval=config.light[0], maxval=config.light[1]
+        )
         found["light_diffuse"] = factor * jnp.asarray(own("light_diffuse"), jnp.float32)
     if model.ncam:
         shift_key, turn_key = jax.random.split(keys["camera_shift"])
-        shift = config.camera_shift * jax.random.uniform(shift_key, (model.ncam, 3), minval=-1, maxval=1)
-        turn = config.camera_turn * jax.random.uniform(turn_key, (model.ncam, 3), minval=-1, maxval=1)
+        shift = config.camera_shift * jax.random.uniform(
+            shift_key, (model.ncam, 3), minval=-1, maxval=1
+        )
+        turn = config.camera_turn * jax.random.uniform(
+            turn_key, (model.ncam, 3), minval=-1, maxval=1
+        )
         if config.camera_shift:
             found["cam_pos"] = jnp.asarray(own("cam_pos"), jnp.float32) + shift
         if config.camera_turn:
@@ -141,6 +165,9 @@ def _rotate(quaternion: Array, turn: Array) -> Array:
     """f32[n, 4] wxyz, turned first by rotation vectors f32[n, 3] of their own frames."""
     angle = jnp.linalg.norm(turn, axis=-1, keepdims=True)
     half = jnp.concatenate([jnp.cos(angle / 2), turn * jnp.sinc(angle / (2 * jnp.pi)) / 2], axis=-1)
-    w, v, u, x = quaternion[:, :1], quaternion[:, 1:], half[:, :1], half[:, 1:]
+    w = quaternion[:, :1]
+    v = quaternion[:, 1:]
+    u = half[:, :1]
+    x = half[:, 1:]
     scalar = w * u - (v * x).sum(-1, keepdims=True)
     return jnp.concatenate([scalar, w * x + u * v + jnp.cross(v, x)], axis=-1)

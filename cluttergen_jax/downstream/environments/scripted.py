@@ -16,7 +16,11 @@ from cluttergen_jax.downstream.rearrange.episode import Rearranger
 from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, TrueObserver
-from cluttergen_jax.downstream.rearrange.task import RearrangeOptions, RearrangeSetting, RearrangeTask
+from cluttergen_jax.downstream.rearrange.task import (
+    RearrangeOptions,
+    RearrangeSetting,
+    RearrangeTask,
+)
 from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.grasping.grasps import grasps_of
 from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
@@ -33,7 +37,9 @@ _WAIT = 10
 def plan_actions(env: RobotEnv, seed: int) -> Iterator[np.ndarray]:
     """See `scripted_actions`."""
     if not isinstance(env, RobotEnv):
-        raise ConfigError(f"scripted_actions({env!r})", "an environment of make_robot_env, just reset")
+        raise ConfigError(
+            f"scripted_actions({env!r})", "an environment of make_robot_env, just reset"
+        )
     if env.execution is None or env.start is None:
         raise ConfigError("a scripted policy of no episode", "an environment that was just reset")
     copy = env.execution.fork(env.substeps)
@@ -58,11 +64,16 @@ def _actions_of_episode(env: RobotEnv, commands: list[np.ndarray]) -> Iterator[n
 
 def _move_target(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -> None:
     """Lifts the target, and brings it to its goal if the task is to place it."""
-    scene, target, base, robot = start.scene, start.target, env.world.base, env.world.description
+    scene = start.scene
+    target = start.target
+    base = env.world.base
+    robot = env.world.description
     is_placed = env.task == PlaceTask.name
     stands = (stand_beside(scene.support),) if is_placed else ()
     known = (scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
-    mover = Mover(copy, PlanningWorld(*known, robot=robot), ArmKinematics(base, robot), target, seed)
+    mover = Mover(
+        copy, PlanningWorld(*known, robot=robot), ArmKinematics(base, robot), target, seed
+    )
     grasps = next(iter(grasps_of([scene.objects[target]], robot=robot)))
     goal = matrix_of(start.goals[target : target + 1]) if is_placed else None
     mover.pick(mover.find_pick(grasps, goal))
@@ -72,7 +83,9 @@ def _move_target(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -
 
 def _rearrange(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -> None:
     """Brings all objects to their goals, those that are in the way aside first."""
-    scene, robot, number = start.scene, env.world.description, len(start.goals)
+    scene = start.scene
+    robot = env.world.description
+    number = len(start.goals)
     draw = SceneDraw(env.world.bank.bank, "clear", number)
     task = RearrangeTask(
         RearrangeSetting(env.task, num_objects=number, start=draw.area, target=draw.area),

@@ -26,7 +26,8 @@ class WorldExecution(Execution):
     """
 
     def __init__(self, world: RobotWorld, state: WorldState, scene: Scene, target: int) -> None:
-        self._world, self._state = world, state
+        self._world = world
+        self._state = state
         super().__init__(scene, target, robot=world.description)
 
     def _compile(self, scene: Scene, stands: Sequence[Box]) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
@@ -64,7 +65,9 @@ class WorldExecution(Execution):
         forked.__class__ = Recording
         assert isinstance(forked, Recording)
         forked.data = copy.copy(self.data)
-        forked.num_steps, forked.every, forked.commands = 0, num_steps, []
+        forked.num_steps = 0
+        forked.every = num_steps
+        forked.commands = []
         return forked
 
 

@@ -132,7 +132,9 @@ class PlaceTask(_OneObject):
         found = np.flatnonzero([rotation_matrix(each)[2, 2] > _UPRIGHT for each in quaternions])
         if not len(found):
             raise ConfigError(
-                f"{bank!r}, in whose scenes the last object lies", "an upright last object", "task='grasp'"
+                f"{bank!r}, in whose scenes the last object lies",
+                "an upright last object",
+                "task='grasp'",
             )
         return found
 
@@ -179,8 +181,11 @@ class RearrangeTask:
         sets = _sets(bank)
         others = np.flatnonzero((sets == sets[place]).all(1))
         other = int(rng.choice(others[others != place]))
-        index, poses = np.asarray(bank.object_index), np.asarray(bank.poses, np.float64)
-        slots = [int(np.flatnonzero(index[other] == k)[0]) for k in index[place][: len(scene.names)]]
+        index = np.asarray(bank.object_index)
+        poses = np.asarray(bank.poses, np.float64)
+        slots = [
+            int(np.flatnonzero(index[other] == k)[0]) for k in index[place][: len(scene.names)]
+        ]
         goals = poses[other, slots]
         goals[:, 3:] /= np.linalg.norm(goals[:, 3:], axis=1, keepdims=True)
         return Start(scene, 0, goals)
@@ -245,7 +250,8 @@ class _GraspJudge:
         return Referee(self.start.scene, self.start.target, (), execution=self.execution)
 
     def check(self) -> bool:
-        scene, target = self.start.scene, self.start.target
+        scene = self.start.scene
+        target = self.start.target
         _check_fallen(self.execution, scene)
         height = self.execution.pose(target)[2, 3] - scene.poses[target, 2]
         if height < _LIFTED or not self.execution.is_touching:
@@ -256,7 +262,9 @@ class _GraspJudge:
 
 class _PlaceJudge:
     def __init__(self, start: Start, execution: WorldExecution) -> None:
-        self._execution, self._scene, self._target = execution, start.scene, start.target
+        self._execution = execution
+        self._scene = start.scene
+        self._target = start.target
         self._referee = Referee(start.scene, start.target, (), execution=execution)
         self._stand = stand_beside(start.scene.support)
         self._hand = _HandWatch(execution)
@@ -278,10 +286,12 @@ class _PlaceJudge:
 
 class _LayoutJudge:
     def __init__(self, start: Start, execution: WorldExecution) -> None:
-        self._execution, self._start = execution, start
+        self._execution = execution
+        self._start = start
         symmetry = [turn_symmetry(asset) for asset in start.scene.objects]
         self._judge = RearrangementJudge(execution, start.scene, len(symmetry), symmetry)
-        self._hand, self._target = _HandWatch(execution), start.target
+        self._hand = _HandWatch(execution)
+        self._target = start.target
         self._half_extents = [asset.half_extents for asset in start.scene.objects]
 
     def check(self) -> bool:
@@ -303,7 +313,9 @@ class _LayoutJudge:
         """The hand may touch the object whose box is nearest to it, none other."""
         run = self._execution
         away = [
-            np.linalg.norm(np.maximum(np.abs(inverse(matrix_of(pose)) @ [*run.tool[:3, 3], 1])[:3] - half, 0))
+            np.linalg.norm(
+                np.maximum(np.abs(inverse(matrix_of(pose)) @ [*run.tool[:3, 3], 1])[:3] - half, 0)
+            )
             for pose, half in zip(run.poses(), self._half_extents, strict=True)
         ]
         nearest = int(np.argmin(away))

@@ -14,7 +14,11 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.downstream.environments.arm import arm_spec, set_home
-from cluttergen_jax.downstream.environments.randomization import RandomizationConfig, draw_fields, prepare
+from cluttergen_jax.downstream.environments.randomization import (
+    RandomizationConfig,
+    draw_fields,
+    prepare,
+)
 from cluttergen_jax.downstream.robot.description import RobotDescription, RobotLike, find_robot
 from cluttergen_jax.downstream.robot.model import Robot as Arm
 from cluttergen_jax.downstream.robot.model import base_pose
@@ -31,9 +35,20 @@ RobotPhysics = Literal["accurate", "learning"]
 LEARNING_STEP = 1 / 480
 """Seconds."""
 _ITERATIONS = 10
-_OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "ls_iterations", "noslip_iterations")
-_EXTENT, _NEAR, _FAR = 1.5, 0.02, 40.0
-"""Metres that lamps and cameras are made for; what waits is farther away than they see."""
+_OPTIONS = (
+    "timestep",
+    "gravity",
+    "cone",
+    "impratio",
+    "iterations",
+    "ls_iterations",
+    "noslip_iterations",
+)
+# Metres that lamps and cameras are made for; what waits is farther away than they see.
+_EXTENT = 1.5
+_NEAR = 0.02
+_FAR = 40.0
+
 _PROBED = 64
 _HAND_CONTACTS = 32
 _HEADROOM = 2.0
@@ -87,7 +102,8 @@ class RobotWorld(BankWorld):
         """Sized from scenes of the bank at rest, with the robot at home: twice as many, and the hand's."""
         # An episode that runs keeps its own model.
         other = replace(self, model=copy.copy(self.model), randomization=None)
-        data, most = mujoco.MjData(other.model), np.zeros(2)
+        data = mujoco.MjData(other.model)
+        most = np.zeros(2)
         numbers = np.asarray(self.bank.index)
         for number in numbers[:: -(-len(numbers) // _PROBED)]:
             other.put(data, other.reset(0, index=int(number)))
@@ -162,10 +178,14 @@ def with_robot(
     if physics not in get_args(RobotPhysics):
         raise ConfigError(f"physics = {physics!r}", ", ".join(get_args(RobotPhysics)))
     if pose is not None and not _is_pose(pose):
-        raise ConfigError(f"pose = {pose!r}", "seven finite numbers: metres, then a unit quaternion wxyz")
+        raise ConfigError(
+            f"pose = {pose!r}", "seven finite numbers: metres, then a unit quaternion wxyz"
+        )
     if randomization is not None and not isinstance(randomization, RandomizationConfig):
         raise ConfigError(
-            f"randomization = {randomization!r}", "None or a RandomizationConfig", "cg.RandomizationConfig()"
+            f"randomization = {randomization!r}",
+            "None or a RandomizationConfig",
+            "cg.RandomizationConfig()",
         )
     found = find_robot(robot)
     contact = bank.waiting_scene().contact
@@ -184,15 +204,20 @@ def with_robot(
         add_stand(spec, box, f"stand-{number}")
     support = support_of(bank)
     base = base_pose(support, found) if pose is None else np.asarray(pose, np.float64)
-    spec.attach(child, prefix=found.prefix, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:]))
+    spec.attach(
+        child, prefix=found.prefix, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:])
+    )
     if randomization is not None:
         prepare(spec, randomization)
     add_lighting(spec)
     # Of what is looked at, not of where objects wait.
-    spec.stat.center, spec.stat.extent = support.region_points[0], _EXTENT
-    spec.visual.map.znear, spec.visual.map.zfar = _NEAR / _EXTENT, _FAR / _EXTENT
+    spec.stat.center = support.region_points[0]
+    spec.stat.extent = _EXTENT
+    spec.visual.map.znear = _NEAR / _EXTENT
+    spec.visual.map.zfar = _FAR / _EXTENT
     model = spec.compile()
-    qpos, ctrl = model.qpos0.copy(), np.zeros(model.nu)
+    qpos = model.qpos0.copy()
+    ctrl = np.zeros(model.nu)
     set_home(found, Arm.of(model, found), qpos, ctrl)
     attached = BankAttachment(bank)
     return RobotWorld(attached, model, qpos, ctrl, spec, physics, found, base, randomization)

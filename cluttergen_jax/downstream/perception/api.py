@@ -74,7 +74,11 @@ def perception_data(
     """
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.assets.pool import find_pool
-    from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE, ViewConfig, write_views
+    from cluttergen_jax.downstream.perception.views.maker import (
+        VIEWS_A_SCENE,
+        ViewConfig,
+        write_views,
+    )
     from cluttergen_jax.downstream.perception.views.store import VIEWS
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.samples import SPLITS
@@ -94,7 +98,9 @@ def perception_data(
     most = len(find_pool(pool).objects)
     if most > MOST_ON_SHELF:
         given = f"a pool of {most:,} objects"
-        raise ConfigError(given, f"up to {MOST_ON_SHELF}: a segmenter knows each of them", "a smaller pool")
+        raise ConfigError(
+            given, f"up to {MOST_ON_SHELF}: a segmenter knows each of them", "a smaller pool"
+        )
     if num_objects is not None:
         check_range("num_objects", num_objects, 1, most, min(8, most))
     num_scenes = -(-num_views // (VIEWS_A_SCENE * len(_METHODS)))
@@ -159,7 +165,11 @@ def perception_train(
     from typing import get_args
 
     from cluttergen_jax.downstream.perception.segment.network import SegmentConfig
-    from cluttergen_jax.downstream.perception.segment.training import FIT, SegmenterTraining, ViewSource
+    from cluttergen_jax.downstream.perception.segment.training import (
+        FIT,
+        SegmenterTraining,
+        ViewSource,
+    )
     from cluttergen_jax.learning.ppo.checkpoint import hold_run
 
     check_range("seed", seed, 0, 2**32 - 1, 0)

@@ -41,7 +41,8 @@ class Certainty:
     def fit_to(self, features: np.ndarray, is_right: np.ndarray) -> Certainty:
         """The rule that fits poses best, bool[P], with features f[P, 7] (Newton's method)."""
         usual = np.array(self.weights)
-        weights, prior = usual.copy(), _PRIOR * np.eye(len(usual)) / 4
+        weights = usual.copy()
+        prior = _PRIOR * np.eye(len(usual)) / 4
         for _ in range(_STEPS):
             chance = 1 / (1 + np.exp(-features @ weights))
             slope = features.T @ (chance - is_right) + prior @ (weights - usual)
@@ -62,7 +63,8 @@ class _Stored(msgspec.Struct):
 
 def features_of(estimate: PoseEstimate, is_steady: bool) -> np.ndarray:
     """f64[7], in the order of `FEATURES`."""
-    pixels, told = np.log10(max(estimate.num_pixels, 1)) - 2, (estimate.score, estimate.gap, estimate.lead)
+    pixels = np.log10(max(estimate.num_pixels, 1)) - 2
+    told = (estimate.score, estimate.gap, estimate.lead)
     return np.array([1.0, *told, estimate.visible, pixels, float(is_steady)])
 
 
@@ -91,12 +93,16 @@ def write_certainty(folder: Path, certainty: Certainty) -> None:
     write_atomically(folder / FILE, (json.dumps(stored, indent=1) + "\n").encode())
 
 
-def reliability(chance: np.ndarray, is_right: np.ndarray, bins: int = 5) -> list[tuple[float, float, int]]:
+def reliability(
+    chance: np.ndarray, is_right: np.ndarray, bins: int = 5
+) -> list[tuple[float, float, int]]:
     """Of each bin of chances f[P] that holds any: their mean, the share that was right bool[P], how many."""
     place = np.minimum((chance * bins).astype(int), bins - 1)
     rows = []
     for each in range(bins):
         inside = place == each
         if inside.any():
-            rows.append((float(chance[inside].mean()), float(is_right[inside].mean()), int(inside.sum())))
+            rows.append(
+                (float(chance[inside].mean()), float(is_right[inside].mean()), int(inside.sum()))
+            )
     return rows

@@ -81,7 +81,9 @@ class PerceptionRow:
         told = [each.corrected if corrected else each.confused for each in self.moments]
         return mask_figures([picture for each in told for picture in each], len(self.names))
 
-    def right(self, low: float = WELL_SEEN, high: float = np.inf, only: str | None = None) -> np.ndarray:
+    def right(
+        self, low: float = WELL_SEEN, high: float = np.inf, only: str | None = None
+    ) -> np.ndarray:
         """bool[n, 3] of objects with a visible share in [low, high): ADD-S, turn, and both are good.
 
         Args:
@@ -90,7 +92,9 @@ class PerceptionRow:
         rows = [
             (adds is not None and adds < GOOD_ADDS, turn is not None and turn < GOOD_TURN)
             for each in self.moments
-            for name, share, adds, turn in zip(each.objects, each.share, each.adds, each.turn, strict=True)
+            for name, share, adds, turn in zip(
+                each.objects, each.share, each.adds, each.turn, strict=True
+            )
             if low <= share < high and only in (None, name)
         ]
         found = np.array(rows, bool).reshape(-1, 2)
@@ -107,7 +111,11 @@ class PerceptionRow:
             if any(features)
         ]
         chance, features, right = zip(*rows, strict=True) if rows else ((), (), ())
-        return np.array(chance), np.array(features).reshape(-1, len(FEATURES)), np.array(right, bool)
+        return (
+            np.array(chance),
+            np.array(features).reshape(-1, len(FEATURES)),
+            np.array(right, bool),
+        )
 
 
 @dataclass(frozen=True)
@@ -145,7 +153,13 @@ class PerceptionResult:
             for low, high in _SHARES
         ]
         told = [
-            (f"{mean:.2f} told", str(row.cameras), f"{row.noise:g}", f"{share:.2f} right", str(count))
+            (
+                f"{mean:.2f} told",
+                str(row.cameras),
+                f"{row.noise:g}",
+                f"{share:.2f} right",
+                str(count),
+            )
             for row in self.rows
             for mean, share, count in reliability(*row.certainties()[::2])
         ]
@@ -170,7 +184,11 @@ class PerceptionResult:
 
 def _mask_shares(told: MaskFigures) -> tuple[str, str, str]:
     """Mean IoU, objects found, and false masks."""
-    return f"{told.mean_iou:.3f}", share_of(told.found, told.visible), share_of(told.false, told.masks)
+    return (
+        f"{told.mean_iou:.3f}",
+        share_of(told.found, told.visible),
+        share_of(told.false, told.masks),
+    )
 
 
 def _shares(row: PerceptionRow, low: float, high: float) -> tuple[str, str, str]:
@@ -193,11 +211,15 @@ def evaluate_perception(
     true_masks = segmenter == TRUE_MASKS
     if true_masks and calibrate:
         # Before an hour of work.
-        raise ConfigError("calibration with true masks", "a trained segmenter", "segmenter='runs/segmenter'")
+        raise ConfigError(
+            "calibration with true masks", "a trained segmenter", "segmenter='runs/segmenter'"
+        )
     folder = None if true_masks else segmenter_folder(segmenter)
     if calibrate and folder in {segmenter_folder(path) for path in embedded_segmenters().values()}:
         given = f"calibration of {segmenter!r}, which comes with the package"
-        raise ConfigError(given, "a segmenter of your own", "a copy of its folder: segmenter='my_segmenter'")
+        raise ConfigError(
+            given, "a segmenter of your own", "a copy of its folder: segmenter='my_segmenter'"
+        )
     known: Segmenter = _NoSegmenter(views.names) if folder is None else load_segmenter(folder)
     certainty = Certainty() if folder is None else read_certainty(folder)
     estimator = RegistrationEstimator(views.objects, views.support)
@@ -218,8 +240,12 @@ def evaluate_perception(
             # Another network, or another rule of certainty, has rows of its own.
             digest = json_digest(setting, 8)
             name = f"{split}-{number}-cameras-noise-{factor:g}-{digest}.jsonl"
-            file = RowFile(None if out is None else out / name, setting, JudgedMoment, "perception eval")
-            moments = _judge_all(views, split, number, factor, num_views, seed, finder, file, true_masks)
+            file = RowFile(
+                None if out is None else out / name, setting, JudgedMoment, "perception eval"
+            )
+            moments = _judge_all(
+                views, split, number, factor, num_views, seed, finder, file, true_masks
+            )
             rows.append(PerceptionRow(number, factor, tuple(moments), views.names))
     result = PerceptionResult(segmenter, tuple(rows))
     if calibrate and folder is not None:
@@ -251,7 +277,9 @@ def _judge_all(
     moments = islice(_moments(views, split, cameras, total), len(rows), None)
 
     def judge(_: int) -> JudgedMoment:
-        return judge_moment(next(moments), finder, models, REALSENSE.scale(factor), seed, true_masks)
+        return judge_moment(
+            next(moments), finder, models, REALSENSE.scale(factor), seed, true_masks
+        )
 
     return file.complete(rows, total, judge, title, "moment")
 
@@ -269,5 +297,7 @@ def _calibrate(result: PerceptionResult, folder: Path) -> None:
     features = np.concatenate([each[0] for each in parts])
     right = np.concatenate([each[1] for each in parts])
     if not len(features):
-        raise ConfigError("calibration without any pose", "views in which objects are found", "more views")
+        raise ConfigError(
+            "calibration without any pose", "views in which objects are found", "more views"
+        )
     write_certainty(folder, Certainty().fit_to(features, right))

@@ -15,14 +15,28 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.perception import camera_correction, certainty, mask_correction
 from cluttergen_jax.downstream.perception.camera_correction import correct_camera
-from cluttergen_jax.downstream.perception.certainty import FEATURES, Certainty, features_of, read_certainty
+from cluttergen_jax.downstream.perception.certainty import (
+    FEATURES,
+    Certainty,
+    features_of,
+    read_certainty,
+)
 from cluttergen_jax.downstream.perception.mask_correction import correct_masks, find_unexplained
-from cluttergen_jax.downstream.perception.pose import compare, icp, models, pose_physics_check, registration
+from cluttergen_jax.downstream.perception.pose import (
+    compare,
+    icp,
+    models,
+    pose_physics_check,
+    registration,
+)
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.pose_physics_check import PosePhysicsCheck
 from cluttergen_jax.downstream.perception.pose.registration import SURE, RegistrationEstimator
 from cluttergen_jax.downstream.perception.segment import network_segmenter
-from cluttergen_jax.downstream.perception.segment.network_segmenter import load_segmenter, segmenter_folder
+from cluttergen_jax.downstream.perception.segment.network_segmenter import (
+    load_segmenter,
+    segmenter_folder,
+)
 from cluttergen_jax.downstream.perception.types import (
     ARM,
     BACKGROUND,
@@ -93,13 +107,18 @@ class SceneFinder:
         names = tuple(asset.name for asset in objects)
         if names != tuple(segmenter.names):
             raise ConfigError(
-                f"a segmenter of {', '.join(segmenter.names)}", f"one of {', '.join(names)}", "its own pool"
+                f"a segmenter of {', '.join(segmenter.names)}",
+                f"one of {', '.join(names)}",
+                "its own pool",
             )
-        self.names, self._segmenter = names, segmenter
+        self.names = names
+        self._segmenter = segmenter
         self.estimator = estimator or RegistrationEstimator(objects, support)
-        self._certainty, self._steady = certainty or Certainty(), PosePhysicsCheck(objects, support)
+        self._certainty = certainty or Certainty()
+        self._steady = PosePhysicsCheck(objects, support)
         self._grid = Grid.of(support, _RADIUS)
-        self._objects, self._top = tuple(objects), support.top
+        self._objects = tuple(objects)
+        self._top = support.top
 
     def look(
         self,
@@ -154,7 +173,8 @@ class SceneFinder:
         lead = np.ones(len(asked))
         if near is None or np.isnan(near).all():
             found = self._find(looks, asked, np.full((len(asked), 7), np.nan), lead)
-            near, share = np.where(found.certainty[:, None] >= _AGREED, found.pose, np.nan), 1.0
+            near = np.where(found.certainty[:, None] >= _AGREED, found.pose, np.nan)
+            share = 1.0
             if len(looks) == 1 or np.isnan(near).all():
                 return found
             # What these looks told of a turn, they do not tell once more.
@@ -171,10 +191,8 @@ class SceneFinder:
         self, looks: Sequence[Look], asked: Sequence[str], near: np.ndarray, most: np.ndarray
     ) -> FoundScene:
         """As `__call__`; `most` f64[n]: what each pose's lead is at most."""
-        numbers, places = (
-            [self.names.index(name) for name in asked],
-            _poses_by_number(self.names, asked, near),
-        )
+        numbers = [self.names.index(name) for name in asked]
+        places = _poses_by_number(self.names, asked, near)
         looks = self._as_expected(looks, places)
         found = {number: self.estimator(number, looks, places.get(number)) for number in numbers}
         # What is there for sure is nothing else.
@@ -182,7 +200,9 @@ class SceneFinder:
         unsure = [number for number in numbers if number not in sure]
         told = self._as_expected(looks, sure) if unsure else looks
         for number in unsure:
-            masks = ((old.mask(number), new.mask(number)) for old, new in zip(looks, told, strict=True))
+            masks = (
+                (old.mask(number), new.mask(number)) for old, new in zip(looks, told, strict=True)
+            )
             if not all(np.array_equal(old, new) for old, new in masks):
                 found[number] = self.estimator(number, told, places.get(number))
         estimates = {number: each for number, each in found.items() if each is not None}
@@ -191,8 +211,10 @@ class SceneFinder:
         poses = self._steady.apart(poses, is_placed)
         steady = self._steady(poses, is_placed)
         count = len(asked)
-        pose, features = np.tile(np.eye(7)[3], (count, 1)), np.zeros((count, len(FEATURES)))
-        visible, certainty = np.zeros(count), np.zeros(count)
+        pose = np.tile(np.eye(7)[3], (count, 1))
+        features = np.zeros((count, len(FEATURES)))
+        visible = np.zeros(count)
+        certainty = np.zeros(count)
         for place, number in enumerate(numbers):
             if number in estimates:
                 pose[place] = poses[number]
@@ -203,7 +225,9 @@ class SceneFinder:
         seen = certainty >= LEAST_CERTAIN
         there = {number: pose[place] for place, number in enumerate(numbers) if seen[place]}
         labels = tuple(look.label for look in self._as_expected(looks, there))
-        return FoundScene(tuple(asked), pose, seen, np.where(seen, certainty, 0.0), features, visible, labels)
+        return FoundScene(
+            tuple(asked), pose, seen, np.where(seen, certainty, 0.0), features, visible, labels
+        )
 
     def _seek_in_the_rest(
         self, looks: Sequence[Look], unsure: Sequence[int], estimates: dict[int, PoseEstimate]
@@ -212,7 +236,9 @@ class SceneFinder:
 
         So an object is found that the segmenter took for another.
         """
-        left = [number for number in unsure if number not in estimates or estimates[number].score < SURE]
+        left = [
+            number for number in unsure if number not in estimates or estimates[number].score < SURE
+        ]
         while left:
             found = self._at({k: each.pose for k, each in estimates.items()})
             for masks in find_unexplained(looks, found, self._top, _FEWEST)[: len(left)]:
@@ -235,13 +261,17 @@ class SceneFinder:
 
     def _pool_poses(self, estimates: dict[int, PoseEstimate]) -> tuple[np.ndarray, np.ndarray]:
         """f64[K, 7], bool[K]: where the objects of the pool are said to be, and which of them are."""
-        poses, is_placed = np.tile(np.eye(7)[3], (len(self.names), 1)), np.zeros(len(self.names), bool)
+        poses = np.tile(np.eye(7)[3], (len(self.names), 1))
+        is_placed = np.zeros(len(self.names), bool)
         for number, estimate in estimates.items():
-            poses[number], is_placed[number] = estimate.pose, True
+            poses[number] = estimate.pose
+            is_placed[number] = True
         return poses, is_placed
 
 
-def _poses_by_number(known: Sequence[str], names: Sequence[str], poses: np.ndarray) -> dict[int, np.ndarray]:
+def _poses_by_number(
+    known: Sequence[str], names: Sequence[str], poses: np.ndarray
+) -> dict[int, np.ndarray]:
     """Poses f64[n, 7] of objects by their numbers; those that are nan are left out."""
     told = ((known.index(name), pose) for name, pose in zip(names, poses, strict=True))
     return {number: pose for number, pose in told if not np.isnan(pose).any()}
@@ -250,7 +280,9 @@ def _poses_by_number(known: Sequence[str], names: Sequence[str], poses: np.ndarr
 def _as(number: int, look: Look, mask: np.ndarray) -> Look:
     """A look in which the mask bool[H, W] alone shows an object."""
     label = np.where(look.mask(number), BACKGROUND, look.label)
-    return replace(look, label=np.where(mask, FIRST_OBJECT + number, label).astype(look.label.dtype))
+    return replace(
+        look, label=np.where(mask, FIRST_OBJECT + number, label).astype(look.label.dtype)
+    )
 
 
 def upright_at_its_place(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
@@ -269,7 +301,9 @@ def upright_at_its_place(depth: np.ndarray, camera: Camera, grid: Grid) -> Camer
     return replace(found, T_world_camera=T)
 
 
-def load_finder(segmenter: str | Path, objects: Sequence[ObjectAsset], support: SupportAsset) -> SceneFinder:
+def load_finder(
+    segmenter: str | Path, objects: Sequence[ObjectAsset], support: SupportAsset
+) -> SceneFinder:
     """A finder with a trained segmenter, and with the rule of certainty that lies beside it.
 
     Args:
@@ -288,5 +322,11 @@ def load_finder(segmenter: str | Path, objects: Sequence[ObjectAsset], support: 
 def finder_hash() -> str:
     """Hex digest of how objects and their poses are found in pictures, but for the network's weights."""
     poses = (compare, icp, models, pose_physics_check, registration)
-    looks = (camera_correction, certainty, mask_correction, network_segmenter, sys.modules[__name__])
+    looks = (
+        camera_correction,
+        certainty,
+        mask_correction,
+        network_segmenter,
+        sys.modules[__name__],
+    )
     return constants_hash(*looks, *poses)

@@ -40,7 +40,8 @@ def write_frame(folder: str | Path, frame: Frame) -> None:
       ConfigError: the images are not the camera's.
     """
     rgb, depth = check_images(*frame)
-    picture, array = io.BytesIO(), io.BytesIO()
+    picture = io.BytesIO()
+    array = io.BytesIO()
     Image.fromarray(rgb).save(picture, format="PNG")
     np.save(array, depth, allow_pickle=False)
     camera = frame.camera
@@ -84,11 +85,15 @@ def read_frame(folder: str | Path) -> Frame:
         told = checked_record(paths[2].read_bytes())
         files = convert(told.get("checksums", {}), dict[Literal["rgb.png", "depth.npy"], str])
         changed = [
-            name for name, digest in files.items() if digest_of((Path(folder) / name).read_bytes()) != digest
+            name
+            for name, digest in files.items()
+            if digest_of((Path(folder) / name).read_bytes()) != digest
         ]
         refuse([f"{name} is not what it was" for name in changed])
         found = convert(told, _Camera)
-        camera = Camera(found.width, found.height, np.array(found.K), np.array(found.T_world_camera))
+        camera = Camera(
+            found.width, found.height, np.array(found.K), np.array(found.T_world_camera)
+        )
     except Exception as error:  # Damaged headers make NumPy and Pillow raise whatever they like.
         raise BankError(
             f"{folder} holds no frame that can be read ({type(error).__name__}: {error})",

@@ -27,7 +27,9 @@ _VOXEL = 0.012
 """Metres between points of one thing, at most."""
 
 
-def correct_masks(looks: Sequence[Look], expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> list[Look]:
+def correct_masks(
+    looks: Sequence[Look], expected: dict[int, tuple[ObjectModel, np.ndarray]]
+) -> list[Look]:
     """The looks, with corrected masks of those objects that depth shows where they are expected.
 
     Args:
@@ -84,17 +86,20 @@ def _unexplained_pixels(
 
 
 def _correct_mask(look: Look, expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> Look:
-    label, nearest = look.label.copy(), np.full(look.depth.shape, np.inf)
+    label = look.label.copy()
+    nearest = np.full(look.depth.shape, np.inf)
     for number, (model, pose) in expected.items():
         drawn = render_alone(model, look.camera, pose)
         is_drawn = np.isfinite(drawn)
         behind = np.where(is_drawn & np.isfinite(look.depth), look.depth, np.nan) - drawn
-        near, shown = np.abs(behind) < IN_FRONT, behind > -IN_FRONT
+        near = np.abs(behind) < IN_FRONT
+        shown = behind > -IN_FRONT
         if shown.sum() < _FEWEST or near.sum() < LEAST_SHARE * shown.sum():
             continue
         stray = (label == FIRST_OBJECT + number) & ~binary_dilation(is_drawn, iterations=_MARGIN)
         label[stray] = BACKGROUND
         # Whatever is near to it in depth is no other object; what is said to be the table may be.
         own = near & ((np.abs(behind) < AGREES) | (label != BACKGROUND)) & (drawn < nearest)
-        label[own], nearest[own] = FIRST_OBJECT + number, drawn[own]
+        label[own] = FIRST_OBJECT + number
+        nearest[own] = drawn[own]
     return replace(look, label=label)

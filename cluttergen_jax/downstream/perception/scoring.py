@@ -13,7 +13,13 @@ from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.segment.training import simulate_camera
-from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, Look, confusion, iou_of, num_classes
+from cluttergen_jax.downstream.perception.types import (
+    FIRST_OBJECT,
+    Look,
+    confusion,
+    iou_of,
+    num_classes,
+)
 from cluttergen_jax.downstream.perception.views.store import StoredView
 from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.sensing import NoiseConfig
@@ -23,8 +29,9 @@ VISIBLE_PIXELS = 150
 HALF = 0.5
 """Intersection over union with its true mask from which on an object counts as found; and the share of a mask
 that has to be the object's own."""
-GOOD_ADDS, GOOD_TURN = 0.005, float(np.radians(5))
-"""Metres and radians, up to symmetry, below which a pose is right."""
+# Metres and radians, up to symmetry, below which a pose is right.
+GOOD_ADDS = 0.005
+GOOD_TURN = float(np.radians(5))
 
 
 @dataclass(frozen=True)
@@ -82,13 +89,16 @@ def judge_moment(
       models: of all objects. seed: of exposure and noise.
       true_masks: put the true labels in place of the segmenter's: poses alone are judged.
     """
-    begun, number = time.process_time(), len(models)
+    begun = time.process_time()
+    number = len(models)
     seen = [simulate_camera(view, noise, seed) for view in views]
     looks = [finder.look(each.rgb, each.depth, each.camera) for each in seen]
     if true_masks:
         looks = [replace(look, label=each.label) for look, each in zip(looks, seen, strict=True)]
     labels = [each.label for each in seen]
-    pixels = np.max([np.bincount(each.ravel(), minlength=num_classes(number)) for each in labels], axis=0)
+    pixels = np.max(
+        [np.bincount(each.ravel(), minlength=num_classes(number)) for each in labels], axis=0
+    )
     pixels = pixels[FIRST_OBJECT:]
     asked = [k for k in views[0].objects.tolist() if pixels[k] >= VISIBLE_PIXELS]
     scene = finder(looks, [finder.names[k] for k in asked])
@@ -100,7 +110,10 @@ def judge_moment(
         _errors(models[k], true[k], matrix_of(pose)) if any(features) else _NO_ERRORS
         for k, pose, features in zip(asked, scene.pose, scene.features, strict=True)
     ]
-    errors = [found if is_seen else _NO_ERRORS for found, is_seen in zip(estimates, scene.seen, strict=True)]
+    errors = [
+        found if is_seen else _NO_ERRORS
+        for found, is_seen in zip(estimates, scene.seen, strict=True)
+    ]
     return JudgedMoment(
         moment=views[0].number,
         has_arm=views[0].has_arm,
@@ -128,7 +141,9 @@ def _errors(model: ObjectModel, true: np.ndarray, found: np.ndarray) -> tuple[fl
     return model.surface_distance(true, found), turn, shift
 
 
-def _confusions(labels: Sequence[np.ndarray], true: Sequence[np.ndarray], number: int) -> list[list[int]]:
+def _confusions(
+    labels: Sequence[np.ndarray], true: Sequence[np.ndarray], number: int
+) -> list[list[int]]:
     found = [confusion(each, right, number) for each, right in zip(labels, true, strict=True)]
     return [each.ravel().tolist() for each in found]
 
@@ -159,8 +174,10 @@ def mask_figures(confused: Sequence[Sequence[int]], number: int) -> MaskFigures:
 def _mask_counts(confused: np.ndarray) -> tuple[int, int, int, int]:
     """The counts of `MaskFigures`, of one picture."""
     both = np.diag(confused)[FIRST_OBJECT:]
-    true, found = confused.sum(1)[FIRST_OBJECT:], confused.sum(0)[FIRST_OBJECT:]
-    is_visible, is_mask = true >= VISIBLE_PIXELS, found >= VISIBLE_PIXELS
+    true = confused.sum(1)[FIRST_OBJECT:]
+    found = confused.sum(0)[FIRST_OBJECT:]
+    is_visible = true >= VISIBLE_PIXELS
+    is_mask = found >= VISIBLE_PIXELS
     is_found = is_visible & (both >= HALF * (true + found - both))
     is_false = is_mask & (both < HALF * found)
     return int(is_visible.sum()), int(is_found.sum()), int(is_mask.sum()), int(is_false.sum())

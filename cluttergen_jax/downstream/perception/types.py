@@ -11,8 +11,10 @@ import numpy as np
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing import Camera
 
-BACKGROUND, ARM, FIRST_OBJECT = 0, 1, 2
-"""The table, the floor and all else; the robot; then object k of a pool as 2 + k."""
+# The table, the floor and all else; the robot; then object k of a pool as 2 + k.
+BACKGROUND = 0
+ARM = 1
+FIRST_OBJECT = 2
 
 
 def num_classes(num_objects: int) -> int:
@@ -79,16 +81,21 @@ class Segmenter(Protocol):
         ...
 
 
-def check_images(rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def check_images(
+    rgb: np.ndarray, depth: np.ndarray, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
     """The images as all here take them: u8[H, W, 3]; f32[H, W], nan where nothing was measured.
 
     Raises:
       ConfigError: sizes or types are wrong, or no pixel has a depth between 0 and 20 m.
     """
-    rgb, depth = np.asarray(rgb), np.asarray(depth)
+    rgb = np.asarray(rgb)
+    depth = np.asarray(depth)
     shape = (camera.height, camera.width)
     if rgb.shape != (*shape, 3) or rgb.dtype != np.uint8:
-        raise ConfigError(f"a picture of type {rgb.dtype} and shape {rgb.shape}", f"uint8, {(*shape, 3)}")
+        raise ConfigError(
+            f"a picture of type {rgb.dtype} and shape {rgb.shape}", f"uint8, {(*shape, 3)}"
+        )
     if depth.shape != shape or not np.issubdtype(depth.dtype, np.floating):
         raise ConfigError(
             f"a depth image of type {depth.dtype} and shape {depth.shape}",

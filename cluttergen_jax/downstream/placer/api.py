@@ -82,7 +82,12 @@ def placer_data(
     """
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.assets.support_file import find_support
-    from cluttergen_jax.downstream.bank_scenes import bank_or_made, check_one_level, check_upright, poses_of
+    from cluttergen_jax.downstream.bank_scenes import (
+        bank_or_made,
+        check_one_level,
+        check_upright,
+        poses_of,
+    )
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
     from cluttergen_jax.downstream.placer.pairs.store import PAIRS
     from cluttergen_jax.downstream.samples import SPLITS
@@ -98,7 +103,9 @@ def placer_data(
     name = split or "train"
 
     def make() -> Bank:
-        asked = (spec or SceneSpec(pool="household")).replace_given(pool, method, support, num_objects)
+        asked = (spec or SceneSpec(pool="household")).replace_given(
+            pool, method, support, num_objects
+        )
         check_upright(asked.poses, "a placer")
         check_one_level(find_support(asked.support).on_surface(asked.surface), "a placer")
         return generate(
@@ -117,10 +124,14 @@ def placer_data(
         check_upright(poses_of(found), "a placer")
         check_one_level(found.support, "a placer")
         if "assets" not in found.record:
-            raise BankError(f"{bank} has no digests of its assets: an older version made it", hint=AGAIN)
+            raise BankError(
+                f"{bank} has no digests of its assets: an older version made it", hint=AGAIN
+            )
         if found.recipe.get("method") == PILE:
             hint = "generate --method guided"
-            raise BankError(f"{found.path} holds piles", "scenes placed one object after another", hint)
+            raise BankError(
+                f"{found.path} holds piles", "scenes placed one object after another", hint
+            )
         of_split = split_of(found, split)
         return write_pairs(out, found, of_split, num_pairs, camera, seed, num_threads, overwrite)
 
@@ -128,7 +139,11 @@ def placer_data(
 @with_own_settings
 def placer_eval(
     data: str | Path,
-    placers: Sequence[str | Path | Placer | PlainPlacer] = ("random", "geometry", "geometry-occupied"),
+    placers: Sequence[str | Path | Placer | PlainPlacer] = (
+        "random",
+        "geometry",
+        "geometry-occupied",
+    ),
     *,
     noise: Sequence[float] = (0.0, 1.0),
     split: Split = "test",
@@ -186,7 +201,9 @@ def placer_eval(
     folder = None if out is None else Path(out)
     with hold_folder(folder):
         store = Store(folder and folder / "results")
-        trials = PlacerTrials(read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras)
+        trials = PlacerTrials(
+            read_pairs(data), split, num_pairs, seed, store, fresh, num_threads, cameras
+        )
         asked = tuple(str(each) if isinstance(each, Path) else each for each in placers)
         return compare_placers(trials, asked, tuple(map(float, noise)), folder, chains)
 

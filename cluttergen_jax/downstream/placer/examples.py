@@ -27,9 +27,11 @@ from cluttergen_jax.placement.search import UnderSide
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE
 
 _TENTH = 10
-TESTING, VALIDATING = 8, 9
-"""The last digits of pairs that the paper's protocol tests and validates with; where there is no validation
-split, scenes whose numbers end in the latter are one."""
+# The last digits of pairs that the paper's protocol tests and validates with; where there is no validation
+# split, scenes whose numbers end in the latter are one.
+TESTING = 8
+VALIDATING = 9
+
 _SAME = 1e-6
 _NOISES = {"on": (REALSENSE,), "off": (NOISE_OFF,), "both": (NOISE_OFF, REALSENSE)}
 """Of odd pairs the candidates were drawn on noisy maps."""
@@ -90,11 +92,16 @@ class ExampleSource:
 
     def _load(self, pairs: PairSet, split: Literal["train", "val"]) -> Example | None:
         """The examples of one folder; None where it has none of the split."""
-        source, number, wanted = "train", self.num_pairs, self._filter_of(pairs, split)
+        source = "train"
+        number = self.num_pairs
+        wanted = self._filter_of(pairs, split)
         if wanted is None and split == "val":
-            source, number = "val", None
+            source = "val"
+            number = None
         held = pairs.num_samples(source, number)
-        if wanted is not None and not any(wanted(table).any() for table in pairs.tables(source, held)):
+        if wanted is not None and not any(
+            wanted(table).any() for table in pairs.tables(source, held)
+        ):
             return None
         return examples_of(
             *load_queries(pairs, _NOISES[self.noise], self.seed, source, number, wanted=wanted)
@@ -111,13 +118,17 @@ class ExampleSource:
 
 def _digest(pairs: PairSet) -> str:
     """Equal for equal examples: a test split may come later."""
-    told = [pairs.record["assets"], *(pairs.record["splits"].get(name) for name in ("train", "val"))]
+    told = [
+        pairs.record["assets"],
+        *(pairs.record["splits"].get(name) for name in ("train", "val")),
+    ]
     return json_digest(told, 20)
 
 
 def examples_of(queries: PlacementQuery, labels: PairLabels) -> Example:
     """The examples of pairs, as `pairs.load_queries` gives them."""
-    w, z = labels.target[:, 3], labels.target[:, 6]
+    w = labels.target[:, 3]
+    z = labels.target[:, 6]
     target = np.column_stack([labels.target[:, :3], 2 * np.arctan2(z, w)]).astype(np.float32)
     return Example(queries, target, labels.candidate, labels.verdict)
 
@@ -132,10 +143,14 @@ def concatenate_examples(parts: Sequence[Example]) -> Example:
         return parts[0]
     cells = [part.query.heights.cell for part in parts]
     if np.ptp(np.array(cells), axis=0).max() > _SAME:
-        raise ConfigError(f"pairs with cells of {cells} m", "cells of one size", "one folder at a time")
+        raise ConfigError(
+            f"pairs with cells of {cells} m", "cells of one size", "one folder at a time"
+        )
     shapes = np.array([part.query.heights.height.shape[1:] for part in parts]).max(0)
     columns = max(part.query.under.is_column.shape[1] for part in parts)
-    same = [_pad_examples(part, (int(shapes[0]), int(shapes[1])), columns, cells[0]) for part in parts]
+    same = [
+        _pad_examples(part, (int(shapes[0]), int(shapes[1])), columns, cells[0]) for part in parts
+    ]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *same)
 
 

@@ -25,8 +25,9 @@ from cluttergen_jax.sensing import (
 
 _LOWEST = -0.005
 _HIGHEST = 0.6
-_MEDIAN, _LEAST_PIXELS = 3, 2
-"""With noise: of the filter of depths, and pixels that make a surface."""
+# With noise: of the filter of depths, and pixels that make a surface.
+_MEDIAN = 3
+_LEAST_PIXELS = 2
 
 
 class SceneMaps(NamedTuple):
@@ -69,7 +70,8 @@ class QueryMaker:
                 "is_column",
             )
         }
-        self._support, self._region = problem.world.support, problem.region
+        self._support = problem.world.support
+        self._region = problem.region
         self._radius = float(np.linalg.norm(self._geometry["half_extents"][:, :2], axis=1).max())
         self.grid = self.grid_of(CELL)
         self._half = np.asarray(problem.region.half_extents, np.float32)
@@ -93,7 +95,10 @@ class QueryMaker:
         return self.see_all([(depth, camera)], noise, rng)
 
     def see_all(
-        self, views: Sequence[tuple[np.ndarray, Camera]], noise: NoiseConfig, rng: np.random.Generator
+        self,
+        views: Sequence[tuple[np.ndarray, Camera]],
+        noise: NoiseConfig,
+        rng: np.random.Generator,
     ) -> SceneMaps:
         """What several cameras show of the same scene, each with noise of its own.
 
@@ -122,11 +127,16 @@ class QueryMaker:
         return PartialMap.of(depth, camera, grid, median=_MEDIAN, least_pixels=_LEAST_PIXELS)
 
     def fuse(
-        self, views: Sequence[tuple[np.ndarray, Camera]], noise: NoiseConfig, rng: np.random.Generator
+        self,
+        views: Sequence[tuple[np.ndarray, Camera]],
+        noise: NoiseConfig,
+        rng: np.random.Generator,
     ) -> SceneMaps:
         """As `see_all`, of images as they were measured."""
         found = merge_maps([self.partial(depth, camera, noise) for depth, camera in views])
-        cloud = _sample_points(np.concatenate([self._points(depth, camera) for depth, camera in views]), rng)
+        cloud = _sample_points(
+            np.concatenate([self._points(depth, camera) for depth, camera in views]), rng
+        )
         return SceneMaps(found.height, found.ceiling, *cloud, self._unseen(found))
 
     def query(self, sight: SceneMaps, object_index: int) -> PlacementQuery:

@@ -61,14 +61,18 @@ def look(query: PlacementQuery, heights: HeightMap, candidates: Candidates) -> M
     return MapCandidates(candidates, scores, cost_of_lowest_fit(scores))
 
 
-def finalists(key: Array, query: PlacementQuery, heights: HeightMap, config: SearchConfig) -> Candidates:
+def finalists(
+    key: Array, query: PlacementQuery, heights: HeightMap, config: SearchConfig
+) -> Candidates:
     """The cheapest of many random poses, looked at coarsely, on any map of the query."""
     candidates = draw(key, query, config.num_candidates)
     coarse = _scores(query, heights, candidates, query.under.first(config.num_coarse))
     return candidates.take(jax.lax.top_k(-cost_of_lowest_fit(coarse), config.num_finalists)[1])
 
 
-def search(key: Array, query: PlacementQuery, heights: HeightMap, config: SearchConfig) -> MapCandidates:
+def search(
+    key: Array, query: PlacementQuery, heights: HeightMap, config: SearchConfig
+) -> MapCandidates:
     """The finalists of many random poses, wholly looked at, as the baseline `drop` finds them."""
     return look(query, heights, finalists(key, query, heights, config))
 
@@ -82,7 +86,8 @@ def best_apart(cost: Array, xy: Array, number: int) -> Array:
       cost: f32[N]; xy: f32[N, 2], metres; number: N at most.
     """
 
-    cost, xy = jnp.asarray(cost), jnp.asarray(xy)
+    cost = jnp.asarray(cost)
+    xy = jnp.asarray(xy)
 
     def step(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
         is_left, is_apart = state

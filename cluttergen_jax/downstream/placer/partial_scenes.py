@@ -44,16 +44,20 @@ class PartialScenes:
 
     def __init__(self, bank: Bank, num_threads: int = 0) -> None:
         setup = setup_of(bank, engine="native", num_threads=num_threads)
-        self.bank, self.problem, self.keep_out = bank, setup.problem, setup.keep_out
+        self.bank = bank
+        self.problem = setup.problem
+        self.keep_out = setup.keep_out
         self.rules = judging_rules(setup.problem)
         stable = StableScenes.read(bank)
-        self.number, self.object_index = stable.number.astype(np.int32), stable.objects.astype(np.int32)
+        self.number = stable.number.astype(np.int32)
+        self.object_index = stable.objects.astype(np.int32)
         self.poses = stable.poses.astype(np.float32)
         if names := bank.recipe.get("names") if bank.recipe.get("shelf") else None:
             number = {name: place for place, name in enumerate(setup.problem.world.names)}
             local = np.array([*(number.get(name, -1) for name in names), -1], np.int32)
             self.object_index = local[self.object_index]
-        num_slots, most = self.object_index.shape[1], self.object_index.max()
+        num_slots = self.object_index.shape[1]
+        most = self.object_index.max()
         if num_slots != self.rules.num_slots or most >= self.rules.geometry.num_objects:
             raise BankError(f"{bank.path}: its scenes are not of the objects that its record names")
         self._episodes: Any = jax.jit(jax.vmap(episode_of, in_axes=(None, None, 0, 0, 0)))
@@ -73,8 +77,12 @@ class PartialScenes:
         Args:
           rules: of the episodes; those of judging if not given.
         """
-        scene, slot, rules = places[:, 0], places[:, 1].astype(np.int32), rules or self.rules
-        return self._episodes(rules, self.keep_out, self.object_index[scene], self.poses[scene], slot)
+        scene = places[:, 0]
+        slot = places[:, 1].astype(np.int32)
+        rules = rules or self.rules
+        return self._episodes(
+            rules, self.keep_out, self.object_index[scene], self.poses[scene], slot
+        )
 
 
 def judging_rules(problem: Problem) -> Rules:
@@ -83,7 +91,9 @@ def judging_rules(problem: Problem) -> Rules:
     return replace(problem.rules, config=config)
 
 
-def episode_of(rules: Rules, keep_out: KeepOut, object_index: Array, poses: Array, slot: Array) -> Episode:
+def episode_of(
+    rules: Rules, keep_out: KeepOut, object_index: Array, poses: Array, slot: Array
+) -> Episode:
     """An episode whose first `slot` objects stand.
 
     Args:
@@ -158,17 +168,23 @@ class ProposalJudge:
         Args: as those of `settle`.
         """
         chosen = jax.tree.map(lambda leaf: leaf[scene], episodes)
-        poses, is_placed, focus = (np.asarray(each) for each in self._release(self.rules, chosen, pose))
+        poses, is_placed, focus = (
+            np.asarray(each) for each in self._release(self.rules, chosen, pose)
+        )
         return poses, is_placed, focus
 
-    def _settle(self, episodes: Episode, scene: np.ndarray, pose: np.ndarray, num: int) -> JudgedProposals:
+    def _settle(
+        self, episodes: Episode, scene: np.ndarray, pose: np.ndarray, num: int
+    ) -> JudgedProposals:
         chosen = _take(episodes, scene)
         asked = [np.asarray(each) for each in self._release(self.rules, chosen, pose)]
         is_active = np.arange(len(scene)) < num
         physics: Any = self.rules.simulator
         settling = physics.settle_batch(*asked, is_active)
         verdict, has_margin = self._verdict(self.rules, chosen, settling.replace(trajectory=None))
-        found = JudgedProposals(np.asarray(verdict), np.asarray(has_margin), settling.poses, asked[1])
+        found = JudgedProposals(
+            np.asarray(verdict), np.asarray(has_margin), settling.poses, asked[1]
+        )
         return JudgedProposals(*(each[:num] for each in found))
 
     def stand(self, judged: JudgedProposals) -> np.ndarray:
@@ -185,7 +201,9 @@ _take: Any = jax.jit(lambda episodes, scene: jax.tree.map(lambda leaf: leaf[scen
 
 def world_pose(region: Region, pose: Array) -> Array:
     """f32[7], T_world_object of a proposal f32[4] in the region frame."""
-    T_region_object = jaxlie.SE3.from_rotation_and_translation(jaxlie.SO3.from_z_radians(pose[3]), pose[:3])
+    T_region_object = jaxlie.SE3.from_rotation_and_translation(
+        jaxlie.SO3.from_z_radians(pose[3]), pose[:3]
+    )
     return to_pose(region.T_world_region @ T_region_object)
 
 

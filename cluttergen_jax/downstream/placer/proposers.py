@@ -11,7 +11,11 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.downstream.placer.heads.checkpoint import embedded_placers, load_placer, placer_folder
+from cluttergen_jax.downstream.placer.heads.checkpoint import (
+    embedded_placers,
+    load_placer,
+    placer_folder,
+)
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw, search
 from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,

@@ -107,7 +107,9 @@ def ask_plain(placer: Any, key: Array, query: PlacementQuery) -> Proposals:
         raise ConfigError(f"placer {name!r} returned None", _ALLOWED)
     try:
         if isinstance(told, Proposals):
-            found = Proposals(*(array_of(each).astype(np.float32) for each in (told.pose, told.score)))
+            found = Proposals(
+                *(array_of(each).astype(np.float32) for each in (told.pose, told.score))
+            )
         else:
             pose = array_of(told).astype(np.float32)
             found = Proposals(pose, np.full(pose.shape[:-1], np.nan, np.float32))
@@ -130,13 +132,16 @@ def check_proposals(found: Any, name: str) -> Proposals:
     """
     if not isinstance(found, Proposals):
         raise ConfigError(f"placer {name!r} returned a {type(found).__name__}", _ALLOWED)
-    pose, score = np.asarray(found.pose), np.asarray(found.score)
+    pose = np.asarray(found.pose)
+    score = np.asarray(found.score)
     if pose.ndim < 2 or pose.shape[-1] != 4 or not 1 <= pose.shape[-2] <= NUM_PROPOSALS:
         raise ConfigError(f"placer {name!r} returned poses of shape {pose.shape}", _ALLOWED)
     if not np.isfinite(pose).all():
         raise ConfigError(f"placer {name!r} returned poses that are not finite", _ALLOWED)
     if score.shape != pose.shape[:-1] or ((score < 0) | (score > 1)).any():
-        raise ConfigError(f"placer {name!r} returned scores of shape {score.shape}: {score}", _ALLOWED)
+        raise ConfigError(
+            f"placer {name!r} returned scores of shape {score.shape}: {score}", _ALLOWED
+        )
     return Proposals(pose, score)
 
 

@@ -40,7 +40,9 @@ class SceneCameras:
 
     def __init__(self, problem: Problem, preset: str) -> None:
         world = problem.world
-        self.preset, self._draw, self._support = preset, find_preset(preset), world.support
+        self.preset = preset
+        self._draw = find_preset(preset)
+        self._support = world.support
         self._sensor = RaySensor(sensed_model(world.objects, world.support))
         self._local = threading.local()
 
@@ -78,10 +80,14 @@ class SceneCameras:
         for number in range(1, num_cameras):
             rng = np.random.default_rng((*seed, number, 5))
             camera, image = self.look(poses, is_placed, rng)
-            views.append(DepthView(depth_of(depth_bytes(image.depth), camera.width, camera.height), camera))
+            views.append(
+                DepthView(depth_of(depth_bytes(image.depth), camera.width, camera.height), camera)
+            )
         return views
 
-    def views(self, poses: np.ndarray, is_placed: np.ndarray, cameras: list[Camera]) -> list[DepthView]:
+    def views(
+        self, poses: np.ndarray, is_placed: np.ndarray, cameras: list[Camera]
+    ) -> list[DepthView]:
         """What given cameras see, as it would be stored."""
         data = self._pose(poses, is_placed)
         images = [depth_bytes(self._sensor.sense(data, camera).depth) for camera in cameras]
@@ -137,7 +143,8 @@ def _is_inside(camera: Camera, support: Any) -> bool:
         if (planes[:, :3] @ camera.eye + planes[:, 3] <= 0).all():
             return True
     for box in support.boxes:
-        cos, sin = np.cos(box.yaw), np.sin(box.yaw)
+        cos = np.cos(box.yaw)
+        sin = np.sin(box.yaw)
         x, y, z = camera.eye - np.asarray(box.center)
         local = np.abs([cos * x + sin * y, cos * y - sin * x, z])
         if (local <= np.asarray(box.half_extents)).all():

@@ -12,7 +12,14 @@ import jax
 import numpy as np
 
 from cluttergen_jax.config import PlacerLoss
-from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState, concatenate, in_parts, num_examples
+from cluttergen_jax.downstream.fitting import (
+    FitConfig,
+    FitRun,
+    FitState,
+    concatenate,
+    in_parts,
+    num_examples,
+)
 from cluttergen_jax.downstream.placer.examples import ExampleSource
 from cluttergen_jax.downstream.placer.heads.checkpoint import KIND, Head
 from cluttergen_jax.downstream.placer.heads.mixture import MixtureHead
@@ -34,7 +41,9 @@ _PRESETS: Mapping[tuple[str, str], tuple[Head, FitConfig]] = {
     # As the published code has it: one group of all points, 1,024 features of either cloud.
     ("regression", "paper"): (
         RegressionHead(
-            RegressionConfig(features=1024, scene_points=NUM_POINTS, object_points=NUM_OBJECT_POINTS)
+            RegressionConfig(
+                features=1024, scene_points=NUM_POINTS, object_points=NUM_OBJECT_POINTS
+            )
         ),
         replace(_REGRESSION_CPU, num_epochs=1000),
     ),
@@ -55,15 +64,22 @@ def preset(head: str, name: str, loss: str, encoder_weights: Path | None) -> tup
     if head not in known:
         raise ConfigError(f"head {head!r}", ", ".join(known), "head='scored'", closest(head, known))
     if name not in known[head]:
-        given, allowed = f"preset {name!r} of head {head!r}", known[head]
-        raise ConfigError(given, ", ".join(allowed), f"preset={allowed[0]!r}", closest(name, allowed))
+        given = f"preset {name!r} of head {head!r}"
+        allowed = known[head]
+        raise ConfigError(
+            given, ", ".join(allowed), f"preset={allowed[0]!r}", closest(name, allowed)
+        )
     if loss not in get_args(PlacerLoss):
         raise ConfigError(f"loss = {loss!r}", "'printed' or 'symmetric'", "loss='printed'")
     found, config = _PRESETS[head, name]
     if isinstance(found, RegressionHead):
-        return RegressionHead(replace(found.config, loss=cast(PlacerLoss, loss)), encoder_weights), config
+        return RegressionHead(
+            replace(found.config, loss=cast(PlacerLoss, loss)), encoder_weights
+        ), config
     if loss != "printed" or encoder_weights is not None:
-        given = f"loss = {loss!r}" if loss != "printed" else f"`encoder_weights` = {encoder_weights}"
+        given = (
+            f"loss = {loss!r}" if loss != "printed" else f"`encoder_weights` = {encoder_weights}"
+        )
         raise ConfigError(
             f"{given} with head {head!r}", "neither: they are of 'regression'", "leaving it out"
         )
@@ -99,7 +115,8 @@ class PlacerTraining(FitRun):
       ConfigError: the folder holds a run with other settings.
     """
 
-    kind, unit = KIND, "pair"
+    kind = KIND
+    unit = "pair"
 
     def __init__(
         self,
@@ -109,7 +126,8 @@ class PlacerTraining(FitRun):
         folder: Path,
         show: Callable[[str], None] = print,
     ) -> None:
-        self.head, self.source = head, source
+        self.head = head
+        self.source = source
         recipe = {
             "head": head.kind,
             "data": source.record,
@@ -118,7 +136,8 @@ class PlacerTraining(FitRun):
         super().__init__(head, config, recipe, folder, show)
 
     def examples(self, split: Any) -> Any:
-        examples, parts = self.source.load(split), []
+        examples = self.source.load(split)
+        parts = []
         with Progress(f"preparing {split}", num_examples(examples), "pair") as progress:
             for part in in_parts(partial(_prepare, self.head), examples, _AT_ONCE):
                 parts.append(part)

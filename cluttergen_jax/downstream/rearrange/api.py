@@ -186,7 +186,9 @@ def rearrange(
     looks = observer == "perception"
     for what, is_given in (("noise", noise is not None), ("cameras", bool(cameras))):
         if is_given and not looks:
-            raise ConfigError(f"`{what}` where nothing looks", "observer='perception'", "leaving it out")
+            raise ConfigError(
+                f"`{what}` where nothing looks", "observer='perception'", "leaving it out"
+            )
     if noise is not None:
         check_noise([noise])
     described = find_robot(robot)
@@ -196,7 +198,9 @@ def rearrange(
         check_films(film)
     looking: Any = observer
     if looks:
-        looking = _looking(usual, found, segmenter, seed, 1.0 if noise is None else noise, cameras, described)
+        looking = _looking(
+            usual, found, segmenter, seed, 1.0 if noise is None else noise, cameras, described
+        )
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
     name = "own" if told else setting
     threads = num_threads or os.cpu_count() or 1
@@ -262,11 +266,15 @@ def _own_scenes(
     found = None if bank is None else read_bank(bank)
     for what, value in (("pool", pool), ("support", support)):
         if found is not None and value is not None:
-            raise ConfigError(f"`{what}` together with `bank`", "one or the other", f"leaving out `{what}`")
+            raise ConfigError(
+                f"`{what}` together with `bank`", "one or the other", f"leaving out `{what}`"
+            )
     if found is not None and setting != "paper":
         given = f"setting = {setting!r} together with `bank`, whose scenes take its place"
         raise ConfigError(given, "one or the other", "leaving out `setting`")
-    check_one_level(find_support(support or "table") if found is None else found.support, "`rearrange`")
+    check_one_level(
+        find_support(support or "table") if found is None else found.support, "`rearrange`"
+    )
     pool = "household" if pool is None else str(pool)
     if found is not None:
         pool = str(found.record["recipe"].get("pool"))
@@ -310,7 +318,8 @@ def _looking(
     from cluttergen_jax.scene.bank import region_of
     from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, parse_cameras
 
-    support, wanted = find_support(own.support or "table"), pool if segmenter is None else segmenter
+    support = find_support(own.support or "table")
+    wanted = pool if segmenter is None else segmenter
     objects: Sequence[ObjectAsset] = find_pool(pool).objects if own.bank is None else ()
     if own.bank is not None:
         support = replace(own.bank.support, region=region_of(own.bank))

@@ -19,15 +19,27 @@ from cluttergen_jax.downstream.rearrange.layouts import (
 )
 from cluttergen_jax.downstream.rearrange.moves import MAX_RETRIES, Moves
 from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
-from cluttergen_jax.downstream.rearrange.order import Meetings, lowest_first, ready, smallest_waiting
-from cluttergen_jax.downstream.rearrange.task import Chooser, RearrangeOptions, RearrangeResult, RearrangeTask
+from cluttergen_jax.downstream.rearrange.order import (
+    Meetings,
+    lowest_first,
+    ready,
+    smallest_waiting,
+)
+from cluttergen_jax.downstream.rearrange.task import (
+    Chooser,
+    RearrangeOptions,
+    RearrangeResult,
+    RearrangeTask,
+)
 from cluttergen_jax.downstream.robot.grasping.grips import FIRM, first_grasp
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import equal_places, matrix_of, offset
 
-NEAR_GOAL, NEAR_GOAL_TURN = 0.01, float(np.radians(10))
-"""Metres and radians from its place within which an object counts as brought there."""
+# Metres and radians from its place within which an object counts as brought there.
+NEAR_GOAL = 0.01
+NEAR_GOAL_TURN = float(np.radians(10))
+
 MAX_WAITS = 2
 """Times an object is put down somewhere else on its way."""
 MAX_LAYOUTS = 3
@@ -59,15 +71,20 @@ class Rearranger:
         judge: RearrangementJudge,
         ask: Chooser | None = None,
     ) -> None:
-        self._task, self._options, self._scene, self._ask = task, options, task.scene, ask
-        self._sight, self._symmetry = sight, task.symmetry
+        self._task = task
+        self._options = options
+        self._scene = task.scene
+        self._ask = ask
+        self._sight = sight
+        self._symmetry = task.symmetry
         self._meetings = Meetings(task.scene.objects)
         self._num_moved = task.setting.num_objects
         self._rng = np.random.default_rng(task.seed)
         grasps = [first_grasp(each) for each in task.grasps] if options.one_grasp else task.grasps
         self.moves = Moves(task.scene, grasps, execution, sight, judge, self._rng, task.planner)
         self.fewest = self.layouts = 0
-        self.goals, self.layout = task.scene.poses, -1
+        self.goals = task.scene.poses
+        self.layout = -1
 
     def run(self) -> None:
         """Until all objects are in one of the layouts.
@@ -80,7 +97,8 @@ class Rearranger:
         for number in self._choose(found)[:MAX_LAYOUTS]:
             self.layouts += 1
             self.moves.forget()
-            self.goals, self.layout = found.poses[number], number
+            self.goals = found.poses[number]
+            self.layout = number
             if self._reach_layout(self.goals):
                 return
         raise self.moves.why
@@ -111,7 +129,8 @@ class Rearranger:
 
         Those come first whose centres are highest above where they would be, did they stand on the table.
         """
-        poses, hidden = self._sight.poses, self._sight.unseen
+        poses = self._sight.poses
+        hidden = self._sight.unseen
         lies_on = self._meetings.relations(poses, poses).lies_on
         rest = [asset.half_extents[2] for asset in self._scene.objects]
         raised = poses[:, 2] - rest
@@ -120,11 +139,20 @@ class Rearranger:
 
     def find_layouts(self) -> Layouts:
         """Draws unlike layouts around the objects that stay, as they are seen. Raises Failed: none stands."""
-        task, num_moved, poses = self._task, self._num_moved, self._sight.poses
-        moved, stay = task.numbers[:num_moved], task.numbers[num_moved:]
-        objects, region, number = self._scene.objects, task.setting.target, self._options.num_layouts
-        reach_of = ReachCheck(objects, task.grasps, range(num_moved), self._scene.support, FIRM, task.robot)
-        full, gap, reach = np.zeros((0, len(poses), 7)), np.zeros(0), np.zeros(0)
+        task = self._task
+        num_moved = self._num_moved
+        poses = self._sight.poses
+        moved = task.numbers[:num_moved]
+        stay = task.numbers[num_moved:]
+        objects = self._scene.objects
+        region = task.setting.target
+        number = self._options.num_layouts
+        reach_of = ReachCheck(
+            objects, task.grasps, range(num_moved), self._scene.support, FIRM, task.robot
+        )
+        full = np.zeros((0, len(poses), 7))
+        gap = np.zeros(0)
+        reach = np.zeros(0)
         for draw in range(_DRAWS):
             if task.goals is None:
                 drawn = task.draw(task.seed + draw, moved, region, stay, poses[num_moved:])
@@ -171,7 +199,8 @@ class Rearranger:
 
     def _pending(self, goals: np.ndarray) -> list[int]:
         """The objects that are not seen where they should be."""
-        now, goal = matrix_of(self._sight.poses), matrix_of(goals)
+        now = matrix_of(self._sight.poses)
+        goal = matrix_of(goals)
         found = []
         for k in range(self._num_moved):
             shift, turn = offset(now[k], goal[k], self._symmetry[k])
@@ -216,13 +245,17 @@ class Rearranger:
           goals: f64[N, 7], of the `pending` objects.
         """
         hidden = self._sight.unseen
-        others = [each for each in range(len(self._scene.names)) if each != k and each not in hidden]
-        numbers, poses = self._task.numbers, self._sight.poses
+        others = [
+            each for each in range(len(self._scene.names)) if each != k and each not in hidden
+        ]
+        numbers = self._task.numbers
+        poses = self._sight.poses
         seed = int(self._rng.integers(2**30))
         drawn = self._task.draw(
             seed, [numbers[k]], self._task.area, [numbers[each] for each in others], poses[others]
         )
-        clear, coming = drawn[:, 0], [each for each in pending if each != k]
+        clear = drawn[:, 0]
+        coming = [each for each in pending if each != k]
         # What is hidden is where the object is now, or near it.
         near = poses[others + [k] * bool(hidden), :2]
         if goals is not None and coming:
@@ -279,14 +312,17 @@ def rearrange_episode(
       trace: see `robot.execute.Execution`.
       ask: a person, who chooses in place of the rule; what is chosen is the only layout that is tried.
     """
-    begun, num_moved = time.process_time(), task.setting.num_objects
+    begun = time.process_time()
+    num_moved = task.setting.num_objects
     with _open_episode(task, options, observer, trace, ask) as (worker, execution, judge, sight):
-        outcome, detail = str(Outcome.SUCCESS), ""
+        outcome = str(Outcome.SUCCESS)
+        detail = ""
         try:
             worker.run()
             judge.check_end(worker.goals)
         except Failed as failure:
-            outcome, detail = str(failure.outcome), failure.detail
+            outcome = str(failure.outcome)
+            detail = failure.detail
     # Where no layout was chosen nothing is where it should be.
     right = judge.is_right(worker.goals) & (worker.layout >= 0)
     errors = judge.errors(worker.goals)[right]

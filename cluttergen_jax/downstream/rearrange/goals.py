@@ -39,7 +39,9 @@ _VERB = re.compile(r"^(?:please )?(?:put|place|move|set|bring|lay) ", re.IGNOREC
 _FILLER = re.compile(r"(?:(?<!next )\bto the|\b(?:the|a|an)) ", re.IGNORECASE)
 _NUM_DRAWN = 32
 """Layouts that are drawn at a time: few objects move, and each is looked for where its relation holds."""
-_HINT = "'put the candle left of the basket', 'candle left_of basket; toy_car behind candle', or a bank"
+_HINT = (
+    "'put the candle left of the basket', 'candle left_of basket; toy_car behind candle', or a bank"
+)
 
 
 class Goal(NamedTuple):
@@ -73,8 +75,12 @@ def _plain_relation(text: str) -> str:
         if found:
             name, _, gap = reference.partition(":")
             terms = (subject.strip(), _PHRASES[phrase], name.strip())
-            return " ".join(each.replace(" ", "_") for each in terms) + (f":{gap.strip()}" if gap else "")
-    raise ConfigError(f"goal {text.strip()!r}", f"an object, one of {', '.join(_PHRASES)}, an object", _HINT)
+            return " ".join(each.replace(" ", "_") for each in terms) + (
+                f":{gap.strip()}" if gap else ""
+            )
+    raise ConfigError(
+        f"goal {text.strip()!r}", f"an object, one of {', '.join(_PHRASES)}, an object", _HINT
+    )
 
 
 class RelationGoals:
@@ -86,7 +92,8 @@ class RelationGoals:
     """
 
     def __init__(self, text: str, make_draw: Callable[[Sequence[str]], SceneDraw]) -> None:
-        self._relations, self._make_draw = parse_goal(text), make_draw
+        self._relations = parse_goal(text)
+        self._make_draw = make_draw
         if not self._relations:
             raise ConfigError(f"goals = {text!r}", "one relation or more", _HINT)
         self._conditions = conditions_of((), self._relations)
@@ -114,7 +121,9 @@ class RelationGoals:
         if not can_be_filled(found):
             raise ConfigError(f"goals {self.name!r}", "a different object for each name", _HINT)
 
-    def __call__(self, scene: Scene, numbers: Sequence[int], seed: int, region: Rectangle) -> Goal | None:
+    def __call__(
+        self, scene: Scene, numbers: Sequence[int], seed: int, region: Rectangle
+    ) -> Goal | None:
         """Which objects take which role in a scene, at random; None if it lacks one.
 
         Args:
@@ -155,7 +164,9 @@ class BankGoals:
             if index is None or (each.origin is not None and each.origin.index == index)
         ]
         if not stored:
-            raise ConfigError(f"goals = {place!r}, where no scene is a success", "one or more", _HINT)
+            raise ConfigError(
+                f"goals = {place!r}, where no scene is a success", "one or more", _HINT
+            )
         if not self._scenes:
             more = " ..." if len(known) > 20 else ""
             raise ConfigError(
@@ -169,16 +180,22 @@ class BankGoals:
         """Refuses layouts for another support (ConfigError)."""
         other = self._scenes[0].support
         if other.name != support.name or abs(other.top - support.top) > 1e-6:
-            raise ConfigError(f"goals on {other.name!r}, scenes on {support.name!r}", "the same support")
+            raise ConfigError(
+                f"goals on {other.name!r}, scenes on {support.name!r}", "the same support"
+            )
 
     def fits(self, objects: Sequence[ObjectAsset]) -> bool:
         """Whether these are all that one of the layouts has."""
         known = Counter(map(object_hash, objects))
         return any(Counter(map(object_hash, each.objects)) <= known for each in self._scenes)
 
-    def __call__(self, scene: Scene, numbers: Sequence[int], seed: int, region: Rectangle) -> Goal | None:
+    def __call__(
+        self, scene: Scene, numbers: Sequence[int], seed: int, region: Rectangle
+    ) -> Goal | None:
         """The layouts of the first scene all of whose objects this one has, and of those with the same."""
-        known = {name: object_hash(each) for name, each in zip(scene.names, scene.objects, strict=True)}
+        known = {
+            name: object_hash(each) for name, each in zip(scene.names, scene.objects, strict=True)
+        }
         fitting = [each for each in self._scenes if self._has(known, each)]
         if not fitting:
             return None
@@ -212,18 +229,24 @@ def bank_place(text: str) -> tuple[str, int | None]:
         return text, None
     folder, _, index = text.rpartition(":")
     if not re.fullmatch(r"[0-9]+", index):
-        raise ConfigError(f"goals = {text!r}", "FOLDER, or FOLDER:INDEX with a whole number", f"{folder}:0")
+        raise ConfigError(
+            f"goals = {text!r}", "FOLDER, or FOLDER:INDEX with a whole number", f"{folder}:0"
+        )
     return folder, int(index)
 
 
 def task_words(goals: str) -> Callable[[RearrangeResult], str]:
     """What the task of an episode is called, of its row."""
     if goals and not is_bank(goals):
-        told = [f"put the {each.subject} {each.kind} the {each.reference}" for each in parse_goal(goals)]
+        told = [
+            f"put the {each.subject} {each.kind} the {each.reference}" for each in parse_goal(goals)
+        ]
         words = "; ".join(told)
         return lambda row: words.replace("_", " ")
 
     def words_of(row: RearrangeResult) -> str:
-        return f"bring {', '.join(f'the {name}' for name in row.objects)} to their places".replace("_", " ")
+        return f"bring {', '.join(f'the {name}' for name in row.objects)} to their places".replace(
+            "_", " "
+        )
 
     return words_of

@@ -16,8 +16,9 @@ from cluttergen_jax.downstream.transforms import matrix_of, motion_between, offs
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank.verify import verify_model
 
-MAX_ERROR, MAX_TURN_ERROR = 0.015, float(np.radians(10))
-"""Metres and radians, up to its symmetry, that each object may be from its place in the chosen layout."""
+# Metres and radians, up to its symmetry, that each object may be from its place in the chosen layout.
+MAX_ERROR = 0.015
+MAX_TURN_ERROR = float(np.radians(10))
 
 
 class RearrangementJudge:
@@ -28,8 +29,12 @@ class RearrangementJudge:
       symmetry: of each object (`assets.symmetry.turn_symmetry`).
     """
 
-    def __init__(self, execution: Execution, scene: Scene, num_moved: int, symmetry: Sequence[int]) -> None:
-        self._execution, self._scene, self._symmetry = execution, scene, symmetry
+    def __init__(
+        self, execution: Execution, scene: Scene, num_moved: int, symmetry: Sequence[int]
+    ) -> None:
+        self._execution = execution
+        self._scene = scene
+        self._symmetry = symmetry
         self._num_moved = num_moved
         self._before = execution.poses()
 
@@ -50,8 +55,11 @@ class RearrangementJudge:
 
     def errors(self, goals: np.ndarray) -> np.ndarray:
         """f64[num_moved, 2]: metres and radians of each object from its goal f64[N, 7], up to symmetry."""
-        now, goal = matrix_of(self._execution.poses()), matrix_of(goals)
-        return np.array([offset(now[k], goal[k], self._symmetry[k]) for k in range(self._num_moved)])
+        now = matrix_of(self._execution.poses())
+        goal = matrix_of(goals)
+        return np.array(
+            [offset(now[k], goal[k], self._symmetry[k]) for k in range(self._num_moved)]
+        )
 
     def is_right(self, goals: np.ndarray) -> np.ndarray:
         """bool[num_moved]: the objects that are where they should be."""
@@ -63,7 +71,8 @@ class RearrangementJudge:
         Raises:
           Failed: it does not.
         """
-        start, names = self._execution.poses(), self._scene.names
+        start = self._execution.poses()
+        names = self._scene.names
         self._execution.wake()
         for _ in range(round(WATCHED / 0.1)):
             self._execution.wait(0.1, Phase.FREE)
@@ -88,7 +97,9 @@ class RearrangementJudge:
         spec = self._scene.to_mjspec()
         spec.keys[0].qpos = poses.ravel()
         for name, pose in zip(self._scene.names, poses, strict=True):
-            spec.body(name).pos, spec.body(name).quat = pose[:3], pose[3:]
+            body = spec.body(name)
+            body.pos = pose[:3]
+            body.quat = pose[3:]
         found = verify_model(Path(), spec.compile(), 0, VerifyConfig())
         if not found.stands:
             raise Failed(Outcome.UNSTABLE, f"{found.worst}, alone")

@@ -75,10 +75,8 @@ class SceneDraw:
                 num_slots, min_margin=placement_config.MIN_MARGIN, relations=tuple(relations)
             )
             setup = setup_of(source, placement=config, region=self.area, num_threads=num_threads)
-            problem, steps = (
-                setup.problem,
-                sampler_of(setup, choose_method(method, setup.problem.config.pool)),
-            )
+            problem = setup.problem
+            steps = sampler_of(setup, choose_method(method, setup.problem.config.pool))
         else:
             self.area = AREA if support is None else reached_part(find_support(support).region)
             sampler = make_sampler(
@@ -90,15 +88,26 @@ class SceneDraw:
                 num_threads=num_threads,
                 relations=relations,
             )
-            problem, steps = sampler.problem, sampler.steps
+            problem = sampler.problem
+            steps = sampler.steps
         world = problem.world
-        self.names, self.objects = world.names, world.objects
+        self.names = world.names
+        self.objects = world.objects
         self.support: SupportAsset = world.support
-        self._num_slots, self._is_related = num_slots, bool(relations)
-        rules, step, top = steps.rules, steps.step_one, float(world.support.top)
+        self._num_slots = num_slots
+        self._is_related = bool(relations)
+        rules = steps.rules
+        step = steps.step_one
+        top = float(world.support.top)
 
         def draw(
-            key: Array, order: Array, first: Array, poses: Array, is_placed: Array, box: Array, roles: Array
+            key: Array,
+            order: Array,
+            first: Array,
+            poses: Array,
+            is_placed: Array,
+            box: Array,
+            roles: Array,
         ) -> Any:
             region = make_region(box[:2], box[2:4], box[4], jnp.float32(top))
             episode = rules.begin(key, region).replace(
@@ -106,7 +115,9 @@ class SceneDraw:
             )
             if relations:
                 episode = episode.replace(roles=roles)
-            last = jax.lax.while_loop(lambda each: ~each.is_over, lambda each: step(each)[0], episode)
+            last = jax.lax.while_loop(
+                lambda each: ~each.is_over, lambda each: step(each)[0], episode
+            )
             return last.poses, last.is_success
 
         self._draw: Any = jax.jit(jax.vmap(draw, in_axes=(0, *[None] * 6)))
@@ -131,7 +142,9 @@ class SceneDraw:
             placed in their own order.
         """
         if len(chosen) + len(standing) > self._num_slots:
-            raise ConfigError(f"{len(chosen) + len(standing)} objects", f"{self._num_slots} at most")
+            raise ConfigError(
+                f"{len(chosen) + len(standing)} objects", f"{self._num_slots} at most"
+            )
         area = [np.prod(self.objects[each].half_extents[:2]) for each in chosen]
         large_first = [chosen[each] for each in np.argsort(-np.array(area), kind="stable")]
         large_first = list(chosen) if self._is_related else large_first
@@ -140,11 +153,14 @@ class SceneDraw:
         start = np.tile(np.eye(7, dtype=np.float32)[3], (len(self.objects), 1))
         is_placed = np.zeros(len(self.objects), bool)
         if poses is not None and len(standing):
-            start[list(standing)], is_placed[list(standing)] = poses, True
+            start[list(standing)] = poses
+            is_placed[list(standing)] = True
         box = np.array([*region.center, *region.half_extents, region.yaw], np.float32)
         keys = jax.random.split(new_key(seed), number)
         taken = np.array(roles, np.int32)
-        found, stands = self._draw(keys, order, np.int32(len(standing)), start, is_placed, box, taken)
+        found, stands = self._draw(
+            keys, order, np.int32(len(standing)), start, is_placed, box, taken
+        )
         kept = np.asarray(found, np.float64)[np.asarray(stands)][:, list(chosen)]
         kept[..., 3:] /= np.linalg.norm(kept[..., 3:], axis=-1, keepdims=True)
         return kept
@@ -254,9 +270,12 @@ class ReachCheck:
         max_lever: float = np.inf,
         robot: RobotDescription | None = None,
     ) -> None:
-        self._grasps, self._max_lever, base = grasps, max_lever, base_pose(support, robot)
+        self._grasps = grasps
+        self._max_lever = max_lever
+        base = base_pose(support, robot)
         self._kinematics = ArmKinematics(base, robot)
-        names, nowhere = list(map(str, range(len(objects)))), np.tile(np.eye(7)[3], (len(objects), 1))
+        names = list(map(str, range(len(objects))))
+        nowhere = np.tile(np.eye(7)[3], (len(objects), 1))
         self._worlds = {
             k: PlanningWorld(names, objects, nowhere, k, support, base, robot=robot) for k in moved
         }
@@ -268,13 +287,15 @@ class ReachCheck:
         return float(np.mean([self._is_taken(k, poses) for k in self._worlds]))
 
     def _is_taken(self, target: int, poses: np.ndarray) -> bool:
-        world, T_world_object = self._worlds[target], matrix_of(poses[target])
+        world = self._worlds[target]
+        T_world_object = matrix_of(poses[target])
         for number, pose in enumerate(poses):
             world.move(number, pose)
         for grip in rank_grasps(self._grasps[target], T_world_object, world.gripper):
             if grip.lever > self._max_lever:
                 continue
-            T_world_tool, opening = T_world_object @ grip.T_object_tool, grip.opening
+            T_world_tool = T_world_object @ grip.T_object_tool
+            opening = grip.opening
             if not world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
             found = self._kinematics.solutions(T_world_tool, 1)

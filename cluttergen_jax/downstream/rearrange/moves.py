@@ -55,8 +55,13 @@ class Moves:
         rng: np.random.Generator,
         planner: PathPlanner | None = None,
     ) -> None:
-        self._scene, self._grasps, self._rng, self._planner = scene, grasps, rng, planner
-        self._execution, self._sight, self._judge = execution, sight, judge
+        self._scene = scene
+        self._grasps = grasps
+        self._rng = rng
+        self._planner = planner
+        self._execution = execution
+        self._sight = sight
+        self._judge = judge
         self.base = base_pose(scene.support, execution.robot)
         self.kinematics = ArmKinematics(self.base, execution.robot)
         self.picks = self.waits = self.retries = self._backs = 0
@@ -77,7 +82,9 @@ class Moves:
             run.wait(0.2, Phase.FREE)
         self._sight()
 
-    def first(self, numbers: Sequence[int], places: Sequence[np.ndarray], *, is_wait: bool = False) -> bool:
+    def first(
+        self, numbers: Sequence[int], places: Sequence[np.ndarray], *, is_wait: bool = False
+    ) -> bool:
         """Brings the first of objects for which there is a way to one of its places; False if there is none.
 
         The most careful way of any of them comes first: where all goes with room to spare, nothing brushes
@@ -98,7 +105,8 @@ class Moves:
 
     def _move(self, k: int, places: np.ndarray, care: tuple[bool, float], is_wait: bool) -> bool:
         """Brings an object to one of places f64[M, 4, 4]; False if there is no way: it is where it was."""
-        scene, stood = self._scene, matrix_of(self._sight.poses[k])
+        scene = self._scene
+        stood = matrix_of(self._sight.poses[k])
         known = (scene.names, scene.objects, self._sight.poses)
         world = PlanningWorld(*known, k, scene.support, self.base, robot=self._execution.robot)
         seed = int(self._rng.integers(2**30))
@@ -153,12 +161,17 @@ class Moves:
 
     def _put(self, mover: Mover, plan: PickPlan, places: np.ndarray) -> int:
         """Puts down what is held at one of places, the last of which is where it was, and says at which."""
-        slipped, last = None, len(places) - 1
+        slipped = None
+        last = len(places) - 1
         for part, first in ((places[:last], 0), (places[last:], last)):
             try:
                 return first + mover.place(part)
             except Failed as failure:
-                if failure.outcome == Outcome.SLIP and slipped is None and not mover.has_lost(_IN_HAND):
+                if (
+                    failure.outcome == Outcome.SLIP
+                    and slipped is None
+                    and not mover.has_lost(_IN_HAND)
+                ):
                     slipped = failure
                 elif failure.outcome != Outcome.NO_PATH:
                     raise

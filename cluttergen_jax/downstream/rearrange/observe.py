@@ -26,11 +26,15 @@ _REACH = 1.5
 """Metres around the table that are drawn."""
 _NOWHERE = np.array([0.0, 0, -50, 1, 0, 0, 0])
 """f64[7], a pose far below all else, where nothing meets anything."""
-NEAR, NEAR_TURN = 0.04, float(np.radians(45))
-"""Metres and radians from where an object is known to be within which an estimate agrees with that."""
-AGREEING, OTHERWISE = 0.5, 0.7
-"""Certainty from which an estimate is believed: an object's first, or one that agrees with what is known, and
-one that does not."""
+# Metres and radians from where an object is known to be within which an estimate agrees with that.
+NEAR = 0.04
+NEAR_TURN = float(np.radians(45))
+
+# Certainty from which an estimate is believed: an object's first, or one that agrees with what is known, and
+# one that does not.
+AGREEING = 0.5
+OTHERWISE = 0.7
+
 _MOMENTS = 2
 """Moments that have told where an object is, from which on one alone does not turn it round on the spot."""
 
@@ -87,7 +91,10 @@ class SceneEstimate:
                 return f"`{name}` of shape {value.shape}"
             object.__setattr__(self, name, value)
         poses = self.pose[self.seen]
-        if not np.isfinite(poses).all() or (abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) > 1e-3).any():
+        if (
+            not np.isfinite(poses).all()
+            or (abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) > 1e-3).any()
+        ):
             return f"poses {poses.tolist()}"
         if not ((self.certainty >= 0) & (self.certainty <= 1)).all():
             return f"certainty {self.certainty.tolist()}"
@@ -105,7 +112,9 @@ class EpisodeView:
     """
 
     def __init__(self, execution: Execution, names: Sequence[str], seed: int = 0) -> None:
-        self._execution, self.names, self.seed = execution, tuple(names), seed
+        self._execution = execution
+        self.names = tuple(names)
+        self.seed = seed
         self._renderer: Renderer | None = None
         self._open = ExitStack()
 
@@ -149,15 +158,21 @@ class EpisodeView:
         Raises:
           RendererError: nothing here can draw.
         """
-        renderer, data = self._renderer_of(camera.width, camera.height), self._execution.data
+        renderer = self._renderer_of(camera.width, camera.height)
+        data = self._execution.data
         return renderer.average(data, camera, 1, _REACH), renderer.measure(data, camera)[0]
 
     def _renderer_of(self, width: int, height: int) -> Renderer:
         """A renderer of this size; one is open at a time."""
-        if self._renderer is None or (self._renderer.width, self._renderer.height) != (width, height):
+        if self._renderer is None or (self._renderer.width, self._renderer.height) != (
+            width,
+            height,
+        ):
             self._open.close()
             model = self._execution.model
-            set_range(model, _REACH * np.array([[-1, -1, 0], [1, 1, 1]]), CameraView(), width, height)
+            set_range(
+                model, _REACH * np.array([[-1, -1, 0], [1, 1, 1]]), CameraView(), width, height
+            )
             self._renderer = self._open.enter_context(open_renderer(model, width, height))
         return self._renderer
 
@@ -180,7 +195,9 @@ class Observer(Protocol):
         """Looks with the hand over the table; nothing but the arm moves until all names are asked for."""
         ...
 
-    def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
+    def __call__(
+        self, world: EpisodeView, names: Sequence[str], known: np.ndarray
+    ) -> SceneEstimate:
         """Where the objects of these names are now; called while nothing moves.
 
         Args:
@@ -199,10 +216,15 @@ class TrueObserver:
     def glance(self, world: EpisodeView) -> None:
         """Not needed."""
 
-    def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
+    def __call__(
+        self, world: EpisodeView, names: Sequence[str], known: np.ndarray
+    ) -> SceneEstimate:
         number = len(names)
         return SceneEstimate(
-            tuple(names), world.true_poses(names), np.ones(number, bool), np.ones(number, np.float64)
+            tuple(names),
+            world.true_poses(names),
+            np.ones(number, bool),
+            np.ones(number, np.float64),
         )
 
 
@@ -224,10 +246,14 @@ class ObjectTracker:
         relook: bool = True,
         symmetry: Sequence[int] | None = None,
     ) -> None:
-        self._observer, self._view, self._relook = observer, view, relook
+        self._observer = observer
+        self._view = view
+        self._relook = relook
         self._symmetry = symmetry or [1] * len(view.names)
-        self.num_looks, self._looked_at = 0, -1.0
-        self._held, self._T_tool_object = -1, np.eye(4)
+        self.num_looks = 0
+        self._looked_at = -1.0
+        self._held = -1
+        self._T_tool_object = np.eye(4)
         self._poses, self._guesses = np.full((2, len(view.names), 7), np.nan)
         # Of each object the latest moments that told the pose that is known, and another turn.
         self._agreed, self._turned = np.zeros((2, len(view.names)), int)
@@ -272,8 +298,10 @@ class ObjectTracker:
 
     def take(self, number: int, T_tool_object: np.ndarray) -> None:
         """From the next closing of the hand on it holds an object, which then lies in it at f64[4, 4]."""
-        self._held, self._T_tool_object = number, T_tool_object
-        self._agreed[number], self._turned[number] = min(self._agreed[number], 1), 0
+        self._held = number
+        self._T_tool_object = T_tool_object
+        self._agreed[number] = min(self._agreed[number], 1)
+        self._turned[number] = 0
 
     def glance(self) -> None:
         """Has the observer look from here, for the next time that all objects are looked for."""
@@ -292,7 +320,8 @@ class ObjectTracker:
             return certainty >= AGREEING
         shift, turn = offset(matrix_of(pose), matrix_of(known), self._symmetry[number])
         if shift <= NEAR and turn <= NEAR_TURN:
-            self._agreed[number], self._turned[number] = min(self._agreed[number] + 1, _MOMENTS), 0
+            self._agreed[number] = min(self._agreed[number] + 1, _MOMENTS)
+            self._turned[number] = 0
             return certainty >= AGREEING
         if certainty < OTHERWISE:
             return False
@@ -300,12 +329,14 @@ class ObjectTracker:
             self._turned[number] += 1
             if self._turned[number] < self._agreed[number]:
                 return False
-        self._agreed[number], self._turned[number] = 1, 0
+        self._agreed[number] = 1
+        self._turned[number] = 0
         return True
 
     def _observe(self, numbers: Sequence[int]) -> SceneEstimate:
         if len(numbers) == len(self._poses):
-            self.num_looks, self._looked_at = self.num_looks + 1, self._view.time
+            self.num_looks = self.num_looks + 1
+            self._looked_at = self._view.time
         names = [self._view.names[number] for number in numbers]
         found = self._observer(self._view, names, self._poses[list(numbers)])
         if not isinstance(found, SceneEstimate) or list(found.names) != names:

@@ -44,7 +44,9 @@ class Meetings:
         self._number = len(objects)
         names = [f"{kind}-{number}" for kind in ("now", "goal") for number in range(self._number)]
         contact = ContactConfig()
-        spec = populated_spec(names, [*objects, *objects], None, StabilityConfig().timestep, contact)
+        spec = populated_spec(
+            names, [*objects, *objects], None, StabilityConfig().timestep, contact
+        )
         for geom in spec.geoms:
             geom.margin = GAP
         self._model = spec.compile()
@@ -54,7 +56,8 @@ class Meetings:
     def relations(self, poses: np.ndarray, goals: np.ndarray) -> Relations:
         """Of objects at f64[N, 7] that shall go to f64[N, 7]."""
         near, on_top = self._contacts(poses, goals)
-        first, last = slice(0, self._number), slice(self._number, None)
+        first = slice(0, self._number)
+        last = slice(self._number, None)
         # MuJoCo finds no contact between equal bodies at one place.
         blocks = near[first, last] | (cdist(poses[:, :3], goals[:, :3]) < GAP)
         np.fill_diagonal(blocks, False)

@@ -64,12 +64,16 @@ class PerceptionObserver:
         has_wrist: bool = True,
         robot: RobotDescription | None = None,
     ) -> None:
-        self._finder, self._support, self._noise, self._seed = finder, support, noise, seed
+        self._finder = finder
+        self._support = support
+        self._noise = noise
+        self._seed = seed
         self._silhouette = ArmSilhouette(base_pose(support, robot), robot=robot)
         self._glances: list[Look] = []
         self._num_before = 0
         self.weights = weights
-        self._cameras, self._has_wrist = tuple(cameras), has_wrist
+        self._cameras = tuple(cameras)
+        self._has_wrist = has_wrist
         self.registration = registration_hash(noise)
         if cameras or not has_wrist:
             self.registration = json_digest([self.registration, repr(self._cameras), has_wrist])
@@ -77,7 +81,9 @@ class PerceptionObserver:
     def glance(self, world: EpisodeView) -> None:
         self._glances = self._look(world, wrist_camera(world.tool), 0) if self._has_wrist else []
 
-    def __call__(self, world: EpisodeView, names: Sequence[str], known: np.ndarray) -> SceneEstimate:
+    def __call__(
+        self, world: EpisodeView, names: Sequence[str], known: np.ndarray
+    ) -> SceneEstimate:
         looks, self._glances = self._glances, []
         before = 0 if np.isnan(known).all() else self._num_before
         self._num_before = before + 1
@@ -91,10 +97,14 @@ class PerceptionObserver:
                     break
         if found is None:
             nothing = np.zeros(len(names))
-            return SceneEstimate(tuple(names), np.zeros((len(names), 7)), nothing.astype(bool), nothing)
+            return SceneEstimate(
+                tuple(names), np.zeros((len(names), 7)), nothing.astype(bool), nothing
+            )
         # What was never seen and is half hidden may be anywhere under what hides it.
         least = np.where(np.isnan(known).any(1), found.visible, 1.0)
-        return SceneEstimate(found.names, found.pose, found.seen, np.minimum(found.certainty, least))
+        return SceneEstimate(
+            found.names, found.pose, found.seen, np.minimum(found.certainty, least)
+        )
 
     def _around(self, world: EpisodeView) -> list[Camera]:
         """The cameras that stand around the table."""

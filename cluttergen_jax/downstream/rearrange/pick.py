@@ -40,7 +40,8 @@ class LayoutPanel:
     """
 
     def __init__(self, server: viser.ViserServer, rule: LayoutRule) -> None:
-        self.server, self.number = server, -1
+        self.server = server
+        self.number = -1
         self._rule: LayoutRule = rule
         self._nodes = SceneNodes(server)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="layouts")
@@ -52,7 +53,8 @@ class LayoutPanel:
         with server.gui.add_folder("Layout"):
             self._said = server.gui.add_markdown("The first scene is made ...")
             self._buttons = [
-                server.gui.add_button(label) for label in ("Next layout", "Previous layout", "Take this one")
+                server.gui.add_button(label)
+                for label in ("Next layout", "Previous layout", "Take this one")
             ]
         for button, act in zip(self._buttons, (self.next, self.previous, self.take), strict=True):
             button.on_click(self._callback(act))
@@ -103,7 +105,8 @@ class LayoutPanel:
 
     def _show(self, task: RearrangeTask, poses: np.ndarray, layouts: Layouts) -> None:
         """Another scene, and the best of its layouts."""
-        scene, num_moved = task.scene, task.setting.num_objects
+        scene = task.scene
+        num_moved = task.setting.num_objects
         for ghost in self._ghosts:
             ghost.remove()
         self._nodes.show(
@@ -124,9 +127,13 @@ class LayoutPanel:
             for number, asset in enumerate(scene.objects[:num_moved])
         ]
         if self.number < 0:
-            for each in (self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())):
+            for each in (
+                self.server.initial_camera,
+                *(c.camera for c in self.server.get_clients().values()),
+            ):
                 aim(each, scene.support.region, scene.support.top)
-        self._layouts, self._starts = layouts, poses[:num_moved, :3]
+        self._layouts = layouts
+        self._starts = poses[:num_moved, :3]
         self._order = layouts.rank(self._rule).tolist()
         self.number = self._order[0]
         self._enable(True)
@@ -144,9 +151,12 @@ class LayoutPanel:
         goals = self._layouts.poses[self.number, : len(self._ghosts)]
         with self.server.atomic():
             for ghost, pose in zip(self._ghosts, goals, strict=True):
-                ghost.position, ghost.wxyz = pose[:3], pose[3:]
+                ghost.position = pose[:3]
+                ghost.wxyz = pose[3:]
             ways = np.stack([self._starts, goals[:, :3]], axis=1) + np.array([0.0, 0.0, _LIFT])
-            self.server.scene.add_line_segments("/ways", ways.astype(np.float32), _BLUE, thickness=0.003)
+            self.server.scene.add_line_segments(
+                "/ways", ways.astype(np.float32), _BLUE, thickness=0.003
+            )
         place = self._order.index(self.number) + 1
         words = layout_words(self._layouts, self.number)
         self._said.content = f"**{place} of {len(self._order)}**: layout {words}"
@@ -157,5 +167,7 @@ def _colour(asset: ObjectAsset) -> tuple[float, float, float, float]:
     if not asset.pieces:
         return (0.5, 0.5, 0.5, _ALPHA)
     weights = [len(piece.mesh.vertices) for piece in asset.pieces]
-    red, green, blue, _ = np.average([piece.mean_rgba for piece in asset.pieces], axis=0, weights=weights)
+    red, green, blue, _ = np.average(
+        [piece.mean_rgba for piece in asset.pieces], axis=0, weights=weights
+    )
     return (float(red), float(green), float(blue), _ALPHA)

@@ -10,7 +10,11 @@ import numpy as np
 from cluttergen_jax.downstream.rearrange.episode import draw_layouts
 from cluttergen_jax.downstream.rearrange.layouts import Layouts
 from cluttergen_jax.downstream.rearrange.observe import Observer
-from cluttergen_jax.downstream.rearrange.task import RearrangeOptions, RearrangeResult, RearrangeTask
+from cluttergen_jax.downstream.rearrange.task import (
+    RearrangeOptions,
+    RearrangeResult,
+    RearrangeTask,
+)
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.assets import close_points
@@ -24,7 +28,8 @@ from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 _PICTURE = PictureConfig(360, 270, 16, CameraView(azimuth=0.0, elevation=-58.0))
 """From where the arm stands."""
 _BLUE = (0.16, 0.43, 0.86)
-_GHOST_ALPHA, _GHOST_TINT = 0.62, 0.3
+_GHOST_ALPHA = 0.62
+_GHOST_TINT = 0.3
 _LIFT = 0.01
 _COLUMNS = 5
 
@@ -50,7 +55,8 @@ def layout_sheet(
     """
     if not -1 <= chosen < len(layouts) or not len(layouts):
         raise ConfigError(f"layout {chosen} of {len(layouts)}", "-1, or the number of a layout")
-    scene, num_moved = task.scene, task.setting.num_objects
+    scene = task.scene
+    num_moved = task.setting.num_objects
     goals = layouts.poses[:, :num_moved]
     ghosts = scene.objects[:num_moved]
     points = [close_points(scene.objects, scene.poses, scene.support)]
@@ -58,7 +64,9 @@ def layout_sheet(
     picture = picture or _PICTURE
     standing = [RenderStyle(pose) for pose in scene.poses]
     images = []
-    with scene_renderer((*scene.objects, *ghosts), scene.support, np.concatenate(points), picture) as shown:
+    with scene_renderer(
+        (*scene.objects, *ghosts), scene.support, np.concatenate(points), picture
+    ) as shown:
         for number, goal in enumerate(goals):
             moved = [RenderStyle(pose, _GHOST_ALPHA, _BLUE, _GHOST_TINT) for pose in goal]
             ways = [_way(*ends) for ends in zip(scene.poses[:num_moved], goal, strict=True)]
@@ -70,7 +78,9 @@ def layout_sheet(
 
 def layout_words(layouts: Layouts, number: int, is_chosen: bool = False) -> str:
     """What is known of a layout, in a line."""
-    gap, reach, way = layouts.clearance[number], layouts.reach[number], layouts.travel[number]
+    gap = layouts.clearance[number]
+    reach = layouts.reach[number]
+    way = layouts.travel[number]
     mark = ", chosen" if is_chosen else ""
     return f"{number}{mark}: gap {1e3 * gap:.0f} mm, reach {reach:.0%}, way {1e2 * way:.0f} cm"
 
@@ -97,7 +107,9 @@ def save_sheets(
     Returns:
       The sheets that were made.
     """
-    paths = {number: folder / f"layouts-{number}.png" for number, row in enumerate(rows) if row.layouts}
+    paths = {
+        number: folder / f"layouts-{number}.png" for number, row in enumerate(rows) if row.layouts
+    }
     missing = {number: path for number, path in paths.items() if not path.exists()}
     with Progress("layouts", len(missing), "sheet") as progress:
         for number, path in missing.items():

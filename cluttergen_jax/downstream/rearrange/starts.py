@@ -27,7 +27,8 @@ from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank import Bank, read_scenes
 
-_MOST_DRAWS, _MOST_CHOICES = 16, 1000
+_MOST_DRAWS = 16
+_MOST_CHOICES = 1000
 _SLACK = 1e-6
 
 
@@ -73,7 +74,9 @@ class Starts:
         robot: RobotDescription | None = None,
     ) -> None:
         self._robot = robot
-        self._pool, self._planner, self._own = pool, planner, own or OwnScenes()
+        self._pool = pool
+        self._planner = planner
+        self._own = own or OwnScenes()
         self._num_threads = num_threads or os.cpu_count() or 1
         self._find_grasps = GraspFinder(own_grasps, self._num_threads, robot)
         self._grasps: dict[str, Grasps] = {}
@@ -85,7 +88,9 @@ class Starts:
         if self._own.bank is not None:
             self._scenes = _fitting_scenes(self._own.bank, self._goals)
             most = max(len(each.names) for each in self._scenes)
-            setting = replace(setting, num_objects=most, num_others=0, method="clear", num_stacked=0)
+            setting = replace(
+                setting, num_objects=most, num_others=0, method="clear", num_stacked=0
+            )
         self.setting = setting
 
     # Compiled when the first scene is asked for.
@@ -116,7 +121,9 @@ class Starts:
     @cached_property
     def _placed(self) -> RearrangeSetting:
         """The setting with its rectangles where they are on the support."""
-        setting, own, area = self.setting, self._own, self._place.area
+        setting = self.setting
+        own = self._own
+        area = self._place.area
         if own.bank is not None:
             setting = replace(setting, start=area, target=own.target or area)
         elif own.support is not None:
@@ -143,7 +150,8 @@ class Starts:
             within what the arm reaches of the support.
         """
         rng = np.random.default_rng(seed)
-        setting, place = self._placed, self._place
+        setting = self._placed
+        place = self._place
         if self._scenes:
             scene = self._scenes[index % len(self._scenes)]
             scene = replace(scene, support=place.support)
@@ -154,7 +162,8 @@ class Starts:
             return task
         for _ in range(_MOST_DRAWS):
             numbers = self._choose(rng)
-            moved, others = numbers[: setting.num_objects], numbers[setting.num_objects :]
+            moved = numbers[: setting.num_objects]
+            others = numbers[setting.num_objects :]
             stay = np.zeros((0, 7))
             if others:
                 found = place(_draw_seed(rng), others, setting.target)
@@ -171,11 +180,15 @@ class Starts:
                     place.support,
                 )
                 grasps = self._grasps_of(objects)
-                if setting.num_stacked and not is_stacked(scene, grasps, setting.num_stacked, self._robot):
+                if setting.num_stacked and not is_stacked(
+                    scene, grasps, setting.num_stacked, self._robot
+                ):
                     continue
                 if (task := self._task(scene, numbers, grasps, setting, rng)) is not None:
                     return task
-        raise ConfigError(f"no starting scene of {setting.name!r}", "smaller objects", "another pool")
+        raise ConfigError(
+            f"no starting scene of {setting.name!r}", "smaller objects", "another pool"
+        )
 
     def _choose(self, rng: np.random.Generator) -> list[int]:
         """Objects of the pool at random; such as the goals are for, if there are goals."""
@@ -185,7 +198,9 @@ class Starts:
             if self._goals is None or self._goals.fits([objects[each] for each in numbers]):
                 return numbers
         number = self.setting.num_slots
-        raise ConfigError(f"goals for other objects than {number} of the pool", "objects of the pool")
+        raise ConfigError(
+            f"goals for other objects than {number} of the pool", "objects of the pool"
+        )
 
     def _task(
         self,
@@ -196,7 +211,8 @@ class Starts:
         rng: np.random.Generator,
     ) -> RearrangeTask | None:
         """A scene as a task, what is to be moved first; None if it lacks what the goals are for."""
-        seed, symmetry = _draw_seed(rng), tuple(map(self._symmetry, scene.objects))
+        seed = _draw_seed(rng)
+        symmetry = tuple(map(self._symmetry, scene.objects))
         layouts = None
         if self._goals is not None:
             goal = self._goals(scene, numbers, seed, setting.target)
@@ -204,18 +220,25 @@ class Starts:
                 return None
             layouts = goal.layouts
             order = [*goal.moved, *(k for k in range(len(numbers)) if k not in goal.moved)]
-            grasps, symmetry = tuple(grasps[k] for k in order), tuple(symmetry[k] for k in order)
-            names, objects = tuple(scene.names[k] for k in order), tuple(scene.objects[k] for k in order)
+            grasps = tuple(grasps[k] for k in order)
+            symmetry = tuple(symmetry[k] for k in order)
+            names = tuple(scene.names[k] for k in order)
+            objects = tuple(scene.objects[k] for k in order)
             scene = replace(scene, names=names, objects=objects, poses=scene.poses[order])
-            numbers, moved = [numbers[k] for k in order], len(goal.moved)
+            numbers = [numbers[k] for k in order]
+            moved = len(goal.moved)
             setting = replace(setting, num_objects=moved, num_others=len(order) - moved)
         place = self._place
         known = (tuple(numbers), grasps, symmetry, place)
-        return RearrangeTask(setting, scene, *known, seed, self._planner, layouts, place.area, self._robot)
+        return RearrangeTask(
+            setting, scene, *known, seed, self._planner, layouts, place.area, self._robot
+        )
 
     def _grasps_of(self, objects: Sequence[ObjectAsset]) -> tuple[Grasps, ...]:
         """Of each object, found when it is first asked for."""
-        fresh = list({each.name: each for each in objects if each.name not in self._grasps}.values())
+        fresh = list(
+            {each.name: each for each in objects if each.name not in self._grasps}.values()
+        )
         if fresh:
             found = self._find_grasps(fresh)
             self._grasps.update(zip((each.name for each in fresh), found, strict=True))
@@ -227,11 +250,20 @@ def _fitting_scenes(bank: Bank, goals: RelationGoals | BankGoals | None) -> list
     scenes = list(read_scenes(bank))
     kept = [each for each in scenes if goals is None or goals.fits(each.objects)]
     if not kept:
-        what = "is a success" if goals is None or not scenes else f"has what the goals are for: {goals.name}"
-        raise BankError(f"{bank.path}: no scene {what}", "one or more", "another bank, or other goals")
+        what = (
+            "is a success"
+            if goals is None or not scenes
+            else f"has what the goals are for: {goals.name}"
+        )
+        raise BankError(
+            f"{bank.path}: no scene {what}", "one or more", "another bank, or other goals"
+        )
     if len(kept) < len(scenes):
         left = len(scenes) - len(kept)
-        print(f"left out   {left} of {len(scenes)} scenes, without the goals' objects", file=sys.stderr)
+        print(
+            f"left out   {left} of {len(scenes)} scenes, without the goals' objects",
+            file=sys.stderr,
+        )
     return kept
 
 
@@ -244,11 +276,17 @@ def _carry_over(rectangle: Rectangle, area: Rectangle) -> Rectangle:
 def _check_inside(rectangle: Rectangle, area: Rectangle, what: str) -> None:
     corners = rotate_in_plane(rectangle.corners - np.asarray(area.center), -area.yaw)
     if (np.abs(corners) > np.asarray(area.half_extents) + _SLACK).any():
-        (x, y), (half_x, half_y) = area.center, area.half_extents
-        allowed = f"within {2 * half_x:g} x {2 * half_y:g} m about {x:g}, {y:g}, which the arm reaches"
-        (x, y), (half_x, half_y) = rectangle.center, rectangle.half_extents
+        (x, y) = area.center
+        (half_x, half_y) = area.half_extents
+        allowed = (
+            f"within {2 * half_x:g} x {2 * half_y:g} m about {x:g}, {y:g}, which the arm reaches"
+        )
+        (x, y) = rectangle.center
+        (half_x, half_y) = rectangle.half_extents
         given = f"{what}, {2 * half_x:g} x {2 * half_y:g} m about {x:g}, {y:g}"
-        raise ConfigError(given, allowed, "a smaller `target`, another `setting`, or a larger support")
+        raise ConfigError(
+            given, allowed, "a smaller `target`, another `setting`, or a larger support"
+        )
 
 
 def _draw_seed(rng: np.random.Generator) -> int:

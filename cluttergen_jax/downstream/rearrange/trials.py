@@ -33,7 +33,12 @@ from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, success_of
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
 from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
-from cluttergen_jax.downstream.robot.trials import EPISODES, episode_seed, planner_hash, planner_recipe
+from cluttergen_jax.downstream.robot.trials import (
+    EPISODES,
+    episode_seed,
+    planner_hash,
+    planner_recipe,
+)
 from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.kept_folder import hold_out
@@ -75,7 +80,9 @@ class Rearrangements(Endings):
             )
         if rows:
             names = ("looks", "path", "seconds", "cpu")
-            looks, path, seconds, cpu = (np.mean([getattr(row, name) for row in rows]) for name in names)
+            looks, path, seconds, cpu = (
+                np.mean([getattr(row, name) for row in rows]) for name in names
+            )
             lines.append(
                 f"an episode: {looks:.0f} looks at all objects, {path:.1f} m of the tool, {seconds:.0f} s "
                 f"simulated, {cpu:.1f} CPU-s"
@@ -145,7 +152,13 @@ def run_rearrangements(
     """
     observer = observer or TrueObserver()
     told = getattr(observer, "name", type(observer).__name__)
-    recipe = {"setting": setting.name, "pool": pool, "seed": seed, **asdict(options), **(told_own or {})}
+    recipe = {
+        "setting": setting.name,
+        "pool": pool,
+        "seed": seed,
+        **asdict(options),
+        **(told_own or {}),
+    }
     recipe["observer"] = part_label(observer, "observer") if is_own(observer) else told
     recipe |= {name: getattr(observer, name, "") for name in ("weights", "registration")}
     robot = robot or find_robot()
@@ -155,7 +168,9 @@ def run_rearrangements(
     recipe["planner"] = planner_recipe(rearrange_hash(), planner)
     if ask is not None:
         recipe["choose"] = "person"
-    file = RowFile(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange", _ADDED)
+    file = RowFile(
+        None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange", _ADDED
+    )
     rows = file.read(number)
     # Where nothing is left to be done it is not made.
     starts = cache(lambda: Starts(setting, pool, num_threads, own_grasps, planner, own, robot))

@@ -88,7 +88,8 @@ def robot_grasps(
     check_workers("num_threads", num_threads)
     check_range("num_grasps", num_grasps, 1, _MOST_GRASPS, 64)
     check_range("seed", seed, 0, _MOST_SEED, 0)
-    found, described = find_pool(pool), find_robot(robot)
+    found = find_pool(pool)
+    described = find_robot(robot)
     chosen = tuple(found[name] for name in objects) or found.objects
     with hold_file(out), hold_file(picture):
         sets = grasp_sets(chosen, num_grasps, seed, num_threads, fresh, described)
@@ -223,7 +224,10 @@ def robot_place(
     found = bank_or_made(bank, make, "pool method support num_objects region", given)
     recipe = found.record["recipe"]
     queried = region_of(found)
-    scenes = [replace(scene, support=replace(scene.support, region=queried)) for scene in read_scenes(found)]
+    scenes = [
+        replace(scene, support=replace(scene.support, region=queried))
+        for scene in read_scenes(found)
+    ]
     if task == "place" and poses_of(found) != "upright":
         scenes = keep_upright_last(scenes)
     # Of another bank's scenes the rows would not be comparable.
@@ -234,7 +238,9 @@ def robot_place(
     threads = num_threads or os.cpu_count() or 1
     places: Any = own_place
     if task == "place" and looking is not None:
-        places = CameraPlacer(found, looking, str(placer) if is_named else part_name(placer), factor)
+        places = CameraPlacer(
+            found, looking, str(placer) if is_named else part_name(placer), factor
+        )
         trained = placer_folder(placer) if isinstance(placer, str | Path) else None
         rows |= {"noise": factor, "weights": trained and checkpoint.folder_hash(trained)}
     elif task == "place" and placer != "none":
@@ -294,10 +300,14 @@ def _factor(noise: float | None, task: str, is_looking: bool) -> float:
         return 1.0
     if task != "place":
         raise ConfigError(
-            f"noise = {noise!r} with task = {task!r}", "place, and a placer that looks", "task='place'"
+            f"noise = {noise!r} with task = {task!r}",
+            "place, and a placer that looks",
+            "task='place'",
         )
     if not is_looking:
-        raise ConfigError(f"noise = {noise!r} where nothing looks", "a placer that looks", "placer='scored'")
+        raise ConfigError(
+            f"noise = {noise!r} where nothing looks", "a placer that looks", "placer='scored'"
+        )
     if not (isinstance(noise, Real) and 0 <= noise <= MAX_NOISE):
         raise ConfigError(f"noise = {noise!r}", f"0 to {MAX_NOISE:g}", "noise=1")
     return float(noise)

@@ -9,8 +9,10 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.sensing import REALSENSE_FOCAL, Camera, intrinsics, overhead
 
-SIZE, FOCAL = (320, 240), REALSENSE_FOCAL / 2
-"""Of pictures: a depth camera of the RealSense kind at half of its resolution."""
+# Of pictures: a depth camera of the RealSense kind at half of its resolution.
+SIZE = (320, 240)
+FOCAL = REALSENSE_FOCAL / 2
+
 _WRIST_PLACE = np.array([0.06, 0.0, -0.08])
 _WRIST_TILT = np.radians(-8.0)
 

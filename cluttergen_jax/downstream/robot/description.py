@@ -187,7 +187,9 @@ def find_robot(robot: RobotLike | None = None) -> RobotDescription:
         try:
             check_robot(robot)
         except TypeError as error:
-            raise ConfigError(f"robot {robot.name}: {error}", "tuples, as of `read_robot`", HINT) from error
+            raise ConfigError(
+                f"robot {robot.name}: {error}", "tuples, as of `read_robot`", HINT
+            ) from error
         return robot
     name = _USUAL if robot is None else str(robot)
     path = _ROBOTS / f"{name}.yaml" if name in list_robots() else Path(name)
@@ -237,7 +239,9 @@ def _check_fields(content: Any, kind: Any, where: str = "") -> None:
     for name, value in content.items():
         if name not in known:
             meant = closest(name, known)
-            raise SchemaError(f"{where}{name!r} is unknown" + (f", is {meant!r} meant?" if meant else ""))
+            raise SchemaError(
+                f"{where}{name!r} is unknown" + (f", is {meant!r} meant?" if meant else "")
+            )
         part = _PARTS.get(name)
         if part is not None:
             _check_fields(value, part, f"{where}{name}: ")
@@ -261,11 +265,16 @@ def check_robot(robot: RobotDescription) -> None:
 
 def _wrong_values(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
     """What is wrong in a description by itself: what was given, and what is allowed."""
-    arm, gripper, number = robot.arm, robot.gripper, len(robot.arm.joints)
+    arm = robot.arm
+    gripper = robot.gripper
+    number = len(robot.arm.joints)
     for where, name, value in _values(robot):
         numbers = np.array(list(_floats(value)))
         if not np.isfinite(numbers).all() or (name in _POSITIVE and (numbers <= 0).any()):
-            yield f"{where}{name} = {value}", "numbers above 0" if name in _POSITIVE else "finite numbers"
+            yield (
+                f"{where}{name} = {value}",
+                "numbers above 0" if name in _POSITIVE else "finite numbers",
+            )
     if not robot.name.isidentifier():
         yield f"name = {robot.name!r}", "letters, digits and _"
     if robot.distance > _MOST_DISTANCE:
@@ -280,9 +289,15 @@ def _wrong_values(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
     for name in ("tool", "pose"):
         value = getattr(gripper, name)
         if len(value) != 7 or abs(np.linalg.norm(value[3:]) - 1) > _TURN:
-            yield f"gripper.{name} = {list(value)}", "x y z in metres, and a unit quaternion w x y z"
+            yield (
+                f"gripper.{name} = {list(value)}",
+                "x y z in metres, and a unit quaternion w x y z",
+            )
         elif np.linalg.norm(value[:3]) > _MOST_TOOL:
-            yield f"gripper.{name} = {list(value)}", f"x y z in metres, up to {_MOST_TOOL:g} m from the hand"
+            yield (
+                f"gripper.{name} = {list(value)}",
+                f"x y z in metres, up to {_MOST_TOOL:g} m from the hand",
+            )
     if not gripper.joints:
         yield "gripper.joints is empty", "the joints that tell how far it is open"
     if gripper.open == gripper.closed:
@@ -295,13 +310,21 @@ def _wrong_values(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
     if len(lengths) > 1 or lengths < {2} or len({len(each) for each in table.joints}) != 1:
         yield "gripper.table with columns of different length", "as many rows of each, 2 or more"
     steps = np.diff(table.control)
-    if table.width[0] != 0 or (np.diff(table.width) <= 0).any() or abs(np.sign(steps).sum()) < len(steps):
-        yield "gripper.table out of order", "widths that rise from 0, controls that rise or fall throughout"
+    if (
+        table.width[0] != 0
+        or (np.diff(table.width) <= 0).any()
+        or abs(np.sign(steps).sum()) < len(steps)
+    ):
+        yield (
+            "gripper.table out of order",
+            "widths that rise from 0, controls that rise or fall throughout",
+        )
 
 
 def _wrong_names(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
     """What a description says that its models do not have, and the name that was probably meant."""
-    arm, gripper = robot.arm, robot.gripper
+    arm = robot.arm
+    gripper = robot.gripper
     whole, hand = (mujoco_spec(part.path) for part in (arm, gripper))
     asked: list[tuple[str, Sequence[Any], Sequence[str]]] = [
         ("arm: no joint", whole.joints, arm.joints),
@@ -319,7 +342,11 @@ def _wrong_names(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
         known = [element.name for element in elements if element.name]
         for name in names:
             if name not in known:
-                yield f"{what} {name!r} in its model", ", ".join(known) or "none", closest(name, known)
+                yield (
+                    f"{what} {name!r} in its model",
+                    ", ".join(known) or "none",
+                    closest(name, known),
+                )
     for name, joint in zip(arm.actuators, arm.joints, strict=True):
         moved = whole.actuator(name)
         if moved.trntype in _OF_JOINTS and moved.target != joint:
@@ -338,9 +365,14 @@ def _wrong_names(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
                     f"within its model's {least:g} to {most:g} rad",
                 )
     limits = zip(*arm_limits(robot, whole), strict=True)
-    for joint, home, back, (low, high) in zip(arm.joints, arm.home, arm.drawn_back, limits, strict=True):
+    for joint, home, back, (low, high) in zip(
+        arm.joints, arm.home, arm.drawn_back, limits, strict=True
+    ):
         if low >= high:
-            yield f"joint {joint!r} without a range in its model", "`arm.limits`, low and high of each joint"
+            yield (
+                f"joint {joint!r} without a range in its model",
+                "`arm.limits`, low and high of each joint",
+            )
         for name, value in (("home", home), ("drawn_back", back)):
             if not low <= value <= high:
                 yield f"arm.{name} has {joint} at {value}", f"{low:g} to {high:g} rad"

@@ -30,7 +30,9 @@ STAND_SIDE = 0.26
 """Metres; the square beside the table from which objects are picked up."""
 WATCHED = 2.0
 """Seconds for which everything must stand once the hand has left."""
-_STAND_GAP, _STAND_HALF_HEIGHT, _STAND_BEFORE = 0.01, 0.01, 0.1
+_STAND_GAP = 0.01
+_STAND_HALF_HEIGHT = 0.01
+_STAND_BEFORE = 0.1
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,8 @@ def stand_beside(support: SupportAsset) -> Box:
     region = support.region
     center = np.asarray(region.center)
     parts = [
-        rotate_in_plane(part.vertices[:, :2] - center, -region.yaw)[:, 1].min() for part in support.parts
+        rotate_in_plane(part.vertices[:, :2] - center, -region.yaw)[:, 1].min()
+        for part in support.parts
     ]
     low = min([_low_side(box, region.yaw, center) for box in support.boxes] + parts)
     middle = np.array([-_STAND_BEFORE, low - _STAND_GAP - STAND_SIDE / 2])
@@ -80,7 +83,9 @@ def stand_beside(support: SupportAsset) -> Box:
 def _low_side(box: Box, yaw: float, center: np.ndarray) -> float:
     """The least y of a box in the region's frame."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    corners = np.asarray(box.center[:2]) + rotate_in_plane(signs * box.half_extents[:2], box.yaw) - center
+    corners = (
+        np.asarray(box.center[:2]) + rotate_in_plane(signs * box.half_extents[:2], box.yaw) - center
+    )
     return float(rotate_in_plane(corners, -yaw)[:, 1].min())
 
 
@@ -109,7 +114,8 @@ class Referee:
         execution: Execution | None = None,
     ) -> None:
         self.put: Put | None = None
-        self.scene, self.target = scene, target
+        self.scene = scene
+        self.target = target
         self.execution = execution or Execution(scene, target, stands, trace, robot=robot)
         self._others = [k for k in range(len(scene.names)) if k != target]
         self.displaced = 0.0
@@ -126,7 +132,8 @@ class Referee:
     def moved_others(self) -> list[int]:
         """The numbers of the other objects that have moved too far; keeps how far one has at most."""
         limits = StabilityConfig()
-        now, then = self.execution.poses()[self._others], self.scene.poses[self._others]
+        now = self.execution.poses()[self._others]
+        then = self.scene.poses[self._others]
         shift, turn = motion_between(now, then)
         self.displaced = max(self.displaced, float(shift.max(initial=0.0)))
         is_far = (shift > limits.max_shift) | (turn > limits.max_turn)
@@ -138,7 +145,8 @@ class Referee:
         Raises:
           Failed: it moved by more than the last check of scenes allows, or another did.
         """
-        limits, start = StabilityConfig(), self.execution.poses()[self.target]
+        limits = StabilityConfig()
+        start = self.execution.poses()[self.target]
         for _ in range(round(WATCHED / 0.1)):
             self.execution.wait(0.1, Phase.FREE)
             shift, turn = motion_between(self.execution.poses()[self.target], start)
@@ -152,7 +160,8 @@ class Referee:
         Raises:
           Failed: it does not.
         """
-        region, pose = self.scene.support.region, self.execution.pose(self.target)
+        region = self.scene.support.region
+        pose = self.execution.pose(self.target)
         place = rotate_in_plane(pose[:2, 3] - np.asarray(region.center), -region.yaw)
         if (np.abs(place) > np.asarray(region.half_extents)).any():
             raise Failed(Outcome.OUTSIDE, self.scene.names[self.target])
@@ -192,7 +201,8 @@ class EpisodeWorld(Referee):
         robot: RobotDescription | None = None,
     ) -> None:
         super().__init__(scene, target, stands, trace, robot)
-        base, known = base_pose(scene.support, robot), (scene.names, scene.objects, scene.poses)
+        base = base_pose(scene.support, robot)
+        known = (scene.names, scene.objects, scene.poses)
         planning = PlanningWorld(*known, target, scene.support, base, stands, robot=robot)
         self.mover = Mover(
             self.execution, planning, ArmKinematics(base, robot), target, seed, planner=planner
@@ -279,7 +289,8 @@ def sensing_place_episode(
     """
     scene, stand = set_on_stand(scene, target, seed)
     world = Referee(scene, target, (stand,), trace, robot)
-    asset, start = scene.objects[target], scene.poses[target]
+    asset = scene.objects[target]
+    start = scene.poses[target]
     known = (world.execution, asset, start, scene.support, stand, placer)
     arm = SensingArm(*known, scene.names[target], seed, planner)
 
@@ -298,9 +309,12 @@ def sensing_place_episode(
 
 def set_on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
     """The scene with the target on a stand beside the table, somehow turned."""
-    stand, asset = stand_beside(scene.support), scene.objects[target]
+    stand = stand_beside(scene.support)
+    asset = scene.objects[target]
     yaw = np.random.default_rng(seed).uniform(-np.pi, np.pi)
-    quaternion = product(np.array(yaw_quaternion(yaw)), np.asarray(asset.resting[0].quaternion, np.float64))
+    quaternion = product(
+        np.array(yaw_quaternion(yaw)), np.asarray(asset.resting[0].quaternion, np.float64)
+    )
     poses = scene.poses.copy()
     poses[target] = [*stand.center[:2], scene.support.top + asset.resting[0].height, *quaternion]
     return replace(scene, poses=poses), stand
@@ -310,9 +324,11 @@ def _run_episode(world: Referee, run: Callable[[], None]) -> EpisodeResult:
     begun = time.process_time()
     try:
         run()
-        outcome, detail = str(Outcome.SUCCESS), ""
+        outcome = str(Outcome.SUCCESS)
+        detail = ""
     except Failed as failure:
-        outcome, detail = str(failure.outcome), failure.detail
+        outcome = str(failure.outcome)
+        detail = failure.detail
     world.moved_others()
     put = world.put
     error, turn_error, z_error = (float("nan"),) * 3 if put is None else world.errors(put.place)

@@ -33,17 +33,23 @@ FPS = 10
 """Frames per second: 10 hundredths of a second each, which GIF can tell."""
 EVERY = round(1 / (2 * FPS * TIMESTEP))
 """Steps from one state that is kept to the next."""
-_SECONDS, _FASTEST = 8.0, 8.0
-"""A film is as fast as it takes to last so long, but never faster than so many times reality."""
+# A film is as fast as it takes to last so long, but never faster than so many times reality.
+_SECONDS = 8.0
+_FASTEST = 8.0
+
 _HELD = 1.0
 """Seconds for which the end is shown."""
-_WIDTH, _HEIGHT = 480, 360
+_WIDTH = 480
+_HEIGHT = 360
 _FINE = 2
 """Drawn so many times larger, then reduced."""
-_AZIMUTH, _ELEVATION = 205.0, -32.0
-"""Degrees, of the camera: from across the table, towards the arm."""
-_ARM_WIDTH, _ROOM = 0.08, 0.1
-"""Metres around the middles of the arm's links, and over the region, that are in the picture."""
+# Degrees, of the camera: from across the table, towards the arm.
+_AZIMUTH = 205.0
+_ELEVATION = -32.0
+
+# Metres around the middles of the arm's links, and over the region, that are in the picture.
+_ARM_WIDTH = 0.08
+_ROOM = 0.1
 
 
 def check_films(film: FilmFormat) -> None:
@@ -66,8 +72,13 @@ class Films(Generic[RowT]):
       folder: for the films, OUTCOME-NUMBER.gif or .mp4. film: which of the two. title: of all of them.
     """
 
-    def __init__(self, run: Callable[[int, Trace], RowT], folder: Path, film: FilmFormat, title: str) -> None:
-        self._run, self._folder, self._film, self._title = run, folder, film, title
+    def __init__(
+        self, run: Callable[[int, Trace], RowT], folder: Path, film: FilmFormat, title: str
+    ) -> None:
+        self._run = run
+        self._folder = folder
+        self._film = film
+        self._title = title
         self._kept: dict[str, tuple[int, Trace]] = {}
 
     def run(self, number: int, trace: Trace | None = None) -> RowT:
@@ -77,7 +88,9 @@ class Films(Generic[RowT]):
         self._kept.setdefault(row.outcome, (number, trace))
         return row
 
-    def draw(self, rows: Sequence[RowT], again: Callable[[int, Trace], RowT] | None = None) -> list[Path]:
+    def draw(
+        self, rows: Sequence[RowT], again: Callable[[int, Trace], RowT] | None = None
+    ) -> list[Path]:
         """Films the first of each outcome; those that are there already are left as they are.
 
         Args:
@@ -135,7 +148,8 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
     model.light_castshadow[:] = False
     model.light_castshadow[model.light(KEY_LIGHT).id] = True
     data = mujoco.MjData(model)
-    width, height = _FINE * _WIDTH, _FINE * _HEIGHT
+    width = _FINE * _WIDTH
+    height = _FINE * _HEIGHT
     step = model.opt.timestep * trace.every
     speed = float(np.clip(len(trace.states) * step / _SECONDS, 1.0, _FASTEST))
     shown = np.arange(0, len(trace.states), speed / (FPS * step)).astype(int)
@@ -169,7 +183,8 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
 
 def _with_pedestals(trace: Trace) -> mujoco.MjSpec:
     """What was simulated, on pillars below the arm and the stands, which would float beside the table."""
-    support, spec = trace.scene.support, trace.spec.copy()
+    support = trace.scene.support
+    spec = trace.spec.copy()
     add_pedestal(spec, base_pose(support, trace.robot)[:3], support.region.yaw)
     for box in trace.stands:
         low = np.array([*box.center[:2], box.center[2] - box.half_extents[2]])
@@ -180,7 +195,9 @@ def _with_pedestals(trace: Trace) -> mujoco.MjSpec:
 def _content(trace: Trace, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     """f64[P, 3]: boxes around the arm's links at all times, the objects at the start, and the region."""
     support = trace.scene.support
-    corners = [np.column_stack([support.region.corners, np.full(4, support.top + z)]) for z in (0.0, _ROOM)]
+    corners = [
+        np.column_stack([support.region.corners, np.full(4, support.top + z)]) for z in (0.0, _ROOM)
+    ]
     points = [*corners, trace.scene.poses[:, :3]]
     is_arm = Robot.of(model, trace.robot).is_arm
     for state in [*trace.states, trace.data.qpos]:

@@ -17,8 +17,10 @@ from cluttergen_jax.errors import ConfigError
 
 SPARE = 0.01
 """Metres by which each finger is opened wider than the object, where the hand opens so far."""
-_ROWS, _SETTLING = 64, 0.25
-"""Controls at which a gripper is looked at, and seconds that it has for each."""
+# Controls at which a gripper is looked at, and seconds that it has for each.
+_ROWS = 64
+_SETTLING = 0.25
+
 _LEAST_STEP = 1e-4
 """Metres by which a row is narrower than the one before it."""
 _FAR = 1.0
@@ -58,7 +60,8 @@ class Gripper:
 
     def opening_at(self, control: np.ndarray | float) -> np.ndarray:
         """f64[...]: metres of each pad from the middle that a control asks for; below 0 where it presses."""
-        order, span = np.argsort(self.control), self.control[-1] - self.control[0]
+        order = np.argsort(self.control)
+        span = self.control[-1] - self.control[0]
         pressed = (np.asarray(control) - self.control[0]) * np.sign(-span)
         free = np.interp(control, self.control[order], self.opening[order])
         return np.where(pressed > 0, -pressed * self.max_opening / abs(span), free)
@@ -90,24 +93,30 @@ def gripper_of(robot: RobotDescription | None = None) -> Gripper:
       ConfigError: it does not open and close as its description says.
     """
     robot = robot or find_robot()
-    given, model = robot.gripper, compile_model(hand_spec(ContactConfig(), robot), robot.name)
+    given = robot.gripper
+    model = compile_model(hand_spec(ContactConfig(), robot), robot.name)
     driven = np.array([model.joint(name).id for name in given.joints])
     table = given.table or _close(model, robot)
     joints = np.array(table.joints)
     if joints.shape[1] != model.nq:
         raise ConfigError(
-            f"robot {robot.name}: gripper.table.joints of {joints.shape[1]}", f"{model.nq}, as its model has"
+            f"robot {robot.name}: gripper.table.joints of {joints.shape[1]}",
+            f"{model.nq}, as its model has",
         )
     columns = (np.array(each) for each in (table.width, table.control, table.depth))
     width, control, depth = columns
-    return Gripper(width / 2, control, joints, depth, driven, given.closed, matrix_of(np.array(given.tool)))
+    return Gripper(
+        width / 2, control, joints, depth, driven, given.closed, matrix_of(np.array(given.tool))
+    )
 
 
 def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
     """Closes a gripper step by step, with nothing between its pads."""
-    given, data = robot.gripper, mujoco.MjData(model)
+    given = robot.gripper
+    data = mujoco.MjData(model)
     model.opt.gravity = 0
-    pads, line = [model.geom(name).id for name in given.pads], np.zeros(6)
+    pads = [model.geom(name).id for name in given.pads]
+    line = np.zeros(6)
     approach = matrix_of(np.array(given.tool))[:3, 2]
     rows: list[tuple[float, float, tuple[float, ...], float]] = []
     for control in np.linspace(given.open, given.closed, _ROWS):
@@ -130,4 +139,6 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
             "exchanging `open` and `closed`, or other `pads`",
         )
     widths, controls, joints, depths = zip(*reversed(rows), strict=True)
-    return GripperTable((0.0, *widths[1:]), controls, joints, tuple(each - depths[-1] for each in depths))
+    return GripperTable(
+        (0.0, *widths[1:]), controls, joints, tuple(each - depths[-1] for each in depths)
+    )

@@ -42,7 +42,8 @@ class LeRobotFolder:
     def __init__(self, path: Path, cameras: RecordCameras, told: dict[str, Any]) -> None:
         if cameras.sizes:
             find_ffmpeg()
-        self._path, self._sizes = path, cameras.sizes
+        self._path = path
+        self._sizes = cameras.sizes
         self._lock = hold_folder(path, told)
         self._episodes: list[dict[str, Any]] = []
         self._features: dict[str, Any] = {}
@@ -51,7 +52,9 @@ class LeRobotFolder:
             try:
                 self._episodes += pq.read_table(place).to_pylist()
             except (pa.ArrowException, OSError) as error:
-                raise BankError(f"{place}: damaged ({error})", "an episode", "another `record`") from error
+                raise BankError(
+                    f"{place}: damaged ({error})", "an episode", "another `record`"
+                ) from error
         self._resume()
 
     def _resume(self) -> None:
@@ -63,9 +66,13 @@ class LeRobotFolder:
             return
         try:
             info = json.loads(place.read_bytes())
-            told, self._features, self._robot = info["total_episodes"], info["features"], info["robot_type"]
+            told = info["total_episodes"]
+            self._features = info["features"]
+            self._robot = info["robot_type"]
         except (OSError, ValueError, LookupError, TypeError) as error:
-            raise BankError(f"{place}: damaged ({error})", "a dataset", "another `record`") from error
+            raise BankError(
+                f"{place}: damaged ({error})", "a dataset", "another `record`"
+            ) from error
         if told < len(self._episodes):
             self._tell()
 
@@ -73,9 +80,12 @@ class LeRobotFolder:
         return [each["number"] for each in self._episodes]
 
     def add(self, recording: Recording) -> None:
-        index, length = len(self._episodes), len(recording)
+        index = len(self._episodes)
+        length = len(recording)
         first = self._episodes[-1]["dataset_to_index"] if index else 0
-        tasks = list(dict.fromkeys([*(each["tasks"][0] for each in self._episodes), recording.task]))
+        tasks = list(
+            dict.fromkeys([*(each["tasks"][0] for each in self._episodes), recording.task])
+        )
         is_last = np.arange(length) == length - 1
         columns = {
             "observation.state": recording.state,
@@ -100,7 +110,9 @@ class LeRobotFolder:
             "success": recording.is_success,
         }
         chunk = {"chunk_index": index // _CHUNK, "file_index": index % _CHUNK}
-        row |= {f"{kind}/{name}": at for kind in ("data", "meta/episodes") for name, at in chunk.items()}
+        row |= {
+            f"{kind}/{name}": at for kind in ("data", "meta/episodes") for name, at in chunk.items()
+        }
         for name in self._sizes:
             key = f"observation.images.{name}"
             counted = _Pixels(recording.pictures(name))
@@ -110,7 +122,10 @@ class LeRobotFolder:
             row |= {f"stats/{key}/{what}": value for what, value in counted.stats(length).items()}
         for key, values in columns.items():
             row |= {f"stats/{key}/{what}": value for what, value in _stats(values).items()}
-        _write(self._place(_DATA, index), pa.table({key: _column(each) for key, each in columns.items()}))
+        _write(
+            self._place(_DATA, index),
+            pa.table({key: _column(each) for key, each in columns.items()}),
+        )
         _write(self._place(_EPISODES, index), pa.Table.from_pylist([row]))
         self._episodes.append(row)
         self._features = self._features_of(columns, recording.names)
@@ -127,7 +142,11 @@ class LeRobotFolder:
     def _features_of(self, columns: dict[str, np.ndarray], names: list[str]) -> dict[str, Any]:
         told = {"observation.state": names, "action": names, "observation.tool_pose": _POSE}
         features: dict[str, Any] = {
-            key: {"dtype": str(each.dtype), "shape": list(each.shape[1:] or (1,)), "names": told.get(key)}
+            key: {
+                "dtype": str(each.dtype),
+                "shape": list(each.shape[1:] or (1,)),
+                "names": told.get(key),
+            }
             for key, each in columns.items()
         }
         for name, (width, height) in self._sizes.items():
@@ -137,7 +156,8 @@ class LeRobotFolder:
                 "dtype": "video",
                 "shape": [height, width, 3],
                 "names": ["height", "width", "channels"],
-                "info": {f"video.{key}": value for key, value in info.items()} | {"has_audio": False},
+                "info": {f"video.{key}": value for key, value in info.items()}
+                | {"has_audio": False},
             }
         return features
 
@@ -175,7 +195,12 @@ class LeRobotFolder:
         weight = weight / weight.sum()
         mean = (weight * told["mean"]).sum(0)
         spread = (weight * (told["std"] ** 2 + (told["mean"] - mean) ** 2)).sum(0)
-        found = {"min": told["min"].min(0), "max": told["max"].max(0), "mean": mean, "std": np.sqrt(spread)}
+        found = {
+            "min": told["min"].min(0),
+            "max": told["max"].max(0),
+            "mean": mean,
+            "std": np.sqrt(spread),
+        }
         found |= {what: (weight * told[what]).sum(0) for what in _QUANTILES}
         plain = {what: value.tolist() for what, value in found.items()}
         return plain | {"count": [int(told["count"].sum())]}
@@ -197,7 +222,9 @@ class _Pixels:
     def stats(self, length: int) -> dict[str, Any]:
         """Of channels in [0, 1], as [3, 1, 1]."""
         found = _stats(np.concatenate([each.reshape(-1, 3) for each in self._kept]) / 255.0)
-        shaped = {what: np.reshape(found[what], (3, 1, 1)).tolist() for what in found.keys() - {"count"}}
+        shaped = {
+            what: np.reshape(found[what], (3, 1, 1)).tolist() for what in found.keys() - {"count"}
+        }
         return shaped | {"count": [length]}
 
 
@@ -221,7 +248,13 @@ def _write(path: Path, table: pa.Table) -> None:
 
 
 def _pandas_column(name: str, kind: str, numpy_kind: str) -> dict[str, Any]:
-    return {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_kind, "metadata": None}
+    return {
+        "name": name,
+        "field_name": name,
+        "pandas_type": kind,
+        "numpy_type": numpy_kind,
+        "metadata": None,
+    }
 
 
 _PANDAS = {

@@ -34,8 +34,9 @@ second under what hangs beside the fingers."""
 _WORLD = "world"
 _HIDDEN_GROUP = 3
 """Of shapes that only collide, as Menagerie has it; it and those above are not drawn."""
-_PEDESTAL, _PEDESTAL_RGBA = 0.11, (0.36, 0.37, 0.39, 1.0)
-"""Metres, half of its side."""
+# Metres, half of its side.
+_PEDESTAL = 0.11
+_PEDESTAL_RGBA = (0.36, 0.37, 0.39, 1.0)
 
 
 def arm_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> mujoco.MjSpec:
@@ -49,12 +50,14 @@ def arm_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> m
     if robot.gripper.attach:
         hand = hand_spec(contact, robot)
         _copy_options(spec, hand)
-        pose, name = robot.gripper.pose, robot.gripper.attach
+        pose = robot.gripper.pose
+        name = robot.gripper.attach
         prefix = robot.of_gripper("")
         site = next((each for each in spec.sites if each.name == name), None)
         frame = (spec.body(name) if site is None else site.parent).add_frame()
         if site is not None:
-            frame.pos, frame.quat = site.pos, site.quat
+            frame.pos = site.pos
+            frame.quat = site.quat
         inner = frame.parent.add_frame(frame, pos=pose[:3], quat=pose[3:])
         spec.attach(hand, prefix=prefix, frame=inner)
     return spec
@@ -66,7 +69,9 @@ def hand_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> 
     spec = mujoco_spec(gripper.path)
     _prepare_gripper(spec, gripper)
     _prepare(spec, contact)
-    spec.body(gripper.body).pos, spec.body(gripper.body).quat = (0, 0, 0), (1, 0, 0, 0)
+    hand = spec.body(gripper.body)
+    hand.pos = (0, 0, 0)
+    hand.quat = (1, 0, 0, 0)
     return spec
 
 
@@ -78,8 +83,11 @@ def _prepare(spec: mujoco.MjSpec, contact: ContactConfig) -> None:
         body.gravcomp = 1.0
     # The default as well: what is added later, and friction of its own, go by it.
     for geom in (spec.default.geom, *spec.geoms):
-        geom.friction, geom.condim, geom.priority = contact.friction, contact.condim, 0
-        geom.solref, geom.solimp = contact.solref, contact.solimp
+        geom.friction = contact.friction
+        geom.condim = contact.condim
+        geom.priority = 0
+        geom.solref = contact.solref
+        geom.solimp = contact.solimp
     for body in spec.bodies:
         # Shapes that collide are drawn where a body has no others.
         drawn = [geom for geom in body.geoms if not (geom.contype or geom.conaffinity)]
@@ -116,9 +124,12 @@ def _prepare_arm(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
             spec.joint(joint).armature = arm.inertia[k]
         if not arm.gain:
             continue
-        actuator, damping = spec.actuator(name), arm.damping[k] if arm.damping else 0.0
-        actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.gainprm[0], actuator.biasprm[:3] = arm.gain[k], (0.0, -arm.gain[k], -damping)
+        actuator = spec.actuator(name)
+        damping = arm.damping[k] if arm.damping else 0.0
+        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.gainprm[0] = arm.gain[k]
+        actuator.biasprm[:3] = (0.0, -arm.gain[k], -damping)
         actuator.ctrlrange = low[k], high[k]
         if arm.torque:
             actuator.forcerange = -arm.torque[k], arm.torque[k]
@@ -159,7 +170,8 @@ def _copy_options(source: mujoco.MjSpec, target: mujoco.MjSpec) -> None:
 
 def base_pose(support: SupportAsset, robot: RobotDescription | None = None) -> np.ndarray:
     """f64[7]: T_world_base, on the level of the support's top, looking at the region's centre."""
-    region, distance = support.region, (robot or find_robot()).distance
+    region = support.region
+    distance = (robot or find_robot()).distance
     xy = region.center + rotate_in_plane(np.array([-distance, 0.0]), region.yaw)
     return np.array([*xy, support.top, *yaw_quaternion(region.yaw)])
 
@@ -183,12 +195,17 @@ def with_robot(scene: Scene, robot: RobotDescription | None = None) -> mujoco.Mj
     Raises:
       MissingExtraError: the extra `robot` is not installed.
     """
-    robot, spec = robot or find_robot(), scene.to_mjspec()
+    robot = robot or find_robot()
+    spec = scene.to_mjspec()
     _for_holding(spec)
-    return attach_robot(spec, arm_spec(scene.contact, robot), robot, base_pose(scene.support, robot))
+    return attach_robot(
+        spec, arm_spec(scene.contact, robot), robot, base_pose(scene.support, robot)
+    )
 
 
-def add_pedestal(spec: mujoco.MjSpec, place: np.ndarray, yaw: float, half_side: float = _PEDESTAL) -> None:
+def add_pedestal(
+    spec: mujoco.MjSpec, place: np.ndarray, yaw: float, half_side: float = _PEDESTAL
+) -> None:
     """Draws a square pillar from the floor (z = 0) up to f[3], so that what stands there does not float.
 
     Nothing touches it: the physics stays what it was.
@@ -267,7 +284,8 @@ class Robot:
     def tool(self, data: mujoco.MjData) -> np.ndarray:
         """f64[4, 4]: T_world_tool, after the kinematics."""
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = data.site_xmat[self.site].reshape(3, 3), data.site_xpos[self.site]
+        pose[:3, :3] = data.site_xmat[self.site].reshape(3, 3)
+        pose[:3, 3] = data.site_xpos[self.site]
         return pose
 
 

@@ -80,7 +80,8 @@ def model_digest(fields: Any, path: Path) -> str:
 
 def _files_of(path: Path) -> Iterable[Path]:
     """A file in MJCF and all that it names, each once."""
-    found, waiting = dict.fromkeys([path]), [path]
+    found = dict.fromkeys([path])
+    waiting = [path]
     while waiting:
         text = (here := waiting.pop()).read_bytes()
         folders = [
@@ -89,7 +90,9 @@ def _files_of(path: Path) -> Iterable[Path]:
             *(path.parent / each.decode() for each in _MESHDIR.findall(text)),
         ]
         for name in _FILE.findall(text):
-            named = next((f / name.decode() for f in folders if (f / name.decode()).is_file()), None)
+            named = next(
+                (f / name.decode() for f in folders if (f / name.decode()).is_file()), None
+            )
             if named is not None and named not in found:
                 found[named] = None
                 if named.suffix == ".xml":

@@ -38,7 +38,8 @@ class Failed(Exception):
 
     def __init__(self, outcome: StrEnum, detail: str = "") -> None:
         super().__init__(f"{outcome}: {detail}" if detail else str(outcome))
-        self.outcome, self.detail = outcome, detail
+        self.outcome = outcome
+        self.detail = detail
 
 
 @dataclass(frozen=True)

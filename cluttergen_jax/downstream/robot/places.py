@@ -25,7 +25,11 @@ from cluttergen_jax.downstream.placer.query import (
 )
 from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.downstream.robot.cameras import above
-from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, OccupancyBoxes, occupancy_boxes
+from cluttergen_jax.downstream.robot.motion.occupancy_boxes import (
+    CELL,
+    OccupancyBoxes,
+    occupancy_boxes,
+)
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key
@@ -60,7 +64,9 @@ class SearchPlaces:
         rules, propose = FullState(method).in_world(self._scenes.problem)
         # A policy reads episodes with the history of attempts that it was trained with.
         self._rules: Rules = rules
-        self._propose: Any = jax.jit(lambda key, episode: proposals_of(propose, key, episode, rules).pose)
+        self._propose: Any = jax.jit(
+            lambda key, episode: proposals_of(propose, key, episode, rules).pose
+        )
         self._key = new_key(seed)
 
     def __call__(self, index: int, scene: Scene) -> np.ndarray:
@@ -96,15 +102,18 @@ class CameraPlacer:
     def __init__(self, bank: Bank, placer: Placer | PlainPlacer, name: str, noise: float) -> None:
         check_one_level(bank.support, "a placer")
         problem = setup_of(bank, engine="native", num_threads=1).problem
-        support, region = problem.world.support, problem.region
-        self.name, self._noise = name, REALSENSE.scale(noise)
+        support = problem.world.support
+        region = problem.region
+        self.name = name
+        self._noise = REALSENSE.scale(noise)
         self._names = problem.world.names
         self._maker = QueryMaker(problem)
         self._grid = self._maker.grid_of(CELL)
         half_x, half_y = np.abs(self._maker.grid.corner).tolist()
         seen = Rectangle(region.center, (half_x, half_y), region.yaw)
         self.overhead = above(replace(support, region=seen))
-        self._placer, self._compiled = placer, jax.jit(lambda key, query: placer(key, query))
+        self._placer = placer
+        self._compiled = jax.jit(lambda key, query: placer(key, query))
         self._lower: Any = jax.jit(_lower_poses)
         self._world: Any = jax.jit(jax.vmap(world_pose, in_axes=(None, 0)))
         self._region = problem.rules.region

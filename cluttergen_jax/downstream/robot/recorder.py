@@ -46,9 +46,14 @@ class Recorder:
     def __init__(
         self, folder: RecordFolder, cameras: RecordCameras, seed: int, task: Callable[[Any], str]
     ) -> None:
-        self._folder, self._cameras, self._seed, self._task = folder, cameras, seed, task
+        self._folder = folder
+        self._cameras = cameras
+        self._seed = seed
+        self._task = task
 
-    def run(self, number: int, run: Callable[[int, Trace], Row], known: EpisodeRow | None = None) -> Row:
+    def run(
+        self, number: int, run: Callable[[int, Trace], Row], known: EpisodeRow | None = None
+    ) -> Row:
         """Runs an episode and records it; one in which nothing moved has no frames, and is left out.
 
         Args:

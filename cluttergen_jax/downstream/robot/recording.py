@@ -31,9 +31,12 @@ FPS = 20
 """Frames per second of simulated time."""
 RECORD = "recording.json"
 """How recordings were made, in their folder."""
-THIRD, WRIST = "third", "wrist"
-_EYE, _LOOKED_AT = (1.25, 0.6, 0.9), (-0.2, 0.0, 0.22)
-"""Metres from the region's middle on the top, in the region's axes: the camera `third`, across the table."""
+THIRD = "third"
+WRIST = "wrist"
+# Metres from the region's middle on the top, in the region's axes: the camera `third`, across the table.
+_EYE = (1.25, 0.6, 0.9)
+_LOOKED_AT = (-0.2, 0.0, 0.22)
+
 _REACH = 1.5
 
 
@@ -86,8 +89,10 @@ class Recording:
     @cached_property
     def _seen(self) -> tuple[np.ndarray, np.ndarray]:
         """f64[T, 4, 4], T_world_tool; bool[T], the hand touches something that is not the arm."""
-        tools, touches = [], []
-        arm, model = self.trace.arm, self._model
+        tools = []
+        touches = []
+        arm = self.trace.arm
+        model = self._model
         is_hand = arm.is_hand
         for data in self._states():
             mujoco.mj_collision(model, data)
@@ -123,10 +128,13 @@ class Recording:
 
     def pictures(self, name: str) -> Iterator[np.ndarray]:
         """u8[H, W, 3] of every frame by a camera. Raises RendererError: nothing here can draw."""
-        fixed, model = self.cameras[name], self._model
+        fixed = self.cameras[name]
+        model = self._model
         width, height = SIZE if fixed is None else (fixed.width, fixed.height)
         middle = [*self.trace.scene.support.region.center, self.trace.scene.support.top]
-        set_range(model, np.add(middle, _REACH * np.array([[-1], [1]])), CameraView(), width, height)
+        set_range(
+            model, np.add(middle, _REACH * np.array([[-1], [1]])), CameraView(), width, height
+        )
         with open_renderer(model, width, height) as renderer:
             for data in self._states():
                 camera = wrist_camera(self.trace.arm.tool(data)) if fixed is None else fixed
@@ -158,7 +166,9 @@ class RecordCameras:
     def of(asked: Sequence[str | Path]) -> RecordCameras:
         """By name, or files (`parse_cameras`). Raises ConfigError: there is no such camera."""
         if isinstance(asked, str | Path):
-            raise ConfigError(f"record_cameras = {asked!r}", "a sequence of names", f"({str(asked)!r},)")
+            raise ConfigError(
+                f"record_cameras = {asked!r}", "a sequence of names", f"({str(asked)!r},)"
+            )
         names = [str(each) for each in asked]
         plans: list[CameraPlan] = []
         for name in names:
@@ -195,7 +205,10 @@ def hold_folder(path: Path, told: Mapping[str, Any]) -> FolderLock:
     """
     place = path / RECORD
     kept = KeptFolder(
-        path, lambda each: (each / RECORD).is_file(), "{path} holds {other}, no recordings", lambda _: False
+        path,
+        lambda each: (each / RECORD).is_file(),
+        "{path} holds {other}, no recordings",
+        lambda _: False,
     )
     lock = kept.lock()
     try:

@@ -33,7 +33,9 @@ class RobomimicFolder:
             import h5py
         except ImportError as error:
             raise MissingExtraError("record", "writing HDF5") from error
-        self._h5py, self._path, self._sizes = h5py, path, cameras.sizes
+        self._h5py = h5py
+        self._path = path
+        self._sizes = cameras.sizes
         self._lock = hold_folder(path, told)
         self._numbers: list[int] = []
         while (place := self._place(len(self._numbers))).is_file():
@@ -41,7 +43,9 @@ class RobomimicFolder:
                 with h5py.File(place) as file:
                     self._numbers.append(int(file["demo"].attrs["number"]))
             except (OSError, KeyError) as error:
-                raise BankError(f"{place}: damaged ({error})", "an episode", "another `record`") from error
+                raise BankError(
+                    f"{place}: damaged ({error})", "an episode", "another `record`"
+                ) from error
 
     def numbers(self) -> list[int]:
         return list(self._numbers)
@@ -50,25 +54,35 @@ class RobomimicFolder:
         return self._path / "episodes" / f"demo_{index}.hdf5"
 
     def add(self, recording: Recording) -> None:
-        length, obs = len(recording), {}
-        obs["robot0_joint_pos"], obs["robot0_gripper_qpos"] = recording.state[:, :-1], recording.state[:, -1:]
+        length = len(recording)
+        obs = {}
+        obs["robot0_joint_pos"] = recording.state[:, :-1]
+        obs["robot0_gripper_qpos"] = recording.state[:, -1:]
         # Quaternions as robosuite has them: x, y, z, w.
         turn = recording.tool_pose[:, [4, 5, 6, 3]]
-        obs["robot0_eef_pos"], obs["robot0_eef_quat"] = recording.tool_pose[:, :3], turn
+        obs["robot0_eef_pos"] = recording.tool_pose[:, :3]
+        obs["robot0_eef_quat"] = turn
         obs["robot0_contact"] = recording.contact[:, None].astype(np.float32)
         is_last = np.arange(length) == length - 1
-        with file_whole(self._place(len(self._numbers))) as fresh, self._h5py.File(fresh, "w") as file:
+        with (
+            file_whole(self._place(len(self._numbers))) as fresh,
+            self._h5py.File(fresh, "w") as file,
+        ):
             demo = file.create_group("demo")
             told = {"num_samples": length, "number": recording.number, "task": recording.task}
             demo.attrs.update(told | {"success": recording.is_success, "fps": FPS})
-            demo["actions"], demo["states"] = recording.action, recording.qpos
+            demo["actions"] = recording.action
+            demo["states"] = recording.qpos
             demo["dones"] = is_last.astype(np.int64)
             demo["rewards"] = (is_last & recording.is_success).astype(np.float64)
             for name, values in obs.items():
                 demo[f"obs/{name}"] = values
             for name, (width, height) in self._sizes.items():
-                shape, chunk = (length, height, width, 3), (1, height, width, 3)
-                held = demo.create_dataset(f"obs/{name}_image", shape, "u1", chunks=chunk, **_PRESSED)
+                shape = (length, height, width, 3)
+                chunk = (1, height, width, 3)
+                held = demo.create_dataset(
+                    f"obs/{name}_image", shape, "u1", chunks=chunk, **_PRESSED
+                )
                 for frame, picture in enumerate(recording.pictures(name)):
                     held[frame] = picture
         self._numbers.append(recording.number)
@@ -76,7 +90,9 @@ class RobomimicFolder:
     def finish(self) -> None:
         """Puts all episodes into one file."""
         with file_whole(self._path / "demo.hdf5") as fresh, self._h5py.File(fresh, "w") as file:
-            data, good, total = file.create_group("data"), [], 0
+            data = file.create_group("data")
+            good = []
+            total = 0
             for index in range(len(self._numbers)):
                 with self._h5py.File(self._place(index)) as episode:
                     episode.copy("demo", data, f"demo_{index}")

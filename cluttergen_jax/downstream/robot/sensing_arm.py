@@ -41,7 +41,10 @@ class ArmSilhouette:
     """
 
     def __init__(
-        self, base: np.ndarray, asset: ObjectAsset | None = None, robot: RobotDescription | None = None
+        self,
+        base: np.ndarray,
+        asset: ObjectAsset | None = None,
+        robot: RobotDescription | None = None,
     ) -> None:
         robot = robot or find_robot()
         spec = attach_robot(mujoco.MjSpec(), arm_spec(ContactConfig(), robot), robot, base)
@@ -49,7 +52,8 @@ class ArmSilhouette:
         for index, part in enumerate(() if asset is None else asset.parts):
             add_part(spec, brought, f"{_BROUGHT}/part-{index}", part.vertices).group = VISUAL_GROUP
         self._model = spec.compile()
-        self._data, self._arm = mujoco.MjData(self._model), Robot.of(self._model, robot)
+        self._data = mujoco.MjData(self._model)
+        self._arm = Robot.of(self._model, robot)
         self._gripper = gripper_of(robot)
         self._brought = self._model.body(_BROUGHT).id
 
@@ -63,10 +67,13 @@ class ArmSilhouette:
           joints: f64[n]; opening: metres of each pad from the middle; pose: f64[7],
             T_world_object, where there is one.
         """
-        model, data = self._model, self._data
-        data.qpos[self._arm.qpos], data.qpos[self._arm.fingers] = joints, self._gripper.joints_of(opening)
+        model = self._model
+        data = self._data
+        data.qpos[self._arm.qpos] = joints
+        data.qpos[self._arm.fingers] = self._gripper.joints_of(opening)
         if pose is not None:
-            model.body_pos[self._brought], model.body_quat[self._brought] = pose[:3], pose[3:]
+            model.body_pos[self._brought] = pose[:3]
+            model.body_quat[self._brought] = pose[3:]
         mujoco.mj_kinematics(model, data)
         covered = np.isfinite(cast_rays(model, data, camera, _DRAWN)[0])
         return binary_dilation(covered, np.ones((3, 3)), _GROWN)
@@ -86,7 +93,8 @@ class HeldPose:
     """
 
     def __init__(self, execution: Execution, start: np.ndarray) -> None:
-        self._execution, self._pose = execution, matrix_of(start)
+        self._execution = execution
+        self._pose = matrix_of(start)
         self._T_tool_object: np.ndarray | None = None
         self._opening = 0.0
 
@@ -100,7 +108,8 @@ class HeldPose:
         if not run.is_closed:
             self._T_tool_object = None
         elif self._T_tool_object is None:
-            self._T_tool_object, self._opening = inverse(run.tool) @ self._pose, run.opening
+            self._T_tool_object = inverse(run.tool) @ self._pose
+            self._opening = run.opening
         else:
             self._pose = run.tool @ self._T_tool_object
             if run.opening < _LOST * self._opening:
@@ -135,9 +144,15 @@ class SensingArm:
         seed: int,
         planner: PathPlanner | None = None,
     ) -> None:
-        self._execution, self._asset, self._start = execution, asset, start
-        self._support, self._stand, self._placer, self._name = support, stand, placer, name
-        self._seed, self._rng = seed, np.random.default_rng((seed, 1))
+        self._execution = execution
+        self._asset = asset
+        self._start = start
+        self._support = support
+        self._stand = stand
+        self._placer = placer
+        self._name = name
+        self._seed = seed
+        self._rng = np.random.default_rng((seed, 1))
         self._base = base_pose(support, execution.robot)
         self._silhouette = ArmSilhouette(self._base, asset, execution.robot)
         self._object = HeldPose(execution, start)
@@ -161,7 +176,8 @@ class SensingArm:
         self._swing_aside()
         self._look(self._placer.overhead)
         kinematics = ArmKinematics(self._base, self._execution.robot)
-        world, see = self._world(), self._object
+        world = self._world()
+        see = self._object
         mover = Mover(
             self._execution,
             world,

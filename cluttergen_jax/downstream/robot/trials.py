@@ -27,7 +27,14 @@ from cluttergen_jax.downstream.robot.film import FILMS, Films
 from cluttergen_jax.downstream.robot.grasping import grips
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, GraspSets
 from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder
-from cluttergen_jax.downstream.robot.motion import collision, execute, ik, mover, occupancy_boxes, plan
+from cluttergen_jax.downstream.robot.motion import (
+    collision,
+    execute,
+    ik,
+    mover,
+    occupancy_boxes,
+    plan,
+)
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of, success_of
 from cluttergen_jax.downstream.robot.places import CameraPlacer
@@ -64,7 +71,9 @@ class RobotTrials(Endings):
     @property
     def possible(self) -> tuple[EpisodeResult, ...]:
         """The episodes in which a grasp free of contact was reached."""
-        return tuple(row for row in self.rows if row.outcome not in (Outcome.NO_GRASP, Outcome.NO_IK))
+        return tuple(
+            row for row in self.rows if row.outcome not in (Outcome.NO_GRASP, Outcome.NO_IK)
+        )
 
     def __str__(self) -> str:
         """Causes, a row for each object, and how exactly things were put down."""
@@ -84,8 +93,12 @@ class RobotTrials(Endings):
         cpu = np.mean([row.cpu for row in self.rows]) if self.rows else 0.0
         lines.append(f"{cpu:.1f} CPU-s an episode")
         names = sorted({row.object for row in self.rows})
-        table = [(name, *_object_row([row for row in self.rows if row.object == name])) for name in names]
-        return "\n".join([*lines, "", aligned_table(("object", "episodes", "success", "failures"), table)])
+        table = [
+            (name, *_object_row([row for row in self.rows if row.object == name])) for name in names
+        ]
+        return "\n".join(
+            [*lines, "", aligned_table(("object", "episodes", "success", "failures"), table)]
+        )
 
 
 def _object_row(rows: Sequence[EpisodeResult]) -> tuple[str, str, str]:
@@ -163,7 +176,9 @@ def run_trials(
         "planner": planner_recipe(planner_hash(), planner),
         "versions": versions(),
     }
-    file = RowFile(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place", _ADDED)
+    file = RowFile(
+        None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place", _ADDED
+    )
     rows = file.read(number)
     # A bank that has grown has scenes of their own for episodes which took the first ones again.
     there = {-1, *(_number_of(scenes, index) for index in range(len(scenes)))}
@@ -197,7 +212,9 @@ def run_trials(
 
     filmed = None if out is None or films is None else Films(run, out / FILMS, films, task)
     shown = run if filmed is None else filmed.run
-    recorder = None if record is None else open_recorder(record, recipe, seed, partial(_task_text, task))
+    recorder = (
+        None if record is None else open_recorder(record, recipe, seed, partial(_task_text, task))
+    )
     make = shown if recorder is None else partial(recorder.run, run=shown)
     if recorder is not None:
         recorder.complete(rows, run)
@@ -231,7 +248,8 @@ def _episode(
     planner: PathPlanner | None,
     robot: RobotDescription,
 ) -> EpisodeResult:
-    target, own = len(scene.names) - 1, episode_seed(seed, index)
+    target = len(scene.names) - 1
+    own = episode_seed(seed, index)
     if task == "lift":
         return lift_episode(scene, target, grasps, own, trace, planner, robot)
     if isinstance(places, CameraPlacer):

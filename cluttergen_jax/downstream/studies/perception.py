@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.downstream.perception.api import perception_data, perception_eval
-from cluttergen_jax.downstream.perception.evaluate import TRUE_MASKS, PerceptionResult, PerceptionRow
+from cluttergen_jax.downstream.perception.evaluate import (
+    TRUE_MASKS,
+    PerceptionResult,
+    PerceptionRow,
+)
 from cluttergen_jax.downstream.perception.scoring import MaskFigures
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
 from cluttergen_jax.downstream.studies.study import Found, SuiteFolder
@@ -36,7 +40,8 @@ _MASK_NOTES = (
 
 def _find_objects(suite: SuiteFolder, masks: Sequence[str], stem: Path) -> Found:
     """True masks, then the segmenter's; one camera and two; noise off and on."""
-    number, seed = suite.scale.number(300, 2), suite.scale.seed
+    number = suite.scale.number(300, 2)
+    seed = suite.scale.seed
     views = perception_data(
         suite.folder / "data" / f"views-{number}-{seed}",
         pool=POOL,
@@ -59,7 +64,10 @@ def row_of(result: PerceptionResult, row: PerceptionRow) -> Row:
     right = dict(zip(("adds", "turn", "both"), row.right().T, strict=True))
     figures: Any = {name: proportion(each) for name, each in right.items()}
     if result.segmenter != TRUE_MASKS:
-        figures |= {"segmenter": _masks(row.masks()), "corrected": _masks(row.masks(corrected=True))}
+        figures |= {
+            "segmenter": _masks(row.masks()),
+            "corrected": _masks(row.masks(corrected=True)),
+        }
     figures["cpu"] = float(np.mean([each.cpu for each in row.moments]))
     trial = {
         "segmenter": result.segmenter,
@@ -80,9 +88,11 @@ def _masks(figures: MaskFigures) -> Row:
 
 def tables_of(rows: list[Row]) -> list[Table]:
     """Of masks, by the segmenter alone and as poses correct them; and of poses."""
-    masks, poses = [], []
+    masks = []
+    poses = []
     for row in rows:
-        asked, figures = row["trial"], row["figures"]
+        asked = row["trial"]
+        figures = row["figures"]
         name, *setting = (
             asked["segmenter"],
             str(asked["cameras"]),
@@ -97,7 +107,12 @@ def tables_of(rows: list[Row]) -> list[Table]:
         right = (with_interval(figures[each]) for each in ("adds", "turn", "both"))
         poses.append((name, *setting, *right, f"{figures['cpu']:.2f}"))
     return [
-        Table(f"Pixels of objects of {POOL}", (*_HEAD, *_MASKS), tuple(masks), (_NOTES[0], *_MASK_NOTES)),
+        Table(
+            f"Pixels of objects of {POOL}",
+            (*_HEAD, *_MASKS),
+            tuple(masks),
+            (_NOTES[0], *_MASK_NOTES),
+        ),
         Table(f"Poses of objects of {POOL}", (*_HEAD, *_POSES), tuple(poses), _NOTES),
     ]
 

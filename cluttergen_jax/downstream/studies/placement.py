@@ -21,7 +21,9 @@ from cluttergen_jax.tables import Table
 
 def _compare_sets(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path) -> Found:
     """All sets, the first told in full, of the others the main table."""
-    return found_of([_compare(suite.trials(suite.test_set(one)), suite.scale.quick) for one in sets])
+    return found_of(
+        [_compare(suite.trials(suite.test_set(one)), suite.scale.quick) for one in sets]
+    )
 
 
 def found_of(comparisons: list[PlacerComparison]) -> Found:
@@ -49,7 +51,8 @@ PLACEMENT = Study(
 )
 
 LADDER = (0.0, 0.5, 1.0, 2.0, 4.0)
-_CHAINS, _QUICK_CHAINS = 256, 2
+_CHAINS = 256
+_QUICK_CHAINS = 2
 
 
 def _compare_noises(suite: SuiteFolder, placers: Sequence[str], stem: Path) -> Found:
@@ -81,8 +84,11 @@ _CAMERAS_NOTE = (
 
 def _compare_cameras(suite: SuiteFolder, numbers: Sequence[int], stem: Path) -> Found:
     """The same queries seen by one camera, two and four, their maps fused."""
-    placers = ("geometry", "geometry-occupied", "scored")[slice(1, 2) if suite.scale.quick else slice(None)]
-    pairs, rows = suite.test_set(), []
+    placers = ("geometry", "geometry-occupied", "scored")[
+        slice(1, 2) if suite.scale.quick else slice(None)
+    ]
+    pairs = suite.test_set()
+    rows = []
     for number in numbers:
         variants = [Variant({"placer": name, "cameras": str(number)}, name) for name in placers]
         rows += rows_of(suite.trials(pairs, num_cameras=number), variants, suite.scale.noises)

@@ -49,13 +49,18 @@ _NOTES = (
 
 def _move_objects(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Found:
     """The same scenes for all rows."""
-    number, seed, rows = suite.scale.number(200, 1), suite.scale.seed, []
-    place, bank = suite.folder / "episodes" / f"robot-{number}-{seed}", None
+    number = suite.scale.number(200, 1)
+    seed = suite.scale.seed
+    rows = []
+    place = suite.folder / "episodes" / f"robot-{number}-{seed}"
+    bank = None
     for each in asked:
         out = place / "-".join(map(str, each.values()))
         if suite.fresh:
             (out / each["task"] / EPISODES).unlink(missing_ok=True)
-        trials = robot_place(out, bank, num_episodes=number, seed=seed, num_threads=suite.num_threads, **each)
+        trials = robot_place(
+            out, bank, num_episodes=number, seed=seed, num_threads=suite.num_threads, **each
+        )
         rows.append(robot_row(each, trials))
         bank = bank or out / "bank"
     return Found(rows, tables=[robot_table(rows)])
@@ -100,8 +105,10 @@ def robot_table(rows: list[Row]) -> Table:
     """A line a row."""
     cells = []
     for row in rows:
-        asked, figures = row["trial"], row["figures"]
-        off, turn = figures["error"], figures["turn_error"]
+        asked = row["trial"]
+        figures = row["figures"]
+        off = figures["error"]
+        turn = figures["turn_error"]
         cells.append(
             (
                 asked["task"],
@@ -157,7 +164,9 @@ _REARRANGED_NOTES = (
 def _settings(scale: DownstreamScale) -> list[Asked]:
     """Every setting with the true poses and as cameras see it."""
     settings = list(SETTINGS)[: 1 if scale.quick else None]
-    return [{"setting": setting, "observer": observer} for setting in settings for observer in OBSERVERS]
+    return [
+        {"setting": setting, "observer": observer} for setting in settings for observer in OBSERVERS
+    ]
 
 
 def _rearrange_all(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Found:
@@ -172,7 +181,8 @@ def _ablation_settings(scale: DownstreamScale) -> list[Asked]:
 
 def _take_away(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Found:
     """One thing taken away at a time."""
-    found, ablations = Found(), ABLATIONS[: 2 if suite.scale.quick else None]
+    found = Found()
+    ablations = ABLATIONS[: 2 if suite.scale.quick else None]
     for each in asked:
         rows = [_rearrange(suite, {**each, **changed}, title) for title, changed in ablations]
         found.rows.extend(rows)
@@ -182,8 +192,11 @@ def _take_away(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Found:
 
 
 def _rearrange(suite: SuiteFolder, asked: Asked, title: str | None = None) -> Row:
-    number, seed = suite.scale.number(100, 1), suite.scale.seed
-    changed = [f"{name}-{value}" for name, value in asked.items() if name not in ("setting", "observer")]
+    number = suite.scale.number(100, 1)
+    seed = suite.scale.seed
+    changed = [
+        f"{name}-{value}" for name, value in asked.items() if name not in ("setting", "observer")
+    ]
     out = suite.folder / "episodes" / "-".join([f"rearrange-{seed}", asked["observer"], *changed])
     if suite.fresh:
         (out / asked["setting"] / EPISODES).unlink(missing_ok=True)
@@ -207,7 +220,8 @@ def rearranged_row(asked: Asked, found: Rearrangements) -> Row:
 def _rearranged_table(title: str, rows: list[Row]) -> Table:
     cells = []
     for row in rows:
-        asked, figures = row["trial"], row["figures"]
+        asked = row["trial"]
+        figures = row["figures"]
         means = [f"{figures[name]:.1f}" for name in ("picks", "fewest", "waits", "looks", "path")]
         cells.append(
             (
@@ -225,7 +239,12 @@ def _rearranged_table(title: str, rows: list[Row]) -> Table:
 
 
 REARRANGEMENT = Study(
-    "rearrangement", "An arm rearranges objects", 1, _settings, measure=_rearrange_all, needs_robot=True
+    "rearrangement",
+    "An arm rearranges objects",
+    1,
+    _settings,
+    measure=_rearrange_all,
+    needs_robot=True,
 )
 REARRANGEMENT_ABLATIONS = Study(
     "rearrangement-ablations",

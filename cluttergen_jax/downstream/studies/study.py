@@ -21,10 +21,12 @@ from cluttergen_jax.tables import Table
 
 NOISES = (0.0, 1.0)
 NUM_OBJECTS = 10
-_SCENES, _QUICK_SCENES = 100, 2
+_SCENES = 100
+_QUICK_SCENES = 2
 VALIDATING = (60, 600)
 """Scenes and pairs of the split `val` beside a training set."""
-_QUICK_PAIRS, _QUICK_EPOCHS = 100, 1
+_QUICK_PAIRS = 100
+_QUICK_EPOCHS = 1
 MOST_SEED = 999_999
 """Of pairs, whose splits' banks have seeds in ranges of their own."""
 
@@ -102,7 +104,9 @@ class DownstreamScale(Scale):
 
     def sets(self, *some: PlacementSet) -> list[PlacementSet]:
         """Those of some sets whose pools were asked for; the first alone if quick."""
-        return [one for one in some if one.pool in self.pools_or(one.pool)][: 1 if self.quick else None]
+        return [one for one in some if one.pool in self.pools_or(one.pool)][
+            : 1 if self.quick else None
+        ]
 
 
 @dataclass(frozen=True)
@@ -152,11 +156,14 @@ class SuiteFolder:
           settings: of `placer_data`.
         """
         if self.scale.quick:
-            num_scenes, num_pairs = min(num_scenes, _QUICK_PAIRS // NUM_OBJECTS), min(num_pairs, _QUICK_PAIRS)
+            num_scenes = min(num_scenes, _QUICK_PAIRS // NUM_OBJECTS)
+            num_pairs = min(num_pairs, _QUICK_PAIRS)
             validating = validating and (2, 20)
         asked = {"pool": "household", **settings}
         place = f"{name}-train-{num_scenes}"
-        pairs = self._pairs(place, **asked, num_scenes=num_scenes, num_pairs=num_pairs, split="train")
+        pairs = self._pairs(
+            place, **asked, num_scenes=num_scenes, num_pairs=num_pairs, split="train"
+        )
         if validating is None:
             return pairs
         scenes, number = validating
@@ -174,7 +181,8 @@ class SuiteFolder:
         )
 
     def _pairs(self, name: str, **settings: Any) -> PairSet:
-        place, seed = self.folder / "data" / f"{name}-{self.scale.seed}", self.scale.seed
+        place = self.folder / "data" / f"{name}-{self.scale.seed}"
+        seed = self.scale.seed
         return placer_data(place, seed=seed, num_threads=self.num_threads, **settings)
 
     def train(
@@ -195,7 +203,9 @@ class SuiteFolder:
             found, config = preset(head, "cpu", "printed", encoder_weights)
             epochs = _QUICK_EPOCHS if self.scale.quick else num_epochs
             config = config.replace_given(num_epochs=epochs, seed=seed)
-            source = ExampleSource(tuple(each.path for each in sets), noise, seed, num_pairs, held_out)
+            source = ExampleSource(
+                tuple(each.path for each in sets), noise, seed, num_pairs, held_out
+            )
             runs[seed] = self.folder / "runs" / f"{name}-{seed}"
             PlacerTraining(found, config, source, runs[seed]).run()
         return runs
@@ -206,7 +216,15 @@ class SuiteFolder:
         """The rows of some queries."""
         store = Store(self.folder / "results")
         return PlacerTrials(
-            pairs, split, None, self.scale.seed, store, self.fresh, self.num_threads, num_cameras, tenth
+            pairs,
+            split,
+            None,
+            self.scale.seed,
+            store,
+            self.fresh,
+            self.num_threads,
+            num_cameras,
+            tenth,
         )
 
 

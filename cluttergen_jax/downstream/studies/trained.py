@@ -10,7 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
-from cluttergen_jax.downstream.placer.evaluation.tables import MAIN, NOTES, Row, main_cells, with_interval
+from cluttergen_jax.downstream.placer.evaluation.tables import (
+    MAIN,
+    NOTES,
+    Row,
+    main_cells,
+    with_interval,
+)
 from cluttergen_jax.downstream.placer.examples import TESTING
 from cluttergen_jax.downstream.placer.heads.checkpoint import embedded_placers
 from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig
@@ -47,7 +53,9 @@ class Variant(NamedTuple):
     runs: dict[int, Path] | str
 
 
-def rows_of(trials: PlacerTrials, variants: Sequence[Variant], noises: Sequence[float]) -> list[Row]:
+def rows_of(
+    trials: PlacerTrials, variants: Sequence[Variant], noises: Sequence[float]
+) -> list[Row]:
     """Each variant's rows by noise and training seed, with its labels: `variant`, `training_seed`."""
     rows = []
     for noise in noises:
@@ -105,7 +113,9 @@ def mean_figures(rows: Sequence[Row]) -> Any:
         **{name: pool_shares([each[name] for each in figures], queries) for name in shares},
         "many": pool_shares([each["many"] for each in figures], queries),
         "z_error": {"median": None if None in errors else float(np.mean(errors))},
-        "verdicts": {name: float(np.mean([each[name] for each in verdicts])) for name in verdicts[0]},
+        "verdicts": {
+            name: float(np.mean([each[name] for each in verdicts])) for name in verdicts[0]
+        },
     }
 
 
@@ -118,12 +128,15 @@ def pool_shares(shares: Sequence[Mapping[str, Any]], queries: int) -> Any:
     values = [each["share"] for each in shares]
     if None in values:
         return {"share": None, "low95": None, "high95": None}
-    mean, number = float(np.mean(values)), min(int(each.get("queries", queries)) for each in shares)
+    mean = float(np.mean(values))
+    number = min(int(each.get("queries", queries)) for each in shares)
     low, high = wilson(round(mean * number), number)
     return {"share": mean, "low95": low, "high95": high}
 
 
-def _compare(suite: SuiteFolder, variants: Sequence[Variant], suffix: str, notes: Sequence[str]) -> Found:
+def _compare(
+    suite: SuiteFolder, variants: Sequence[Variant], suffix: str, notes: Sequence[str]
+) -> Found:
     """Rows and a table of variants on the queries of household."""
     rows = rows_of(suite.trials(suite.test_set()), variants, suite.scale.noises)
     title = f"{rows[0]['trial']['queries']} queries of household{suffix}"
@@ -150,7 +163,9 @@ _SIZE_NOTES = (
 
 def _sizes(scale: DownstreamScale) -> list[tuple[str, int]]:
     """The heads `scored` and `mixture` by size; more pairs than the scale allows are left out."""
-    sizes = [size for size in SIZES if size <= (scale.most_pairs or size)] or [scale.pairs(SIZES[0])]
+    sizes = [size for size in SIZES if size <= (scale.most_pairs or size)] or [
+        scale.pairs(SIZES[0])
+    ]
     heads = scale.heads_or(*("scored", "mixture")[: 1 if scale.quick else None])
     return [(head, size) for head in heads for size in sizes]
 
@@ -165,13 +180,17 @@ def _compare_sizes(suite: SuiteFolder, asked: Sequence[tuple[str, int]], stem: P
     return _compare(suite, variants, ", by pairs learned from", _SIZE_NOTES)
 
 
-SET_SIZE = Study("set-size", "Placers by how many pairs they learned from", 1, _sizes, measure=_compare_sizes)
+SET_SIZE = Study(
+    "set-size", "Placers by how many pairs they learned from", 1, _sizes, measure=_compare_sizes
+)
 
 # By how the scenes that they learned from came about.
 
 SCENES = {"guided": 105, "clear": 105, "random": 180}
 """Of which about 100 stand: `random` fails more often."""
-PAIRS, HAND_PAIRS, HAND_SCENES = 1000, 200, 20
+PAIRS = 1000
+HAND_PAIRS = 200
+HAND_SCENES = 20
 _SOURCE_NOTES = (
     "each learns from its own scenes alone: every tenth of them chooses the epoch",
     "generated: 20 scenes by `guided`, where the paper has 200 pairs of 20 scenes that a person made "
@@ -183,7 +202,8 @@ _SOURCE_NOTES = (
 
 def _compare_sources(suite: SuiteFolder, methods: Sequence[str], stem: Path) -> Found:
     """The head `scored` by source, and by few pairs as a person would make them."""
-    scale, sets = suite.scale, []
+    scale = suite.scale
+    sets = []
     for method in methods:
         pairs = suite.training_set(f"household-{method}", SCENES[method], PAIRS, method=method)
         sets.append((method, scale.pairs(PAIRS), pairs))
@@ -212,15 +232,22 @@ SOURCE = Study(
 
 # The placer that comes with the package, trained again with other seeds.
 
-CARD_PAIRS, EPOCHS = 2560, 10
-"""Of each of the two sets, and times that they are seen: as the placer's card has it."""
-_SEED_NOTES = ("trained by the commands of the card of the placer `scored`, each seed from pairs to weights",)
-_QUICK_NOTES = ("learned from household alone, where the placer `scored` learned from all pools as well",)
+# Of each of the two sets, and times that they are seen: as the placer's card has it.
+CARD_PAIRS = 2560
+EPOCHS = 10
+
+_SEED_NOTES = (
+    "trained by the commands of the card of the placer `scored`, each seed from pairs to weights",
+)
+_QUICK_NOTES = (
+    "learned from household alone, where the placer `scored` learned from all pools as well",
+)
 
 
 def _compare_seeds(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path) -> Found:
     """Rows on all sets of the study `placement`."""
-    scale, learned = suite.scale, [suite.household()]
+    scale = suite.scale
+    learned = [suite.household()]
     if not scale.quick:
         all_pools = {"pool": "all", "num_objects": NUM_OBJECTS}
         learned.append(suite.training_set("all", 800, CARD_PAIRS, (100, 256), **all_pools))
@@ -230,7 +257,9 @@ def _compare_seeds(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path)
     for one in sets:
         variant = Variant({"set": one.name, "placer": "scored"}, runs)
         rows += rows_of(suite.trials(suite.test_set(one)), [variant], scale.noises)
-    return Found(rows, tables=[_table_of_sets(rows, "", _QUICK_NOTES if scale.quick else _SEED_NOTES)])
+    return Found(
+        rows, tables=[_table_of_sets(rows, "", _QUICK_NOTES if scale.quick else _SEED_NOTES)]
+    )
 
 
 TRAINING_SEEDS = Study(
@@ -258,9 +287,13 @@ _TRANSFER_NOTES = (
 
 def _compare_transfer(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path) -> Found:
     """Rows on all sets but household as it was learned from."""
-    size, rows = suite.scale.pairs(5000), []
+    size = suite.scale.pairs(5000)
+    rows = []
     runs = suite.train(f"household-scored-{size}", suite.household(), "scored", size)
-    placers: dict[str, dict[int, Path] | str] = {"scored": runs, "geometry-occupied": "geometry-occupied"}
+    placers: dict[str, dict[int, Path] | str] = {
+        "scored": runs,
+        "geometry-occupied": "geometry-occupied",
+    }
     placers |= {f"{name}, all pools": name for name in embedded_placers()}
     for one in sets:
         labels = {"set": one.name, "new": new_parts(one)}
@@ -297,7 +330,9 @@ _PRETRAINED_NOTES = (
 
 def _compare_encoders(suite: SuiteFolder, names: Sequence[str], stem: Path) -> Found:
     """The head `regression`, preset `cpu`, on the same pairs."""
-    pairs, size, variants = suite.household(), suite.scale.pairs(5000), []
+    pairs = suite.household()
+    size = suite.scale.pairs(5000)
+    variants = []
     for name in names:
         weights = _encoder(suite) if name == "pretrained" else None
         folder = f"{name.replace(' ', '-')}-{size}"
@@ -348,7 +383,8 @@ _PROTOCOL_NOTES = (
 
 def _compare_protocols(suite: SuiteFolder, heads: Sequence[str], stem: Path) -> Found:
     """Every head, trained and tested on one set's pairs."""
-    pairs, variants = suite.household(), []
+    pairs = suite.household()
+    variants = []
     for head in heads:
         name = f"protocol-{head}-{pairs.split('train')['num_pairs']}"
         variants.append(
@@ -376,7 +412,8 @@ def protocol_table(shared: Sequence[list[Row]], apart: Sequence[list[Row]]) -> T
         )
         for rows, others in zip(shared, apart, strict=True)
     ]
-    asked, others = shared[0][0]["trial"], apart[0][0]["trial"]
+    asked = shared[0][0]["trial"]
+    others = apart[0][0]["trial"]
     title = f"{asked['queries']} test pairs of the paper's protocol, {others['queries']} of scenes never seen"
     return Table(title, columns, tuple(cells), (*_PROTOCOL_NOTES, SEEDS_NOTE))
 

@@ -14,7 +14,12 @@ import numpy as np
 from cluttergen_jax.config import Detector
 from cluttergen_jax.errors import AssetError, ClutterGenError
 from cluttergen_jax.evaluation.judging.report import JudgedStart, JudgeReport
-from cluttergen_jax.evaluation.judging.rule import FreeBodies, JudgeConfig, find_free_bodies, judge_start
+from cluttergen_jax.evaluation.judging.rule import (
+    FreeBodies,
+    JudgeConfig,
+    find_free_bodies,
+    judge_start,
+)
 from cluttergen_jax.evaluation.judging.scene_files import find_scenes, read_model, read_starts
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import Progress
@@ -48,7 +53,8 @@ def judge_scenes(
                 left_out.update(f"free bodies are not judged: {why}" for why in bodies.left_out)
                 if not len(bodies.ids):
                     why = "; ".join(
-                        f"free bodies are not judged: {each}" for each in dict.fromkeys(bodies.left_out)
+                        f"free bodies are not judged: {each}"
+                        for each in dict.fromkeys(bodies.left_out)
                     )
                     raise AssetError(f"no body in it moves freely{f' ({why})' if why else ''}")
                 config.check_steps(model)

@@ -26,7 +26,8 @@ from cluttergen_jax.rendering.renderer import HIDDEN_GROUP
 from cluttergen_jax.tables import aligned_table
 
 _SHOWN = 12
-_RED, _GROUPS_SEEN = (0.86, 0.10, 0.12, 1.0), 3
+_RED = (0.86, 0.10, 0.12, 1.0)
+_GROUPS_SEEN = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +40,11 @@ class JudgedStart:
     found: Judgement
 
     def __str__(self) -> str:
-        found, name = self.found, f"{self.file.name}:{self.start}" if self.start else self.file.name
-        far, deep, parts = int(found.shift[-1].argmax()), int(found.penetration.argmax()), []
+        found = self.found
+        name = f"{self.file.name}:{self.start}" if self.start else self.file.name
+        far = int(found.shift[-1].argmax())
+        deep = int(found.penetration.argmax())
+        parts = []
         if number := int((~found.is_still[-1]).sum()):
             moved = f"{_mm(found.shift[-1, far])} and {np.degrees(found.turn[-1, far]):.0f} deg"
             parts.append(f"{number} of {len(found.names)} moved, {found.names[far]} by {moved}")
@@ -97,17 +101,29 @@ class JudgeReport:
         }
         rows = [row for each in self.starts for row in self._rows_of(each, horizons)]
         rows += [{"file": str(path), "error": reason} for path, reason in self.unread.items()]
-        return pa.Table.from_pylist([row | {"mujoco": self.mujoco} for row in rows], pa.schema(columns))
+        return pa.Table.from_pylist(
+            [row | {"mujoco": self.mujoco} for row in rows], pa.schema(columns)
+        )
 
     def _rows_of(self, each: JudgedStart, horizons: list[str]) -> Iterator[dict[str, Any]]:
         found = each.found
         for place, body in enumerate(found.names):
-            row = {"file": str(each.file), "start": each.start, "detector": each.detector, "body": body}
+            row = {
+                "file": str(each.file),
+                "start": each.start,
+                "detector": each.detector,
+                "body": body,
+            }
             row |= {"note": found.note, "against": found.against[place]}
-            row |= {f: getattr(found, f)[place].item() for f in ("penetration", "is_deep", "floats", "falls")}
+            row |= {
+                f: getattr(found, f)[place].item()
+                for f in ("penetration", "is_deep", "floats", "falls")
+            }
             for name in ("is_still", "shift", "turn"):
                 values = getattr(found, name)[:, place].tolist()
-                row |= {f"{name}_{label}": value for label, value in zip(horizons, values, strict=True)}
+                row |= {
+                    f"{name}_{label}": value for label, value in zip(horizons, values, strict=True)
+                }
             yield row
 
     def shares(self, detector: Detector, of_bodies: bool = False) -> dict[str, float]:
@@ -115,7 +131,9 @@ class JudgeReport:
         found = [each.found for each in self.starts if each.detector == detector]
 
         def share(flags: list[np.ndarray], of_start: Callable[[np.ndarray], Any]) -> float:
-            return float(np.mean(np.hstack(flags if of_bodies else [of_start(each) for each in flags])))
+            return float(
+                np.mean(np.hstack(flags if of_bodies else [of_start(each) for each in flags]))
+            )
 
         return {
             "number": sum(len(each.names) for each in found) if of_bodies else len(found),
@@ -129,12 +147,16 @@ class JudgeReport:
         }
 
     def __str__(self) -> str:
-        config, lines, cells = self.config, [], []
+        config = self.config
+        lines = []
+        cells = []
         for kind in ("scenes", "bodies"):
             for name in DETECTORS:
                 if any(each.detector == name for each in self.starts):
                     number, *shares = self.shares(name, kind == "bodies").values()
-                    cells.append([f"{kind}, {name}", f"{number}", *(f"{each:.3f}" for each in shares)])
+                    cells.append(
+                        [f"{kind}, {name}", f"{number}", *(f"{each:.3f}" for each in shares)]
+                    )
         if cells:
             still = (f"still {seconds:g} s" for seconds in config.seconds)
             lines.append(aligned_table(["", "number", *still, "overlap", "float", "fall"], cells))
@@ -152,7 +174,9 @@ class JudgeReport:
     def _worst_first(self) -> list[JudgedStart]:
         """The starts with faults, by the worse detector; those in which most bodies moved first."""
         bad = [each for each in self.starts if each.badness[0] or each.badness[2]]
-        worse = {(each.file, each.start): each for each in sorted(bad, key=lambda each: each.badness)}
+        worse = {
+            (each.file, each.start): each for each in sorted(bad, key=lambda each: each.badness)
+        }
         return sorted(worse.values(), key=lambda each: each.badness, reverse=True)
 
     def write(self, out: Path) -> str:
@@ -166,9 +190,12 @@ class JudgeReport:
             pyarrow.csv.write_csv(self.rows, fresh)
         with file_whole(out / "report.parquet") as fresh:
             pq.write_table(self.rows, fresh)
-        bad, (can_draw, message) = self._worst_first(), renderer_status()
+        bad = self._worst_first()
+        (can_draw, message) = renderer_status()
         drawn = f", {draw(bad[0], out / 'worst.png').name}" if bad and can_draw else ""
-        return f"report     {out / 'report.csv'}{drawn}" + ("" if can_draw else f"; no picture: {message}")
+        return f"report     {out / 'report.csv'}{drawn}" + (
+            "" if can_draw else f"; no picture: {message}"
+        )
 
 
 def _mm(metres: float) -> str:
@@ -181,17 +208,23 @@ def _shorten(lines: list[str]) -> list[str]:
 
 def draw(each: JudgedStart, path: Path) -> Path:
     """A picture of a start and of its end side by side, what moved in red."""
-    model, found = read_model(each.file)[0], each.found
+    model = read_model(each.file)[0]
+    found = each.found
     is_seen = (model.geom_group < _GROUPS_SEEN) & (model.geom_rgba[:, 3] > 0)
-    names = [model.body(int(body)).name or f"body-{body}" for body in model.body_rootid[model.geom_bodyid]]
+    names = [
+        model.body(int(body)).name or f"body-{body}"
+        for body in model.body_rootid[model.geom_bodyid]
+    ]
     is_judged = np.isin(names, found.names)
     if not (is_seen & is_judged).any():
         is_seen[:] = True
     is_moved = np.isin(names, np.array(found.names)[~found.is_still[-1]])
-    model.geom_matid[is_moved], model.geom_rgba[is_moved] = -1, _RED
+    model.geom_matid[is_moved] = -1
+    model.geom_rgba[is_moved] = _RED
     model.geom_group[:] = np.where(is_seen, VISUAL_GROUP, HIDDEN_GROUP)
     if not model.nlight:
-        model.vis.headlight.ambient, model.vis.headlight.diffuse = 0.4, 0.6
+        model.vis.headlight.ambient = 0.4
+        model.vis.headlight.diffuse = 0.6
     data = mujoco.MjData(model)
     data.qpos[:] = found.begin
     mujoco.mj_forward(model, data)

@@ -58,9 +58,11 @@ class JudgeConfig:
 
     def check_steps(self, model: mujoco.MjModel) -> None:
         """Refuses a model that cannot be stepped, or would take forever (ConfigError)."""
-        step, last = model.opt.timestep, self.seconds[-1]
+        step = model.opt.timestep
+        last = self.seconds[-1]
         if not (step > 0 and last / step <= _MAX_STEPS):
-            given, allowed = f"a time step of {step:g} s over {last:g} s", f"{_MAX_STEPS:,} steps at most"
+            given = f"a time step of {step:g} s over {last:g} s"
+            allowed = f"{_MAX_STEPS:,} steps at most"
             raise ConfigError(given, allowed, f"seconds={self.seconds[0]:g}")
 
 
@@ -122,10 +124,13 @@ def find_free_bodies(model: mujoco.MjModel) -> FreeBodies:
     """
     collides = _collides(model)
     targets = zip(model.actuator_trntype.tolist(), model.actuator_trnid[:, 0].tolist(), strict=True)
-    pulled = [int(getattr(model, _PULLED[kind])[target]) for kind, target in targets if kind in _PULLED]
+    pulled = [
+        int(getattr(model, _PULLED[kind])[target]) for kind, target in targets if kind in _PULLED
+    ]
     pulled += model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_BODY, 0].tolist()
     is_driven = np.isin(np.arange(model.nbody), model.body_rootid[pulled])
-    kept, left_out = [], []
+    kept = []
+    left_out = []
     for body in model.jnt_bodyid[model.jnt_type == _FREE].tolist():
         if is_driven[body]:
             left_out.append("an actuator drives them")
@@ -159,7 +164,9 @@ def collision_shapes(model: mujoco.MjModel) -> tuple[np.ndarray, tuple[str, ...]
     if not names:
         return is_shape, ()
     more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-    what = "bodies that collide with nothing: overlaps with them are measured by what is drawn of them"
+    what = (
+        "bodies that collide with nothing: overlaps with them are measured by what is drawn of them"
+    )
     return is_shape, (f"{what}: {', '.join(names[:_MOST_NAMES])}{more}",)
 
 
@@ -185,26 +192,30 @@ def _name(model: mujoco.MjModel, body: int) -> str:
 
 
 def judge_start(
-    model: mujoco.MjModel, start: mujoco.MjData, detector: Detector, bodies: FreeBodies, config: JudgeConfig
+    model: mujoco.MjModel,
+    start: mujoco.MjData,
+    detector: Detector,
+    bodies: FreeBodies,
+    config: JudgeConfig,
 ) -> Judgement:
     """Judges one start with one of MuJoCo's detectors of convex collisions.
 
     Args:
       model, start: read alone; velocities count as zero.
     """
-    model, data = copy.copy(model), copy.copy(start)
+    model = copy.copy(model)
+    data = copy.copy(start)
     model.opt.disableflags = disabled_flags(model, detector)
     model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     # A diverging scene must be seen, not put back to where it started.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     data.qvel[:] = 0
-    number, note = len(bodies.ids), ""
-    depth, against, floats, falls = (
-        np.zeros(number),
-        ("",) * number,
-        np.zeros(number, bool),
-        np.zeros(number, bool),
-    )
+    number = len(bodies.ids)
+    note = ""
+    depth = np.zeros(number)
+    against = ("",) * number
+    floats = np.zeros(number, bool)
+    falls = np.zeros(number, bool)
     shift, turn = np.full((2, len(config.seconds), number), np.inf)
     try:
         mujoco.mj_forward(model, data)
@@ -213,7 +224,8 @@ def judge_start(
         motion = _Motion(model, data, bodies, config.hold_joints)
         shift, turn = motion.run(config.seconds)
         floats = ~is_chained | (~is_lifted & (motion.sunk > GAP))
-        falls, note = motion.sinking() > FALL, motion.note
+        falls = motion.sinking() > FALL
+        note = motion.note
         if not note and (data.warning.number[_FULL].any() or not is_complete):
             note = "MuJoCo had no room for all contacts"
     except mujoco.FatalError as error:
@@ -254,7 +266,11 @@ def _pairs(
     # A side of a contact with something soft is no geom.
     owner = np.where(geoms < 0, -1, place[model.body_rootid[model.geom_bodyid[geoms]]])
     is_other = (owner[:, 0] != owner[:, 1]) & (owner >= 0).any(1)
-    return owner[is_other], data.contact.dist[is_other], -data.contact.frame[is_other, :3] @ _down(model)
+    return (
+        owner[is_other],
+        data.contact.dist[is_other],
+        -data.contact.frame[is_other, :3] @ _down(model),
+    )
 
 
 def _overlaps(
@@ -264,8 +280,10 @@ def _overlaps(
 
     It is measured by geometry: whatever the file says of who may touch whom.
     """
-    deepest, against = np.zeros(len(bodies.ids)), [""] * len(bodies.ids)
-    root, is_complete = model.body_rootid[model.geom_bodyid], True
+    deepest = np.zeros(len(bodies.ids))
+    against = [""] * len(bodies.ids)
+    root = model.body_rootid[model.geom_bodyid]
+    is_complete = True
     try:
         found = [_open_contacts(model, data, bodies, np.isin(root, bodies.ids))]
     except _NoRoomError:
@@ -279,10 +297,8 @@ def _overlaps(
         for pair, depth in zip(owner.tolist(), -distance, strict=True):
             for own, other in (pair, pair[::-1]):
                 if own >= 0 and depth > deepest[own]:
-                    deepest[own], against[own] = (
-                        depth,
-                        bodies.names[other] if other >= 0 else "what is not judged",
-                    )
+                    deepest[own] = depth
+                    against[own] = bodies.names[other] if other >= 0 else "what is not judged"
     return deepest, tuple(against), is_complete
 
 
@@ -298,7 +314,8 @@ def _open_contacts(
     Raises:
       _NoRoomError: there are more contacts than the file has room for.
     """
-    model, data = copy.copy(model), copy.copy(data)
+    model = copy.copy(model)
+    data = copy.copy(data)
     # Two geoms are tried if one has a bit for what it is that the other asks for.
     model.geom_contype[:] = np.where(bodies.is_shape, np.where(is_asked, 1, 2), 0)
     model.geom_conaffinity[:] = np.where(bodies.is_shape & is_asked, 3, 0)
@@ -310,7 +327,8 @@ def _open_contacts(
         of_body[:] = 0
         np.bitwise_or.at(of_body, model.geom_bodyid, of_geom)
     model.exclude_signature[:] = -1
-    disable, enable = mujoco.mjtDisableBit, mujoco.mjtEnableBit
+    disable = mujoco.mjtDisableBit
+    enable = mujoco.mjtEnableBit
     model.opt.disableflags &= ~int(disable.mjDSBL_CONTACT | disable.mjDSBL_CONSTRAINT)
     model.opt.disableflags |= int(disable.mjDSBL_FILTERPARENT | disable.mjDSBL_MIDPHASE)
     model.opt.enableflags &= ~int(enable.mjENBL_OVERRIDE)
@@ -324,14 +342,17 @@ def _open_contacts(
     return _pairs(model, data, bodies)[:2]
 
 
-def _carried(model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies) -> tuple[np.ndarray, np.ndarray]:
+def _carried(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies
+) -> tuple[np.ndarray, np.ndarray]:
     """bool[B] each: a chain of bodies that touch leads to what is not judged; something lies below."""
     margins = model.geom_margin.copy()
     model.geom_margin[:] = np.maximum(margins, GAP)
     mujoco.mj_collision(model, data)
     owner, distance, lift = _pairs(model, data, bodies)
     model.geom_margin[:] = margins
-    owner, lift = owner[distance <= GAP], lift[distance <= GAP]
+    owner = owner[distance <= GAP]
+    lift = lift[distance <= GAP]
     # The last entry is all that is not judged, which -1 means as well.
     chained, lifted = np.zeros((2, len(bodies.ids) + 1), bool)
     chained[-1] = True
@@ -349,20 +370,30 @@ class _Motion:
       note: what went wrong, "" if nothing did.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies, holds: bool) -> None:
-        self._model, self._data, self.note = model, data, ""
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies, holds: bool
+    ) -> None:
+        self._model = model
+        self._data = data
+        self.note = ""
         self._address = model.jnt_qposadr[model.body_jntadr[bodies.ids]]
         axes = data.xmat[bodies.ids].reshape(-1, 3, 3)
-        self._center = np.einsum("bji,bj->bi", axes, data.subtree_com[bodies.ids] - data.xpos[bodies.ids])
-        self._start, self._qpos, self.sunk = self.poses(), data.qpos.copy(), np.zeros(len(bodies.ids))
+        self._center = np.einsum(
+            "bji,bj->bi", axes, data.subtree_com[bodies.ids] - data.xpos[bodies.ids]
+        )
+        self._start = self.poses()
+        self._qpos = data.qpos.copy()
+        self.sunk = np.zeros(len(bodies.ids))
         # Links that move against the body that they hang on, and whose they are.
         place = np.full(model.nbody, -1)
         place[bodies.ids] = np.arange(len(bodies.ids))
         is_link = (place[model.body_rootid] >= 0) & (model.body_jntnum > 0) & (place < 0)
         self._links = np.flatnonzero(is_link)
-        self._owner, self._links_start = place[model.body_rootid[self._links]], self._link_poses()
+        self._links_start = self._link_poses()
+        self._owner = place[model.body_rootid[self._links]]
         # Positions and velocities of joints that are held.
-        self._is_held, self._is_stopped = np.full(model.nq, holds), np.full(model.nv, holds)
+        self._is_held = np.full(model.nq, holds)
+        self._is_stopped = np.full(model.nv, holds)
         for joint in np.flatnonzero(model.jnt_type == _FREE):
             self._is_held[model.jnt_qposadr[joint] + np.arange(7)] = False
             self._is_stopped[model.jnt_dofadr[joint] + np.arange(6)] = False
@@ -395,9 +426,12 @@ class _Motion:
 
     def run(self, seconds: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         """f64[H, B] metres and radians: the farthest up to each horizon, infinite where it diverged."""
-        farthest, reached = np.zeros((2, len(self._start))), []
-        step, done = self._model.opt.timestep, 0
-        stride, at_once = max(round(_LOOK / step), 1), round(AT_ONCE / step)
+        farthest = np.zeros((2, len(self._start)))
+        reached = []
+        step = self._model.opt.timestep
+        done = 0
+        stride = max(round(_LOOK / step), 1)
+        at_once = round(AT_ONCE / step)
         for until in (round(each / step) for each in seconds):
             while done < until and not self.note:
                 if stop_asked.is_set():
@@ -414,10 +448,12 @@ class _Motion:
         return shift, turn
 
     def _advance(self, number: int) -> None:
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         is_any_held = self._is_held.any()
         for _ in range(number if is_any_held else 1):
             mujoco.mj_step(model, data, 1 if is_any_held else number)
-            data.qpos[self._is_held], data.qvel[self._is_stopped] = self._qpos[self._is_held], 0.0
+            data.qpos[self._is_held] = self._qpos[self._is_held]
+            data.qvel[self._is_stopped] = 0.0
         if not np.isfinite(data.qpos).all():
             self.note = f"it diverged before {data.time:.2f} s"

@@ -23,14 +23,17 @@ from cluttergen_jax.importing.readers.xml_tree import parse_xml, plain_tag
 _SDF = (".sdf", ".world")
 SUFFIXES = (".xml", ".mjcf", ".mjb", ".urdf", ".usd", ".usda", ".usdc", ".usdz", *_SDF)
 _ARRAYS = (".npz", ".npy")
-_FREE, _BALL = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
+_FREE = mujoco.mjtJoint.mjJNT_FREE
+_BALL = mujoco.mjtJoint.mjJNT_BALL
 _UNIT = 0.01
 """How far from 1 the length of a quaternion may be: files keep few digits, and MuJoCo makes it 1."""
 _GIVEN = "an MJCF, URDF, SDF or USD file, or a folder of them"
 _ROOT = re.compile(rb"<\s*+(\w++)[\s/>]")
 _SECONDS = 120
 """Of a processor, to load one file."""
-_CONVERT = "a file that numpy.savez wrote, of an array f64[S, nq], or [S, 1 + nq + nv] with the time first"
+_CONVERT = (
+    "a file that numpy.savez wrote, of an array f64[S, nq], or [S, 1 + nq + nv] with the time first"
+)
 
 
 def find_scenes(paths: Sequence[str | Path]) -> tuple[list[Path], int]:
@@ -56,7 +59,9 @@ def find_scenes(paths: Sequence[str | Path]) -> tuple[list[Path], int]:
         num_others += len(files) - len(scenes)
         found += scenes
     if not found:
-        raise ConfigError(f"no scenes in {', '.join(map(str, paths))}", _GIVEN, "a file by its name")
+        raise ConfigError(
+            f"no scenes in {', '.join(map(str, paths))}", _GIVEN, "a file by its name"
+        )
     return list(dict.fromkeys(found)), num_others
 
 
@@ -116,7 +121,9 @@ def _with_paths(path: Path) -> str:
     if re.search(r"<mujoco[\s>]", text):
         return text
     own = f'<mujoco><compiler strippath="false" meshdir="{path.parent.absolute()}"/></mujoco>'
-    return re.sub(r"(<robot\b[^>]*>)", lambda found: found[1] + own, text, count=1).replace("package://", "")
+    return re.sub(r"(<robot\b[^>]*>)", lambda found: found[1] + own, text, count=1).replace(
+        "package://", ""
+    )
 
 
 def read_starts(
@@ -162,7 +169,9 @@ def _arrays(states: Any) -> Iterator[tuple[str, np.ndarray]]:
         try:
             yield "", np.asarray(states)
         except (ValueError, TypeError) as error:
-            raise AssetError(f"states that are no array ({error})", "an array f64[S, nq]") from error
+            raise AssetError(
+                f"states that are no array ({error})", "an array f64[S, nq]"
+            ) from error
         return
     try:
         loaded = np.load(states, allow_pickle=False)
@@ -188,7 +197,9 @@ def _positions(model: mujoco.MjModel, states: np.ndarray) -> np.ndarray:
     """
     if not (np.issubdtype(states.dtype, np.floating) or np.issubdtype(states.dtype, np.integer)):
         raise AssetError(f"states of type {states.dtype}", "real numbers")
-    nq, nv, na = model.nq, model.nv, model.na
+    nq = model.nq
+    nv = model.nv
+    na = model.na
     first = {nq: 0, nq + nv: 0, nq + nv + na: 0, 1 + nq + nv: 1, 1 + nq + nv + na: 1}
     width = states.shape[-1] if states.ndim in (1, 2) else None
     if width not in first or not len(states):
@@ -206,8 +217,12 @@ def _positions(model: mujoco.MjModel, states: np.ndarray) -> np.ndarray:
         start = int(model.jnt_qposadr[joint]) + (3 if model.jnt_type[joint] == _FREE else 0)
         length = np.linalg.norm(rows[:, start : start + 4], axis=1)
         if (wrong := np.abs(length - 1) > _UNIT).any():
-            row, from_ = int(wrong.argmax()), first[width] + start
-            body = model.body(int(model.jnt_bodyid[joint])).name or f"body-{int(model.jnt_bodyid[joint])}"
+            row = int(wrong.argmax())
+            from_ = first[width] + start
+            body = (
+                model.body(int(model.jnt_bodyid[joint])).name
+                or f"body-{int(model.jnt_bodyid[joint])}"
+            )
             which = f"states[{row}, {from_}:{from_ + 4}], the quaternion of {body!r}"
             raise AssetError(
                 f"{which}, is of length {length[row]:.4g}",

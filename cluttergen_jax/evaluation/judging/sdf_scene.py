@@ -18,7 +18,8 @@ from cluttergen_jax.importing.readers.sdf import axis_of, placed_links
 from cluttergen_jax.importing.readers.sdf_includes import read_sdf_tree
 from cluttergen_jax.importing.readers.xml_tree import Element, length, number, numbers
 
-_GEOM, _JOINT = mujoco.mjtGeom, mujoco.mjtJoint
+_GEOM = mujoco.mjtGeom
+_JOINT = mujoco.mjtJoint
 _KINDS = {
     "revolute": _JOINT.mjJNT_HINGE,
     "continuous": _JOINT.mjJNT_HINGE,
@@ -68,7 +69,9 @@ def read_sdf_world(path: Path) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     for model in world.findall("model"):
         _Model(path, spec, world, model).add()
     others = dict.fromkeys(each.tag for each in world if each.tag in _LEFT_OUT)
-    notes = (f"of the world, left out: {', '.join(f'<{each}>' for each in others)}",) if others else ()
+    notes = (
+        (f"of the world, left out: {', '.join(f'<{each}>' for each in others)}",) if others else ()
+    )
     return spec.compile(), notes
 
 
@@ -81,7 +84,9 @@ def _own_model(path: Path, include: Element) -> Element:
         raise AssetError(
             f"{path} includes {uri!r}, which cannot be read", allowed, "its folder beside the world"
         )
-    model = ElementTree.fromstring(f'<model name="{name}"><static>true</static>{_OWN[name]}</model>')
+    model = ElementTree.fromstring(
+        f'<model name="{name}"><static>true</static>{_OWN[name]}</model>'
+    )
     if (pose := include.find("pose")) is not None:
         model.append(pose)
     return model
@@ -91,7 +96,9 @@ class _Model:
     """One model of a world, as bodies of a spec."""
 
     def __init__(self, path: Path, spec: mujoco.MjSpec, world: Element, model: Element) -> None:
-        self._path, self._spec, self._model = path, spec, model
+        self._path = path
+        self._spec = spec
+        self._model = model
         self._name = model.get("name", "")
         self._links = placed_links(path, model, world)
         self._is_static = (model.findtext("static") or "").strip() in _YES
@@ -105,7 +112,9 @@ class _Model:
         for inner in self._model.iter("model"):
             moving = [each for each in inner.findall("joint") if each.get("type") != "fixed"]
             if inner is not self._model and moving:
-                raise AssetError(f"{self._path}: model {inner.get('name')!r} within a model has joints")
+                raise AssetError(
+                    f"{self._path}: model {inner.get('name')!r} within a model has joints"
+                )
         groups = self._groups()
         joints = [each for each in self._model.findall("joint") if each.get("type") != "fixed"]
         above = {self._group(groups, each, "child"): each for each in joints}
@@ -129,7 +138,9 @@ class _Model:
             if joint.get("type") == "fixed":
                 one, other = (self._group(groups, joint, tag) for tag in ("parent", "child"))
                 low = min(one, other)
-                groups = {name: low if group in (one, other) else group for name, group in groups.items()}
+                groups = {
+                    name: low if group in (one, other) else group for name, group in groups.items()
+                }
         return {name: group for name, group in groups.items() if name != "world"}
 
     def _group(self, groups: dict[str, int], joint: Element, tag: str) -> int:
@@ -151,11 +162,14 @@ class _Model:
     ) -> tuple[mujoco.MjsBody, np.ndarray]:
         """The body of links that are one, and its pose; those that it hangs on are made first."""
         if group in below:
-            raise AssetError(f"{self._path}: joints of {self._name!r} hang on each other in a circle")
+            raise AssetError(
+                f"{self._path}: joints of {self._name!r} hang on each other in a circle"
+            )
         if group in made:
             return made[group]
         links = [each for each in self._links if groups[each.name] == group]
-        pose, joint = _frame_of(links[0]), above.get(group)
+        pose = _frame_of(links[0])
+        joint = above.get(group)
         parent, place = made[-1]
         if joint is not None:
             upper = self._group(groups, joint, "parent")
@@ -182,10 +196,14 @@ class _Model:
             else next(f"{name}-{i}" for i in range(len(names) + 1) if f"{name}-{i}" not in names)
         )
 
-    def _add_joint(self, body: mujoco.MjsBody, pose: np.ndarray, joint: Element, links: list[Link]) -> None:
+    def _add_joint(
+        self, body: mujoco.MjsBody, pose: np.ndarray, joint: Element, links: list[Link]
+    ) -> None:
         kind = joint.get("type", "")
         if kind not in _KINDS:
-            given = f"{self._path}: joint {joint.get('name')!r} of {self._name!r} is of type {kind!r}"
+            given = (
+                f"{self._path}: joint {joint.get('name')!r} of {self._name!r} is of type {kind!r}"
+            )
             raise AssetError(given, ", ".join(("fixed", *_KINDS)))
         made = body.add_joint(type=_KINDS[kind])
         child = joint.findtext("child", "").strip().rpartition("::")[2]
@@ -204,7 +222,8 @@ class _Model:
                 for each, default in (("lower", "-1e16"), ("upper", "1e16"))
             )
             if max(abs(lower), abs(upper)) < _NO_LIMIT:
-                made.range, made.limited = (lower, upper), mujoco.mjtLimited.mjLIMITED_TRUE
+                made.range = (lower, upper)
+                made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
                 if made.type == _JOINT.mjJNT_HINGE:
                     made.range = np.degrees((lower, upper))
         dynamics = None if element is None else element.find("dynamics")
@@ -217,26 +236,35 @@ class _Model:
         inertials = [(link, link.element.find("inertial")) for link in links]
         if any(each is not None and each.get("auto", "") in _YES for _, each in inertials):
             return
-        masses, centers, moments = [], [], []
+        masses = []
+        centers = []
+        moments = []
         for link, inertial in inertials:
-            mass, inertia = 1.0, np.eye(3)
+            mass = 1.0
+            inertia = np.eye(3)
             if inertial is not None:
-                mass, inertia = number(self._path, inertial, "mass", "1"), self._inertia(inertial)
-            turned = np.linalg.inv(pose) @ link.place(Element("none") if inertial is None else inertial)
+                mass = number(self._path, inertial, "mass", "1")
+                inertia = self._inertia(inertial)
+            turned = np.linalg.inv(pose) @ link.place(
+                Element("none") if inertial is None else inertial
+            )
             masses.append(mass)
             centers.append(turned[:3, 3])
             moments.append(turned[:3, :3] @ inertia @ turned[:3, :3].T)
         total = sum(masses)
         if not (math.isfinite(total) and min(masses) >= 0 and total > 0):
             raise AssetError(
-                f"{self._path}: a link of {self._name!r} has a mass of {min(masses):g} kg", "above 0"
+                f"{self._path}: a link of {self._name!r} has a mass of {min(masses):g} kg",
+                "above 0",
             )
         center = np.average(centers, axis=0, weights=masses)
         inertia = np.zeros((3, 3))
         for mass, each, moment in zip(masses, centers, moments, strict=True):
             offset = each - center
             inertia += moment + mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-        body.mass, body.ipos, body.explicitinertial = total, center, True
+        body.mass = total
+        body.ipos = center
+        body.explicitinertial = True
         body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
     def _inertia(self, inertial: Element) -> np.ndarray:
@@ -277,7 +305,8 @@ class _Model:
                 if convex_parts([piece.mesh]) is None:
                     allowed = "meshes that are convex, and other shapes"
                     raise AssetError(
-                        f"{path}: a collider of {self._name!r} is a mesh that is not convex", allowed
+                        f"{path}: a collider of {self._name!r} is a mesh that is not convex",
+                        allowed,
                     )
                 mesh = self._spec.add_mesh(name=f"{name}-{index}-{len(self._spec.meshes)}")
                 mesh.uservert = piece.mesh.vertices.astype(np.float32).ravel()
@@ -289,17 +318,24 @@ class _Model:
             normal = numbers(path, form, "normal", 3, "0 0 1")
             if not normal.any():
                 raise AssetError(f"{path}: a plane of {self._name!r} without a normal")
-            place = place @ trimesh.geometry.align_vectors([0, 0, 1], normal / np.linalg.norm(normal))
-            geom.type, geom.size = _GEOM.mjGEOM_PLANE, (0, 0, 1)
+            place = place @ trimesh.geometry.align_vectors(
+                [0, 0, 1], normal / np.linalg.norm(normal)
+            )
+            geom.type = _GEOM.mjGEOM_PLANE
+            geom.size = (0, 0, 1)
         elif form.tag == "box":
-            geom.type, geom.size = _GEOM.mjGEOM_BOX, numbers(path, form, "size", 3) / 2
+            geom.type = _GEOM.mjGEOM_BOX
+            geom.size = numbers(path, form, "size", 3) / 2
         elif form.tag == "ellipsoid":
-            geom.type, geom.size = _GEOM.mjGEOM_ELLIPSOID, numbers(path, form, "radii", 3)
+            geom.type = _GEOM.mjGEOM_ELLIPSOID
+            geom.size = numbers(path, form, "radii", 3)
         elif form.tag == "sphere":
-            geom.type, geom.size = _GEOM.mjGEOM_SPHERE, (length(path, form, "radius"), 0, 0)
+            geom.type = _GEOM.mjGEOM_SPHERE
+            geom.size = (length(path, form, "radius"), 0, 0)
         else:
             radius, height = (length(path, form, each) for each in ("radius", "length"))
-            geom.type, geom.size = _ROUND[form.tag], (radius, height / 2, 0)
+            geom.type = _ROUND[form.tag]
+            geom.size = (radius, height / 2, 0)
         _put(geom, place)
         yield geom
 
@@ -311,4 +347,5 @@ def _frame_of(link: Link) -> np.ndarray:
 
 def _put(thing: mujoco.MjsBody | mujoco.MjsGeom, pose: np.ndarray) -> None:
     """Gives a body or a geom a pose f64[4, 4]."""
-    thing.pos, thing.quat = pose[:3, 3], trimesh.transformations.quaternion_from_matrix(pose)
+    thing.pos = pose[:3, 3]
+    thing.quat = trimesh.transformations.quaternion_from_matrix(pose)

@@ -20,7 +20,9 @@ except ImportError:  # pragma: no cover - depends on what is installed
 _GEOM = mujoco.mjtGeom
 _TURNS = {"X": ((0, 1, 0), 90), "Y": ((1, 0, 0), -90), "Z": ((0, 0, 1), 0)}
 _ROUND = {"Capsule": _GEOM.mjGEOM_CAPSULE, "Cylinder": _GEOM.mjGEOM_CYLINDER}
-_SAID = re.compile(r"Error in '[^']*' at line \d+ in file .*? : '(.*?)'(?=\s*Error in '|\s*$)", re.DOTALL)
+_SAID = re.compile(
+    r"Error in '[^']*' at line \d+ in file .*? : '(.*?)'(?=\s*Error in '|\s*$)", re.DOTALL
+)
 _FILLED = 0.99
 """Share of its hull that a mesh fills which counts as convex."""
 
@@ -62,7 +64,8 @@ def _read_stage(stage: Any) -> mujoco.MjModel:
         raise AssetError(
             f"parts of it are not there: {' '.join(str(lost[0]).split())}", "a stage that is whole"
         )
-    spec, cache = mujoco.MjSpec(), UsdGeom.XformCache()
+    spec = mujoco.MjSpec()
+    cache = UsdGeom.XformCache()
     units = _Units(UsdGeom.GetStageMetersPerUnit(stage), UsdPhysics.GetStageKilogramsPerUnit(stage))
     to_world = Gf.Matrix4d(1.0).SetScale(units.metre)
     if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
@@ -90,14 +93,14 @@ def _read_stage(stage: Any) -> mujoco.MjModel:
     model = spec.compile()
     for name, (mass, center) in weights.items():
         if mass or center is not None:
-            body, made = spec.body(name), model.body(name)
+            body = spec.body(name)
+            made = model.body(name)
             factor = mass / made.mass[0] if mass else 1.0
-            body.mass, body.inertia, body.explicitinertial = (
-                factor * made.mass[0],
-                factor * made.inertia,
-                True,
-            )
-            body.ipos, body.iquat = made.ipos if center is None else center, made.iquat
+            body.mass = factor * made.mass[0]
+            body.inertia = factor * made.inertia
+            body.explicitinertial = True
+            body.ipos = made.ipos if center is None else center
+            body.iquat = made.iquat
     return spec.compile()
 
 
@@ -108,7 +111,8 @@ def _is_moved(body: Any) -> bool:
 def _put(thing: Any, matrix: Any) -> None:
     """Gives a body or a geom the position and the orientation of a frame."""
     turn = matrix.RemoveScaleShear().ExtractRotationQuat()
-    thing.pos, thing.quat = matrix.ExtractTranslation(), (turn.GetReal(), *turn.GetImaginary())
+    thing.pos = matrix.ExtractTranslation()
+    thing.quat = (turn.GetReal(), *turn.GetImaginary())
 
 
 class _Units(NamedTuple):
@@ -126,13 +130,15 @@ def _weigh(body: mujoco.MjsBody, api: Any, units: _Units) -> tuple[float, np.nda
       metres, None likewise.
     """
     mass = (api.GetMassAttr().Get() or 0.0) * units.kilogram
-    moments, stated = api.GetDiagonalInertiaAttr().Get(), api.GetCenterOfMassAttr().Get()
+    moments = api.GetDiagonalInertiaAttr().Get()
+    stated = api.GetCenterOfMassAttr().Get()
     is_centred = stated is not None and bool(np.isfinite(stated).all())
     center = np.array(stated) * units.metre if is_centred else None
     if not (mass and moments and min(moments) > 0):
         return mass, center
     axes = api.GetPrincipalAxesAttr().Get()
-    body.mass, body.explicitinertial = mass, True
+    body.mass = mass
+    body.explicitinertial = True
     body.inertia = np.array(moments) * units.kilogram * units.metre**2
     body.ipos = np.zeros(3) if center is None else center
     body.iquat = (axes.GetReal(), *axes.GetImaginary()) if axes.GetLength() else (1, 0, 0, 0)
@@ -154,42 +160,60 @@ def _fill(geom: mujoco.MjsGeom, prim: Any, body: Any, units: _Units) -> None:
         geom.density = density * units.kilogram / units.metre**3
 
 
-def _add_collider(spec: mujoco.MjSpec, body: mujoco.MjsBody, prim: Any, place: Any) -> mujoco.MjsGeom:
+def _add_collider(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, prim: Any, place: Any
+) -> mujoco.MjsGeom:
     """A collider as a geom of a body, at `place` in its frame."""
-    geom, kind = body.add_geom(name=str(prim.GetPath())), str(prim.GetTypeName())
+    geom = body.add_geom(name=str(prim.GetPath()))
+    kind = str(prim.GetTypeName())
     rigid = place.RemoveScaleShear()
     scale = np.abs(np.array(place * rigid.GetInverse())[:3, :3].diagonal())
     _put(geom, rigid)
     if kind == "Cube":
-        geom.type, geom.size = _GEOM.mjGEOM_BOX, scale * UsdGeom.Cube(prim).GetSizeAttr().Get() / 2
+        geom.type = _GEOM.mjGEOM_BOX
+        geom.size = scale * UsdGeom.Cube(prim).GetSizeAttr().Get() / 2
     elif kind == "Plane":
-        geom.type, geom.size = _GEOM.mjGEOM_PLANE, (0, 0, 1)
+        geom.type = _GEOM.mjGEOM_PLANE
+        geom.size = (0, 0, 1)
     elif kind == "Mesh":
         mesh = spec.add_mesh(name=geom.name)
         mesh.uservert = (_hull_points(prim) * scale).astype(np.float32).ravel()
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        geom.type, geom.meshname = _GEOM.mjGEOM_MESH, mesh.name
+        geom.type = _GEOM.mjGEOM_MESH
+        geom.meshname = mesh.name
     elif kind == "Sphere" and np.ptp(scale) < 1e-6:
         radius = UsdGeom.Sphere(prim).GetRadiusAttr().Get()
-        geom.type, geom.size = _GEOM.mjGEOM_SPHERE, (radius * scale[0], 0, 0)
+        geom.type = _GEOM.mjGEOM_SPHERE
+        geom.size = (radius * scale[0], 0, 0)
     elif kind in _ROUND and np.ptp(scale) < 1e-6:
         shape = getattr(UsdGeom, kind)(prim)
         axis, angle = _TURNS[shape.GetAxisAttr().Get()]
         _put(geom, Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(axis), angle)) * rigid)
-        radius, height = shape.GetRadiusAttr().Get(), shape.GetHeightAttr().Get()
-        geom.type, geom.size = _ROUND[kind], (radius * scale[0], height / 2 * scale[0], 0)
+        radius = shape.GetRadiusAttr().Get()
+        height = shape.GetHeightAttr().Get()
+        geom.type = _ROUND[kind]
+        geom.size = (radius * scale[0], height / 2 * scale[0], 0)
     else:
-        allowed = "cubes, planes, meshes, and spheres, capsules and cylinders that are not stretched"
-        raise AssetError(f"the collider {prim.GetPath()} is a {kind or 'prim without a type'}", allowed)
+        allowed = (
+            "cubes, planes, meshes, and spheres, capsules and cylinders that are not stretched"
+        )
+        raise AssetError(
+            f"the collider {prim.GetPath()} is a {kind or 'prim without a type'}", allowed
+        )
     material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
-    if material and (friction := UsdPhysics.MaterialAPI(material).GetDynamicFrictionAttr().Get()) is not None:
+    if (
+        material
+        and (friction := UsdPhysics.MaterialAPI(material).GetDynamicFrictionAttr().Get())
+        is not None
+    ):
         geom.friction = (friction, *geom.friction[1:])
     return geom
 
 
 def _hull_points(prim: Any) -> np.ndarray:
     """f64[V, 3]: the points of a mesh that collides as its hull."""
-    mesh, approximation = UsdGeom.Mesh(prim), UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr()
+    mesh = UsdGeom.Mesh(prim)
+    approximation = UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr()
     points = np.array(mesh.GetPointsAttr().Get() or (), np.float64).reshape(-1, 3)
     if len(points) < 4 or not np.isfinite(points).all():
         given = f"the collider {prim.GetPath()} is a mesh of {len(points)} points"

@@ -66,13 +66,16 @@ def bias_of(
     Raises:
       ConfigError: arrays of different lengths, or none of the candidates passed.
     """
-    category, passed = np.asarray(category, np.int64), np.asarray(passed, bool)
+    category = np.asarray(category, np.int64)
+    passed = np.asarray(passed, bool)
     if not category.shape == passed.shape == np.shape(scene) or category.ndim != 1:
         raise ConfigError(
             f"shapes {category.shape}, {passed.shape} and {np.shape(scene)}", "one length for all"
         )
     if not passed.any():
-        raise ConfigError(f"{len(passed)} candidates of which none passed", "at least one that passed")
+        raise ConfigError(
+            f"{len(passed)} candidates of which none passed", "at least one that passed"
+        )
     scenes, row = np.unique(np.asarray(scene), return_inverse=True)
     tables = np.zeros((2, len(scenes), len(labels)))
     np.add.at(tables[0], (row, category), 1)
@@ -97,12 +100,15 @@ def bias_of(
 def _lift(proposed: np.ndarray, passed: np.ndarray) -> np.ndarray:
     """f64[..., C]: share among those that passed over share among all."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return (passed / passed.sum(-1, keepdims=True)) / (proposed / proposed.sum(-1, keepdims=True))
+        return (passed / passed.sum(-1, keepdims=True)) / (
+            proposed / proposed.sum(-1, keepdims=True)
+        )
 
 
 def _percentiles(drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """f64[C] each: 2.5 % and 97.5 % of draws f64[B, C], without those that say nothing of a category."""
-    low, high = np.full(drawn.shape[1], np.nan), np.full(drawn.shape[1], np.nan)
+    low = np.full(drawn.shape[1], np.nan)
+    high = np.full(drawn.shape[1], np.nan)
     for c, column in enumerate(drawn.T):
         known = column[np.isfinite(column)]
         if len(known):
@@ -121,7 +127,9 @@ def zone_of(positions: np.ndarray, region: Rectangle) -> np.ndarray:
 
 def octant_of(yaw: np.ndarray) -> np.ndarray:
     """i64[...]: the eighth of a turn in which a yaw f[...] in radians lies; octant 0 begins at 0."""
-    return np.floor(np.mod(yaw, 2 * np.pi) / (2 * np.pi) * NUM_OCTANTS).astype(np.int64) % NUM_OCTANTS
+    return (
+        np.floor(np.mod(yaw, 2 * np.pi) / (2 * np.pi) * NUM_OCTANTS).astype(np.int64) % NUM_OCTANTS
+    )
 
 
 def acceptance_bias(
@@ -154,7 +162,10 @@ def acceptance_bias(
     sortings = {
         "object": (np.asarray(object_index), list(names)),
         "zone": (zone_of(positions, region), list(ZONES)),
-        "yaw": (octant_of(yaw), [f"{eighth * n}-{eighth * (n + 1)} deg" for n in range(NUM_OCTANTS)]),
+        "yaw": (
+            octant_of(yaw),
+            [f"{eighth * n}-{eighth * (n + 1)} deg" for n in range(NUM_OCTANTS)],
+        ),
         "order": (slot, [str(n + 1) for n in range(int(slot.max(initial=0)) + 1)]),
     }
     return {

@@ -24,7 +24,8 @@ def by_object(
       poses f64[N, K, 7] (at the origin, unturned, where not placed), is_placed bool[N, K], and slot i32[N,
       K], the place in the order of placement, -1 where not placed.
     """
-    object_index, is_placed = np.asarray(object_index), np.asarray(is_placed, bool)
+    object_index = np.asarray(object_index)
+    is_placed = np.asarray(is_placed, bool)
     num_scenes = len(object_index)
     poses = np.tile(np.eye(7)[3], (num_scenes, num_objects, 1))
     placed = np.zeros((num_scenes, num_objects), bool)

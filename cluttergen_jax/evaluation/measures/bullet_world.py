@@ -82,7 +82,8 @@ def write_compound(path: Path, asset: ObjectAsset, frames: BodyFrames, index: in
     PyBullet makes one compound of the file's groups, each of them convex.
     """
     lines: list[str] = []
-    first, back = 1, conjugate(frames.turn[index])
+    first = 1
+    back = conjugate(frames.turn[index])
     for part in asset.parts:
         vertices = rotate(np, back, part.vertices - frames.center[index])
         faces = ConvexHull(part.vertices).simplices + first
@@ -124,8 +125,12 @@ def add_object(
       mass: kilograms; inertia: f64[3], kg m^2, about the principal axes.
       is_rigid: PyBullet's older, quicker rigid bodies instead of multi-bodies.
     """
-    shape = pybullet.createCollisionShape(pybullet.GEOM_MESH, fileName=str(compound), physicsClientId=client)
-    body = pybullet.createMultiBody(mass, shape, useMaximalCoordinates=is_rigid, physicsClientId=client)
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_MESH, fileName=str(compound), physicsClientId=client
+    )
+    body = pybullet.createMultiBody(
+        mass, shape, useMaximalCoordinates=is_rigid, physicsClientId=client
+    )
     # Without the mass beside it, the inertia of a rigid body becomes not-a-number.
     pybullet.changeDynamics(
         body,

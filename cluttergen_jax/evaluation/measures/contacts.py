@@ -104,7 +104,9 @@ def _margins(scene: SceneModel, data: mujoco.MjData) -> np.ndarray:
     return margins_of(scene.layout, data, np.arange(len(scene.objects)))
 
 
-def _add_forces(scene: SceneModel, data: mujoco.MjData, force: np.ndarray, normal: np.ndarray) -> None:
+def _add_forces(
+    scene: SceneModel, data: mujoco.MjData, force: np.ndarray, normal: np.ndarray
+) -> None:
     """Adds the contacts of one scene to f64[K, K + 1, 3]."""
     # The world's index of a model's geom; the last one is the support, and the floor.
     index = np.append(scene.objects, force.shape[0])[scene.layout.geom_object]

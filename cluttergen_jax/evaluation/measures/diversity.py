@@ -81,7 +81,9 @@ def _entropy(counts: np.ndarray) -> tuple[float, int]:
     return float(-(share * np.log(share)).sum()), len(counts)
 
 
-def cell_of(positions: np.ndarray, region: Rectangle, cell: float) -> tuple[np.ndarray, tuple[int, int]]:
+def cell_of(
+    positions: np.ndarray, region: Rectangle, cell: float
+) -> tuple[np.ndarray, tuple[int, int]]:
     """The cells i64[...] of positions f[..., 2] in the region's frame, and the grid's shape.
 
     What lies outside counts for the nearest cell.
@@ -155,7 +157,9 @@ def plan_clusters(
         if not here.any():
             found.append((np.nan, np.nan))
             continue
-        counts = np.bincount(cells[here, k], minlength=int(np.prod(shape))).reshape(shape).astype(float)
+        counts = (
+            np.bincount(cells[here, k], minlength=int(np.prod(shape))).reshape(shape).astype(float)
+        )
         # A cross of five cells; the outermost have fewer neighbours.
         sums, sizes = (convolve(each, _CROSS, mode="constant") for each in (counts, np.ones(shape)))
         is_crowded = sums / sizes > _CROWDED * counts.mean()
@@ -174,7 +178,9 @@ def nearest_distance(vectors: np.ndarray) -> np.ndarray:
     return cKDTree(vectors).query(vectors, k=2)[0][:, 1]
 
 
-def scene_kernel(vectors: np.ndarray, region: Rectangle, bandwidth: float | None = None) -> np.ndarray:
+def scene_kernel(
+    vectors: np.ndarray, region: Rectangle, bandwidth: float | None = None
+) -> np.ndarray:
     """f64[N, N]: exp(-d^2 / (2 s^2)) of the scene distance d: 1 for equal scenes, positive semi-definite.
 
     Args:
@@ -216,7 +222,11 @@ def vendi_score(kernel: np.ndarray) -> float:
 
 
 def at_equal_count(
-    measure: Callable[[np.ndarray], float], num_scenes: int, count: int, num_draws: int = 20, seed: int = 0
+    measure: Callable[[np.ndarray], float],
+    num_scenes: int,
+    count: int,
+    num_draws: int = 20,
+    seed: int = 0,
 ) -> tuple[float, float]:
     """A measure of `count` scenes drawn from more, so that methods can be compared that left unequal numbers.
 
@@ -276,14 +286,17 @@ def embed(
       f64[N, 13 K].
     """
     check_scenes(poses, is_placed, len(objects))
-    poses, is_placed = np.asarray(poses, np.float64), np.asarray(is_placed, bool)
+    poses = np.asarray(poses, np.float64)
+    is_placed = np.asarray(is_placed, bool)
     slots = int(is_placed.sum(1).max(initial=1)) if num_slots is None else num_slots
     absence = float(np.hypot(*region.half_extents)) if absence is None else absence
     vectors = np.zeros((*is_placed.shape, _COORDINATES))
     vectors[..., -1] = np.where(is_placed, 0.0, absence)
     for k, asset in enumerate(objects):
         here = is_placed[:, k]
-        vectors[here, k, :-1] = _object_vectors(asset, poses[here, k], np.array([*region.center, top]))
+        vectors[here, k, :-1] = _object_vectors(
+            asset, poses[here, k], np.array([*region.center, top])
+        )
     return vectors.reshape(len(poses), -1) / np.sqrt(slots)
 
 

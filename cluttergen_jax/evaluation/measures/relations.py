@@ -70,7 +70,8 @@ def relations(
       i8[N, K, K + 1]: [n, i, j] is the `Relation` of i to j in scene n; index K is the support.
     """
     contacts = contacts or contacts_of(models, poses, is_placed, num_threads)
-    poses, is_placed = np.asarray(poses, np.float64), np.asarray(is_placed, bool)
+    poses = np.asarray(poses, np.float64)
+    is_placed = np.asarray(is_placed, bool)
     is_in = np.zeros(contacts.rests_on.shape, bool)
     covered = np.zeros(contacts.rests_on.shape)
 
@@ -81,12 +82,17 @@ def relations(
 
     each_scene(run, len(poses), num_threads)
     tilt = np.array(
-        [[tilt_from_rest(a, p) for a, p in zip(models.world.objects, row, strict=True)] for row in poses]
+        [
+            [tilt_from_rest(a, p) for a, p in zip(models.world.objects, row, strict=True)]
+            for row in poses
+        ]
     )
     return _judge(contacts, is_in, tilt, covered)
 
 
-def _judge(contacts: Contacts, is_in: np.ndarray, tilt: np.ndarray, covered: np.ndarray) -> np.ndarray:
+def _judge(
+    contacts: Contacts, is_in: np.ndarray, tilt: np.ndarray, covered: np.ndarray
+) -> np.ndarray:
     """The relations from what was measured, by the definitions above."""
     rests_on = contacts.rests_on
     result = np.zeros(rests_on.shape, np.int8)
@@ -140,9 +146,12 @@ def _inside(objects: Sequence[ObjectAsset], poses: np.ndarray, is_placed: np.nda
     return result
 
 
-def _covered_shares(scene: SceneModel, objects: Sequence[ObjectAsset], poses: np.ndarray) -> np.ndarray:
+def _covered_shares(
+    scene: SceneModel, objects: Sequence[ObjectAsset], poses: np.ndarray
+) -> np.ndarray:
     """f64[K, K + 1]: the share of i's surface points over which the next body straight above is j."""
-    data, geom = scene.start(poses), np.zeros(1, np.int32)
+    data = scene.start(poses)
+    geom = np.zeros(1, np.int32)
     index = np.append(scene.objects, len(objects))[scene.layout.geom_object]
     share = np.zeros((len(objects), len(objects) + 1))
     up = np.array([0.0, 0.0, 1.0])
@@ -166,7 +175,9 @@ def count_relations(
     """
     names = [*families, support]
     found = np.argwhere(relation != Relation.NONE)
-    return Counter((Relation(int(relation[n, i, j])).label, names[i], names[j]) for n, i, j in found)
+    return Counter(
+        (Relation(int(relation[n, i, j])).label, names[i], names[j]) for n, i, j in found
+    )
 
 
 class Hollow:
@@ -177,11 +188,14 @@ class Hollow:
     """
 
     def __init__(self, points: np.ndarray, pitch: float) -> None:
-        self._tree, self._reach = cKDTree(points), 0.5001 * pitch
+        self._tree = cKDTree(points)
+        self._reach = 0.5001 * pitch
 
     def holds(self, points: np.ndarray) -> np.ndarray:
         """bool[M]: which points f[M, 3] of the object frame lie in the hollow, to within a cell."""
-        return self._tree.query(points, p=np.inf, distance_upper_bound=self._reach)[0] <= self._reach
+        return (
+            self._tree.query(points, p=np.inf, distance_upper_bound=self._reach)[0] <= self._reach
+        )
 
 
 @lru_cache(maxsize=256)

@@ -19,8 +19,9 @@ from cluttergen_jax.evaluation.measures.simulate import (
 )
 from cluttergen_jax.physics.simulations import SOFT_SOLIMP, SOFT_SOLREF
 
-_LOOK_EVERY, _LOOK_EVERY_TILTED = 4, 12
-"""Steps between two looks at how far anything has moved."""
+# Steps between two looks at how far anything has moved.
+_LOOK_EVERY = 4
+_LOOK_EVERY_TILTED = 12
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,9 @@ class ShakeConfig:
 
     def __post_init__(self) -> None:
         if not (self.rate > 0 and self.limit > 0 and self.max_shift > 0 and self.directions):
-            raise ConfigError(f"{self}", "rate, limit and max_shift above zero, one direction or more")
+            raise ConfigError(
+                f"{self}", "rate, limit and max_shift above zero, one direction or more"
+            )
 
 
 def shake(
@@ -75,7 +78,9 @@ def shake(
     return np.array(scores, np.float64).reshape(len(is_placed), len(config.directions))
 
 
-def _withstood(scene: SceneModel, poses: np.ndarray, direction: np.ndarray, config: ShakeConfig) -> float:
+def _withstood(
+    scene: SceneModel, poses: np.ndarray, direction: np.ndarray, config: ShakeConfig
+) -> float:
     """m/s^2 at which one scene gives way."""
     # Gravity belongs to the model, which other threads use at the same time.
     model = scene.own_model()
@@ -125,7 +130,8 @@ PHYSICS_CHANGES = (
 
 def change_physics(models: SceneModels, change: Change) -> SceneModels:
     """The same objects under other physics."""
-    stability, contact = models.stability, models.contact
+    stability = models.stability
+    contact = models.contact
     sliding, torsional, rolling = (change.friction * each for each in contact.friction)
     alternate = np.where(
         np.arange(models.world.num_objects) % 2 == 0, change.mixed_mass, 1 / change.mixed_mass
@@ -157,7 +163,9 @@ def survives(
       bool[N] for each change's name; its mean is the share that survives.
     """
     found = {
-        change.name: movement(change_physics(models, change), poses, is_placed, (seconds,), num_threads)
+        change.name: movement(
+            change_physics(models, change), poses, is_placed, (seconds,), num_threads
+        )
         for change in changes
     }
     return {name: each.survives()[:, 0] for name, each in found.items()}
@@ -180,9 +188,13 @@ class TiltConfig:
     seconds: float = 2.0
 
     def __post_init__(self) -> None:
-        ascends = all(a < b for a, b in zip((0.0, *self.degrees), (*self.degrees, 90.0), strict=True))
+        ascends = all(
+            a < b for a, b in zip((0.0, *self.degrees), (*self.degrees, 90.0), strict=True)
+        )
         if not (ascends and self.num_directions > 0 and self.seconds > 0):
-            allowed = "degrees that ascend between 0 and 90, one direction or more, seconds above zero"
+            allowed = (
+                "degrees that ascend between 0 and 90, one direction or more, seconds above zero"
+            )
             raise ConfigError(f"{self}", allowed)
 
 
@@ -205,7 +217,8 @@ def tilt(
       f64[N, A], one share for each of the angles.
     """
     models.check(poses, is_placed)
-    config, is_placed = config or TiltConfig(), np.asarray(is_placed, bool)
+    config = config or TiltConfig()
+    is_placed = np.asarray(is_placed, bool)
     turns = 2 * np.pi * np.arange(config.num_directions) / config.num_directions
 
     def run(scene: int) -> np.ndarray:
@@ -296,7 +309,8 @@ def robust(
       bool[N].
     """
     models.check(poses, is_placed)
-    config, is_placed = config or RobustConfig(), np.asarray(is_placed, bool)
+    config = config or RobustConfig()
+    is_placed = np.asarray(is_placed, bool)
     turns = 2 * np.pi * np.arange(config.num_directions) / config.num_directions
     angle = np.radians(config.degrees)
 
@@ -304,7 +318,8 @@ def robust(
         scene = models.of(is_placed[number])
         model = scene.own_model()
         model.geom_friction[:] *= config.friction
-        model.geom_solref[:], model.geom_solimp[:] = config.solref, config.solimp
+        model.geom_solref[:] = config.solref
+        model.geom_solimp[:] = config.solimp
         sideways = np.sin(angle) * np.stack([np.cos(turns), np.sin(turns)], axis=1)
         return all(
             _stays(scene, model, poses[number], np.append(to, -np.cos(angle)), config.seconds, 2)

@@ -72,8 +72,10 @@ class SceneModels:
         mass_scale: np.ndarray | float = 1.0,
         detector: Detector = "native",
     ) -> None:
-        self.world, self.detector = world, detector
-        self.stability, self.contact = stability or StabilityConfig(), contact or ContactConfig()
+        self.world = world
+        self.detector = detector
+        self.stability = stability or StabilityConfig()
+        self.contact = contact or ContactConfig()
         self.mass_scale = np.broadcast_to(np.asarray(mass_scale, np.float64), (world.num_objects,))
         self._cache: OrderedDict[bytes, SceneModel] = OrderedDict()
         self._lock = threading.Lock()

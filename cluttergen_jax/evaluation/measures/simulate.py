@@ -52,7 +52,9 @@ class Movement:
         return (self.largest_shift <= max_shift) & (self.largest_turn <= max_turn)
 
 
-def each_scene(function: Callable[[int], Result], num_scenes: int, num_threads: int = 0) -> list[Result]:
+def each_scene(
+    function: Callable[[int], Result], num_scenes: int, num_threads: int = 0
+) -> list[Result]:
     """`function` of 0 to num_scenes - 1, on threads (0: one for each core); MuJoCo's log is silent."""
     threads = num_threads or os.cpu_count() or 1
     with silent_log():
@@ -103,7 +105,8 @@ def movement(
       ConfigError: the arrays are not scenes of the world, or `horizons_of` refuses the horizons.
     """
     models.check(poses, is_placed)
-    poses, is_placed = np.asarray(poses, np.float64), np.asarray(is_placed, bool)
+    poses = np.asarray(poses, np.float64)
+    is_placed = np.asarray(is_placed, bool)
     result = no_movement(is_placed, seconds)
     horizons = result.seconds
 
@@ -116,7 +119,8 @@ def movement(
             return data.qpos.reshape(-1, 7)
 
         shift, turn = watch(step, data.qpos.reshape(-1, 7), horizons, models.stability.timestep)
-        result.shift[scene][:, model.objects], result.turn[scene][:, model.objects] = shift, turn
+        result.shift[scene][:, model.objects] = shift
+        result.turn[scene][:, model.objects] = turn
 
     each_scene(run, len(poses), num_threads)
     return result
@@ -141,15 +145,19 @@ def watch(
     """
     start = start.copy()
     shift, turn = np.zeros((2, len(horizons), len(start)))
-    far, most, done = np.zeros(len(start)), np.zeros(len(start)), 0
+    far = np.zeros(len(start))
+    most = np.zeros(len(start))
+    done = 0
     stride = max(round(_STRIDE_SECONDS / timestep), 1)
     for place, until in enumerate(np.rint(horizons / timestep).astype(int).tolist()):
         while done < until:
             count = min(stride, until - done)
             done += count
             now = shift_and_turn(without_sinking(step(count), start, most_sinking), start)
-            far, most = np.maximum(far, now[0]), np.maximum(most, now[1])
-        shift[place], turn[place] = far, most
+            far = np.maximum(far, now[0])
+            most = np.maximum(most, now[1])
+        shift[place] = far
+        turn[place] = most
     return shift, turn
 
 

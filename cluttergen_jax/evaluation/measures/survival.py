@@ -78,7 +78,8 @@ def movement_elsewhere(
       num_threads: each with an engine of its own, 0 for every core; PyBullet uses one at a time.
     """
     models.check(poses, is_placed)
-    poses, is_placed = np.asarray(poses, np.float64), np.asarray(is_placed, bool)
+    poses = np.asarray(poses, np.float64)
+    is_placed = np.asarray(is_placed, bool)
     result = no_movement(is_placed, seconds)
     threads = min(num_threads or os.cpu_count() or 1, max(len(is_placed), 1))
 
@@ -90,8 +91,11 @@ def movement_elsewhere(
                 start = poses[scene, objects].copy()
                 start[:, 3:] /= np.linalg.norm(start[:, 3:], axis=1, keepdims=True)
                 step = peer.begin(objects, start)
-                shift, turn = watch(step, start, result.seconds, models.stability.timestep, MOST_SINKING)
-                result.shift[scene][:, objects], result.turn[scene][:, objects] = shift, turn
+                shift, turn = watch(
+                    step, start, result.seconds, models.stability.timestep, MOST_SINKING
+                )
+                result.shift[scene][:, objects] = shift
+                result.turn[scene][:, objects] = turn
         finally:
             peer.close()
 
@@ -116,7 +120,8 @@ class BulletPeer:
     def begin(self, objects: np.ndarray, poses: np.ndarray) -> Callable[[int], np.ndarray]:
         """See `Peer.begin`."""
         self._disconnect()
-        bullet, models = self._bullet, self._models
+        bullet = self._bullet
+        models = self._models
         client = self._client = bullet.connect(bullet.DIRECT)
         bullet.setGravity(0, 0, -models.contact.gravity, physicsClientId=client)
         bullet.setTimeStep(models.stability.timestep, physicsClientId=client)
@@ -129,12 +134,20 @@ class BulletPeer:
             mass = asset.mass * models.mass_scale[k]
             friction = bullet_world.object_friction(asset, models.contact)
             inertia = self._frames.inertia[k] * models.mass_scale[k]
-            body = bullet_world.add_object(bullet, client, self._compound(k), mass, inertia, friction)
+            body = bullet_world.add_object(
+                bullet, client, self._compound(k), mass, inertia, friction
+            )
             never = bullet.ACTIVATION_STATE_DISABLE_SLEEPING
             bullet.changeDynamics(
-                body, -1, collisionMargin=BULLET_MARGIN, activationState=never, physicsClientId=client
+                body,
+                -1,
+                collisionMargin=BULLET_MARGIN,
+                activationState=never,
+                physicsClientId=client,
             )
-            bullet.resetBasePositionAndOrientation(body, place[:3], place[3:], physicsClientId=client)
+            bullet.resetBasePositionAndOrientation(
+                body, place[:3], place[3:], physicsClientId=client
+            )
             bodies.append(body)
         return lambda count: self._step(client, objects.tolist(), bodies, count)
 
@@ -175,12 +188,14 @@ class DrakePeer:
             import pydrake.all as drake
         except ImportError as error:
             raise MissingExtraError("peers", "survival in Drake") from error
-        self._drake, self._models = drake, models
+        self._drake = drake
+        self._models = models
         self._files = tempfile.TemporaryDirectory()
 
     def begin(self, objects: np.ndarray, poses: np.ndarray) -> Callable[[int], np.ndarray]:
         """See `Peer.begin`."""
-        drake, models = self._drake, self._models
+        drake = self._drake
+        models = self._models
         builder = drake.DiagramBuilder()
         plant, graph = drake.AddMultibodyPlantSceneGraph(builder, models.stability.timestep)
         plant.set_contact_model(drake.ContactModel.kHydroelasticWithFallback)
@@ -225,7 +240,8 @@ class DrakePeer:
         return config
 
     def _add_support(self, plant: Any) -> None:
-        drake, sliding = self._drake, self._models.contact.friction[0]
+        drake = self._drake
+        sliding = self._models.contact.friction[0]
         for number, box in enumerate(self._models.world.support.boxes):
             place = drake.RigidTransform(drake.RollPitchYaw(0, 0, box.yaw), box.center)
             shape = drake.Box(*(2 * side for side in box.half_extents))
@@ -244,7 +260,8 @@ class DrakePeer:
             )
 
     def _add_object(self, plant: Any, k: int) -> Any:
-        drake, asset = self._drake, self._models.world.objects[k]
+        drake = self._drake
+        asset = self._models.world.objects[k]
         mass = asset.mass * self._models.mass_scale[k]
         unit = np.asarray(asset.inertia) / asset.mass
         inertia = drake.UnitInertia(*np.diag(unit), unit[0, 1], unit[0, 2], unit[1, 2])

@@ -59,7 +59,8 @@ def _target_text(row: Row) -> str:
 
 
 def _error(row: Row) -> str:
-    stack, got = row["target"], row["figures"]["stack"]["mean"]
+    stack = row["target"]
+    got = row["figures"]["stack"]["mean"]
     return f"{got / stack - 1:+.0%}" if stack and got is not None else "-"
 
 
@@ -90,7 +91,9 @@ def _notes(rows: list[Row]) -> list[str]:
         "objects on others: those that rest on another object, counted from contacts, in valid scenes",
         "error: of what was got, in parts of what was asked",
         *EFFORT_NOTES,
-        *success_notes(made_rows(rows), lambda row: f"{row['trial']['pool']}, asked {_target_text(row)}"),
+        *success_notes(
+            made_rows(rows), lambda row: f"{row['trial']['pool']}, asked {_target_text(row)}"
+        ),
     ]
 
 

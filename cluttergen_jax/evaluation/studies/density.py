@@ -58,7 +58,9 @@ def filled_table(fill: float, pool: str = ALL, num_objects: int = _FILL_OBJECTS)
     Args:
       fill: the sum of footprints (boxes seen from above) over the area of the top.
     """
-    footprints = [4 * asset.half_extents[0] * asset.half_extents[1] for asset in find_pool(pool).objects]
+    footprints = [
+        4 * asset.half_extents[0] * asset.half_extents[1] for asset in find_pool(pool).objects
+    ]
     area = num_objects * float(np.mean(footprints)) / fill
     width = np.sqrt(area * _SIDES[0] / _SIDES[1])
     # The other side makes up for what rounding the first one lost.
@@ -72,7 +74,8 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
     names = (*ALL_METHODS, "drop, ruin", "clear, ruin")
     ladder = grid(base, pool=scale.pools_or("dining"), support=table_sizes(*SIZES, _NARROW))
     filled = [
-        replace(base, pool=ALL, num_objects=_FILL_OBJECTS, support=filled_table(fill)) for fill in FILLS
+        replace(base, pool=ALL, num_objects=_FILL_OBJECTS, support=filled_table(fill))
+        for fill in FILLS
     ]
     rows = (*named_rows(ladder, *names), *named_rows(filled, *FULLNESS))
     return with_seeds(rows, OURS, scale.seeds)
@@ -81,13 +84,19 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
 def crowds(scale: Scale) -> tuple[Trial, ...]:
     """More and more objects on the paper's table; fewest of them also in random order, nothing taken away."""
     base = scale.trial(256, 4, pool=ALL)
-    bases = [replace(base, num_objects=n, budget=times and times * n) for n, times in _CROWDS.items()]
-    plain = [f"{name}, random order{tidy}" for name in ("spread", "guided") for tidy in ("", ", tidy")]
+    bases = [
+        replace(base, num_objects=n, budget=times and times * n) for n, times in _CROWDS.items()
+    ]
+    plain = [
+        f"{name}, random order{tidy}" for name in ("spread", "guided") for tidy in ("", ", tidy")
+    ]
     rows = (*named_rows(bases[:1], *FULLNESS, *plain), *named_rows(bases[1:], *FULLNESS))
     return with_seeds(rows, OURS, scale.seeds)
 
 
-FILL_NOTE = "fill: the sum of the objects' footprints (boxes from above) over the region's area, on average"
+FILL_NOTE = (
+    "fill: the sum of the objects' footprints (boxes from above) over the region's area, on average"
+)
 
 
 def tables(result: Result) -> list[Table]:
@@ -123,7 +132,8 @@ def _question(row: Row) -> str:
 def _rung(row: Row) -> str:
     """A row's table, or its number of objects, or both."""
     trial = trial_of(row)
-    size, objects = trial.support.removeprefix("table-"), f"{trial.num_objects} objects"
+    size = trial.support.removeprefix("table-")
+    objects = f"{trial.num_objects} objects"
     if trial.budget:
         objects += f", {trial.budget // trial.num_objects} n attempts"
     if size == "table":
@@ -142,7 +152,9 @@ def plot(rows: list[Row], stem: Path) -> list[str]:
     panels = [[row for row in rows if row["trial"]["pool"] == pool] for pool in pools]
     rungs = [list(dict.fromkeys(map(_rung, panel))) for panel in panels]
     figure = new_figure(8.0, 3.4)
-    axes = figure.subplots(1, len(pools), sharey=True, squeeze=False, width_ratios=list(map(len, rungs)))[0]
+    axes = figure.subplots(
+        1, len(pools), sharey=True, squeeze=False, width_ratios=list(map(len, rungs))
+    )[0]
     for axis, pool, panel, places in zip(axes, pools, panels, rungs, strict=True):
         _panel(axis, panel, places)
         prepare(axis, pool if len(pools) > 1 else "", "", "success" if axis is axes[0] else "")
@@ -154,14 +166,19 @@ def plot(rows: list[Row], stem: Path) -> list[str]:
 
 
 def _panel(axis: Any, rows: list[Row], rungs: list[str]) -> None:
-    rungs_of = {name: {_rung(row) for row in rows if name_of(row) == name} for name in map(name_of, rows)}
+    rungs_of = {
+        name: {_rung(row) for row in rows if name_of(row) == name} for name in map(name_of, rows)
+    }
     names = [name for name, own in rungs_of.items() if len(own) > 1 or len(rungs) == 1]
     for turn, name in enumerate(names):
         some = [row for row in rows if name_of(row) == name]
         # Side by side, so that equal rates do not hide one another.
         shift = _APART * (turn - (len(names) - 1) / 2)
         plot_success(
-            axis, name, [rungs.index(_rung(row)) + shift for row in some], [row["figures"] for row in some]
+            axis,
+            name,
+            [rungs.index(_rung(row)) + shift for row in some],
+            [row["figures"] for row in some],
         )
 
 
@@ -174,4 +191,6 @@ DENSITY = Study(
     plot=plot,
     question=_question,
 )
-CROWDS = replace(DENSITY, name="crowds", title="Objects of the pool `all` on 0.60 x 0.70 m", trials=crowds)
+CROWDS = replace(
+    DENSITY, name="crowds", title="Objects of the pool `all` on 0.60 x 0.70 m", trials=crowds
+)

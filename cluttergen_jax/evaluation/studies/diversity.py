@@ -42,7 +42,8 @@ _EVENNESS = number_column("evenness", "evenness", 3)
 
 def papers_scenes(scale: Scale, full: int, quick: int) -> tuple[Trial, ...]:
     """All methods on a table of the paper's region and on a tight one, by the paper's rules."""
-    base, supports = scale.trial(full, quick), table_sizes(SIZES[0], SIZES[2])
+    base = scale.trial(full, quick)
+    supports = table_sizes(SIZES[0], SIZES[2])
     return grid(base, pool=scale.pools_or("dining"), support=supports, method=ALL_METHODS)
 
 
@@ -65,7 +66,10 @@ def _measure_sets(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findin
 
 
 def _set_figures(scenes: Successes, count: int) -> Row:
-    world, region, poses, is_placed = scenes.world, scenes.region, scenes.poses, scenes.is_placed
+    world = scenes.world
+    region = scenes.region
+    poses = scenes.poses
+    is_placed = scenes.is_placed
     vectors = measures.embed(world.objects, poses, is_placed, region, world.support.top)
 
     def mean(figure: Callable[[np.ndarray], float]) -> float | None:
@@ -79,7 +83,9 @@ def _set_figures(scenes: Successes, count: int) -> Row:
         evenness=mean(evenness),
         nearest=mean(lambda some: measures.nearest_distance(vectors[some]).mean()),
         vendi=mean(lambda some: measures.vendi_score(measures.scene_kernel(vectors[some], region))),
-        box_area=mean(lambda some: np.nanmean(measures.plan_box_area(poses[some], is_placed[some], region))),
+        box_area=mean(
+            lambda some: np.nanmean(measures.plan_box_area(poses[some], is_placed[some], region))
+        ),
     )
 
 
@@ -156,7 +162,8 @@ def _maps(shown: Sequence[tuple[str, Successes]], stem: Path) -> list[str]:
     for method, scenes in shown:
         positions = region_positions(scenes.poses[:_MAP_SCENES], scenes.region)
         for k, name in enumerate(names):
-            axis, here = next(panels), scenes.is_placed[:_MAP_SCENES, k]
+            axis = next(panels)
+            here = scenes.is_placed[:_MAP_SCENES, k]
             if here.any():
                 _plan_view(axis, positions[here, k], scenes.region, colour(method), name)
             if k == 0:
@@ -168,7 +175,8 @@ def _plan_view(axis: Any, positions: np.ndarray, region: Rectangle, shade: str, 
     """Positions f[N, 2] (region frame, metres) as dots, with the region and the box between extremes."""
     from matplotlib.patches import Rectangle as Patch
 
-    (x, y), low = region.half_extents, positions.min(0)
+    (x, y) = region.half_extents
+    low = positions.min(0)
     axis.add_patch(Patch((-x, -y), 2 * x, 2 * y, fill=False, color="#444444", linewidth=0.8))
     size = np.ptp(positions, axis=0)
     axis.add_patch(Patch(tuple(low), *size, fill=False, color=shade, linewidth=0.8, linestyle="--"))
@@ -214,7 +222,8 @@ DIVERSITY_MAPS = Study(
 def _biases(runner: Runner, trial: Trial, scenes: Successes) -> Iterator[Row]:
     """Lifts of objects, places, turns and slots: every proposal, and those that stand in valid scenes."""
     arrays = scenes.arrays
-    action, scene = arrays["attempt_action"], arrays["attempt_scene"]
+    action = arrays["attempt_action"]
+    scene = arrays["attempt_scene"]
     sortings = acceptance_bias(
         scenes.world.names,
         arrays["attempt_object"],
@@ -226,7 +235,8 @@ def _biases(runner: Runner, trial: Trial, scenes: Successes) -> Iterator[Row]:
         scenes.region,
     )
     for sorting, bias in sortings.items():
-        proposals, passed = int(bias.proposed.sum()), int(bias.passed.sum())
+        proposals = int(bias.proposed.sum())
+        passed = int(bias.passed.sum())
         yield Row(sorting=sorting, under=_under(bias), proposals=proposals, passed=passed)
 
 
@@ -244,7 +254,10 @@ def _under(bias: Bias) -> list[Row]:
 
 
 def _under_text(row: Row) -> str:
-    found = (f"{e['label']} {e['lift']:.2f} [{e['low95']:.2f}, {e['high95']:.2f}]" for e in row["under"][:5])
+    found = (
+        f"{e['label']} {e['lift']:.2f} [{e['low95']:.2f}, {e['high95']:.2f}]"
+        for e in row["under"][:5]
+    )
     return "; ".join(found) or "nothing"
 
 

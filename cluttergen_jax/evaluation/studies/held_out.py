@@ -73,7 +73,9 @@ HELD_OUT_OBJECTS = Study(
     256,
     trials,
     (
-        *request_columns("pool", num_objects="objects", method="method", training_seed="training seed"),
+        *request_columns(
+            "pool", num_objects="objects", method="method", training_seed="training seed"
+        ),
         FILL,
         SUCCESS,
         *EFFORT,

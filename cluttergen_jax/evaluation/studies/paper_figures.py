@@ -55,7 +55,8 @@ def _plot_by_pool(
 
 
 def _plot_papers(axis: Any, values: Sequence[float], style: str, name: str) -> None:
-    x, label = range(1, len(values) + 1), f"{name}, the paper"
+    x = range(1, len(values) + 1)
+    label = f"{name}, the paper"
     axis.plot(x, values, style, color="#777777", linewidth=1.0, label=label)
 
 
@@ -96,7 +97,10 @@ def _objects_columns(rows: list[Row]) -> tuple[Column, ...]:
         return share((theirs or at_least(row["figures"]["paper"]["placed_histogram"]))[number - 1])
 
     numbers = range(1, _most_objects(rows) + 1)
-    return (*request_columns("pool", "method"), *columns_of(numbers, lambda number: f"n = {number}", cell))
+    return (
+        *request_columns("pool", "method"),
+        *columns_of(numbers, lambda number: f"n = {number}", cell),
+    )
 
 
 def _plot_fig1a(rows: list[Row], stem: Path) -> list[str]:
@@ -104,7 +108,8 @@ def _plot_fig1a(rows: list[Row], stem: Path) -> list[str]:
 
     def draw(axis: Any, pool: str, rows: list[Row]) -> None:
         for row in rows:
-            method, figures = row["trial"]["method"], row["figures"]
+            method = row["trial"]["method"]
+            figures = row["figures"]
             for source, style in ((figures["paper"], "-"), (figures, ":")):
                 shares = at_least(source["placed_histogram"])
                 label = label_of(method) if style == "-" else None
@@ -220,7 +225,8 @@ def _plot_steps(rows: list[Row], stem: Path) -> list[str]:
             if steps := _frequent(row):
                 method = row["trial"]["method"]
                 error = [each["std"] / np.sqrt(each["count"]) for each in steps]
-                x, y = [each["attempt"] for each in steps], [each["mean"] for each in steps]
+                x = [each["attempt"] for each in steps]
+                y = [each["mean"] for each in steps]
                 style = {"color": colour(method), "label": label_of(method)}
                 axis.errorbar(x, y, error, marker=".", linewidth=1.0, **style)
         if pool in STEPS_PAPER:
@@ -250,7 +256,8 @@ def _by_attempts(scale: Scale) -> tuple[Trial, ...]:
 
     `train --suite paper` makes a `policy` for each of them; the paper's was trained with five.
     """
-    base, pools = scale.trial_by_both_counts(1000, 6), scale.pools_or("dining")
+    base = scale.trial_by_both_counts(1000, 6)
+    pools = scale.pools_or("dining")
     attempts = scale.values(TABLE_ATTEMPTS, (1, DEFAULT_ATTEMPTS))
     return grid(base, pool=pools, method=("random", CLUTTERGEN, "policy"), attempts=attempts)
 
@@ -261,10 +268,15 @@ def _trained_with(row: Row) -> str:
 
 def _sort(rows: list[Row]) -> list[Row]:
     """Pool by pool and method by method, both as they come first, by attempts: rows may have been kept."""
-    order = {name: list(dict.fromkeys(row["trial"][name] for row in rows)) for name in ("pool", "method")}
+    order = {
+        name: list(dict.fromkeys(row["trial"][name] for row in rows)) for name in ("pool", "method")
+    }
 
     def place(row: Row) -> tuple[int, ...]:
-        return (*(known.index(row["trial"][name]) for name, known in order.items()), row["trial"]["attempts"])
+        return (
+            *(known.index(row["trial"][name]) for name, known in order.items()),
+            row["trial"]["attempts"],
+        )
 
     return sorted(rows, key=place)
 
@@ -292,30 +304,44 @@ ATTEMPTS = Study(
         *BOTH,
         STEPS,
     ),
-    (STRICT, LOOSE, "the paper: more attempts help up to 5; two or fewer hurt (a figure without numbers)"),
+    (
+        STRICT,
+        LOOSE,
+        "the paper: more attempts help up to 5; two or fewer hurt (a figure without numbers)",
+    ),
     prepare=_sort,
     plot=_plot_attempts,
 )
 
 # Success against attempts of the training runs behind table 1.
 
-PAPER_ATTEMPTS, PAPER_SUCCESS = 2_300_000, 0.85
-"""In the paper every group is above this success after so many attempts."""
+# In the paper every group is above this success after so many attempts.
+PAPER_ATTEMPTS = 2_300_000
+PAPER_SUCCESS = 0.85
 
 
 def _draw_curves(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     """Every run that left its progress; dots are evaluated by the last check."""
     folders = {trial: runner.checkpoints.run_folder(trial) for trial in trials}
     runs = {trial: folder for trial, folder in folders.items() if folder is not None}
-    names = [f"{each.pool_name} {each.method} {each.training_seed}" for each in trials if each not in runs]
+    names = [
+        f"{each.pool_name} {each.method} {each.training_seed}"
+        for each in trials
+        if each not in runs
+    ]
     notes = (
-        [f"without a training run (--checkpoints names their folder): {', '.join(names)}"] if names else []
+        [f"without a training run (--checkpoints names their folder): {', '.join(names)}"]
+        if names
+        else []
     )
     if not runs:
         return Findings(notes=notes)
     pools = list(dict.fromkeys(trial.pool_name for trial in runs))
     figure, axes = grid_of_panels(len(pools), 3, 3.0, 2.4)
-    rows = [_draw_curve(axes[pools.index(trial.pool_name)], trial, folder) for trial, folder in runs.items()]
+    rows = [
+        _draw_curve(axes[pools.index(trial.pool_name)], trial, folder)
+        for trial, folder in runs.items()
+    ]
     for axis, pool in zip(axes, pools, strict=True):
         prepare(axis, pool, "attempts (thousands)", "success while training")
         axis.set_ylim(0, 1.03)
@@ -327,8 +353,12 @@ def _draw_curve(axis: Any, trial: Trial, folder: Path) -> Row:
     """Draws one run; where it ended."""
     progress, checked = (read_rows(folder / name) for name in ("progress.csv", "evaluations.csv"))
     label = label_of(trial.method) if trial.training_seed == 0 else None
-    for rows, style in ((progress, {"linewidth": 1.0, "label": label}), (checked, {"marker": "o", "ls": ""})):
-        x, y = [row["attempts"] / 1000 for row in rows], [row["success"] for row in rows]
+    for rows, style in (
+        (progress, {"linewidth": 1.0, "label": label}),
+        (checked, {"marker": "o", "ls": ""}),
+    ):
+        x = [row["attempts"] / 1000 for row in rows]
+        y = [row["success"] for row in rows]
         axis.plot(x, y, color=colour(trial.method), markersize=3, **style)
     return {
         "pool": trial.pool_name,

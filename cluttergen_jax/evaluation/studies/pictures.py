@@ -52,7 +52,8 @@ def render_regions(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findi
     groups: dict[tuple[str, str], list[Trial]] = {}
     for trial in trials:
         groups.setdefault((trial.support, trial.change), []).append(trial)
-    images, captions = [], []
+    images = []
+    captions = []
     for turn, group in enumerate(groups.values()):
         first = [trial for trial in group if trial.method == group[0].method]
         others = [trial for trial in group if trial not in first]
@@ -77,16 +78,22 @@ def _draw_region(runner: Runner, trial: Trial, scenes: Successes) -> np.ndarray:
     height = np.full(len(_AROUND), scenes.world.support.top + _LINE)
     outline = np.column_stack([region.corners[_AROUND], height])
     here = np.flatnonzero(scenes.is_placed[0])
-    objects, poses = [scenes.world.objects[k] for k in here], scenes.poses[0, here]
+    objects = [scenes.world.objects[k] for k in here]
+    poses = scenes.poses[0, here]
     seen = np.concatenate([outline, close_points(objects, poses, None)])
-    with scene_renderer(objects, scenes.world.support, seen, PictureConfig(480, 360, _SAMPLES)) as renderer:
-        return renderer.picture([RenderStyle(pose) for pose in poses], [Trail(outline, _WHITE, radius=_LINE)])
+    with scene_renderer(
+        objects, scenes.world.support, seen, PictureConfig(480, 360, _SAMPLES)
+    ) as renderer:
+        return renderer.picture(
+            [RenderStyle(pose) for pose in poses], [Trail(outline, _WHITE, radius=_LINE)]
+        )
 
 
 def draw_scene(scenes: Successes, scene: int) -> np.ndarray:
     """uint8[H, W, 3]: one of the successful scenes, seen closely."""
     here = np.flatnonzero(scenes.is_placed[scene])
-    objects, poses = [scenes.world.objects[k] for k in here], scenes.poses[scene, here]
+    objects = [scenes.world.objects[k] for k in here]
+    poses = scenes.poses[scene, here]
     return render_scene(
         objects, poses, scenes.world.support, close=True, width=480, height=360, samples=_SAMPLES
     )
@@ -116,7 +123,8 @@ def _draw_attempts(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findi
         for scene in _crowded_scenes(arrays)[:_TRIED_SCENES]:
             if recorder is None:
                 resolved = runner.resolve(trial)
-                sampler, world = runner.sampler(resolved), runner.world(resolved)
+                sampler = runner.sampler(resolved)
+                world = runner.world(resolved)
                 recorder = Recorder(sampler, world, width_of(trial.trials))
             try:
                 image = closed_loop_figure(recorder.record(trial.seed, int(scene)))
@@ -127,14 +135,17 @@ def _draw_attempts(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findi
             save_png(image, stem.with_name(name))
             notes.append(f"{trial.method} on {trial.pool_name}, seed {trial.seed}, scene {scene}")
             return Findings(pictures=[name], notes=notes)
-        notes.append(f"{trial.method}: in {trial.trials} scenes no object failed twice and then stood")
+        notes.append(
+            f"{trial.method}: in {trial.trials} scenes no object failed twice and then stood"
+        )
     return Findings(notes=notes)
 
 
 def _crowded_scenes(arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Scenes with an object that stood at its third attempt or later, those on the fullest tables first."""
     is_late = arrays["attempt_is_stable"] & (arrays["attempt_ordinal"] >= LEAST_ATTEMPTS)
-    scenes, slots = arrays["attempt_scene"][is_late], arrays["attempt_slot"][is_late]
+    scenes = arrays["attempt_scene"][is_late]
+    slots = arrays["attempt_slot"][is_late]
     return np.array(list(dict.fromkeys(scenes[np.argsort(-slots, kind="stable")])), int)
 
 
@@ -143,7 +154,9 @@ def _first_failures(scale: Scale) -> tuple[Trial, ...]:
     trials = first_seed(scale)
     pool = scale.pools_or(scale.values("office", trials[0].pool))[0]
     of_pool = [trial for trial in trials if trial.pool == pool]
-    return tuple(t for method in (CLUTTERGEN, "policy", "random") for t in of_pool if t.method == method)
+    return tuple(
+        t for method in (CLUTTERGEN, "policy", "random") for t in of_pool if t.method == method
+    )
 
 
 CLOSED_LOOP = Study(

@@ -54,7 +54,9 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
         pairs = count_relations(relation, scenes.world.names)
         for kind in (Relation.ON, Relation.IN, Relation.UNDER, Relation.LEANING):
             common = [
-                (n, a, b) for (label, a, b), n in pairs.items() if label == kind.label and b != "support"
+                (n, a, b)
+                for (label, a, b), n in pairs.items()
+                if label == kind.label and b != "support"
             ]
             rows.append(
                 row_of(
@@ -103,7 +105,9 @@ RELATIONS = Study(
         Column("scenes with one", lambda row: f"{row['scenes_with']} of {row['scenes']}"),
         Column(
             "commonest",
-            lambda row: "; ".join(f"{each['what']} ({each['count']})" for each in row["commonest"]) or "-",
+            lambda row: (
+                "; ".join(f"{each['what']} ({each['count']})" for each in row["commonest"]) or "-"
+            ),
         ),
     ),
     ("between objects, counted from contacts, in valid scenes", *RULES),

@@ -41,7 +41,9 @@ from cluttergen_jax.evaluation.trial import ROBUST, Trial
 from cluttergen_jax.statistics import proportion
 
 ROWS = tuple(
-    name for method in ("drop, ruin", "spread", "guided") for name in (method, f"{method}, {ROBUST}")
+    name
+    for method in ("drop, ruin", "spread", "guided")
+    for name in (method, f"{method}, {ROBUST}")
 )
 """Each method without and with robust scenes asked for."""
 STACKED = "stack=3"
@@ -69,7 +71,8 @@ def _robust_rows(scale: Scale) -> tuple[Trial, ...]:
 
 def _measure_stability(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     """Success and cost of every trial; of its scenes, tilt, `robust` and survival in other engines."""
-    findings, threads = Findings(), runner.num_threads
+    findings = Findings()
+    threads = runner.num_threads
     for trial, scenes in each_success(runner, trials, findings.rows):
         found = Row(objects=trial.num_objects, figures=runner.row(trial)["figures"])
         tilts = runner.measure(trial, "tilt", partial(tilt_shares, scenes, threads))["tilt"]

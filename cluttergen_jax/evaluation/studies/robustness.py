@@ -111,10 +111,14 @@ def _tables(result: Result) -> list[Table]:
         *HEAD,
         SCENES,
         *columns_of(range(len(seconds)), lambda n: f"stands {seconds[n]:g} s", stands),
-        *columns_of(range(len(seconds)), lambda n: f"median creep {seconds[n]:g} s, micrometres", median),
+        *columns_of(
+            range(len(seconds)), lambda n: f"median creep {seconds[n]:g} s, micrometres", median
+        ),
         Column("shake, m/s^2", shake_text),
     )
-    changes = columns_of(made["changes"], str, lambda row, name: share(row["changes"][name]["share"]))
+    changes = columns_of(
+        made["changes"], str, lambda row, name: share(row["changes"][name]["share"])
+    )
     notes = (
         "stands: nothing moved over 5 mm or turned over 5 degrees; creep: the largest movement in a scene",
         "shake: sideways acceleration of the table at which something has moved 5 mm, the weaker of two "
@@ -146,7 +150,9 @@ ROBUSTNESS = Study(
 
 # Support margins, and what tilted gravity topples.
 
-MARGIN_ASKED = Column("margin asked for, mm", lambda row: number(row.get("min_margin", 0.0), 0, 1e3))
+MARGIN_ASKED = Column(
+    "margin asked for, mm", lambda row: number(row.get("min_margin", 0.0), 0, 1e3)
+)
 
 
 def _with_margins(scale: Scale) -> tuple[Trial, ...]:
@@ -159,7 +165,9 @@ def _measure_margins(runner: Runner, trial: Trial, scenes: Successes) -> Iterato
     """Margins and tilt, beside the trial's success."""
     figures = runner.row(trial)["figures"]
     found = Row(success=figures["success"], low95=figures["low95"], high95=figures["high95"])
-    found["unsupported"] = figures["verdicts"].get(Verdict.UNSUPPORTED.label, 0) / figures["attempts"]
+    found["unsupported"] = (
+        figures["verdicts"].get(Verdict.UNSUPPORTED.label, 0) / figures["attempts"]
+    )
     yield (
         found
         | runner.measure(trial, "margins", partial(_margins, scenes, runner.num_threads))
@@ -206,7 +214,9 @@ def _margin_columns(rows: list[Row]) -> tuple[Column, ...]:
         SCENES,
         Column("least margin of a scene, mm", least),
         Column(f"scenes below {1e3 * MIN_MARGIN:g} mm", lambda row: share(row["below"])),
-        *columns_of(range(len(angles)), lambda n: f"stand tilted {angles[n]['degrees']:g} deg", tilt_text),
+        *columns_of(
+            range(len(angles)), lambda n: f"stand tilted {angles[n]['degrees']:g} deg", tilt_text
+        ),
     )
 
 
@@ -234,7 +244,9 @@ def _measure_survival(runner: Runner, trials: Sequence[Trial], stem: Path) -> Fi
     """Every trial in every engine."""
     findings = Findings()
     for trial, scenes in each_success(runner, trials, findings.rows):
-        for engine, found in survival_of(runner, trial, dict.fromkeys(PEERS, scenes), findings.notes):
+        for engine, found in survival_of(
+            runner, trial, dict.fromkeys(PEERS, scenes), findings.notes
+        ):
             findings.rows.append(row_of(trial, {"engine": engine}, found))
     return findings
 

@@ -37,7 +37,9 @@ def with_rules_of(trial: Trial, spec: SceneSpec) -> Trial:
 
 
 _CHANGES = {
-    RUIN: lambda trial: replace(trial, order="weighted", ruin_after=min(RUIN_AFTER, trial.attempts)),
+    RUIN: lambda trial: replace(
+        trial, order="weighted", ruin_after=min(RUIN_AFTER, trial.attempts)
+    ),
     RANDOM_ORDER: lambda trial: replace(trial, order="random", ruin_after=0),
     TIDY: lambda trial: replace(trial, tidy=True),
     ROBUST: lambda trial: replace(trial, robust=True),
@@ -62,7 +64,9 @@ def named_rows(bases: Iterable[Trial], *names: str) -> tuple[Trial, ...]:
         trial = own_rules(replace(base, method=method))
         for each in rules:
             if each not in _CHANGES:
-                raise ConfigError(f"a row {name!r}", f"a method, and after commas {', '.join(_CHANGES)}")
+                raise ConfigError(
+                    f"a row {name!r}", f"a method, and after commas {', '.join(_CHANGES)}"
+                )
             trial = _CHANGES[each](trial)
         return trial
 

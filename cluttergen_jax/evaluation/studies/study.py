@@ -77,7 +77,9 @@ class Scale:
 
 def grid(base: Trial, **values: Iterable[Any]) -> tuple[Trial, ...]:
     """The trial with every combination of the given fields' values; the last field's vary fastest."""
-    return tuple(replace(base, **dict(zip(values, each, strict=True))) for each in product(*values.values()))
+    return tuple(
+        replace(base, **dict(zip(values, each, strict=True))) for each in product(*values.values())
+    )
 
 
 def of_methods(trials: Iterable[Trial], *methods: str) -> tuple[Trial, ...]:
@@ -192,9 +194,13 @@ def successes_of(runner: Runner, trial: Trial) -> Successes:
     Raises:
       MissingRowError: they cannot be made; most often its policy has not been trained.
     """
-    arrays, resolved = runner.arrays(trial), runner.resolve(trial)
-    world, good = runner.world(resolved), arrays["is_success"]
-    index, filled, slot_poses = (arrays[name][good] for name in ("object_index", "is_placed", "poses"))
+    arrays = runner.arrays(trial)
+    resolved = runner.resolve(trial)
+    world = runner.world(resolved)
+    good = arrays["is_success"]
+    index, filled, slot_poses = (
+        arrays[name][good] for name in ("object_index", "is_placed", "poses")
+    )
     poses, is_placed, _ = by_object(index, filled, slot_poses, world.num_objects)
     return Successes(world, resolved.region, np.flatnonzero(good), poses, is_placed, arrays)
 

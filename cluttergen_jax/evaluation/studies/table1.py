@@ -80,12 +80,15 @@ def papers(method: str, pool: str) -> tuple[float, int] | None:
 
 def trials(scale: Scale) -> tuple[Trial, ...]:
     """Every method on every pool, learned ones for each seed of training."""
-    base, pools = scale.trial_by_both_counts(1000, 6), scale.pools_or(*EMBEDDED)
+    base = scale.trial_by_both_counts(1000, 6)
+    pools = scale.pools_or(*EMBEDDED)
     rows = grid(base, pool=pools, method=TABLE_METHODS, training_seed=scale.training_seeds)
     once = (row for row in rows if row.training_seed == 0 or row.method not in BASELINES)
     # `random` also with a height that is drawn.
     heights = {"random": ("free", "rest")}
-    return tuple(each for row in once for each in grid(row, height=heights.get(row.method, ("rest",))))
+    return tuple(
+        each for row in once for each in grid(row, height=heights.get(row.method, ("rest",)))
+    )
 
 
 def imported_trials(scale: Scale) -> tuple[Trial, ...]:
@@ -102,7 +105,9 @@ def imported_trials(scale: Scale) -> tuple[Trial, ...]:
 
 def first_seed(scale: Scale) -> tuple[Trial, ...]:
     """Those of the first seed of training, which other figures look at more closely, but free heights."""
-    return tuple(each for each in trials(scale) if each.training_seed == 0 and each.height != "free")
+    return tuple(
+        each for each in trials(scale) if each.training_seed == 0 and each.height != "free"
+    )
 
 
 _OF_SEEDS = (
@@ -130,7 +135,10 @@ def tables(result: Result) -> list[Table]:
         Column("seeds", seeds, is_asked=True),
         Column("success, strict [95 %]", lambda row: pooled_success(made[id(row)])),
         Column("by seed", by_seed),
-        Column("success, paper's count [95 %]", lambda row: pooled_success(made[id(row)], is_loose=True)),
+        Column(
+            "success, paper's count [95 %]",
+            lambda row: pooled_success(made[id(row)], is_loose=True),
+        ),
         Column("stable steps", lambda row: stable_steps(made[id(row)])),
         Column("paper: success", lambda row: _papers_cell(row, 0), is_asked=True),
         Column("paper: steps", lambda row: _papers_cell(row, 1), is_asked=True),
@@ -168,7 +176,8 @@ def _papers_cell(row: Row, place: int) -> str:
 
 def differs(row: Row) -> str:
     """What sets a row apart from the paper's; `differences` has the words behind it."""
-    trial, policy = trial_of(row), dict(row.get("policy") or {})
+    trial = trial_of(row)
+    policy = dict(row.get("policy") or {})
     parts = ["engine", *(["assets"] if trial.pool in GROUP_OF_POOL else [])]
     if trial.num_objects != OBJECTS:
         parts.append(f"{trial.num_objects} objects for {OBJECTS}")

@@ -27,7 +27,13 @@ from cluttergen_jax.evaluation.studies.density import table_sizes
 from cluttergen_jax.evaluation.studies.pictures import render_regions
 from cluttergen_jax.evaluation.studies.rules import RULES, margin_of, named_rows
 from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
-from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN, IMPORTED, TWINS, differences, differs
+from cluttergen_jax.evaluation.studies.table1 import (
+    CLUTTERGEN,
+    IMPORTED,
+    TWINS,
+    differences,
+    differs,
+)
 from cluttergen_jax.evaluation.trial import Trial, trial_of
 from cluttergen_jax.placement.region import REGION_CHANGES
 from cluttergen_jax.statistics import wilson
@@ -129,7 +135,10 @@ def _trials(supports: tuple[str, ...], *policies: str) -> Callable[[Scale], tupl
     """Every table with every pool; the first tables if quick."""
 
     def trials(scale: Scale) -> tuple[Trial, ...]:
-        places = {"pool": scale.pools_or(*EMBEDDED), "support": supports[: scale.values(None, _QUICK_TABLES)]}
+        places = {
+            "pool": scale.pools_or(*EMBEDDED),
+            "support": supports[: scale.values(None, _QUICK_TABLES)],
+        }
         base = scale.trial(50, 2, change="all", paper_count=not scale.quick)
         learned = grid(base, method=policies, **places)
         bases = grid(replace(base, paper_count=False), **places)
@@ -140,15 +149,19 @@ def _trials(supports: tuple[str, ...], *policies: str) -> Callable[[Scale], tupl
 
 def _tables(result: Result) -> list[Table]:
     """Success by table, all pools together; then by table and pool, a table for each method and count."""
-    names, title = dict.fromkeys(map(name_of, result["records"])), result["title"]
+    names = dict.fromkeys(map(name_of, result["records"]))
+    title = result["title"]
     of_name = {name: [row for row in result["records"] if name_of(row) == name] for name in names}
     found = []
     compared = {name: rows for name, rows in of_name.items() if name in ROWS}
     if len(compared) > 1:
         found.append(_side_by_side(title, compared))
     for name, rows in of_name.items():
-        margin, tables_are = margin_of(rows), _TABLES[result["name"]]
-        found.append(_by_support(f"{title} ({name}, strict{margin})", rows, tables_are, is_loose=False))
+        margin = margin_of(rows)
+        tables_are = _TABLES[result["name"]]
+        found.append(
+            _by_support(f"{title} ({name}, strict{margin})", rows, tables_are, is_loose=False)
+        )
         if any("paper" in row["figures"] for row in made_rows(rows)):
             title_of_count = f"{title} ({name}, paper's count{margin})"
             found.append(_by_support(title_of_count, rows, tables_are, is_loose=True))
@@ -171,7 +184,9 @@ def _side_by_side(title: str, of_name: dict[str, list[Row]]) -> Table:
     lines = _lines(every)
     columns = (
         Column("table", lambda line: line["support"]),
-        *columns_of(of_name, str, lambda line, name: pooled_success(_on(of_name[name], line["support"]))),
+        *columns_of(
+            of_name, str, lambda line, name: pooled_success(_on(of_name[name], line["support"]))
+        ),
     )
     # Pooled over pools first: a share of all of a table's scenes, or of all scenes.
     pooled = [
@@ -188,7 +203,8 @@ def _pool_rows(name: str, support: str, rows: list[Row]) -> Row:
     made = [row["figures"] for row in made_rows(rows)]
     if not made:
         return Row(method=name, support=support, missing="no rows")
-    successes, trials = sum(each["num_success"] for each in made), sum(each["trials"] for each in made)
+    successes = sum(each["num_success"] for each in made)
+    trials = sum(each["trials"] for each in made)
     low, high = wilson(successes, trials)
     figures = Figures(
         num_success=successes,
@@ -196,7 +212,9 @@ def _pool_rows(name: str, support: str, rows: list[Row]) -> Row:
         low95=low,
         high95=high,
         attempts_per_valid_scene=per_scene(sum(each["attempts"] for each in made), successes),
-        simulated_steps_per_valid_scene=per_scene(sum(each["simulated_steps"] for each in made), successes),
+        simulated_steps_per_valid_scene=per_scene(
+            sum(each["simulated_steps"] for each in made), successes
+        ),
     )
     return Row(method=name, support=support, figures=figures)
 
@@ -223,7 +241,10 @@ def _by_support(title: str, rows: list[Row], tables_are: str, is_loose: bool) ->
         "moved and shrunk, by as little area as it takes, until it lies within the support's own again: on a "
         "narrow table a turned one is much smaller than the 0.60 x 0.70 m of training",
         tables_are,
-        *(f"no checkpoint: {hint}" for hint in sorted({row["hint"] for row in rows if "hint" in row})),
+        *(
+            f"no checkpoint: {hint}"
+            for hint in sorted({row["hint"] for row in rows if "hint" in row})
+        ),
     )
     return table_of(title, columns, _lines(rows), notes)
 

@@ -61,7 +61,10 @@ class BopScenes:
     def __init__(
         self, folder: Path, source: str, config: BopConfig, picture: PictureConfig, is_drawn: bool
     ) -> None:
-        self._config, self._picture, self._is_drawn, self._source = config, picture, is_drawn, source
+        self._config = config
+        self._picture = picture
+        self._is_drawn = is_drawn
+        self._source = source
         self._dataset = BopDataset(folder, config.split, config.pixel_origin)
         self._split = BopSplit(folder, config.split)
         self._places: dict[int, tuple[Place, SceneOrigin]] = {}
@@ -82,7 +85,10 @@ class BopScenes:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._lock.release()
 
@@ -112,14 +118,16 @@ class BopScenes:
         placed = recording.placed
         objects = [recording.objects[index] for index in placed]
         cameras = self._cameras(recording, number)
-        poses, support = recording.poses[placed], recording.support
+        poses = recording.poses[placed]
+        support = recording.support
         added = self._dataset.add(
             place.number, objects, poses, support, cameras, self._picture, origin, self._is_drawn
         )
         return [added]
 
     def _cameras(self, recording: Replay, number: int) -> list[Camera]:
-        width, height = self._picture.width, self._picture.height
+        width = self._picture.width
+        height = self._picture.height
         focal = REALSENSE_FOCAL * width / REALSENSE_SIZE[0]
         rng = np.random.default_rng([self._config.seed, number])
         support = replace(recording.support, region=recording.region)
@@ -155,7 +163,8 @@ class BopScenes:
 
     def _check_camera(self) -> None:
         """One dataset, one camera: its camera.json says which."""
-        path, cameras = self._dataset.folder / CAMERA, self._config.cameras
+        path = self._dataset.folder / CAMERA
+        cameras = self._config.cameras
         if cameras is not None and len({plan.size for plan in cameras}) > 1:
             raise ConfigError(
                 "cameras of different sizes in a BOP dataset",
@@ -165,7 +174,8 @@ class BopScenes:
         # Cameras of one's own may differ in what they see; each view's intrinsics are beside it.
         if cameras is not None or not path.is_file():
             return
-        width, height = self._picture.width, self._picture.height
+        width = self._picture.width
+        height = self._picture.height
         focal = REALSENSE_FOCAL * width / REALSENSE_SIZE[0]
         asked = self._dataset.sensor(Camera.looking(np.zeros(3), np.ones(3), width, height, focal))
         there = json.loads(path.read_bytes())

@@ -36,9 +36,13 @@ from cluttergen_jax.sensing.camera_plan import CameraPlan
 
 _DRAWN = frozenset({"picture", "sheet", "turntable", "replay", "figure", "density"})
 """What is made of colours. Depth, labels and masks come from rays, point clouds from surfaces."""
-_SHEET, _AHEAD = 12, 64
-"""Scenes of a sheet; scenes whose objects are uploaded with those of one that is drawn."""
-_LARGE, _SMALL, _CELL = (1280, 960), (640, 480), (480, 360)
+# Scenes of a sheet; scenes whose objects are uploaded with those of one that is drawn.
+_SHEET = 12
+_AHEAD = 64
+
+_LARGE = (1280, 960)
+_SMALL = (640, 480)
+_CELL = (480, 360)
 _Make = Callable[[Path], Iterable[Path]]
 _Failure = tuple[str, ClutterGenError]
 
@@ -131,7 +135,8 @@ class Rendering:
         try:
             find_backend()
         except RendererError as error:
-            drawn, others = self.products & _DRAWN, ", ".join(sorted(self.products - _DRAWN))
+            drawn = self.products & _DRAWN
+            others = ", ".join(sorted(self.products - _DRAWN))
             if not drawn:
                 return False, (f"no colours were drawn: {error}",)
             if drawn != {"picture"} or not others:
@@ -147,15 +152,19 @@ class Rendering:
     def _picture(self, size: tuple[int, int], usual: Quality) -> PictureConfig:
         width, height = self.size or size
         quality = QUALITIES[self.quality or usual]
-        samples, smoothing = quality.samples, quality.smoothing
+        samples = quality.samples
+        smoothing = quality.smoothing
         if self.samples is not None:
-            samples, smoothing = self.samples, 0
+            samples = self.samples
+            smoothing = 0
         return replace(self.look, width=width, height=height, samples=samples, smoothing=smoothing)
 
     def _make(self, work: _Work, number: int, made: list[Path]) -> Iterator[_Failure]:
         """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
         source = work.source
-        stem = self.out / (f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number))
+        stem = self.out / (
+            f"{number:06d}" if isinstance(source, BankSource) else _stem(source, number)
+        )
         attempted = None
         if self._makes("replay", "figure", "density"):
             try:
@@ -177,19 +186,33 @@ class Rendering:
         self, work: _Work, recording: Replay, number: int, has_attempts: bool
     ) -> Iterator[tuple[str, _Make]]:
         """The endings of the files that are asked for, and how each is made."""
-        large, small, dataset = self._picture(_LARGE, "fine"), work.small, work.dataset
+        large = self._picture(_LARGE, "fine")
+        small = work.small
+        dataset = work.dataset
         cameras: dict[str, Camera | None] = {
             f"-{plan.name}": self._camera(plan, recording, number) for plan in self.cameras
         } or {"": None}
         for ending, camera in cameras.items() if work.singles else ():
             yield f"{ending}.png", partial(self._write_picture, work, recording, camera)
         if self._makes("figure") and has_attempts:
-            yield "-figure.png", lambda path: [save_png(closed_loop_figure(recording, picture=large), path)]
+            yield (
+                "-figure.png",
+                lambda path: [save_png(closed_loop_figure(recording, picture=large), path)],
+            )
         if self._makes("density") and has_attempts:
-            yield "-density.png", lambda path: [save_png(density_figure(recording, picture=large), path)]
+            yield (
+                "-density.png",
+                lambda path: [save_png(density_figure(recording, picture=large), path)],
+            )
         for ending, camera in cameras.items() if self._makes("depth", "segmentation") else ():
-            picture = large if camera is None else replace(large, width=camera.width, height=camera.height)
-            sensed = partial(self._write_sensors, recording, picture=picture, is_drawn=work.is_drawn)
+            picture = (
+                large
+                if camera is None
+                else replace(large, width=camera.width, height=camera.height)
+            )
+            sensed = partial(
+                self._write_sensors, recording, picture=picture, is_drawn=work.is_drawn
+            )
             yield f"{ending}-sensors.npz", partial(sensed, camera=camera)
         if dataset is not None:
             yield "-bop", lambda path: dataset.add(recording, number)
@@ -216,17 +239,25 @@ class Rendering:
         yield save_png(work.draw(recording, camera), path)
 
     def _write_sensors(
-        self, recording: Replay, path: Path, picture: PictureConfig, is_drawn: bool, camera: Camera | None
+        self,
+        recording: Replay,
+        path: Path,
+        picture: PictureConfig,
+        is_drawn: bool,
+        camera: Camera | None,
     ) -> Iterator[Path]:
         placed = recording.placed
         names = [recording.names[index] for index in placed]
-        poses, support = recording.poses[placed], recording.support
+        poses = recording.poses[placed]
+        support = recording.support
         sensed = sense(_placed_objects(recording), names, poses, support, picture, is_drawn, camera)
         stem = path.with_name(path.name.removesuffix("-sensors.npz"))
         if self._makes("depth"):
             yield _write(_path_with(stem, "-depth.png"), depth_png(sensed.depth))
         if self._makes("segmentation"):
-            yield _write(_path_with(stem, "-segmentation.png"), segmentation_png(sensed.segmentation))
+            yield _write(
+                _path_with(stem, "-segmentation.png"), segmentation_png(sensed.segmentation)
+            )
         yield _write(_path_with(stem, "-camera.json"), camera_json(sensed))
         yield _write(path, npz_of(sensed))
 
@@ -309,7 +340,9 @@ def chosen_numbers(
         asked = [own]
     if asked is not None and asked != "all":
         if said := missing_text(asked, source.numbers):
-            raise BankError(f"{source.name}: {said}", "scenes that are there", "leaving the others out")
+            raise BankError(
+                f"{source.name}: {said}", "scenes that are there", "leaving the others out"
+            )
         return list(asked)
     if not isinstance(source, BankSource):
         return list(source.numbers[:count])

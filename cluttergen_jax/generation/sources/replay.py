@@ -57,7 +57,8 @@ class ReplayContext:
         self, method: str, seed: int, index: int, title: str, width: int = 1, num_proposals: int = 0
     ) -> Replay:
         """Scene number `index` of `seed`, with its attempts; see `Recorder.record`."""
-        known, asked = self._made.get((method, width)), Method(method, self.checkpoints.get(method))
+        known = self._made.get((method, width))
+        asked = Method(method, self.checkpoints.get(method))
         if isinstance(self.setup, Shelves):
             setup = self.setup.block(seed, index // BLOCK_SIZE)
             rollouts = {} if known is None else known.rollouts
@@ -76,9 +77,12 @@ def replay_context_of(bank: Bank) -> ReplayContext:
       PoolError: its checkpoint is gone.
       ConfigError: its method was removed since.
     """
-    setup, recipe = shelves_of(bank) if bank.recipe.get("shelf") else setup_of(bank), bank.recipe
+    setup = shelves_of(bank) if bank.recipe.get("shelf") else setup_of(bank)
+    recipe = bank.recipe
     try:
-        method, pool, checkpoint = recipe["method"], recipe["pool"], recipe.get("checkpoint")
+        method = recipe["method"]
+        pool = recipe["pool"]
+        checkpoint = recipe.get("checkpoint")
     except KeyError as error:
         raise _not_recorded(bank, error) from error
     trained = None if method in UNPROPOSED else choose_method(method, pool, checkpoint).checkpoint
@@ -97,7 +101,8 @@ def setup_of(bank: Bank, **changes: Any) -> Setup:
     names, config, keep_out, standing = _read_request(bank)
     if config.shelf:
         # All objects that its scenes have, in one world.
-        names, config = bank.object_names, replace(config, shelf=0, weights=(), balance="")
+        names = bank.object_names
+        config = replace(config, shelf=0, weights=(), balance="")
     num_placed = len(names) - (len(standing[0]) if standing else 0)
     objects = [bank.object(base_name(name)) for name in names[:num_placed]]
     return make_setup(replace(config, **changes), keep_out, standing, (objects, bank.support))
@@ -119,10 +124,14 @@ def shelves_of(bank: Bank) -> Shelves:
         for name in names
     }
     known = {each.name: each for each in pool.facts}
-    return Shelves(replace(pool, objects=StoredObjects(readers, known)), config, bank.support, keep_out)
+    return Shelves(
+        replace(pool, objects=StoredObjects(readers, known)), config, bank.support, keep_out
+    )
 
 
-def _read_request(bank: Bank) -> tuple[Sequence[str], ProblemConfig, list[Rectangle], Standing | None]:
+def _read_request(
+    bank: Bank,
+) -> tuple[Sequence[str], ProblemConfig, list[Rectangle], Standing | None]:
     """Of a bank: names of the objects, the problem, boxes to keep out of, and what stands there already."""
     recipe = bank.recipe
     try:
@@ -138,7 +147,9 @@ def _not_recorded(bank: Bank, error: Exception) -> BankError:
     return BankError(f"{bank.path}: how it was made is not recorded whole ({error})")
 
 
-def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_proposals: int = 0) -> Replay:
+def replay(
+    bank: Bank, context: ReplayContext, index: int, stored: Replay, num_proposals: int = 0
+) -> Replay:
     """Scene number `index` of a bank with its attempts, made once more; see `Recorder.record`.
 
     Raises:
@@ -159,7 +170,8 @@ def replay(bank: Bank, context: ReplayContext, index: int, stored: Replay, num_p
             "the scene itself",
         )
     width = int(recipe.get("block_size", BLOCK_SIZE))
-    method, seed = recipe["method"], int(recipe["seed"])
+    method = recipe["method"]
+    seed = int(recipe["seed"])
     recording = context.record(method, seed, index, stored.title, width, num_proposals)
     if not _equal(recording, stored):
         made = ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items())

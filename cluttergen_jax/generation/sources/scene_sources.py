@@ -46,7 +46,9 @@ class BankSource:
             number for rows in known for number in compress(rows["index"], rows["is_success"])
         )
         if not self.numbers:
-            raise BankError(f"{path} holds no scenes", "a bank of at least one", "cluttergen generate")
+            raise BankError(
+                f"{path} holds no scenes", "a bank of at least one", "cluttergen generate"
+            )
         self._object = lru_cache(maxsize=None)(self.bank.object)
 
     @property
@@ -65,7 +67,9 @@ class BankSource:
         """See `SceneSource`; BankError where there is no such scene."""
         row = self.bank.rows([number]).get(number)
         if row is None:
-            raise BankError(f"{self.name} has no scene {number}", f"{self.numbers[0]} to {self.numbers[-1]}")
+            raise BankError(
+                f"{self.name} has no scene {number}", f"{self.numbers[0]} to {self.numbers[-1]}"
+            )
         return Replay(
             title=f"{self.name}, scene {number}",
             objects=tuple(self._object(base_name(name)) for name in row.objects),
@@ -192,7 +196,9 @@ class LiveSource:
             max_attempts=known.placement.max_attempts if known else 5,
         )
         trained = {} if found is None else {method: found}
-        self._context = ReplayContext(Setup(sampler.problem, sampler.keep_out, sampler.start), trained)
+        self._context = ReplayContext(
+            Setup(sampler.problem, sampler.keep_out, sampler.start), trained
+        )
         self.name = pool if checkpoint is None else f"{method} of {checkpoint.resolve().name}"
         self.numbers = range(_MOST)
         first = (method,) if method in self._context.methods else ()
@@ -216,7 +222,9 @@ class LiveSource:
         return self._context.record(method, seed, 0, title, num_proposals=num_proposals)
 
 
-def open_source(text: str | None, config: LiveConfig | None = None) -> tuple[SceneSource, int | None]:
+def open_source(
+    text: str | None, config: LiveConfig | None = None
+) -> tuple[SceneSource, int | None]:
     """What an argument names, and the scene that it asks for.
 
     Args:
@@ -229,7 +237,8 @@ def open_source(text: str | None, config: LiveConfig | None = None) -> tuple[Sce
     config = config or LiveConfig()
     if text is None:
         return LiveSource(config), None
-    path, named = Path(text), parse_reference(text)
+    path = Path(text)
+    named = parse_reference(text)
     if named is None:
         return FileSource(path), 0
     bank, index = named

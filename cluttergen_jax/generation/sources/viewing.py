@@ -66,7 +66,11 @@ def view_web(
 
 
 def place_web(
-    open_bank: Callable[[], HandBank], host: str, port: int, browser: bool, show: Callable[[str], None]
+    open_bank: Callable[[], HandBank],
+    host: str,
+    port: int,
+    browser: bool,
+    show: Callable[[str], None],
 ) -> GeneratedBank:
     """Placing by hand in a browser, until Ctrl-C; see `cluttergen_jax.place_by_hand`.
 
@@ -88,7 +92,9 @@ def place_web(
         server.stop()
 
 
-def _serve(server: GuardedServer, browser: bool, show: Callable[[str], None], notice: str = "") -> None:
+def _serve(
+    server: GuardedServer, browser: bool, show: Callable[[str], None], notice: str = ""
+) -> None:
     """Says where the server is, opens a browser if wanted, and returns at Ctrl-C."""
     # As soon as the address is known, Ctrl-C may come.
     with suppress(KeyboardInterrupt):
@@ -101,7 +107,9 @@ def _first(scenes: SceneSource, own: int | None) -> int:
     """The scene that is shown first."""
     first = int(scenes.numbers[0]) if own is None else own
     if first not in scenes.numbers:
-        raise BankError(f"{scenes.name} has no scene {first}", f"{scenes.numbers[0]} to {scenes.numbers[-1]}")
+        raise BankError(
+            f"{scenes.name} has no scene {first}", f"{scenes.numbers[0]} to {scenes.numbers[-1]}"
+        )
     return first
 
 
@@ -109,12 +117,15 @@ def native_model(recording: Replay) -> tuple[mujoco.MjModel, np.ndarray]:
     """The finished scene as a model with surfaces, light and a floor that carries, and its qpos f64[nq]."""
     placed = recording.placed
     poses = np.asarray(recording.poses[placed], np.float64)
-    spec, qpos = scene_spec([recording.objects[index] for index in placed], poses, recording.support)
+    spec, qpos = scene_spec(
+        [recording.objects[index] for index in placed], poses, recording.support
+    )
     # What falls off the table is to stay in sight.
     spec.geom(FLOOR).contype = spec.geom(FLOOR).conaffinity = 1
     # Where the window's camera looks first, and from how far.
     spec.stat.center = (*recording.region.center, recording.support.top + 0.05)
     spec.stat.extent = float(2 * np.hypot(*recording.region.half_extents))
     for body, pose in zip((each for each in spec.bodies if each.joints), poses, strict=True):
-        body.pos, body.quat = pose[:3], pose[3:]
+        body.pos = pose[:3]
+        body.quat = pose[3:]
     return spec.compile(), qpos

@@ -15,7 +15,13 @@ import numpy as np
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.colours import LEFT_OUT, vary
 from cluttergen_jax.importing.readers.polygons import CROSSING, cut_with_holes, cuts
-from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_numbers, parse_xml, plain_tag
+from cluttergen_jax.importing.readers.xml_tree import (
+    BROKEN,
+    Element,
+    parse_numbers,
+    parse_xml,
+    plain_tag,
+)
 
 
 def unit_of(path: Path) -> float:
@@ -35,7 +41,9 @@ def _declared_unit(path: Path) -> str:
     try:
         for _, element in ElementTree.iterparse(path):
             if plain_tag(element) == "asset":
-                return next((each.get("meter", "1") for each in element if plain_tag(each) == "unit"), "1")
+                return next(
+                    (each.get("meter", "1") for each in element if plain_tag(each) == "unit"), "1"
+                )
     except BROKEN:
         pass
     return "1"
@@ -68,7 +76,9 @@ def _coloured_by_vertices(tree: Element) -> Iterator[Element]:
     sources = {each.get("id"): each for each in _all(tree, "source")}
     for tag in ("triangles", "polylist", "polygons", "tristrips", "trifans"):
         for surface in _all(tree, tag):
-            named = [each.get("source", "")[1:] for each in surface if each.get("semantic") == "COLOR"]
+            named = [
+                each.get("source", "")[1:] for each in surface if each.get("semantic") == "COLOR"
+            ]
             found = sources.get(named[0]) if named else None
             if found is not None and vary(_colours(found)):
                 yield surface
@@ -76,7 +86,9 @@ def _coloured_by_vertices(tree: Element) -> Iterator[Element]:
 
 def _colours(source: Element) -> np.ndarray:
     """f64[N, 3]; none if the source is not of colours."""
-    values = next((parse_numbers(each.text or "") for each in _all(source, "float_array")), None) or []
+    values = (
+        next((parse_numbers(each.text or "") for each in _all(source, "float_array")), None) or []
+    )
     stride = next((each.get("stride", "1") for each in _all(source, "accessor")), "3")
     step = int(stride) if stride.isdecimal() else 0
     if step < 3 or len(values) % step:
@@ -98,7 +110,9 @@ def _name_images(tree: Element) -> bool:
         is_changed = True
         place = places[0] if places else ElementTree.SubElement(image, image.tag[:-5] + "init_from")
         # COLLADA 1.5 has the path one level deeper.
-        place.text = next((each.text for each in place if each.text), f"{image.get('id')} (no path is given)")
+        place.text = next(
+            (each.text for each in place if each.text), f"{image.get('id')} (no path is given)"
+        )
     return is_changed
 
 
@@ -110,11 +124,14 @@ def _cut_holes(tree: Element, polygons: Element) -> bool:
     points = _positions(tree, vertex.get("source", "")[1:])
     is_changed = False
     for polygon in [each for each in polygons if plain_tag(each) == "ph"]:
-        rings = [np.array((each.text or "").split(), np.int64).reshape(-1, width) for each in polygon]
+        rings = [
+            np.array((each.text or "").split(), np.int64).reshape(-1, width) for each in polygon
+        ]
         outlines = [points[ring[:, int(vertex.get("offset", 0))]] for ring in rings]
         if (triangles := cut_with_holes(outlines)) is None:
             continue
-        corners, tag = np.concatenate(rings), polygon.tag[:-2] + "p"
+        corners = np.concatenate(rings)
+        tag = polygon.tag[:-2] + "p"
         for triangle in triangles:
             words = corners[triangle].reshape(-1).tolist()
             ElementTree.SubElement(polygons, tag).text = " ".join(map(str, words))
@@ -133,7 +150,9 @@ def _positions(tree: Element, vertices: str) -> np.ndarray:
     (array,) = (each for each in source if plain_tag(each) == "float_array")
     (accessor,) = _all(source, "accessor")
     numbers = np.array((array.text or "").split(), np.float64)
-    return numbers[int(accessor.get("offset", 0)) :].reshape(-1, int(accessor.get("stride", 1)))[:, :3]
+    return numbers[int(accessor.get("offset", 0)) :].reshape(-1, int(accessor.get("stride", 1)))[
+        :, :3
+    ]
 
 
 def collada_notes(path: Path) -> Iterator[str]:
@@ -144,7 +163,9 @@ def collada_notes(path: Path) -> Iterator[str]:
         yield f"{holes} polygons with holes (<ph>) cannot be cut into triangles and are left out"
     if skins := sum(1 for _ in _all(tree, "instance_controller")):
         yield f"{skins} surfaces with a skeleton or a morph (<instance_controller>) are left out"
-    if tree is not None and any(_can_have_image(tree, each) for each in _coloured_by_vertices(tree)):
+    if tree is not None and any(
+        _can_have_image(tree, each) for each in _coloured_by_vertices(tree)
+    ):
         yield LEFT_OUT
 
 
@@ -172,7 +193,9 @@ def collada_polygons(path: Path) -> Iterator[list[str]]:
     def triangleset(polylist: Any) -> Any:
         if polylist._triangleset is None and (corners := _corners(polylist, notes)) is not None:
             index = polylist.index[corners.reshape(-1)].reshape(-1)
-            polylist._triangleset = TriangleSet(polylist.sources, polylist.material, index, polylist.xmlnode)
+            polylist._triangleset = TriangleSet(
+                polylist.sources, polylist.material, index, polylist.xmlnode
+            )
         return cut_into_fans(polylist)
 
     with patch.object(Polylist, "triangleset", triangleset):
@@ -181,7 +204,8 @@ def collada_polygons(path: Path) -> Iterator[list[str]]:
 
 def _corners(polylist: Any, notes: list[str]) -> np.ndarray | None:
     """i64[F, 3]: rows of the list's index that make its triangles; None where fans will do."""
-    named, points = polylist.vertex_index, polylist.vertex
+    named = polylist.vertex_index
+    points = polylist.vertex
     if named is None or points is None or not len(named) or min(polylist.vcounts) < 3:
         return None
     if named.min() < 0 or named.max() >= len(points):
@@ -193,7 +217,10 @@ def _corners(polylist: Any, notes: list[str]) -> np.ndarray | None:
         notes.append(CROSSING)
     if not found:
         return None
-    fans = {n: np.array([[0, i + 1, i + 2] for i in range(n - 2)]) for n in set(polylist.vcounts.tolist())}
+    fans = {
+        n: np.array([[0, i + 1, i + 2] for i in range(n - 2)])
+        for n in set(polylist.vcounts.tolist())
+    }
     return np.concatenate(
         [start + found.get(i, fans[len(polygons[i])]) for i, start in enumerate(starts.tolist())]
     )

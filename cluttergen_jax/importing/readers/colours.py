@@ -11,7 +11,8 @@ MANY = 7
 """How far colours may differ, of 255, for one colour to do for all."""
 _COLOUR = rb"([-+.\deE]+)"
 _COLOURED = re.compile(
-    rb"^[ \t]*v[ \t]+(?:[-+.\deE]+[ \t]+){3}%s[ \t]+%s[ \t]+%s[ \t\r]*$" % (_COLOUR, _COLOUR, _COLOUR),
+    rb"^[ \t]*v[ \t]+(?:[-+.\deE]+[ \t]+){3}%s[ \t]+%s[ \t]+%s[ \t\r]*$"
+    % (_COLOUR, _COLOUR, _COLOUR),
     re.MULTILINE,
 )
 """A vertex of an OBJ text with a colour behind its place."""

@@ -61,15 +61,24 @@ def num_triangles(data: bytes, count: int) -> int | None:
 def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     """A binary file with a true count and nothing after its triangles, and what was wrong with it."""
     count = announced_count(data)
-    number = None if is_text_stl(data, len(data)) or len(data) < _HEAD else num_triangles(data, count)
+    number = (
+        None if is_text_stl(data, len(data)) or len(data) < _HEAD else num_triangles(data, count)
+    )
     if number is None:
         return data, ()
-    end, notes = _HEAD + _RECORD.itemsize * number, []
+    end = _HEAD + _RECORD.itemsize * number
+    notes = []
     if count != number:
-        notes.append(f"its head announces {count:,} triangles: the {number:,} that it holds are taken")
+        notes.append(
+            f"its head announces {count:,} triangles: the {number:,} that it holds are taken"
+        )
     if rest := len(data) - end:
         notes.append(f"{rest:,} bytes after its last triangle are left out")
-    return (data[:80] + number.to_bytes(4, "little") + data[_HEAD:end], tuple(notes)) if notes else (data, ())
+    return (
+        (data[:80] + number.to_bytes(4, "little") + data[_HEAD:end], tuple(notes))
+        if notes
+        else (data, ())
+    )
 
 
 def _is_closed_surface(data: bytes, number: int) -> bool:
@@ -79,7 +88,8 @@ def _is_closed_surface(data: bytes, number: int) -> bool:
         return False
     _, named = np.unique(corners + np.float32(0), axis=0, return_inverse=True)
     faces = named.reshape(-1, 3).astype(np.int64)
-    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    start = faces.reshape(-1)
+    end = np.roll(faces, -1, axis=1).reshape(-1)
     size = int(faces.max()) + 1
     _, edge = np.unique(np.minimum(start, end) * size + np.maximum(start, end), return_inverse=True)
     return not np.bincount(edge.reshape(-1), np.sign(end - start)).any()
@@ -97,7 +107,10 @@ def stand_in(path: Path) -> tuple[str, str] | None:
     except OSError:
         return None
     if head.startswith(_POINTER):
-        return "a pointer of Git LFS in place of the file", "`git lfs pull` in the repository that it is from"
+        return (
+            "a pointer of Git LFS in place of the file",
+            "`git lfs pull` in the repository that it is from",
+        )
     if head.startswith(_PAGES):
         return (
             "a page of HTML in place of the file",
@@ -145,16 +158,22 @@ def check_whole(path: Path) -> None:
     try:
         check(path)
     except RecursionError as error:
-        raise AssetError(f"{path} cannot be read as a mesh: its header is nested too deeply") from error
+        raise AssetError(
+            f"{path} cannot be read as a mesh: its header is nested too deeply"
+        ) from error
     except (TypeError, LookupError, AttributeError, ValueError, struct.error) as error:
-        raise AssetError(f"{path} cannot be read as a mesh: its header is damaged ({error!r})") from error
+        raise AssetError(
+            f"{path} cannot be read as a mesh: its header is damaged ({error!r})"
+        ) from error
 
 
 def unreadable(path: Path, error: Exception) -> AssetError:
     """What to raise where a parser failed with `error`; a parser's slip says nothing to a user."""
     reason = _obj_fault(path) if path.suffix.lower() == ".obj" else ""
     if not reason:
-        is_slip = isinstance(error, LookupError | AttributeError | TypeError | NameError | AssertionError)
+        is_slip = isinstance(
+            error, LookupError | AttributeError | TypeError | NameError | AssertionError
+        )
         slip = "it is damaged, cut short or of another format"
         said = re.sub(r"^(\w+Error: )+", "", " ".join(str(error).split())).rstrip(".!")
         reason = slip if is_slip else said or slip
@@ -166,7 +185,9 @@ def _check_obj(path: Path) -> None:
     if found := _OBJ_ZERO.search(data):
         line = data.count(b"\n", 0, found.start()) + 1
         raise AssetError(
-            f"{path} is damaged: line {line} has a face with vertex 0", "vertices counted from 1", _AGAIN
+            f"{path} is damaged: line {line} has a face with vertex 0",
+            "vertices counted from 1",
+            _AGAIN,
         )
 
 
@@ -188,7 +209,9 @@ def _check_dae(path: Path) -> None:
         for array in source:
             is_array = plain_tag(array) == "float_array"
             if is_array and (found := _NO_NUMBER.search(array.text or "")):
-                raise AssetError(f"{path} is damaged: a vertex at {found[0]!r}", "finite numbers", _AGAIN)
+                raise AssetError(
+                    f"{path} is damaged: a vertex at {found[0]!r}", "finite numbers", _AGAIN
+                )
 
 
 def _obj_fault(path: Path) -> str:
@@ -196,7 +219,9 @@ def _obj_fault(path: Path) -> str:
     lines = [line.split() for line in path.read_bytes().decode(errors="replace").splitlines()]
     num_vertices = sum(line[:1] == ["v"] for line in lines)
     for number, words in enumerate(lines, 1):
-        if words[:1] == ["v"] and (word := next((each for each in words[1:] if not _is_finite(each)), None)):
+        if words[:1] == ["v"] and (
+            word := next((each for each in words[1:] if not _is_finite(each)), None)
+        ):
             return f"line {number} has a vertex at {word!r}, which is no finite number"
         if words[:1] != ["f"]:
             continue
@@ -205,7 +230,9 @@ def _obj_fault(path: Path) -> str:
             if not re.fullmatch(r"[+-]?\d+", index):
                 return f"line {number} has a face with vertex {index!r}, which is no number"
             if not 1 <= abs(int(index)) <= num_vertices:
-                return f"line {number} has a face with vertex {int(index)}, of {num_vertices} vertices"
+                return (
+                    f"line {number} has a face with vertex {int(index)}, of {num_vertices} vertices"
+                )
     return ""
 
 
@@ -244,13 +271,15 @@ def _check_document(path: Path, document: Json, binary: int) -> None:
     """Every accessor lies in its view, every view in its buffer, and every buffer in what is there."""
     buffers = []
     for index, buffer in enumerate(document.get("buffers", [])):
-        needed, held = _count(buffer["byteLength"]), _buffer_size(path, buffer.get("uri"), binary)
+        needed = _count(buffer["byteLength"])
+        held = _buffer_size(path, buffer.get("uri"), binary)
         if needed > held and not buffer.get("extensions"):
             raise _too_short(path, f"buffer {index}", needed, held)
         buffers.append(needed)
     views = document.get("bufferViews", [])
     for index, view in enumerate(views):
-        end, held = _count(view.get("byteOffset", 0)) + _count(view["byteLength"]), buffers[view["buffer"]]
+        end = _count(view.get("byteOffset", 0)) + _count(view["byteLength"])
+        held = buffers[view["buffer"]]
         if end > held:
             raise _too_short(path, f"view {index} of buffer {view['buffer']}", end, held)
     for index, accessor in enumerate(document.get("accessors", [])):
@@ -261,17 +290,23 @@ def _check_accessor(path: Path, name: str, accessor: Json, views: list[Json]) ->
     count = _count(accessor["count"])
     if sparse := accessor.get("sparse"):
         # Each of its elements takes at least a byte, of indices as of values.
-        held = min(views[sparse[part]["bufferView"]]["byteLength"] for part in ("indices", "values"))
+        held = min(
+            views[sparse[part]["bufferView"]]["byteLength"] for part in ("indices", "values")
+        )
         if _count(sparse["count"]) > held:
             raise _too_short(path, f"sparse {name}", sparse["count"], held)
     if "bufferView" not in accessor:
         if count > _MOST_ZEROS:
-            raise AssetError(f"{path}: {name} of {count:,} elements", f"up to {_MOST_ZEROS:,} without data")
+            raise AssetError(
+                f"{path}: {name} of {count:,} elements", f"up to {_MOST_ZEROS:,} without data"
+            )
         return
     view = views[accessor["bufferView"]]
     element = np.dtype(DTYPES[accessor["componentType"]]).itemsize * WIDTHS[accessor["type"]]
     stride = _count(view.get("byteStride", 0)) or element
-    needed = _count(accessor.get("byteOffset", 0)) + (stride * (count - 1) + element if count else 0)
+    needed = _count(accessor.get("byteOffset", 0)) + (
+        stride * (count - 1) + element if count else 0
+    )
     if needed > view["byteLength"]:
         raise _too_short(path, f"{name} of {count:,} elements", needed, view["byteLength"])
 
@@ -301,7 +336,9 @@ def _check_stl(path: Path) -> None:
     if len(head) >= 84 and not is_text_stl(head, size):
         count = announced_count(head)
         if size != 84 + 50 * count and num_triangles(path.read_bytes(), count) is None:
-            raise _too_short(path, f"a binary STL file of {count:,} triangles", 84 + 50 * count, size)
+            raise _too_short(
+                path, f"a binary STL file of {count:,} triangles", 84 + 50 * count, size
+            )
     data = path.read_bytes()
     if b"\0" not in head[:512] and data.count(b"endfacet") < data.count(b"facet normal"):
         raise AssetError(f"{path} is cut short: its last triangle has no end", hint=_AGAIN)
@@ -316,19 +353,26 @@ def _check_ply(path: Path) -> None:
     if not end:
         return
     is_text = re.search(rb"format\s+ascii", text) is not None
-    needed, count = 0, 0
+    needed = 0
+    count = 0
     for line in text.decode("latin-1").splitlines():
         words = line.split()
         if words[:1] == ["element"]:
             count = _count(int(words[2]))
         elif words[:1] == ["property"]:
             # An empty list is still its own length.
-            needed += count * (2 if is_text else _PLY_BYTES.get(words[2 if words[1] == "list" else 1], 4))
+            needed += count * (
+                2 if is_text else _PLY_BYTES.get(words[2 if words[1] == "list" else 1], 4)
+            )
     if needed > size - len(text):
         raise _too_short(path, "what its header announces", needed, size - len(text))
     head, _, body = path.read_bytes().partition(b"end_header")
     promised = sum(int(number) for number in _PLY_COUNT.findall(head))
-    held = sum(bool(line.strip()) for line in body.splitlines()) if b"format ascii" in head else promised
+    held = (
+        sum(bool(line.strip()) for line in body.splitlines())
+        if b"format ascii" in head
+        else promised
+    )
     if held < promised:
         raise AssetError(
             f"{path} is cut short: its head promises {promised:,} vertices and faces, it has {held:,}",

@@ -64,7 +64,8 @@ def words_of(path: Path) -> dict[str, str]:
         if {"author", "source"} <= words.keys():
             words["author"] = f"{words['author']}, {words['source']}"
         found = {
-            key: next((words[name] for name in names if name in words), "") for key, names in _SAID.items()
+            key: next((words[name] for name in names if name in words), "")
+            for key, names in _SAID.items()
         }
         said = {key: value for key, value in found.items() if value} | said
     return said
@@ -74,7 +75,9 @@ def _first(document: Json, key: str) -> Any:
     """The first scene, or the only node or mesh."""
     values = document.get(key)
     return (
-        values[0] if isinstance(values, list) and (len(values) == 1 or (values and key == "scenes")) else None
+        values[0]
+        if isinstance(values, list) and (len(values) == 1 or (values and key == "scenes"))
+        else None
     )
 
 
@@ -104,7 +107,8 @@ class Buffers:
     """
 
     def __init__(self, path: Path, document: Json) -> None:
-        self.path, self._document = path, document
+        self.path = path
+        self._document = document
         self._read: dict[int, bytes] = {}
 
     def view(self, index: int) -> bytes:
@@ -153,7 +157,10 @@ def glb(document: Json, binary: bytes) -> bytes:
     text += b" " * (-len(text) % 4)
     binary += b"\0" * (-len(binary) % 4)
     chunks = (
-        struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+        struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(binary), b"BIN\0")
+        + binary
     )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
@@ -161,10 +168,23 @@ def glb(document: Json, binary: bytes) -> bytes:
 DRACO = "KHR_draco_mesh_compression"
 INSTANCING = "EXT_mesh_gpu_instancing"
 _MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
-_UNDERSTOOD = (DRACO, INSTANCING, "KHR_mesh_quantization", "KHR_texture_transform", "EXT_texture_webp")
+_UNDERSTOOD = (
+    DRACO,
+    INSTANCING,
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "EXT_texture_webp",
+)
 # They say how a surface looks, or nothing about it: the shape is the same without them.
 _OF_LOOKS = (
-    *("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "EXT_lights_"),
+    *(
+        "KHR_materials_",
+        "KHR_texture_",
+        "EXT_texture_",
+        "MSFT_texture_",
+        "KHR_lights_",
+        "EXT_lights_",
+    ),
     *("KHR_xmp", "KHR_animation_pointer"),
 )
 _DRAWN_ALIKE = ("KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness")
@@ -179,10 +199,14 @@ def check_understood(path: Path, document: Json) -> None:
       AssetError: it names the extension, and what undoes it.
     """
     wanted = [name for name in _names(document, "extensionsRequired") if not _is_followed(name)]
-    wanted += [name for name in _MESHOPT if name not in wanted and _is_all_that_there_is(name, document)]
+    wanted += [
+        name for name in _MESHOPT if name not in wanted and _is_all_that_there_is(name, document)
+    ]
     if wanted:
         undo = (
-            f"gltf-transform copy {path.name} plain.glb" if wanted[0] in _MESHOPT else "exporting without it"
+            f"gltf-transform copy {path.name} plain.glb"
+            if wanted[0] in _MESHOPT
+            else "exporting without it"
         )
         raise AssetError(
             f"{path} needs the glTF extension {', '.join(wanted)}, which is not read",
@@ -193,13 +217,18 @@ def check_understood(path: Path, document: Json) -> None:
 
 def extension_notes(document: Json) -> Iterator[str]:
     """What is not followed, or was decided, of extensions and of surfaces that are no triangles."""
-    required, used = _names(document, "extensionsRequired"), _names(document, "extensionsUsed")
+    required = _names(document, "extensionsRequired")
+    used = _names(document, "extensionsUsed")
     for name in required:
         if name not in (*_UNDERSTOOD, *_DRAWN_ALIKE):
             yield f"its glTF extension {name} is not followed: its colours may differ"
-    if others := [name for name in used if not _is_followed(name) and name not in (*required, *_MESHOPT)]:
+    if others := [
+        name for name in used if not _is_followed(name) and name not in (*required, *_MESHOPT)
+    ]:
         yield f"of glTF, {', '.join(others)} is not followed"
-    modes = [each.get("mode", 4) for mesh in document.get("meshes", []) for each in mesh["primitives"]]
+    modes = [
+        each.get("mode", 4) for mesh in document.get("meshes", []) for each in mesh["primitives"]
+    ]
     if num_left_out := sum(mode in _NO_SURFACE for mode in modes):
         yield f"{num_left_out} of its {len(modes)} surfaces are points or lines and are left out"
     nodes = document.get("nodes", [])

@@ -35,7 +35,8 @@ class Arrays:
     """
 
     def __init__(self, document: Json, buffers: Buffers) -> None:
-        self._document, self._buffers = document, buffers
+        self._document = document
+        self._buffers = buffers
 
     def accessor(self, index: int, raw: np.ndarray | None = None) -> np.ndarray:
         """[N, width]: an accessor's elements; floats in [-1, 1] where its integers are normalised.
@@ -47,15 +48,21 @@ class Arrays:
         array = self._dense(accessor) if raw is None else raw
         array = self._with_sparse(array, accessor["sparse"]) if "sparse" in accessor else array
         if accessor.get("normalized") and array.dtype.kind in "iu":
-            return np.maximum(array / np.iinfo(np.dtype(DTYPES[accessor["componentType"]])).max, -1.0)
+            return np.maximum(
+                array / np.iinfo(np.dtype(DTYPES[accessor["componentType"]])).max, -1.0
+            )
         return array
 
     def primitive(self, primitive: Json) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
         """The attributes of a primitive by name, and its indices i[M] if it has any."""
-        attributes, indices = primitive["attributes"], None
+        attributes = primitive["attributes"]
+        indices = None
         raw: dict[str, np.ndarray] = {}
         compressed = primitive.get("extensions", {}).get(DRACO)
-        if compressed is not None and "bufferView" not in self._document["accessors"][attributes["POSITION"]]:
+        if (
+            compressed is not None
+            and "bufferView" not in self._document["accessors"][attributes["POSITION"]]
+        ):
             raw, indices = self._draco(compressed)
         arrays = {name: self.accessor(index, raw.get(name)) for name, index in attributes.items()}
         if indices is None and "indices" in primitive:
@@ -70,15 +77,20 @@ class Arrays:
         return self._read(accessor["bufferView"], accessor, shape, stride)
 
     def _read(self, view: int, where: Json, shape: tuple[int, int], stride: int = 0) -> np.ndarray:
-        dtype, data = np.dtype(DTYPES[where["componentType"]]), self._buffers.view(view)
+        dtype = np.dtype(DTYPES[where["componentType"]])
+        data = self._buffers.view(view)
         strides = stride or dtype.itemsize * shape[1], dtype.itemsize
         return np.ndarray(shape, dtype, data, where.get("byteOffset", 0), strides).copy()
 
     def _with_sparse(self, array: np.ndarray, sparse: Json) -> np.ndarray:
         """The array with the elements replaced that are stored beside it."""
-        places, values = sparse["indices"], sparse["values"]
+        places = sparse["indices"]
+        values = sparse["values"]
         index = self._read(places["bufferView"], places, (sparse["count"], 1))[:, 0]
-        new = {**values, "componentType": next(k for k, v in DTYPES.items() if array.dtype == np.dtype(v))}
+        new = {
+            **values,
+            "componentType": next(k for k, v in DTYPES.items() if array.dtype == np.dtype(v)),
+        }
         array = array.copy()
         array[index] = self._read(values["bufferView"], new, (sparse["count"], array.shape[1]))
         return array
@@ -87,11 +99,15 @@ class Arrays:
         try:
             import DracoPy
         except ImportError as error:
-            raise AssetError(f"{self._buffers.path} with {DRACO}", hint="pip install DracoPy") from error
+            raise AssetError(
+                f"{self._buffers.path} with {DRACO}", hint="pip install DracoPy"
+            ) from error
         decoded = DracoPy.decode(self._buffers.view(compressed["bufferView"]))
         by_id = {each["unique_id"]: np.asarray(each["data"]) for each in decoded.attributes}
         by_id = {index: data.reshape(len(data), -1) for index, data in by_id.items()}
-        arrays = {name: by_id[index] for name, index in compressed["attributes"].items() if index in by_id}
+        arrays = {
+            name: by_id[index] for name, index in compressed["attributes"].items() if index in by_id
+        }
         return arrays, np.asarray(decoded.faces).reshape(-1)
 
 
@@ -123,7 +139,8 @@ def _check_tree(path: Path, document: Json) -> None:
 
 
 def _is_not_plain(document: Json) -> bool:
-    nodes, accessors = document.get("nodes", []), document.get("accessors", [])
+    nodes = document.get("nodes", [])
+    accessors = document.get("accessors", [])
     # trimesh draws nothing of a file without a scene.
     if not document.get("scenes"):
         return True
@@ -134,11 +151,17 @@ def _is_not_plain(document: Json) -> bool:
         return True
     for mesh in document.get("meshes", []):
         for primitive in mesh["primitives"]:
-            named = {k: v for k, v in primitive["attributes"].items() if not k.startswith(("COLOR", "_"))}
+            named = {
+                k: v for k, v in primitive["attributes"].items() if not k.startswith(("COLOR", "_"))
+            }
             used = [accessors[index] for index in named.values()]
             if any(each.get("normalized") or "sparse" in each for each in used):
                 return True
-            if "weights" in mesh or DRACO in _extensions(primitive) or primitive.get("mode") == _FAN:
+            if (
+                "weights" in mesh
+                or DRACO in _extensions(primitive)
+                or primitive.get("mode") == _FAN
+            ):
                 return True
             # trimesh takes the material's colour, white, for that of its vertices.
             if is_coloured_by_vertices(document, primitive):
@@ -154,7 +177,8 @@ class _Plain:
     """A new document, written while the old one is read."""
 
     def __init__(self, path: Path, document: Json) -> None:
-        self._path, self._old = path, document
+        self._path = path
+        self._old = document
         self._buffers = Buffers(path, document)
         self._arrays = Arrays(document, self._buffers)
         self._nodes: list[Json] = [dict(node) for node in document.get("nodes", [])]
@@ -171,7 +195,9 @@ class _Plain:
         for index, place in list(self._world_places()):
             self._draw(self._nodes[index], place)
         kept = {
-            key: self._old[key] for key in ("asset", "materials", "textures", "samplers") if key in self._old
+            key: self._old[key]
+            for key in ("asset", "materials", "textures", "samplers")
+            if key in self._old
         }
         new = {
             "scenes": [{"nodes": self._roots}],
@@ -192,7 +218,9 @@ class _Plain:
             if index in self._world:
                 continue
             self._world[index] = parent @ _place(self._nodes[index])
-            todo += [(child, self._world[index]) for child in self._nodes[index].get("children", [])]
+            todo += [
+                (child, self._world[index]) for child in self._nodes[index].get("children", [])
+            ]
         return iter(self._world.items())
 
     def _draw(self, node: Json, place: np.ndarray) -> None:
@@ -208,7 +236,9 @@ class _Plain:
             # Its joints place a skinned surface, its node does not.
             self._roots.append(self._add_node({"mesh": new}))
         elif copies is not None:
-            children = [self._add_node({"mesh": new, **each}) for each in self._copies(copies["attributes"])]
+            children = [
+                self._add_node({"mesh": new, **each}) for each in self._copies(copies["attributes"])
+            ]
             node["children"] = [*node.get("children", []), *children]
         else:
             node["mesh"] = new
@@ -224,7 +254,8 @@ class _Plain:
         count = max(map(len, columns.values()), default=0)
         if count > _MOST_COPIES:
             raise AssetError(
-                f"{self._path}: {count:,} copies of a mesh ({INSTANCING})", f"up to {_MOST_COPIES:,}"
+                f"{self._path}: {count:,} copies of a mesh ({INSTANCING})",
+                f"up to {_MOST_COPIES:,}",
             )
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
@@ -233,7 +264,8 @@ class _Plain:
         key = ("mesh", index, weights, skin)
         if key not in self._known:
             primitives = [
-                self._primitive(each, weights, skin) for each in self._old["meshes"][index]["primitives"]
+                self._primitive(each, weights, skin)
+                for each in self._old["meshes"][index]["primitives"]
             ]
             self._meshes.append({"primitives": primitives, "name": f"mesh-{len(self._meshes)}"})
             self._known[key] = len(self._meshes) - 1
@@ -250,31 +282,40 @@ class _Plain:
         mode = old.get("mode", 4)
         if mode == _FAN:
             fan = np.arange(len(points)) if indices is None else indices
-            indices, mode = np.stack([np.full(len(fan) - 2, fan[0]), fan[1:-1], fan[2:]], 1).reshape(-1), 4
+            indices = np.stack([np.full(len(fan) - 2, fan[0]), fan[1:-1], fan[2:]], 1).reshape(-1)
+            mode = 4
         kept = {name: arrays[name] for name in ("TEXCOORD_0", "COLOR_0") if name in arrays}
-        attributes = {name: self._accessor(each) for name, each in (kept | {"POSITION": points}).items()}
+        attributes = {
+            name: self._accessor(each) for name, each in (kept | {"POSITION": points}).items()
+        }
         new = {"attributes": attributes, "mode": mode}
         if indices is not None:
             new["indices"] = self._accessor(indices[:, None].astype(np.uint32))
         is_material_kept = "material" in old and not is_coloured_by_vertices(self._old, old)
         return new | ({"material": old["material"]} if is_material_kept else {})
 
-    def _apply_skin(self, points: np.ndarray, arrays: dict[str, np.ndarray], skin: Json) -> np.ndarray:
+    def _apply_skin(
+        self, points: np.ndarray, arrays: dict[str, np.ndarray], skin: Json
+    ) -> np.ndarray:
         """f64[V, 3] in the scene, as the joints stand in the file."""
         joints = np.array([self._world[joint] for joint in skin["joints"]])
         if "inverseBindMatrices" in skin:
             stored = self._arrays.accessor(skin["inverseBindMatrices"])[: len(joints)]
             joints = joints @ stored.reshape(-1, 4, 4).transpose(0, 2, 1)
-        blend, total = np.zeros((len(points), 4, 4)), np.zeros(len(points))
+        blend = np.zeros((len(points), 4, 4))
+        total = np.zeros(len(points))
         sets = sorted(name.removeprefix("WEIGHTS") for name in arrays if name.startswith("WEIGHTS"))
         for which in sets:
-            share, joint = arrays[f"WEIGHTS{which}"], arrays[f"JOINTS{which}"].astype(int)
+            share = arrays[f"WEIGHTS{which}"]
+            joint = arrays[f"JOINTS{which}"].astype(int)
             blend += np.einsum("vk,vkij->vij", share, joints[joint])
             total += share.sum(1)
         if not sets:
             raise KeyError("WEIGHTS_0 of a surface with a skin")
         blend = np.where(
-            total[:, None, None] > 0, blend / np.where(total > 0, total, 1.0)[:, None, None], np.eye(4)
+            total[:, None, None] > 0,
+            blend / np.where(total > 0, total, 1.0)[:, None, None],
+            np.eye(4),
         )
         return np.einsum("vij,vj->vi", blend[:, :3, :3], points) + blend[:, :3, 3]
 

@@ -40,7 +40,9 @@ class Look:
     """What a file says of a surface's looks."""
 
     colour: Rgba = GREY  # For what has none of its own; grey where the file says nothing.
-    texture: Texture | None = None  # For meshes that have texture coordinates and no image of their own.
+    texture: Texture | None = (
+        None  # For meshes that have texture coordinates and no image of their own.
+    )
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,11 @@ class Surfaces:
         """
         pieces = self._geometry(element, look.texture)
         if look.texture is not None and pieces and all(piece.texture is None for piece in pieces):
-            self.notes.append(f"an image on a <{element.tag}> without texture coordinates is left out")
-        rotation, translation = pose[:3, :3] * scale, pose[:3, 3] * scale
+            self.notes.append(
+                f"an image on a <{element.tag}> without texture coordinates is left out"
+            )
+        rotation = pose[:3, :3] * scale
+        translation = pose[:3, 3] * scale
         return [
             replace(
                 piece.transform(rotation, translation),
@@ -113,7 +118,9 @@ class Surfaces:
             raise AssetError(f"{self.path}: a <{element.tag}> without geometry")
         form = geometry[0]
         if len(geometry) > 1:
-            self.notes.append(f"of {len(geometry)} shapes in one <geometry> the first is taken, <{form.tag}>")
+            self.notes.append(
+                f"of {len(geometry)} shapes in one <geometry> the first is taken, <{form.tag}>"
+            )
         if form.tag in _ENDLESS:
             self.notes.append(f"left out: <{element.tag}> of geometry <{form.tag}>")
             return []
@@ -145,14 +152,18 @@ class Surfaces:
         name = (attribute_text(form, self.named_by) or "").strip()
         if not name:
             raise AssetError(
-                f"{self.path}: a <mesh> that names no file", f"one that is named by {self.named_by!r}"
+                f"{self.path}: a <mesh> that names no file",
+                f"one that is named by {self.named_by!r}",
             )
         if (part := form.find("submesh")) is not None:
             submesh = part.findtext("name", "").strip()
-            raise AssetError(f"{self.path}: <submesh> {submesh!r} of {name!r}", "a mesh file as a whole")
+            raise AssetError(
+                f"{self.path}: <submesh> {submesh!r} of {name!r}", "a mesh file as a whole"
+            )
         if (file := mesh_place(self.path, name)) is None:
             raise AssetError(
-                f"{self.path} names mesh file {name!r}, which is not there", hint="restoring the file"
+                f"{self.path} names mesh file {name!r}, which is not there",
+                hint="restoring the file",
             )
         if is_found_elsewhere(name, file):
             self.notes.append(
@@ -256,7 +267,9 @@ def _visible(visuals: list[Piece], notes: list[str]) -> list[Piece]:
     if len(seen) == len(visuals):
         return visuals
     if seen:
-        notes.append(f"left out, as their alpha is 0: {len(visuals) - len(seen)} of {len(visuals)} surfaces")
+        notes.append(
+            f"left out, as their alpha is 0: {len(visuals) - len(seen)} of {len(visuals)} surfaces"
+        )
         return seen
     notes.append("drawn opaque although its alpha is 0, as nothing else is there to be seen")
     return [replace(piece, rgba=(*piece.rgba[:3], 1.0)) for piece in visuals]
@@ -311,11 +324,17 @@ def _density(path: Path, links: Sequence[Link]) -> float | None:
       AssetError: they say different things.
     """
     parents = [
-        each for link in links for tag in ("inertial", "collision") for each in link.element.findall(tag)
+        each
+        for link in links
+        for tag in ("inertial", "collision")
+        for each in link.element.findall(tag)
     ]
-    said_of = {length(path, *_holder(each, child)) for each in parents for child in each.findall("density")}
+    said_of = {
+        length(path, *_holder(each, child)) for each in parents for child in each.findall("density")
+    }
     if len(said_of) > 1:
         raise AssetError(
-            f"{path}: links of the densities {sorted(said_of)}", "one <density>, or a <mass> for each"
+            f"{path}: links of the densities {sorted(said_of)}",
+            "one <density>, or a <mass> for each",
         )
     return next(iter(said_of), None)

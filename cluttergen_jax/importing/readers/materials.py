@@ -15,7 +15,11 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.colours import LEFT_OUT, MANY
-from cluttergen_jax.importing.readers.gltf_file import extension_notes, is_coloured_by_vertices, read_document
+from cluttergen_jax.importing.readers.gltf_file import (
+    extension_notes,
+    is_coloured_by_vertices,
+    read_document,
+)
 
 Rgba = tuple[float, float, float, float]
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
@@ -41,7 +45,9 @@ class Dresser:
     """
 
     def __init__(self, is_linear: bool, max_side: int, image: Texture | None = None) -> None:
-        self._is_linear, self._max_side, self._image = is_linear, max_side, image
+        self._is_linear = is_linear
+        self._max_side = max_side
+        self._image = image
         self._known: dict[int, tuple[Image.Image, Texture | None]] = {}
         self.notes: list[str] = []
 
@@ -51,13 +57,17 @@ class Dresser:
         image = _image_of(visual)
         if others := _other_maps(getattr(visual, "material", None)):
             self._note(f"of its materials the base colour alone is kept, not {', '.join(others)}")
-        texture, rgba = self._image, (1.0, 1.0, 1.0, 1.0)
+        texture = self._image
+        rgba = (1.0, 1.0, 1.0, 1.0)
         if image is not None:
-            texture, rgba = self._texture(image, visual.material), self._factor(visual.material)
+            texture = self._texture(image, visual.material)
+            rgba = self._factor(visual.material)
         if texture is not None and uv is not None:
             return Piece(mesh, rgba, uv, texture)
         if image is not None and uv is None:
-            self._note("a surface has an image but no sound texture coordinates: it gets one colour")
+            self._note(
+                "a surface has an image but no sound texture coordinates: it gets one colour"
+            )
         rgba = mean_colour(visual, self._is_linear)
         if visual.kind in ("vertex", "face") and (found := _many_colours(mesh, visual)) is not None:
             mesh, colours = found
@@ -95,9 +105,13 @@ class Dresser:
         kept = getattr(material, "kwargs", None)
         if kept is not None:
             colour = _numbers(kept.get("kd"), 3)
-            if colour is not None and (max(colour) < _LIGHT or max(colour) - min(colour) > _GREYISH):
+            if colour is not None and (
+                max(colour) < _LIGHT or max(colour) - min(colour) > _GREYISH
+            ):
                 text = " ".join(f"{each:g}" for each in colour)
-                self._note(f"an image is drawn as it is, not multiplied by its material's colour (Kd {text})")
+                self._note(
+                    f"an image is drawn as it is, not multiplied by its material's colour (Kd {text})"
+                )
             return _rgba([1.0, 1.0, 1.0, (_numbers(kept.get("d"), 1) or [1.0])[0]])
         factor = getattr(material, "baseColorFactor", None)
         if factor is None:
@@ -170,7 +184,9 @@ def _many_colours(mesh: Mesh, visual: Any) -> tuple[Mesh, np.ndarray] | None:
 
 def _srgb(values: np.ndarray) -> np.ndarray:
     """Linear colours as sRGB."""
-    return np.where(values <= 0.0031308, 12.92 * values, 1.055 * np.maximum(values, 0) ** (1 / 2.4) - 0.055)
+    return np.where(
+        values <= 0.0031308, 12.92 * values, 1.055 * np.maximum(values, 0) ** (1 / 2.4) - 0.055
+    )
 
 
 def _rgba(values: Iterable[float]) -> Rgba:
@@ -191,7 +207,12 @@ def mean_colour(visual: Any, is_linear: bool = False) -> Rgba:
     except Exception:  # A broken texture must not cost the object.
         return GREY
     r, g, b, a = np.asarray(colours, np.float64).reshape(-1, 4).mean(0).clip(0, 1)
-    return (round(float(r), 4), round(float(g), 4), round(float(b), 4), round(float(max(a, 0.2)), 4))
+    return (
+        round(float(r), 4),
+        round(float(g), 4),
+        round(float(b), 4),
+        round(float(max(a, 0.2)), 4),
+    )
 
 
 def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
@@ -215,11 +236,15 @@ def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
     yield from extension_notes(document)
     primitives = [each for mesh in document.get("meshes", []) for each in mesh["primitives"]]
     if any(
-        "COLOR_0" in each["attributes"] and "material" in each and not is_coloured_by_vertices(document, each)
+        "COLOR_0" in each["attributes"]
+        and "material" in each
+        and not is_coloured_by_vertices(document, each)
         for each in primitives
     ):
         yield LEFT_OUT
-    has_image = {each.name for each in materials if getattr(each, "baseColorTexture", None) is not None}
+    has_image = {
+        each.name for each in materials if getattr(each, "baseColorTexture", None) is not None
+    }
     read = {each.name for each in materials if each is not None}
     for index, material in enumerate(document.get("materials", [])):
         # A name is optional.

@@ -45,7 +45,9 @@ _MENDS: dict[str, Callable[[bytes], tuple[bytes, tuple[str, ...]]]] = {
 class MeshFile(NamedTuple):
     """What a mesh file holds."""
 
-    pieces: list[Piece]  # Its surfaces, in the file's own frame, and unless it declares a unit in its own.
+    pieces: list[
+        Piece
+    ]  # Its surfaces, in the file's own frame, and unless it declares a unit in its own.
     notes: tuple[str, ...]  # What could not be kept of its materials, in words.
 
 
@@ -57,13 +59,17 @@ class NamedMeshFile(NamedTuple):
     names: tuple[tuple[str, ...], ...]  # Of each surface, what it hangs on, the innermost first.
 
 
-def read_mesh_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> MeshFile:
+def read_mesh_file(
+    path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None
+) -> MeshFile:
     """`read_named_file` without the names."""
     pieces, notes, _ = read_named_file(path, max_side, image)
     return MeshFile(pieces, notes)
 
 
-def read_named_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None) -> NamedMeshFile:
+def read_named_file(
+    path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None
+) -> NamedMeshFile:
     """The file's surfaces in its own frame, each with one colour, with its vertices' or with its image.
 
     Every geometry of a scene graph is placed where its nodes put it. The colour is the material's; colours
@@ -89,17 +95,22 @@ def read_named_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | No
         raise
     except Exception as error:  # trimesh's loaders raise whatever their parsers do.
         raise unreadable(path, error) from error
-    is_gltf, is_collada = path.suffix.lower() in (".glb", ".gltf"), path.suffix.lower() == ".dae"
+    is_gltf = path.suffix.lower() in (".glb", ".gltf")
+    is_collada = path.suffix.lower() == ".dae"
     unit = unit_of(path) if is_collada else 1.0
     dresser = Dresser(is_gltf, max_side, image)
-    pieces, materials, names = [], [], []
+    pieces = []
+    materials = []
+    names = []
     for node in sorted(
         scene.graph.nodes_geometry, key=lambda each: (_RANDOM.sub("", each), scene.graph[each][1])
     ):
         transform, name = scene.graph[node]
         geometry = scene.geometry[name]
         if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-            mesh = _sound(geometry, path).transform(unit * transform[:3, :3], unit * transform[:3, 3])
+            mesh = _sound(geometry, path).transform(
+                unit * transform[:3, :3], unit * transform[:3, 3]
+            )
             if np.linalg.det(transform[:3, :3]) < 0:
                 mesh = Mesh(mesh.vertices, mesh.faces[:, ::-1])
             pieces.append(dresser.piece(mesh, geometry.visual))
@@ -116,7 +127,8 @@ def read_named_file(path: Path, max_side: int = MAX_TEXTURE, image: Texture | No
 
 def _names_of(scene: trimesh.Scene, node: str) -> tuple[str, ...]:
     """What a node and those above it are called, without the root, and what its surface is called."""
-    above, names = scene.graph.transforms.parents, [_RANDOM.sub("", node)]
+    above = scene.graph.transforms.parents
+    names = [_RANDOM.sub("", node)]
     surface = str(scene.graph[node][1])
     while (node := above.get(node, scene.graph.base_frame)) != scene.graph.base_frame:
         names.append(_RANDOM.sub("", node))
@@ -139,9 +151,12 @@ def _parse(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:
     """The triangles, if they are some and name vertices that are there."""
-    vertices, faces = np.asarray(geometry.vertices), np.asarray(geometry.faces)
+    vertices = np.asarray(geometry.vertices)
+    faces = np.asarray(geometry.faces)
     if faces.ndim != 2 or faces.shape[1] != 3 or vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise AssetError(f"{path} holds a surface that is not made of triangles", "triangles in space")
+        raise AssetError(
+            f"{path} holds a surface that is not made of triangles", "triangles in space"
+        )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise AssetError(f"{path} is damaged: its triangles name vertices that it does not have")
     return Mesh(vertices, faces)

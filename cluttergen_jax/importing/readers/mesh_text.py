@@ -85,7 +85,8 @@ _NAMED = {
     ".dae": rb"<init_from>([^<]++)</init_from>",
 }
 _USED, _DEFINED = (
-    re.compile(rb"^[ \t]*+%s[ \t]++([^\n]++)$" % word, re.MULTILINE) for word in (b"usemtl", b"newmtl")
+    re.compile(rb"^[ \t]*+%s[ \t]++([^\n]++)$" % word, re.MULTILINE)
+    for word in (b"usemtl", b"newmtl")
 )
 _ONE_NUMBER = re.compile(rb"^([ \t]*Kd)[ \t]+([-+.\deE]+)(?=[ \t\r]*$)", re.MULTILINE)
 
@@ -164,7 +165,8 @@ class Companions(trimesh.resolvers.FilePathResolver):
             defined = set(_names(_DEFINED, text))
             lost = [name.decode() for name in used if name not in defined]
             self.notes += [
-                f"{self._path.name} names material {name!r}, which is nowhere defined" for name in lost
+                f"{self._path.name} names material {name!r}, which is nowhere defined"
+                for name in lost
             ]
         # Of a colour with one number the others are equal to it.
         return _ONE_NUMBER.sub(rb"\1 \2 \2 \2", text)

@@ -71,7 +71,8 @@ def read_mjcf(
     of_joints = _open_joints(model, data, opened or {}, path)
     mujoco.mj_kinematics(model, data)
     roots = _roots(model, path, body, bodies, opened is not None)
-    root, chosen = roots[0], [i for i in range(model.nbody) if any(_hangs_on(model, i, k) for k in roots)]
+    root = roots[0]
+    chosen = [i for i in range(model.nbody) if any(_hangs_on(model, i, k) for k in roots)]
     geoms = [i for i in range(model.ngeom) if model.geom_bodyid[i] in chosen]
     roles = roles_of(model, data, geoms)
     if not roles.surface:
@@ -87,11 +88,15 @@ def read_mjcf(
         notes += (f"left out, as they lie in the world beside the body: {beside} geoms",)
     if kilograms := _mass_of(path, roles.unseen):
         notes += (f"what is left out weighs {kilograms:.3g} kg: it counts, as in MuJoCo",)
-    is_usable = 0 < len(colliding) <= MAX_PARTS and all(is_convex(model, i) for i in roles.colliding)
+    is_usable = 0 < len(colliding) <= MAX_PARTS and all(
+        is_convex(model, i) for i in roles.colliding
+    )
     return Model(
         pieces=[geom_piece(model, data, i, max_side) for i in roles.surface],
         parts=tuple(Mesh.points(each.vertices) for each in colliding) if is_usable else None,
-        stated=combine_masses([_body_mass(model, data, i) for i in chosen if model.body_mass[i] != NO_MASS]),
+        stated=combine_masses(
+            [_body_mass(model, data, i) for i in chosen if model.body_mass[i] != NO_MASS]
+        ),
         notes=(*notes, *dict.fromkeys(of_pictures)),
         colliding=colliding,
         # One body that was chosen stands still itself.
@@ -108,7 +113,9 @@ def _open_joints(
     check_joints(opened, movable, path)
     for name, value in opened.items():
         index = movable[name]
-        lower, upper = model.jnt_range[index].tolist() if model.jnt_limited[index] else (-np.inf, np.inf)
+        lower, upper = (
+            model.jnt_range[index].tolist() if model.jnt_limited[index] else (-np.inf, np.inf)
+        )
         is_turn = bool(model.jnt_type[index] == _JOINT.mjJNT_HINGE)
         place, said = opened_joint(name, value, lower, upper, is_turn)
         data.qpos[model.jnt_qposadr[index]] = place
@@ -161,7 +168,9 @@ def _joints(
             damping=_above_zero(model.dof_damping[model.jnt_dofadr[index]]),
             friction=_above_zero(model.dof_frictionloss[model.jnt_dofadr[index]]),
             armature=_above_zero(model.dof_armature[model.jnt_dofadr[index]]),
-        ).with_mass(sound_mass([_body_mass(model, data, body) for body in bodies if last[body] == number]))
+        ).with_mass(
+            sound_mass([_body_mass(model, data, body) for body in bodies if last[body] == number])
+        )
         for index, number in numbers.items()
     )
 
@@ -193,7 +202,9 @@ def _mass_of(path: Path, geoms: Collection[int]) -> float:
         return 0.0
 
 
-def compile_with_notes(path: Path, is_simulated: bool = False) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+def compile_with_notes(
+    path: Path, is_simulated: bool = False
+) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     """The model of an MJCF file, whose names are text, and what had to be changed in it (`compile_mjcf`).
 
     Raises:
@@ -270,7 +281,8 @@ def _body_id(model: mujoco.MjModel, path: Path, body: str) -> int:
     names = [model.body(i).name for i in range(1, model.nbody)]
     if body in names:
         return 1 + names.index(body)
-    number, children = body.removeprefix("#"), world_bodies(model)
+    number = body.removeprefix("#")
+    children = world_bodies(model)
     if number != body and number.isdecimal() and int(number) < len(children):
         return children[int(number)]
     raise unknown_body(body, path, names)

@@ -24,7 +24,9 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, read_xml
 
 _SPELLINGS: dict[tuple[str, str], Callable[[str], dict[str, str]]] = {
-    ("camera", "orthographic"): lambda said: {"projection": "orthographic"} if said == "true" else {},
+    ("camera", "orthographic"): lambda said: (
+        {"projection": "orthographic"} if said == "true" else {}
+    ),
     ("compiler", "convexhull"): lambda said: {},
     ("compiler", "exactmeshinertia"): lambda said: {},
     ("flag", "passive"): lambda said: {"spring": said, "damper": said},
@@ -37,7 +39,9 @@ _SPELLINGS: dict[tuple[str, str], Callable[[str], dict[str, str]]] = {
 _NO_VOLUME = re.compile(r"mesh volume is too small|inconsistent orientation|coplanar vertices")
 _NO_AREA = re.compile(r"surface area is too small|collinear vertices|at least (3|4) vertices")
 _NO_MASS = re.compile(r"mass and inertia of moving bodies must be larger")
-_NO_INERTIA = re.compile(r"inertia must satisfy|inertia must have positive|full inertia|negative inertia")
+_NO_INERTIA = re.compile(
+    r"inertia must satisfy|inertia must have positive|full inertia|negative inertia"
+)
 _SHELL_OF_MESH = re.compile(r"for mesh geoms, inertia should be specified")
 _ELEMENT = re.compile(r"Element name '(.*)', id (\d+)")
 NO_MASS = 1e-9
@@ -45,7 +49,8 @@ NO_MASS = 1e-9
 _NO_MOMENT = 1e-12
 """kg m^2, likewise."""
 _MOST_EDITS = 200
-_SHELL, _BY_VOLUME = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL, mujoco.mjtGeomInertia.mjINERTIA_VOLUME
+_SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+_BY_VOLUME = mujoco.mjtGeomInertia.mjINERTIA_VOLUME
 
 
 def compile_mjcf(path: Path, is_simulated: bool) -> tuple[mujoco.MjModel, tuple[str, ...]]:
@@ -93,7 +98,9 @@ def parse_mjcf(path: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
 
 def _read_old_spellings(path: Path) -> tuple[dict[str, bytes], tuple[str, ...]]:
     """The file and those that it includes with today's attributes, by name; and what was changed."""
-    waiting, files, notes = [(str(path), path)], dict[str, bytes](), dict[str, None]()
+    waiting = [(str(path), path)]
+    files = dict[str, bytes]()
+    notes = dict[str, None]()
     while waiting:
         name, file = waiting.pop()
         try:
@@ -107,8 +114,14 @@ def _read_old_spellings(path: Path) -> tuple[dict[str, bytes], tuple[str, ...]]:
                 element.attrib.update(fresh)
                 written = " ".join(f'{key}="{value}"' for key, value in fresh.items())
                 old = f'{element.tag} {attribute}="{said}"'
-                notes[f"an older MuJoCo's {old} is {f'read as {written}' if fresh else 'left out'}"] = None
-            if element.tag == "include" and (other := element.get("file", "")) and other not in files:
+                notes[
+                    f"an older MuJoCo's {old} is {f'read as {written}' if fresh else 'left out'}"
+                ] = None
+            if (
+                element.tag == "include"
+                and (other := element.get("file", ""))
+                and other not in files
+            ):
                 waiting.append((other, path.parent / other))
         files[name] = ElementTree.tostring(root)
     return files, tuple(notes)
@@ -122,7 +135,8 @@ class _Edits:
     """
 
     def __init__(self, path: Path, is_simulated: bool) -> None:
-        self._path, self._is_simulated = path, is_simulated
+        self._path = path
+        self._is_simulated = is_simulated
         self.spec, notes = parse_mjcf(path)
         self._notes: dict[str, dict[str, None]] = {each: {} for each in notes}
         self._done: list[Callable[[], bool]] = []
@@ -131,7 +145,8 @@ class _Edits:
     def notes(self) -> tuple[str, ...]:
         """What was changed, in words: one note for each kind."""
         return tuple(
-            ": ".join([what, ", ".join(names)]) if names else what for what, names in self._notes.items()
+            ": ".join([what, ", ".join(names)]) if names else what
+            for what, names in self._notes.items()
         )
 
     def mend(self, message: str) -> bool:
@@ -161,7 +176,9 @@ class _Edits:
 
     def _move_shells(self) -> bool:
         """Older files say of a geom that its mesh is a shell: today the mesh says so."""
-        geoms = [each for each in self.spec.geoms if each.meshname and each.typeinertia != _BY_VOLUME]
+        geoms = [
+            each for each in self.spec.geoms if each.meshname and each.typeinertia != _BY_VOLUME
+        ]
         for geom in geoms:
             geom.typeinertia = _BY_VOLUME
             self.spec.mesh(geom.meshname).inertia = _SHELL
@@ -183,7 +200,9 @@ class _Edits:
             # What has no volume weighs nothing, if no mass is stated; a shell weighs by its area.
             geom.mass = geom.mass if np.isfinite(geom.mass) else 0.0
         if is_colliding:
-            return self._note("meshes that are flat: they are seen, and collide with nothing", repr(name))
+            return self._note(
+                "meshes that are flat: they are seen, and collide with nothing", repr(name)
+            )
         return self._note("meshes without a volume, which are shells without mass", repr(name))
 
     def _without_area(self, name: str) -> bool:
@@ -202,7 +221,8 @@ class _Edits:
         if is_mass:
             body.mass = max(body.mass if body.explicitinertial else 0.0, NO_MASS)
         body.explicitinertial = True
-        body.fullinertia, body.inertia = np.full(6, np.nan), np.full(3, _NO_MOMENT)
+        body.fullinertia = np.full(6, np.nan)
+        body.inertia = np.full(3, _NO_MOMENT)
         self.spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
         what = "no mass" if is_mass else "an impossible inertia"
         why = "nothing is simulated" if not self._is_simulated else "they do not move"
@@ -217,7 +237,9 @@ class _Edits:
         is_there = any(each.name in self._lost for each in self.spec.textures)
         _drop(self.spec, self._lost)
         for file in dict.fromkeys(file for name, file in self._lost.items() if name in worn):
-            self._notes[f"the image {file!r} cannot be read: its surface has its material's colour"] = {}
+            self._notes[
+                f"the image {file!r} cannot be read: its surface has its material's colour"
+            ] = {}
         return is_there
 
     def _users(self, name: str) -> tuple[mujoco.MjsMesh | None, list[mujoco.MjsGeom]]:
@@ -225,7 +247,9 @@ class _Edits:
         return self.spec.mesh(name), [each for each in self.spec.geoms if each.meshname == name]
 
     def _collides(self, geom: mujoco.MjsGeom) -> bool:
-        paired = {name for pair in self.spec.pairs for name in (pair.geomname1, pair.geomname2)} - {""}
+        paired = {name for pair in self.spec.pairs for name in (pair.geomname1, pair.geomname2)} - {
+            ""
+        }
         return bool(geom.contype or geom.conaffinity) or geom.name in paired
 
     def _stop_colliding(self, geoms: Iterable[mujoco.MjsGeom]) -> None:
@@ -249,7 +273,9 @@ def _moves(body: mujoco.MjsBody) -> bool:
 def _unreadable_pictures(path: Path) -> dict[str, str]:
     """The files of the textures that MuJoCo cannot read, by the textures' names."""
     spec = parse_mjcf(path)[0]
-    return {name: _file_of(spec.texture(name)) for name in _pictures(spec) if not _is_read(path, name)}
+    return {
+        name: _file_of(spec.texture(name)) for name in _pictures(spec) if not _is_read(path, name)
+    }
 
 
 def _pictures(spec: mujoco.MjSpec) -> list[str]:

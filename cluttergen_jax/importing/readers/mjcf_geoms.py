@@ -16,7 +16,12 @@ from cluttergen_jax.assets.quality.deviation import is_within_parts
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import primitives
-from cluttergen_jax.importing.readers.mjcf_pictures import flat_colour, geom_kind, picture_id, with_picture
+from cluttergen_jax.importing.readers.mjcf_pictures import (
+    flat_colour,
+    geom_kind,
+    picture_id,
+    with_picture,
+)
 
 _GEOM = mujoco.mjtGeom
 _FARTHEST = 1e6
@@ -37,19 +42,23 @@ def is_convex(model: mujoco.MjModel, geom: int) -> bool:
 
 def geom_rgba(model: mujoco.MjModel, geom: int) -> tuple[float, float, float, float]:
     """The colour that MuJoCo draws a geom in: its own if it has one, else its material's."""
-    material, own = int(model.geom_matid[geom]), model.geom_rgba[geom]
+    material = int(model.geom_matid[geom])
+    own = model.geom_rgba[geom]
     is_given = material < 0 or not np.array_equal(own, _DEFAULT_RGBA)
     r, g, b, a = own if is_given else model.mat_rgba[material]
     return (float(r), float(g), float(b), float(a))
 
 
-def geom_piece(model: mujoco.MjModel, data: mujoco.MjData, geom: int, max_side: int = MAX_TEXTURE) -> Piece:
+def geom_piece(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, max_side: int = MAX_TEXTURE
+) -> Piece:
     """The geom's surface in the world frame, with its colour, and its picture as MuJoCo lays it on.
 
     What is asked for although its alpha is 0, because nothing else is seen, is drawn opaque.
     """
     r, g, b, alpha = geom_rgba(model, geom)
-    colour, picture = (r, g, b, alpha or 1.0), picture_id(model, geom)
+    colour = (r, g, b, alpha or 1.0)
+    picture = picture_id(model, geom)
     if picture < 0:
         return Piece(geom_mesh(model, data, geom), colour)
     if (flat := flat_colour(model, picture)) is not None:
@@ -72,7 +81,8 @@ def geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: i
 
 def _own_mesh(model: mujoco.MjModel, geom: int, sections: int = 32) -> Mesh:
     """The geom's surface in its own frame."""
-    size, data_id = model.geom_size[geom], int(model.geom_dataid[geom])
+    size = model.geom_size[geom]
+    data_id = int(model.geom_dataid[geom])
     kind = geom_kind(model, geom)
     if kind in (_GEOM.mjGEOM_MESH, _GEOM.mjGEOM_SDF):
         # Of an SDF, MuJoCo makes a mesh when it compiles the file.
@@ -98,19 +108,24 @@ def _place(model: mujoco.MjModel, data: mujoco.MjData, geom: int, mesh: Mesh) ->
     # A number that is NaN compares as no.
     if not (np.abs(mesh.vertices) <= _FARTHEST).all():
         name = model.geom(geom).name or f"number {geom}"
-        raise AssetError(f"geom {name!r} reaches beyond {_FARTHEST:,.0f} m, or is nowhere", "sizes in metres")
+        raise AssetError(
+            f"geom {name!r} reaches beyond {_FARTHEST:,.0f} m, or is nowhere", "sizes in metres"
+        )
     return mesh
 
 
 def _mesh_asset(model: mujoco.MjModel, mesh: int) -> Mesh:
-    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    first_face, face_count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    first = model.mesh_vertadr[mesh]
+    count = model.mesh_vertnum[mesh]
+    first_face = model.mesh_faceadr[mesh]
+    face_count = model.mesh_facenum[mesh]
     faces = model.mesh_face[first_face : first_face + face_count]
     return Mesh(model.mesh_vert[first : first + count], faces)
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> Mesh:
-    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    rows = int(model.hfield_nrow[field])
+    columns = int(model.hfield_ncol[field])
     start = int(model.hfield_adr[field])
     heights = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
     half_x, half_y, highest, base = (float(each) for each in model.hfield_size[field])
@@ -193,7 +208,8 @@ def _find_stand_ins(
         ends = (mesh.bounds[0] > lower - reach) & (mesh.bounds[1] < upper + reach)
         if (
             ends.all()
-            and is_within_parts(_inner_points(mesh), [each.vertices for each in others]).mean() >= _FILLED
+            and is_within_parts(_inner_points(mesh), [each.vertices for each in others]).mean()
+            >= _FILLED
         ):
             covered.append(geom)
     return covered
@@ -214,6 +230,9 @@ def _inner_points(hull: Mesh) -> np.ndarray:
 def _names(model: mujoco.MjModel, geoms: Sequence[int]) -> str:
     """The first few geoms by their names, or else by their kinds."""
     kinds = {i: geom_kind(model, i).name.removeprefix("mjGEOM_").lower() for i in geoms}
-    names = [repr(model.geom(i).name) if model.geom(i).name else f"a {kinds[i]}" for i in geoms[:_MOST_NAMES]]
+    names = [
+        repr(model.geom(i).name) if model.geom(i).name else f"a {kinds[i]}"
+        for i in geoms[:_MOST_NAMES]
+    ]
     more = [f"{len(geoms) - _MOST_NAMES} more"] if len(geoms) > _MOST_NAMES else []
     return ", ".join([*names, *more])

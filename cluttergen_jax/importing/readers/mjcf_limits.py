@@ -11,7 +11,13 @@ from PIL import Image
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.opening import MOST_MESH, MOST_PIXELS, check_openable
-from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, attribute_text, parse_numbers, read_xml
+from cluttergen_jax.importing.readers.xml_tree import (
+    BROKEN,
+    Element,
+    attribute_text,
+    parse_numbers,
+    read_xml,
+)
 
 MOST_ELEMENTS = 200_000
 """Elements of a model, copies by <replicate>, <composite> and <attach> included."""
@@ -40,7 +46,15 @@ _COUNTED: tuple[str, ...] = (
     "nuser_site",
     "nuser_cam",
 )
-_COUNTED += ("nuser_tendon", "nuser_actuator", "nuser_sensor", "nkey", "nuserdata", "njmax", "nconmax")
+_COUNTED += (
+    "nuser_tendon",
+    "nuser_actuator",
+    "nuser_sensor",
+    "nkey",
+    "nuserdata",
+    "njmax",
+    "nconmax",
+)
 
 
 def check_mjcf_extent(path: Path) -> None:
@@ -56,15 +70,21 @@ def check_mjcf_extent(path: Path) -> None:
 @dataclass
 class _Model:
     path: Path
-    sizes: dict[Path, float] = field(default_factory=dict)  # Elements of each file, copies included.
+    sizes: dict[Path, float] = field(
+        default_factory=dict
+    )  # Elements of each file, copies included.
     copies: float = 0.0  # Of all that is replicated.
 
     def check(self) -> None:
         count = self._size(self.path, (), self.path.parent)
         if self.copies > _MOST_COPIES:
-            raise self._error(f"<replicate> of {self.copies:.7g} copies", f"up to {_MOST_COPIES:,} in all")
+            raise self._error(
+                f"<replicate> of {self.copies:.7g} copies", f"up to {_MOST_COPIES:,} in all"
+            )
         if count > MOST_ELEMENTS:
-            raise self._error(f"a model of {count:.3g} elements, copies included", f"up to {MOST_ELEMENTS:,}")
+            raise self._error(
+                f"a model of {count:.3g} elements, copies included", f"up to {MOST_ELEMENTS:,}"
+            )
 
     def _error(self, given: str, allowed: str, hint: str = "a smaller model") -> AssetError:
         return AssetError(f"{self.path}: {given}", allowed, hint)
@@ -78,16 +98,22 @@ class _Model:
         real = file.resolve()
         if real in above:
             way = " -> ".join(each.name for each in (*above[above.index(real) :], real))
-            raise self._error(f"a model that attaches or includes itself ({way})", "files that do not", "")
+            raise self._error(
+                f"a model that attaches or includes itself ({way})", "files that do not", ""
+            )
         if len(above) >= _MOST_NESTED:
-            raise self._error(f"more than {_MOST_NESTED} files within each other", f"up to {_MOST_NESTED}")
+            raise self._error(
+                f"more than {_MOST_NESTED} files within each other", f"up to {_MOST_NESTED}"
+            )
         if real in self.sizes:
             return self.sizes[real]
         try:
             root = read_xml(file)
         except BROKEN as error:
             if "within each other" in str(error):
-                raise self._error(str(error), "elements within each other that are fewer") from error
+                raise self._error(
+                    str(error), "elements within each other that are fewer"
+                ) from error
             # MuJoCo says why.
             return 0.0
         folders = [main, file.parent]
@@ -101,7 +127,9 @@ class _Model:
                 for there in _places(name, folders):
                     self._check_file(there, element.tag)
                     if element.tag == "model":
-                        parts[element.get("name", "")] = self._size(there, (*above, real), there.parent)
+                        parts[element.get("name", "")] = self._size(
+                            there, (*above, real), there.parent
+                        )
                     elif element.tag == "include":
                         included += self._size(there, (*above, real), main)
                     break
@@ -116,12 +144,16 @@ class _Model:
             check_pixels(file)
         if tag == "hfield" and file.suffix.lower() not in _PICTURES:
             with file.open("rb") as content:
-                rows, columns = (int.from_bytes(content.read(4), "little", signed=True) for _ in range(2))
+                rows, columns = (
+                    int.from_bytes(content.read(4), "little", signed=True) for _ in range(2)
+                )
             self._check_grid("hfield", rows, columns)
 
     def _check_grid(self, tag: str, rows: float, columns: float) -> None:
         if rows > 0 and columns > 0 and rows * columns > _MOST_CELLS:
-            raise self._error(f"a <{tag}> of {rows:g} x {columns:g} cells", f"up to {_MOST_CELLS:,} cells")
+            raise self._error(
+                f"a <{tag}> of {rows:g} x {columns:g} cells", f"up to {_MOST_CELLS:,} cells"
+            )
 
     def _check_element(self, element: Element) -> None:
         tag = str(element.tag)
@@ -133,7 +165,8 @@ class _Model:
             height = max(number["height"], number["width"])
             if 6 * number["width"] * height > MOST_PIXELS:
                 raise self._error(
-                    f"a <texture> of {number['width']:g} x {height:g} pixels", f"up to {MOST_PIXELS:,} pixels"
+                    f"a <texture> of {number['width']:g} x {height:g} pixels",
+                    f"up to {MOST_PIXELS:,} pixels",
                 )
         if tag == "mesh" and element.get("builtin"):
             most = _MOST_SUBDIVISION if element.get("builtin") == "sphere" else _MOST_PARAMS
@@ -142,7 +175,9 @@ class _Model:
         if tag == "size":
             for name in _COUNTED:
                 if number[name] > _MOST_CELLS:
-                    raise self._error(f"<size {name}={element.get(name)!r}>", f"up to {_MOST_CELLS:,}")
+                    raise self._error(
+                        f"<size {name}={element.get(name)!r}>", f"up to {_MOST_CELLS:,}"
+                    )
             for name in ("memory", "nstack", "njmax_memory"):
                 if _bytes(element.get(name, "")) > _MOST_BYTES:
                     raise self._error(f"<size {name}={element.get(name)!r}>", "up to 4G")
@@ -161,7 +196,9 @@ def _copies(root: Element, parts: dict[str, float]) -> tuple[float, float]:
     Returns:
       Their number, and that of the copies which <replicate> makes.
     """
-    total, copies, todo = 0.0, 0.0, [(root, 1.0)]
+    total = 0.0
+    copies = 0.0
+    todo = [(root, 1.0)]
     while todo:
         element, times = todo.pop()
         own = 1.0
@@ -222,4 +259,6 @@ def check_pixels(file: Path) -> None:
     except Exception:  # Pillow's decoders raise whatever they do.
         return
     if width * height > MOST_PIXELS:
-        raise AssetError(f"{file} has {width:,} x {height:,} pixels", f"up to {MOST_PIXELS:,} pixels")
+        raise AssetError(
+            f"{file} has {width:,} x {height:,} pixels", f"up to {MOST_PIXELS:,} pixels"
+        )

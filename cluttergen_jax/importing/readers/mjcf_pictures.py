@@ -43,7 +43,9 @@ def one_image(sides: np.ndarray) -> np.ndarray:
     return rows.reshape(2 * width, 3 * width, 3)
 
 
-def wrap_cube_map(mesh: Mesh, directions: np.ndarray, is_one: bool, width: int) -> tuple[Mesh, np.ndarray]:
+def wrap_cube_map(
+    mesh: Mesh, directions: np.ndarray, is_one: bool, width: int
+) -> tuple[Mesh, np.ndarray]:
     """The mesh, each triangle with vertices of its own and on one side of the cube, and their uv.
 
     Neighbours are cut at the same places, so that what was closed stays closed.
@@ -56,7 +58,8 @@ def wrap_cube_map(mesh: Mesh, directions: np.ndarray, is_one: bool, width: int) 
     Returns:
       The mesh, and f64[3 F, 2].
     """
-    points, faces = np.hstack([mesh.vertices, directions]), mesh.faces.astype(np.int64)
+    points = np.hstack([mesh.vertices, directions])
+    faces = mesh.faces.astype(np.int64)
     for a, b in ((0, 1), (0, 2), (1, 2)):
         for sign in (-1, 1):
             points, faces = _cut(points, faces, _at_plane(a, b, sign))
@@ -67,7 +70,9 @@ def wrap_cube_map(mesh: Mesh, directions: np.ndarray, is_one: bool, width: int) 
             break
     corners = points[faces]
     side = np.repeat(_side(corners[..., 3:].mean(1)), 3)
-    places = 0.5 / width + (1 - 1 / width) * _places(corners[..., 3:].reshape(-1, 3), side).clip(0, 1)
+    places = 0.5 / width + (1 - 1 / width) * _places(corners[..., 3:].reshape(-1, 3), side).clip(
+        0, 1
+    )
     if not is_one:
         places = (places + np.column_stack([side % 3, side // 3])) / [3, 2]
     return Mesh(corners[..., :3].reshape(-1, 3), np.arange(len(side))), places * [1, -1] + [0, 1]
@@ -83,7 +88,9 @@ def _places(directions: np.ndarray, side: np.ndarray) -> np.ndarray:
     """f64[N, 2]: to the right and down in the pictures of the sides i64[N], each from 0 to 1."""
     row = np.arange(len(side))
     away = np.maximum(np.abs(directions[row, side // 2]), 1e-12)
-    across, down = (sign[side] * directions[row, axis[side]] / away for axis, sign in (_ACROSS, _DOWN))
+    across, down = (
+        sign[side] * directions[row, axis[side]] / away for axis, sign in (_ACROSS, _DOWN)
+    )
     return (np.column_stack([across, down]) + 1) / 2
 
 
@@ -121,7 +128,8 @@ def _cut(
     """
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
     edges, which = np.unique(ends @ [len(points), 1], return_inverse=True)
-    start, end = points[edges // len(points)], points[edges % len(points)]
+    start = points[edges // len(points)]
+    end = points[edges % len(points)]
     at = share(start, end)[:, None]
     is_cut = np.isfinite(at[:, 0])
     made = np.where(is_cut, len(points) + np.cumsum(is_cut) - 1, -1)
@@ -145,7 +153,10 @@ def _pieces(faces: np.ndarray, middles: np.ndarray) -> np.ndarray:
         [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
     ]
     return np.concatenate(
-        [corners[count == n][:, np.array(pattern)].reshape(-1, 3) for n, pattern in enumerate(patterns)]
+        [
+            corners[count == n][:, np.array(pattern)].reshape(-1, 3)
+            for n, pattern in enumerate(patterns)
+        ]
     )
 
 
@@ -179,7 +190,8 @@ def picture_notes(model: mujoco.MjModel, geoms: Iterable[int]) -> Iterator[str]:
     for geom in geoms:
         if (picture := picture_id(model, geom)) < 0:
             continue
-        name, material = model.texture(picture).name, int(model.geom_matid[geom])
+        name = model.texture(picture).name
+        material = int(model.geom_matid[geom])
         if _is_darker(model, picture):
             yield f"its image {name!r} is marked as sRGB: it is as dark as MuJoCo draws it"
         if not _has_own_places(model, geom):
@@ -203,7 +215,8 @@ def with_picture(
       The same surface, each triangle with vertices of its own; f64[V, 2], their uv; the image. None for a
       cube map on a mesh that has texture coordinates: MuJoCo does not draw it.
     """
-    pixels, is_mapped = _pixels(model, picture), _has_own_places(model, geom)
+    pixels = _pixels(model, picture)
+    is_mapped = _has_own_places(model, geom)
     if _is_2d(model, picture):
         corners = Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(3 * len(mesh.faces)))
         places = _own_places(model, geom) if is_mapped else _flat_places(model, geom, corners)
@@ -256,7 +269,9 @@ def _pixels(model: mujoco.MjModel, picture: int) -> np.ndarray:
         int(of[picture]) for of in (model.tex_height, model.tex_width, model.tex_nchannel)
     )
     start = int(model.tex_adr[picture])
-    pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
+    pixels = model.tex_data[start : start + height * width * channels].reshape(
+        height, width, channels
+    )
     pixels = np.ascontiguousarray(pixels[..., :3])
     return _AS_LIGHT[pixels] if _is_darker(model, picture) else pixels
 
@@ -267,8 +282,10 @@ def _own_places(model: mujoco.MjModel, geom: int) -> np.ndarray:
     A vertex may have another place in the image in each triangle.
     """
     mesh = int(model.geom_dataid[geom])
-    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    start, number = model.mesh_texcoordadr[mesh], model.mesh_texcoordnum[mesh]
+    first = model.mesh_faceadr[mesh]
+    count = model.mesh_facenum[mesh]
+    start = model.mesh_texcoordadr[mesh]
+    number = model.mesh_texcoordnum[mesh]
     places = model.mesh_texcoord[start : start + number]
     return np.asarray(places[model.mesh_facetexcoord[first : first + count].ravel()], np.float64)
 
@@ -279,20 +296,26 @@ def _size(model: mujoco.MjModel, geom: int) -> np.ndarray:
     if geom_kind(model, geom) == _GEOM.mjGEOM_SPHERE:
         return np.full(3, x)
     return np.array(
-        [x, x, y] if geom_kind(model, geom) in (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE) else [x, y, z]
+        [x, x, y]
+        if geom_kind(model, geom) in (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
+        else [x, y, z]
     )
 
 
 def _flat_places(model: mujoco.MjModel, geom: int, corners: Mesh) -> np.ndarray:
     """f64[3 F, 2]: where MuJoCo lays the corners of triangles in a picture of type 2d, right and down."""
-    material, size, kind = int(model.geom_matid[geom]), _size(model, geom), geom_kind(model, geom)
+    material = int(model.geom_matid[geom])
+    size = _size(model, geom)
+    kind = geom_kind(model, geom)
     repeat = np.array(model.mat_texrepeat[material], np.float64)
     if model.mat_texuniform[material]:
         repeat = repeat * size[:2]
     unit = corners.vertices / size
     if kind in _PROJECTED:
         return unit[:, :2] * repeat * [0.5, -0.5] - 0.5
-    normals = np.repeat(corners.normals / np.linalg.norm(corners.normals, axis=1)[:, None], 3, axis=0)
+    normals = np.repeat(
+        corners.normals / np.linalg.norm(corners.normals, axis=1)[:, None], 3, axis=0
+    )
     places = _on_box(unit, normals) if kind == _GEOM.mjGEOM_BOX else _around(unit, kind, size)
     if kind == _GEOM.mjGEOM_CYLINDER:
         places = np.where(np.abs(normals[:, 2:]) > _DISK, (unit[:, :2] + 1) / 2, places)
@@ -333,7 +356,8 @@ def _down_a_capsule(height: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 def _directions(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
     """f64[V, 3]: where MuJoCo sees the points of a geom from the middle of a cube map."""
-    size, kind = _size(model, geom), geom_kind(model, geom)
+    size = _size(model, geom)
+    kind = geom_kind(model, geom)
     is_uniform = bool(model.mat_texuniform[int(model.geom_matid[geom])])
     if kind in _PROJECTED:
         return points * size if is_uniform else points

@@ -27,7 +27,9 @@ class Model:
     """A model of several links or bodies as one rigid thing, all its joints frozen."""
 
     pieces: list[Piece]  # The surfaces that are shown.
-    parts: tuple[Mesh, ...] | None  # Convex collision parts; None if the file has none that can be used.
+    parts: (
+        tuple[Mesh, ...] | None
+    )  # Convex collision parts; None if the file has none that can be used.
     stated: StatedMass | None  # Mass and inertia; None if the file has none.
     notes: tuple[str, ...] = ()  # What was decided about the model, in words.
     density: float | None = None  # kg/m^3 as the file has it, for where it has no mass.
@@ -105,13 +107,17 @@ def check_joints(asked: Iterable[str], movable: Iterable[str], path: Path) -> No
 
 def sound_mass(bodies: Sequence[MassProperties]) -> MassProperties | None:
     """What moves together on a joint as one body; None where files say what no body has."""
-    if not all(np.isfinite([each.mass, *each.center, *each.inertia.ravel()]).all() for each in bodies):
+    if not all(
+        np.isfinite([each.mass, *each.center, *each.inertia.ravel()]).all() for each in bodies
+    ):
         return None
     stated = combine_masses(bodies)
     if stated is None or not 0 < stated.body.mass <= _HEAVIEST:
         return None
     moments = np.linalg.eigvalsh(stated.body.inertia)
-    return stated.body if moments[0] > 0 and moments[2] <= 1.01 * (moments[0] + moments[1]) else None
+    return (
+        stated.body if moments[0] > 0 and moments[2] <= 1.01 * (moments[0] + moments[1]) else None
+    )
 
 
 def unknown_body(body: str, path: Path, known: Iterable[str], what: str = "body") -> ConfigError:

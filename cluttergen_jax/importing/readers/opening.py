@@ -28,7 +28,9 @@ def check_openable(path: Path, most: int = MOST_MESH) -> None:
       AssetError: it is none, or too large. A file that is not there passes: its reader says so.
     """
     if fault := fault_of_file(path, most):
-        raise AssetError(f"{str(path)!r} cannot be read: {fault}", f"regular files of up to {most:,} bytes")
+        raise AssetError(
+            f"{str(path)!r} cannot be read: {fault}", f"regular files of up to {most:,} bytes"
+        )
 
 
 def read_file(path: Path, most: int = MOST_MESH) -> bytes:

@@ -75,7 +75,10 @@ class Belonging:
     """
 
     def __init__(
-        self, files: dict[Path, list[Path]], models: Iterable[ModelFile], owner: dict[Path, ModelFile]
+        self,
+        files: dict[Path, list[Path]],
+        models: Iterable[ModelFile],
+        owner: dict[Path, ModelFile],
     ) -> None:
         self._owners = {folder: _first_owner(here, owner) for folder, here in files.items()}
         self._models: dict[Path, dict[str, ModelFile]] = {folder: {} for folder in files}
@@ -93,11 +96,16 @@ class Belonging:
         """What an object is called that only its pieces show: `mug` of `mug_vis`; else empty."""
         whole = whole_of(mesh.stem)
         is_chosen = self._chosen[mesh.parent].get(whole) == mesh
-        return whole if is_chosen and [*map(whole_of, self._meshes[mesh.parent])].count(whole) > 1 else ""
+        return (
+            whole
+            if is_chosen and [*map(whole_of, self._meshes[mesh.parent])].count(whole) > 1
+            else ""
+        )
 
     def why_model(self, model: ModelFile) -> str:
         """Why a model is a piece of another; empty if it is not."""
-        stem, here = model.path.stem.lower(), self._models[model.path.parent]
+        stem = model.path.stem.lower()
+        here = self._models[model.path.parent]
         whole = here.get(whole_of(stem)) or self._host(model.path.parent)
         if whole is None or whole is model:
             return ""
@@ -114,7 +122,9 @@ class Belonging:
         if (whole := self._beside(mesh)) is not None:
             return f"by its folder a piece of {whole.name}"
         raw = (
-            each for each in self._models[mesh.parent].values() if mesh.stem.lower() in _named_wholes(each)
+            each
+            for each in self._models[mesh.parent].values()
+            if mesh.stem.lower() in _named_wholes(each)
         )
         if (named := next(raw, None)) is not None:
             return f"the raw mesh of a piece of {named.path.name}"
@@ -126,8 +136,10 @@ class Belonging:
 
     def _named_whole(self, mesh: Path) -> Path | None:
         """What a mesh is a piece of by its name."""
-        stem, folder = mesh.stem.lower(), mesh.parent
-        whole, numbered = whole_of(stem), _NUMBERED.fullmatch(stem)
+        stem = mesh.stem.lower()
+        folder = mesh.parent
+        whole = whole_of(stem)
+        numbered = _NUMBERED.fullmatch(stem)
         for place in self._around(folder) if whole else ():
             home = place.resolve().parent if _is(place, _PIECE_FOLDER) else place.resolve()
             found = self._at(place, whole)
@@ -139,7 +151,13 @@ class Belonging:
             return None
         model = self._models[folder].get(numbered["whole"])
         is_of_folder = numbered["whole"] == folder.resolve().name.lower()
-        return model.path if model else self._meshes[folder].get(numbered["whole"]) if is_of_folder else None
+        return (
+            model.path
+            if model
+            else self._meshes[folder].get(numbered["whole"])
+            if is_of_folder
+            else None
+        )
 
     def _around(self, folder: Path) -> list[Path]:
         """A folder; of one called after pieces also that above it, and those there of what is seen."""
@@ -150,16 +168,24 @@ class Belonging:
 
     def _at(self, folder: Path, stem: str) -> Path | None:
         model = self._models[folder].get(stem)
-        return model.path if model else self._meshes[folder].get(stem) or self._chosen[folder].get(stem)
+        return (
+            model.path
+            if model
+            else self._meshes[folder].get(stem) or self._chosen[folder].get(stem)
+        )
 
     def _objects(self, folder: Path) -> list[Path]:
         """Models and meshes."""
-        return [*(each.path for each in self._models[folder].values()), *self._meshes[folder].values()]
+        return [
+            *(each.path for each in self._models[folder].values()),
+            *self._meshes[folder].values(),
+        ]
 
     def _object_of_folder(self, folder: Path) -> Path | None:
         """An object whose name says nothing, so that it is called after its folder."""
         return next(
-            (each for each in self._objects(folder) if _SAYS_NOTHING.fullmatch(each.stem.lower())), None
+            (each for each in self._objects(folder) if _SAYS_NOTHING.fullmatch(each.stem.lower())),
+            None,
         )
 
     def _beside(self, mesh: Path) -> Path | None:
@@ -180,7 +206,9 @@ class Belonging:
         if host is not None:
             stem = host.path.stem.lower()
             own = mesh.stem.lower()
-            is_its = stem in _ALONE_IN_ITS_FOLDER or _begins(own, stem) or _SAYS_NOTHING.fullmatch(own)
+            is_its = (
+                stem in _ALONE_IN_ITS_FOLDER or _begins(own, stem) or _SAYS_NOTHING.fullmatch(own)
+            )
             return host if is_its or is_collision(own) else None
         is_inside = _is(mesh.parent, _PIECE_FOLDER) or _is(mesh.parent, _MESH_FOLDER)
         return self._host(mesh.parent.parent) if is_inside else None
@@ -218,7 +246,9 @@ def _first_owner(files: Iterable[Path], owner: dict[Path, ModelFile]) -> ModelFi
 def _by_stem(files: Iterable[Path]) -> dict[str, Path]:
     """Meshes by stem, of several formats the best."""
     meshes = [each for each in files if each.suffix.lower() in MESH_SUFFIXES]
-    meshes.sort(key=lambda each: (MESH_SUFFIXES.index(each.suffix.lower()), each.name), reverse=True)
+    meshes.sort(
+        key=lambda each: (MESH_SUFFIXES.index(each.suffix.lower()), each.name), reverse=True
+    )
     return {each.stem.lower(): each for each in meshes}
 
 
@@ -257,7 +287,10 @@ def collision_files(mesh: Path) -> tuple[Path, ...]:
     for file, folder in _files_around(mesh):
         name = file.stem.lower()
         numbered = _NUMBERED.fullmatch(name)
-        wholes = {whole_of(name), *((name, numbered["whole"] if numbered else "") if folder else ())}
+        wholes = {
+            whole_of(name),
+            *((name, numbered["whole"] if numbered else "") if folder else ()),
+        }
         is_alone = says_nothing and (folder or name.startswith("collision"))
         rank = _fineness(folder or name.removeprefix(stem))
         if rank is not None and (is_alone or wholes & own):
@@ -276,5 +309,9 @@ def _files_around(mesh: Path) -> Iterator[tuple[Path, str]]:
 
 def _fineness(name: str) -> int | None:
     """The place among `_COLLIDES` of the word that a name has; None if it has none of them."""
-    kinds = (i for i, word in enumerate(_COLLIDES) if re.search(rf"(?:^|[-_. ])(?:{word})(?![a-z])", name))
+    kinds = (
+        i
+        for i, word in enumerate(_COLLIDES)
+        if re.search(rf"(?:^|[-_. ])(?:{word})(?![a-z])", name)
+    )
     return next(kinds, None)

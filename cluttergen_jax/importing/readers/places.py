@@ -37,7 +37,9 @@ def folder_place(model: Path, name: str) -> Path | None:
     return mesh_place(model, name, _is_folder)
 
 
-def mesh_place(model: Path, name: str, is_there: Callable[[Path], bool] | None = None) -> Path | None:
+def mesh_place(
+    model: Path, name: str, is_there: Callable[[Path], bool] | None = None
+) -> Path | None:
     """The file that a URDF or SDF names, None if it is not there.
 
     Looked for as it is named, beside the model and in four folders above, where `package://` or `model://`
@@ -70,7 +72,9 @@ def _candidates(model: Path, name: str) -> Iterator[Path]:
 
 def is_found_elsewhere(name: str, file: Path) -> bool:
     """Whether a file bears the last part alone of the path by which a URDF names it."""
-    return len(parts := _plain_path(unquote(name)).split("/")) > 1 and file.parts[-2:-1] != (parts[-2],)
+    return len(parts := _plain_path(unquote(name)).split("/")) > 1 and file.parts[-2:-1] != (
+        parts[-2],
+    )
 
 
 def _plain_path(name: str) -> str:

@@ -84,20 +84,27 @@ def cut_with_holes(rings: Sequence[np.ndarray]) -> np.ndarray | None:
     across = np.concatenate(rings) @ np.cross(*plane.T)
     if len(rings) > 1 and np.ptp(across) > _BENT * np.ptp(flat[0]):
         return None
-    order, start = [], 0
+    order = []
+    start = 0
     for number, ring in enumerate(flat):
         places = np.arange(start, start + len(ring))
         # Manifold wants holes that turn against their outline.
         order.append(places[::-1] if number and _area(ring) > 0 else places)
         start += len(ring)
-    whole, places = np.concatenate(flat), np.concatenate(order)
+    whole = np.concatenate(flat)
+    places = np.concatenate(order)
     try:
-        triangles = places[np.asarray(manifold3d.triangulate([whole[each] for each in order]), np.int64)]
+        triangles = places[
+            np.asarray(manifold3d.triangulate([whole[each] for each in order]), np.int64)
+        ]
     except (RuntimeError, ValueError):
         return None
-    areas, area = _areas(whole[triangles]), sum(_area(whole[each]) for each in order)
+    areas = _areas(whole[triangles])
+    area = sum(_area(whole[each]) for each in order)
     # Each hole is joined to the outline by two more triangles.
-    is_sound = len(triangles) == len(whole) + 2 * (len(rings) - 1) - 2 and (areas >= -_SLACK * area).all()
+    is_sound = (
+        len(triangles) == len(whole) + 2 * (len(rings) - 1) - 2 and (areas >= -_SLACK * area).all()
+    )
     return triangles if is_sound and np.isclose(areas.sum(), area, rtol=1e-6) else None
 
 
@@ -113,7 +120,8 @@ def _plane_of(corners: np.ndarray) -> np.ndarray:
 
 def _areas(triangles: np.ndarray) -> np.ndarray:
     """f64[M]: twice the signed areas of f64[M, 3, 2]."""
-    (ax, ay), (bx, by) = (triangles[:, 1] - triangles[:, 0]).T, (triangles[:, 2] - triangles[:, 0]).T
+    (ax, ay) = (triangles[:, 1] - triangles[:, 0]).T
+    (bx, by) = (triangles[:, 2] - triangles[:, 0]).T
     return ax * by - ay * bx
 
 
@@ -143,9 +151,12 @@ def cut_obj(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     except (ValueError, IndexError):
         return data, ()
     found, is_crossing = cuts(points, polygons)
-    parts, end = [], 0
+    parts = []
+    end = 0
     for index, triangles in sorted(found.items()):
-        text = [b"f " + b" ".join(words[index][place] for place in triangle) for triangle in triangles]
+        text = [
+            b"f " + b" ".join(words[index][place] for place in triangle) for triangle in triangles
+        ]
         parts += [data[end : lines[index].start()], b"\n".join(text)]
         end = lines[index].end()
     return b"".join([*parts, data[end:]]), (CROSSING,) if is_crossing else ()
@@ -154,13 +165,16 @@ def cut_obj(data: bytes) -> tuple[bytes, tuple[str, ...]]:
 def _forward(data: bytes) -> bytes:
     """The text of an OBJ file with all corners counted from the first."""
     numbers = {b"v": 0, b"vt": 0, b"vn": 0}
-    parts, end = [], 0
+    parts = []
+    end = 0
     for line in _OBJ_LINE.finditer(data):
         if line[1] != b"f":
             numbers[line[1]] += 1
             continue
         words = (zip(word.split(b"/"), numbers.values(), strict=False) for word in line[2].split())
-        corners = [b"/".join(_count_from_first(name, number) for name, number in word) for word in words]
+        corners = [
+            b"/".join(_count_from_first(name, number) for name, number in word) for word in words
+        ]
         parts += [data[end : line.start()], b"f " + b" ".join(corners)]
         end = line.end()
     return b"".join([*parts, data[end:]])
@@ -219,7 +233,15 @@ def cut_ply(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     """
     try:
         return _cut(data)
-    except (LookupError, ValueError, RuntimeError, StopIteration, struct.error, OverflowError, MemoryError):
+    except (
+        LookupError,
+        ValueError,
+        RuntimeError,
+        StopIteration,
+        struct.error,
+        OverflowError,
+        MemoryError,
+    ):
         return data, ()
 
 
@@ -228,11 +250,14 @@ def _cut(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     if end is None:
         return data, ()
     head = data[: end.end()].decode("latin-1").splitlines()
-    elements, order = _elements(head), _order(head)
+    elements = _elements(head)
+    order = _order(head)
     if [each.name for each in elements[:2]] != ["vertex", "face"]:
         return data, ()
     vertex, face = elements[:2]
-    place = next(i for i, each in enumerate(face.properties) if each.count and each.name in _CORNERS)
+    place = next(
+        i for i, each in enumerate(face.properties) if each.count and each.name in _CORNERS
+    )
     body = data[end.end() :]
     is_plain = (
         _is_of_triangles(body, vertex, face, place, order)
@@ -257,7 +282,11 @@ def _cut(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     is_mixed = len({len(each) for each in polygons}) > 1
     if not found and not (is_mixed and order):
         return data, notes
-    rows[1] = [part for index, row in enumerate(rows[1]) for part in _triangles(row, place, found.get(index))]
+    rows[1] = [
+        part
+        for index, row in enumerate(rows[1])
+        for part in _triangles(row, place, found.get(index))
+    ]
     written = _write_binary(rows, elements, order) if order else _write_text(rows, elements)
     return _new_head(head, len(rows[1])) + written, notes
 
@@ -288,7 +317,9 @@ def _is_of_triangles(body: bytes, vertex: _Element, face: _Element, place: int, 
     lists = [each for each in (*vertex.properties, *face.properties) if each.count]
     if len(lists) > 1:
         return False
-    start = vertex.number * struct.calcsize(order + "".join(each.code for each in vertex.properties))
+    start = vertex.number * struct.calcsize(
+        order + "".join(each.code for each in vertex.properties)
+    )
     before = struct.calcsize(order + "".join(each.code for each in face.properties[:place]))
     corners = face.properties[place]
     after = "".join(each.code for each in face.properties[place + 1 :])
@@ -352,7 +383,10 @@ def _triangles(row: Row, place: int, triangles: np.ndarray | None) -> Iterator[R
     if triangles is None:
         triangles = np.array([[0, i + 1, i + 2] for i in range(number - 2)])
     for triangle in triangles:
-        yield [_of_corners(value, number, triangle) if isinstance(value, tuple) else value for value in row]
+        yield [
+            _of_corners(value, number, triangle) if isinstance(value, tuple) else value
+            for value in row
+        ]
 
 
 def _of_corners(values: tuple[Any, ...], number: int, triangle: np.ndarray) -> tuple[Any, ...]:
@@ -360,11 +394,16 @@ def _of_corners(values: tuple[Any, ...], number: int, triangle: np.ndarray) -> t
     if not values or len(values) % number:
         return values
     width = len(values) // number
-    return tuple(value for corner in triangle for value in values[corner * width : (corner + 1) * width])
+    return tuple(
+        value for corner in triangle for value in values[corner * width : (corner + 1) * width]
+    )
 
 
 def _new_head(head: Sequence[str], number: int) -> bytes:
-    lines = [f"element face {number}" if line.split()[:2] == ["element", "face"] else line for line in head]
+    lines = [
+        f"element face {number}" if line.split()[:2] == ["element", "face"] else line
+        for line in head
+    ]
     return ("\n".join(lines) + "\n").encode("latin-1")
 
 
@@ -375,7 +414,8 @@ def _write_text(rows: Sequence[Sequence[Row]], elements: Sequence[_Element]) -> 
             pairs = zip(row, element.properties, strict=True)
             lines.append(
                 " ".join(
-                    " ".join([str(len(value)), *value]) if column.count else value for value, column in pairs
+                    " ".join([str(len(value)), *value]) if column.count else value
+                    for value, column in pairs
                 )
             )
     return ("\n".join(lines) + "\n").encode("latin-1")
@@ -388,7 +428,9 @@ def _write_binary(rows: Sequence[Sequence[Row]], elements: Sequence[_Element], o
             for value, column in zip(row, element.properties, strict=True):
                 if column.count:
                     parts.append(
-                        struct.pack(f"{order}{column.count}{len(value)}{column.code}", len(value), *value)
+                        struct.pack(
+                            f"{order}{column.count}{len(value)}{column.code}", len(value), *value
+                        )
                     )
                 else:
                     parts.append(struct.pack(order + column.code, value))

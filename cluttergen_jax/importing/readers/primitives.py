@@ -44,15 +44,24 @@ def height_field(heights: np.ndarray, half_x: float, half_y: float, base: float)
     top = np.stack([x, y, heights], axis=-1).reshape(-1, 3)
     bottom = top * [1, 1, 0] - [0, 0, base]
     index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    upper = np.concatenate([np.stack(each, axis=-1).reshape(-1, 3) for each in ((a, b, c), (a, c, d))])
+    a = index[:-1, :-1]
+    b = index[:-1, 1:]
+    c = index[1:, 1:]
+    d = index[1:, :-1]
+    upper = np.concatenate(
+        [np.stack(each, axis=-1).reshape(-1, 3) for each in ((a, b, c), (a, c, d))]
+    )
     # The outline, counter-clockwise seen from above, each point once.
     rim = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
-    after, below = np.roll(rim, -1), rows * columns
+    after = np.roll(rim, -1)
+    below = rows * columns
     sides = [
-        np.stack(each, axis=-1) for each in ((rim, rim + below, after), (after, rim + below, after + below))
+        np.stack(each, axis=-1)
+        for each in ((rim, rim + below, after), (after, rim + below, after + below))
     ]
-    return Mesh(np.concatenate([top, bottom]), np.concatenate([upper, upper[:, ::-1] + below, *sides]))
+    return Mesh(
+        np.concatenate([top, bottom]), np.concatenate([upper, upper[:, ::-1] + below, *sides])
+    )
 
 
 def _mesh(tri: trimesh.Trimesh) -> Mesh:

@@ -18,7 +18,14 @@ from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
 from cluttergen_jax.importing.readers.model import MAX_PARTS, Model, convex_parts
 from cluttergen_jax.importing.readers.sdf import read_sdf
-from cluttergen_jax.importing.readers.source import AUTO, AXES, ObjectFile, ReadOptions, own_up, turn_of
+from cluttergen_jax.importing.readers.source import (
+    AUTO,
+    AXES,
+    ObjectFile,
+    ReadOptions,
+    own_up,
+    turn_of,
+)
 from cluttergen_jax.importing.readers.things import read_thing
 from cluttergen_jax.importing.readers.tree import find_sources
 from cluttergen_jax.importing.readers.urdf import read_urdf
@@ -26,12 +33,20 @@ from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
 
 MIN_SIZE = 0.005
 MAX_SIZE = 2.0
-MIN_FURNITURE, MAX_FURNITURE, MAX_UNSTATED = 0.1, 10.0, 4.0
-"""Metres across that furniture may measure: at least, at most where its file's unit is known, and at most of
-others."""
+# Metres across that furniture may measure: at least, at most where its file's unit is known, and at most of
+# others.
+MIN_FURNITURE = 0.1
+MAX_FURNITURE = 10.0
+MAX_UNSTATED = 4.0
+
 NOT_STATED = "not stated"
 """The licence of files that have none."""
-_UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "tenths of a millimetre": 0.0001}
+_UNITS = {
+    "millimetres": 0.001,
+    "centimetres": 0.01,
+    "inches": 0.0254,
+    "tenths of a millimetre": 0.0001,
+}
 
 
 def read_shape(
@@ -92,7 +107,10 @@ def read_shape(
         keeps_parts=bool(source.parts),
         joints=()
         if joints is None
-        else tuple(each.transform(rotation, options.scale, np.zeros(3), mass_scale) for each in model.joints),
+        else tuple(
+            each.transform(rotation, options.scale, np.zeros(3), mass_scale)
+            for each in model.joints
+        ),
     )
     _check_size(shape, source.path, smallest, largest)
     return shape
@@ -113,7 +131,9 @@ def _model(
         return read_urdf(source.path, options.max_texture, joints or {}, source.body), 1.0
     if joints and source.kind != "mjcf":
         raise ConfigError(
-            f"joints of {source.path.name} ({source.kind})", "those of a URDF or MJCF file", "no `joint`"
+            f"joints of {source.path.name} ({source.kind})",
+            "those of a URDF or MJCF file",
+            "no `joint`",
         )
     if source.kind == "sdf":
         return read_sdf(source.path, source.body, options.max_texture, source.bodies), 1.0
@@ -211,11 +231,15 @@ def with_kept_parts(model: Model, files: Sequence[Path]) -> Model:
     ]
     parts = convex_parts(shapes)
     if parts is None:
-        why = "they are not convex" if len(shapes) <= MAX_PARTS else f"they are more than {MAX_PARTS}"
+        why = (
+            "they are not convex" if len(shapes) <= MAX_PARTS else f"they are more than {MAX_PARTS}"
+        )
         note = f"the collision shapes of {named} were not kept: {why}"
     else:
         note = f"its collision parts are those of {named}"
-    return Model(model.pieces, parts, model.stated, (*model.notes, note), model.density, tuple(shapes))
+    return Model(
+        model.pieces, parts, model.stated, (*model.notes, note), model.density, tuple(shapes)
+    )
 
 
 def _connected_pieces(meshes: list[Mesh]) -> list[Mesh]:

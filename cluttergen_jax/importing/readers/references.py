@@ -16,7 +16,12 @@ from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
 from cluttergen_jax.importing.readers.opening import MOST_XML, as_utf8, check_openable, read_file
 from cluttergen_jax.importing.readers.places import folder_place, mesh_place
 from cluttergen_jax.importing.readers.sdf import models
-from cluttergen_jax.importing.readers.sdf_includes import CONFIG, config_of, is_from_elsewhere, read_sdf_tree
+from cluttergen_jax.importing.readers.sdf_includes import (
+    CONFIG,
+    config_of,
+    is_from_elsewhere,
+    read_sdf_tree,
+)
 from cluttergen_jax.importing.readers.sdf_includes import ROOTS as SDF_ROOTS
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
 
@@ -36,10 +41,14 @@ class ModelFile:
     kind: str  # "urdf", "sdf" or "mjcf".
     files: frozenset[Path] = frozenset()  # Meshes and textures that it names and that are there.
     includes: frozenset[Path] = frozenset()  # MJCF files that are part of it.
-    bodies: tuple[str, ...] = ()  # Names of bodies of the world ("" for none) or of an SDF's models.
+    bodies: tuple[
+        str, ...
+    ] = ()  # Names of bodies of the world ("" for none) or of an SDF's models.
     is_whole: bool = True  # All that it names is there.
     fault: str = ""  # Why it is no object: a part for others to include, or broken.
-    shared: frozenset[Path] = frozenset()  # Files that it includes and that are objects of their own too.
+    shared: frozenset[Path] = (
+        frozenset()
+    )  # Files that it includes and that are objects of their own too.
 
 
 def model_file(path: Path, is_given: bool = False) -> ModelFile | str:
@@ -63,7 +72,9 @@ def model_file(path: Path, is_given: bool = False) -> ModelFile | str:
     if found := stand_in(path):
         return found[0]
     if not tag:
-        return ModelFile(path, "", _named_in_text(path), is_whole=False, fault="not well-formed XML")
+        return ModelFile(
+            path, "", _named_in_text(path), is_whole=False, fault="not well-formed XML"
+        )
     return f"neither URDF, SDF nor MJCF: its root is <{tag}>"
 
 
@@ -80,8 +91,12 @@ def _urdf(path: Path) -> ModelFile:
     root = parse_xml(path)
     if root is None:
         return ModelFile(path, "urdf", _named_in_text(path), is_whole=False)
-    named = [each.get("filename", "") for each in root.iter() if plain_tag(each) in ("mesh", "texture")]
-    files = {name: file for name in dict.fromkeys(named) if (file := mesh_place(path, name)) is not None}
+    named = [
+        each.get("filename", "") for each in root.iter() if plain_tag(each) in ("mesh", "texture")
+    ]
+    files = {
+        name: file for name in dict.fromkeys(named) if (file := mesh_place(path, name)) is not None
+    }
     real = frozenset(file.resolve() for file in files.values())
     return ModelFile(path, "urdf", real, is_whole=len(files) == len(set(named)))
 
@@ -101,7 +116,9 @@ def _sdf(path: Path, is_given: bool) -> ModelFile | str:
     places = ("mesh/uri", "metal/albedo_map", "specular/albedo_map")
     named = {(each.text or "").strip() for tag in places for each in root.iterfind(f".//{tag}")}
     there = [file for name in named if (file := mesh_place(path, name)) is not None]
-    scripts = [each for uri in root.iter("uri") if (each := folder_place(path, (uri.text or "").strip()))]
+    scripts = [
+        each for uri in root.iter("uri") if (each := folder_place(path, (uri.text or "").strip()))
+    ]
     # In a model's folder all is the model's: scripts, images, and meshes that it does not use.
     own = path.parent.rglob("*") if chosen else ()
     belonging = [*own, *(file for folder in scripts for file in folder.glob("*"))]
@@ -140,8 +157,15 @@ def _mjcf(path: Path) -> ModelFile:
     files: set[Path] = set()
     is_whole = True
     for element in root.iter():
-        names = [value.replace("\\", "/") for name, value in element.items() if name.startswith("file")]
-        there = {file.resolve() for name in names for file in _candidates(name, folders) if file.is_file()}
+        names = [
+            value.replace("\\", "/") for name, value in element.items() if name.startswith("file")
+        ]
+        there = {
+            file.resolve()
+            for name in names
+            for file in _candidates(name, folders)
+            if file.is_file()
+        }
         is_whole &= bool(there) or not names
         if element.tag == "model":
             # An attached model is part of this one, with all that it names itself.
@@ -160,7 +184,9 @@ def _shows_something(root: Element) -> bool:
     """Whether a tree is a model, not a part of others: there is more than lights and cameras in its world."""
     inside = [child.tag for world in root.iter("worldbody") for child in world]
     is_missing_part = root.find(".//include") is not None
-    return root.tag == "mujoco" and (is_missing_part or any(tag not in _SHOWS_NOTHING for tag in inside))
+    return root.tag == "mujoco" and (
+        is_missing_part or any(tag not in _SHOWS_NOTHING for tag in inside)
+    )
 
 
 def _named_in_text(path: Path) -> frozenset[Path]:
@@ -213,7 +239,9 @@ def _expand_includes(path: Path, main: Path, includes: set[Path]) -> Element | N
                 continue
             place = list(parent).index(child)
             parent.remove(child)
-            if (file := next((each for each in there if each.resolve() not in includes), None)) is not None:
+            if (
+                file := next((each for each in there if each.resolve() not in includes), None)
+            ) is not None:
                 includes.add(file.resolve())
                 inner = _expand_includes(file, main, includes)
                 parent[place:place] = list(inner) if inner is not None else []

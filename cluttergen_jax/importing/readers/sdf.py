@@ -72,7 +72,9 @@ def read_paints(scripts: Iterable[Path]) -> dict[str, Paint]:
         for start, end in zip(starts, ends, strict=True):
             inherits = _INHERITS.match(start[2])
             parent = found.get(inherits[1] if inherits else "", Paint())
-            found.setdefault(start[1], _paint(_block(text[start.end() : end]), script.parent, parent))
+            found.setdefault(
+                start[1], _paint(_block(text[start.end() : end]), script.parent, parent)
+            )
     return paints | found
 
 
@@ -87,7 +89,8 @@ def _block(text: str) -> str:
 
 
 def _paint(block: str, folder: Path, parent: Paint) -> Paint:
-    colour, image = _COLOUR.search(block), _IMAGE.search(block)
+    colour = _COLOUR.search(block)
+    image = _IMAGE.search(block)
     rgba = parent.colour if colour is None else _rgba(colour[1])
     if image is None:
         return Paint(rgba, parent.image, parent.file)
@@ -110,7 +113,9 @@ _MOST_FRAMES = 100
 _SCRIPTS = ("materials/scripts", ".")
 
 
-def read_sdf(path: Path, name: str = "", max_side: int = MAX_TEXTURE, bodies: Sequence[str] = ()) -> Model:
+def read_sdf(
+    path: Path, name: str = "", max_side: int = MAX_TEXTURE, bodies: Sequence[str] = ()
+) -> Model:
     """One model of a file as one rigid thing, all its joints as they are drawn.
 
     Its own pose turns it, as where it is put into an empty world. Meshes are taken in their own frame, in
@@ -186,7 +191,9 @@ def placed_links(path: Path, model: Element, world: Element) -> list[Link]:
     return list(_links(path, model, pose @ _from_placement_frame(path, model)))
 
 
-def axis_of(path: Path, model: Element, joint: Element, child: Link) -> tuple[np.ndarray, np.ndarray | None]:
+def axis_of(
+    path: Path, model: Element, joint: Element, child: Link
+) -> tuple[np.ndarray, np.ndarray | None]:
     """f64[3] each in the world: where a joint of a model is, and its axis, None if it has none.
 
     Args:
@@ -227,7 +234,9 @@ class _Frames:
                     given = f"{self._path}: joint {joint.get('name')!r} has the {tag} {name!r}, which is none"
                     raise AssetError(given, ", ".join(map(repr, self._named)))
 
-    def pose_of_element(self, element: Element, parent: str, below: tuple[str, ...] = ()) -> np.ndarray:
+    def pose_of_element(
+        self, element: Element, parent: str, below: tuple[str, ...] = ()
+    ) -> np.ndarray:
         """f64[4, 4] from an element to the model.
 
         Args:
@@ -249,12 +258,16 @@ class _Frames:
             fault = "hangs on itself" if name in below else "is named and nowhere defined"
             if len(below) > _MOST_FRAMES:
                 fault = f"hangs on more than {_MOST_FRAMES} others in a row"
-            raise AssetError(f"{self._path}: frame {name!r} {fault}", ", ".join(map(repr, self._named)))
+            raise AssetError(
+                f"{self._path}: frame {name!r} {fault}", ", ".join(map(repr, self._named))
+            )
         frame = self._named[name]
         if frame.tag == "model":
             outer = self.pose_of_element(frame, "", (*below, name))
             return outer @ _from_placement_frame(self._path, frame)
-        parent = frame.findtext("child", "") if frame.tag == "joint" else frame.get("attached_to", "")
+        parent = (
+            frame.findtext("child", "") if frame.tag == "joint" else frame.get("attached_to", "")
+        )
         return self.pose_of_element(frame, parent.strip(), (*below, name))
 
 
@@ -269,7 +282,9 @@ def _pose(path: Path, element: Element) -> np.ndarray:
         matrix = trimesh.transformations.quaternion_matrix(np.roll(turn, 1))
     elif form == "euler_rpy":
         x, y, z, *angles = numbers(path, element, "pose", 6)
-        roll, pitch, yaw = np.radians(angles) if place.get("degrees", "") in ("true", "1") else angles
+        roll, pitch, yaw = (
+            np.radians(angles) if place.get("degrees", "") in ("true", "1") else angles
+        )
         matrix = trimesh.transformations.euler_matrix(roll, pitch, yaw, "sxyz")
     else:
         raise wrong_attribute(path, place, "rotation_format", "euler_rpy or quat_xyzw")
@@ -292,7 +307,8 @@ class _Looks:
     """The colours and images that the materials of a model name."""
 
     def __init__(self, surfaces: Surfaces, model: Element) -> None:
-        self._surfaces, self._path = surfaces, surfaces.path
+        self._surfaces = surfaces
+        self._path = surfaces.path
         uris = [(each.text or "").strip() for each in model.iter("uri")]
         folders = [folder_place(self._path, uri) for uri in dict.fromkeys((*_SCRIPTS, *uris))]
         files = [file for folder in folders if folder for file in sorted(folder.glob("*.material"))]

@@ -10,7 +10,8 @@ from cluttergen_jax.importing.readers.damage import refuse_stand_in
 from cluttergen_jax.importing.readers.places import folder_place, mesh_place
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, read_xml
 
-SUFFIX, CONFIG = ".sdf", "model.config"
+SUFFIX = ".sdf"
+CONFIG = "model.config"
 ROOTS = ("sdf", "gazebo")
 """The latter up to version 1.2, and by habit in later files."""
 _HOLDERS = ("sdf", "gazebo", "world", "model")
@@ -85,7 +86,9 @@ def _parse(path: Path) -> Element:
         refuse_stand_in(path)
         raise AssetError(f"{path} cannot be read as SDF: {error}") from error
     if root.tag not in ROOTS:
-        raise AssetError(f"{path} is no SDF: its root is <{root.tag}>", "a file whose root is <sdf>")
+        raise AssetError(
+            f"{path} is no SDF: its root is <{root.tag}>", "a file whose root is <sdf>"
+        )
     return root
 
 
@@ -124,7 +127,9 @@ def _read_included(path: Path, include: Element, above: tuple[Path, ...], tree: 
         raise AssetError(f"{above[0]} includes more than {_MOST:,} files", f"up to {_MOST:,}")
     if include.get("merge", "").strip() in ("true", "1"):
         raise AssetError(
-            f"{path}: an <include merge='true'> of {uri!r}", "one without `merge`", _written_out(path)
+            f"{path}: an <include merge='true'> of {uri!r}",
+            "one without `merge`",
+            _written_out(path),
         )
     root = _parse(file)
     _expand(file, root, (*above, real), tree)
@@ -138,7 +143,9 @@ def _read_included(path: Path, include: Element, above: tuple[Path, ...], tree: 
 def _file_of(path: Path, uri: str) -> Path:
     """The SDF file that a uri names: itself, or of a folder the one of the latest version."""
     if uri.startswith(_FROM_THE_NET):
-        raise AssetError(f"{path} includes {uri!r} from the internet", "files on this machine", "fetching it")
+        raise AssetError(
+            f"{path} includes {uri!r} from the internet", "files on this machine", "fetching it"
+        )
     if (file := mesh_place(path, uri) if uri else None) is not None:
         return file
     folder = folder_place(path, uri) if uri else None
@@ -168,7 +175,9 @@ def _name_files_from_root(file: Path, model: Element) -> None:
 def _with_overrides(model: Element, include: Element) -> Element:
     if name := (include.findtext("name") or "").strip():
         model.set("name", name)
-    if (frame := (include.findtext("placement_frame") or "").strip()) and include.find("pose") is not None:
+    if (frame := (include.findtext("placement_frame") or "").strip()) and include.find(
+        "pose"
+    ) is not None:
         model.set("placement_frame", frame)
     for tag in ("pose", "static"):
         if (own := include.find(tag)) is not None:

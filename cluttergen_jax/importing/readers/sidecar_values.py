@@ -31,7 +31,9 @@ def _number(value: Any) -> float:
     """A finite number; ValueError says what is given instead."""
     try:
         number = (
-            float(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else None
+            float(value)
+            if isinstance(value, int | float | str) and not isinstance(value, bool)
+            else None
         )
     except (ValueError, OverflowError):
         number = None
@@ -91,7 +93,9 @@ def _word(value: Any) -> str:
 def is_same(value: Any, plain: Any) -> bool:
     """Whether two JSON values are equal, numbers nearly."""
     if isinstance(value, list) and isinstance(plain, list):
-        return len(value) == len(plain) and all(is_same(*pair) for pair in zip(value, plain, strict=True))
+        return len(value) == len(plain) and all(
+            is_same(*pair) for pair in zip(value, plain, strict=True)
+        )
     try:
         return math.isclose(_number(value), _number(plain), abs_tol=1e-9)
     except ValueError:
@@ -123,7 +127,18 @@ _OF_OTHERS = frozenset(
         "opacity",
     }
     | {"loss", "depth", "camera", "image", "light", "font", "time", "ui", "icon", "text", "line"}
-    | {"center", "centre", "com", "inertia", "class", "sample", "price", "version", "test", "random"}
+    | {
+        "center",
+        "centre",
+        "com",
+        "inertia",
+        "class",
+        "sample",
+        "price",
+        "version",
+        "test",
+        "random",
+    }
     | {"min", "max", "confidence", "id", "ids"}
 )
 """Words of keys whose scale, weight or unit is not that of an object."""
@@ -147,14 +162,19 @@ def physical_values(entry: Any) -> Iterator[tuple[str, str, Any, float | str | N
     """Which option a value of a JSON speaks of, its key, itself, and what the option would be, if known."""
     for key, value in _leaves(entry):
         *above, words = [[each.lower() for each in _WORD.findall(step)] for step in key.split("/")]
-        kinds = {"".join(words).removesuffix("scale"), *words, *(each for step in above for each in step)}
+        kinds = {
+            "".join(words).removesuffix("scale"),
+            *words,
+            *(each for step in above for each in step),
+        }
         if words and value is not None and not isinstance(value, dict) and not _OF_OTHERS & kinds:
             yield from ((name, key, value, option) for name, option in _options(words, value))
 
 
 def _options(words: list[str], value: Any) -> Iterator[tuple[str, float | str | None]]:
     """The option that a key of these words speaks of, and what its value makes of it."""
-    joined, kinds = "".join(words), set(words)
+    joined = "".join(words)
+    kinds = set(words)
     is_factor = bool({"per", "to"} & kinds and _LENGTH_WORDS & kinds)
     if is_factor or "scales" in kinds or joined.endswith(("scale", "scaling")) or "scale" in kinds:
         unit = _length(value) if isinstance(value, str) else None
@@ -165,7 +185,10 @@ def _options(words: list[str], value: Any) -> Iterator[tuple[str, float | str | 
     elif {"mass", "weight"} & kinds or joined.rstrip("kg") in ("mass", "weight"):
         if _is_figure(value):
             kilograms = _or_none(positive, value)
-            yield "mass", kilograms / 1000 if kilograms and {"g", "gram", "grams"} & kinds else kilograms
+            yield (
+                "mass",
+                kilograms / 1000 if kilograms and {"g", "gram", "grams"} & kinds else kilograms,
+            )
     elif "up" in kinds and kinds <= _AXIS_WORDS:
         named = next((each for each in words if each in ("x", "y", "z")), "")
         if not named:

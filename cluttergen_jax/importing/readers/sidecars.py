@@ -34,8 +34,10 @@ from cluttergen_jax.schema import convert, parse_yaml
 
 _MAX_BYTES = 16 << 20
 """Larger files are no description of objects."""
-_MAX_WORD, _MAX_SHOWN = 300, 60
-"""Letters of a label or a licence, and of a value in a message."""
+# Letters of a label or a licence, and of a value in a message.
+_MAX_WORD = 300
+_MAX_SHOWN = 60
+
 _MAX_DEPTH = 4
 """So deep, and in so many values, a JSON of no known set is searched."""
 _MAX_MEMBERS = 10_000
@@ -112,7 +114,9 @@ class Sidecars:
       is_known: whether what known sets state is used; else it is reported as that of others is.
     """
 
-    def __init__(self, sources: Sequence[ObjectFile], files: Sequence[Path], is_known: bool = True) -> None:
+    def __init__(
+        self, sources: Sequence[ObjectFile], files: Sequence[Path], is_known: bool = True
+    ) -> None:
         self.used: set[Path] = set()
         self._is_known = is_known
         self._files = [each for each in files if each.suffix.lower() == ".json"]
@@ -139,14 +143,20 @@ class Sidecars:
                     self.used.add(file.resolve())
                     return Stated(alarms=(("", _unreadable(file, error)),))
                 entry = self._entry(document, source, family)
-                if entry is not None and (not family.signs or any(key in entry for key in family.signs)):
+                if entry is not None and (
+                    not family.signs or any(key in entry for key in family.signs)
+                ):
                     self.used.add(file.resolve())
                     return self._stated(entry, file, family, source, place)
         return self._unknown(source, place)
 
     def _files_of(self, family: Family, source: ObjectFile) -> Iterator[Path]:
         folder = source.path.resolve().parent
-        words = {"stem": source.path.stem, "folder": folder.name, "number": _number_of(source.path.stem)}
+        words = {
+            "stem": source.path.stem,
+            "folder": folder.name,
+            "number": _number_of(source.path.stem),
+        }
         if family.asset:
             if folder not in self._looked_in:
                 self._looked_in.add(folder)
@@ -176,7 +186,11 @@ class Sidecars:
         for each in family.entries:
             key = each.format(stem=source.path.stem, folder=folder)
             if key:
-                found = document.get(key) if isinstance(document, dict) else _named(document, source.path)
+                found = (
+                    document.get(key)
+                    if isinstance(document, dict)
+                    else _named(document, source.path)
+                )
                 if isinstance(found, dict):
                     return found
             elif isinstance(document, dict):
@@ -193,9 +207,13 @@ class Sidecars:
         stretch = (1.0, 1.0, 1.0)
         for name, key, value in _keys_of(family, entry):
             try:
-                found, factors = scale_of(value) if name == "scale" else (VALUES[name](value), stretch)
+                found, factors = (
+                    scale_of(value) if name == "scale" else (VALUES[name](value), stretch)
+                )
                 if name == "mass" and source.body:
-                    raise ValueError("it is the mass of the whole file, and the object is one body of it")
+                    raise ValueError(
+                        "it is the mass of the whole file, and the object is one body of it"
+                    )
                 if factors != (1.0, 1.0, 1.0) and source.kind != "mesh":
                     raise ValueError("a model has one factor for all axes")
                 if name == UNIT and "scale" in values and found != 1.0:
@@ -203,7 +221,9 @@ class Sidecars:
             except ValueError as error:
                 if name not in WORDS:
                     option = "scale" if name == UNIT else name
-                    alarms.append((option, _alarm(file, key, value, str(error), option, place, None)))
+                    alarms.append(
+                        (option, _alarm(file, key, value, str(error), option, place, None))
+                    )
                 continue
             values.setdefault("scale" if name == UNIT else name, found)
             stretch = factors
@@ -224,7 +244,9 @@ class Sidecars:
             number = _number_of(source.path.stem)
             is_of_several = self._num_in[source.path.parent] > 1
             return file.resolve().parent.name + (f"-{number}" if is_of_several and number else "")
-        return file.name.split(".")[0] if family.asset and not says_something(source.path.stem) else ""
+        return (
+            file.name.split(".")[0] if family.asset and not says_something(source.path.stem) else ""
+        )
 
     def _other_files(self, source: ObjectFile, file: Path, family: Family) -> list[str]:
         """Other files of a set about the same object that state something else."""
@@ -248,7 +270,9 @@ class Sidecars:
             entry = _named(document, source.path)
             if isinstance(document, list) and len(document) == 1:
                 document = document[0]
-            for name, key, value, suggested in physical_values(document if entry is None else entry):
+            for name, key, value, suggested in physical_values(
+                document if entry is None else entry
+            ):
                 if name == "up" and suggested == own_up(source.path, source.kind).axis:
                     continue
                 reason = "it is of no known set" if self._is_known else "sets are not asked for"
@@ -261,7 +285,8 @@ class Sidecars:
 
         That is also the only one above, where the folder's own name says nothing.
         """
-        folder, stem = source.path.parent, source.path.stem.lower()
+        folder = source.path.parent
+        stem = source.path.stem.lower()
         handled = () if source.kind == "mesh" else _HANDLED
         here = [each for each in self._json_in(folder) if each.name not in handled]
         own = [each for each in here if _stem(each) == stem]
@@ -393,13 +418,19 @@ def _named(document: Any, mesh: Path) -> dict[str, Any] | None:
         tables += [each for each in document.values() if isinstance(each, dict | list)]
     for table in tables:
         if isinstance(table, dict):
-            called = next((table[name] for name in names if isinstance(table.get(name), dict)), None)
+            called = next(
+                (table[name] for name in names if isinstance(table.get(name), dict)), None
+            )
             if called is not None:
                 return called
         members = [*table.values()] if isinstance(table, dict) else table
         for each in members[:_MAX_MEMBERS] if isinstance(members, list) else ():
-            said = [v for v in each.values() if isinstance(v, str)] if isinstance(each, dict) else []
-            if any(v in names or v.replace("\\", "/").rpartition("/")[2] == mesh.name for v in said):
+            said = (
+                [v for v in each.values() if isinstance(v, str)] if isinstance(each, dict) else []
+            )
+            if any(
+                v in names or v.replace("\\", "/").rpartition("/")[2] == mesh.name for v in said
+            ):
                 return each
     return None
 
@@ -409,7 +440,13 @@ def _unreadable(file: Path, error: ValueError) -> str:
 
 
 def _alarm(
-    file: Path, key: str, value: Any, reason: str, name: str, place: str, suggested: float | str | None
+    file: Path,
+    key: str,
+    value: Any,
+    reason: str,
+    name: str,
+    place: str,
+    suggested: float | str | None,
 ) -> str:
     """What is stated and not used, why, and how it is used."""
     text = f"{file.name} states {short_text(key)} {short_text(value)}, which is not used: {reason}"

@@ -35,7 +35,9 @@ class UpAxis:
 
     axis: str
     reason: str
-    is_stated: bool = True  # By the file or by its format's standard; False where neither says anything.
+    is_stated: bool = (
+        True  # By the file or by its format's standard; False where neither says anything.
+    )
 
 
 def own_up(path: Path, kind: str) -> UpAxis:
@@ -76,7 +78,8 @@ def turn_of(up: str, front: str = AUTO) -> np.ndarray:
     if front == AUTO:
         front = "-y" if up.endswith("x") else "x"
     check_axes(up, front)
-    z, x = _VECTORS[up], _VECTORS[front]
+    z = _VECTORS[up]
+    x = _VECTORS[front]
     return np.array([x, np.cross(z, x), z])
 
 
@@ -131,7 +134,10 @@ class ReadOptions:
     def __post_init__(self) -> None:
         check_positive(self, "scale", "density", "max_texture")
         for name in ("mass", "friction"):
-            if getattr(self, name) is not None and (name, getattr(self, name)) != ("mass", "volume"):
+            if getattr(self, name) is not None and (name, getattr(self, name)) != (
+                "mass",
+                "volume",
+            ):
                 check_positive(self, name)
         check_axes(self.up, self.front)
         if self.collision not in get_args(Collision):
@@ -147,15 +153,25 @@ class ObjectFile:
     name: str  # `[a-z0-9_-]+`, unique among the sources found together.
     label: str  # What people call it.
     body: str = ""  # The body's or model's name, where an MJCF or SDF file holds several objects.
-    bodies: tuple[str, ...] = ()  # Of furniture, the bodies or models that are one piece of it together.
+    bodies: tuple[
+        str, ...
+    ] = ()  # Of furniture, the bodies or models that are one piece of it together.
     provenance: Provenance | None = None
     notes: tuple[str, ...] = ()  # Known faults, passed on as flags.
     parts: tuple[Path, ...] = ()  # Files of collision shapes that are to be its parts.
     synset: str = ""  # What kind of thing it is, as its file or its settings say.
-    outside: tuple[str, ...] = ()  # Files that it takes from outside its folder (`Provenance.outside`).
+    outside: tuple[
+        str, ...
+    ] = ()  # Files that it takes from outside its folder (`Provenance.outside`).
     plain: str = ""  # The name without the number that sets it apart from others.
-    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)  # Factors along a mesh file's axes, beside `scale`.
-    decisions: tuple[str, ...] = ()  # What was decided before it is read, in words; passed on as notes.
+    stretch: tuple[float, float, float] = (
+        1.0,
+        1.0,
+        1.0,
+    )  # Factors along a mesh file's axes, beside `scale`.
+    decisions: tuple[
+        str, ...
+    ] = ()  # What was decided before it is read, in words; passed on as notes.
 
 
 _OF_NO_UNIT = (".obj", ".stl", ".ply")
@@ -210,7 +226,9 @@ def make_names_distinct(sources: Sequence[ObjectFile]) -> list[ObjectFile]:
     out = []
     for source in sources:
         numbered = (f"{source.name}-{number}" for number in count(2))
-        name = source.name if source.name not in taken else next(n for n in numbered if n not in taken)
+        name = (
+            source.name if source.name not in taken else next(n for n in numbered if n not in taken)
+        )
         taken.add(name)
         out.append(replace(source, name=name))
     return out

@@ -29,12 +29,16 @@ _NEAR = 0.15
 """Of the larger one's longest side: pieces whose boxes are no farther apart are one thing."""
 _FAR = 0.9
 """The same, of pieces that have no names of their own: those of "part_1" and "part_2" are none."""
-_LEAST, _LEAST_NAMED = 0.2, 0.02
-"""Of the largest thing's longest side: smaller ones are crumbs of others; those with a name of their own."""
+# Of the largest thing's longest side: smaller ones are crumbs of others; those with a name of their own.
+_LEAST = 0.2
+_LEAST_NAMED = 0.02
+
 _MAX_PIECES = 1500
 """The largest so many are looked at."""
-_THIN, _MUCH_LARGER = 0.02, 4.0
-"""A sheet's thickness over its shorter side, at most; its area over that of the rest from above, at least."""
+# A sheet's thickness over its shorter side, at most; its area over that of the rest from above, at least.
+_THIN = 0.02
+_MUCH_LARGER = 4.0
+
 _MAX_NAMED = 20
 
 
@@ -54,7 +58,9 @@ class SeveralThings(AssetError):
         )
 
 
-def read_thing(path: Path, max_side: int = MAX_TEXTURE, node: str = "", is_whole: bool = True) -> MeshFile:
+def read_thing(
+    path: Path, max_side: int = MAX_TEXTURE, node: str = "", is_whole: bool = True
+) -> MeshFile:
     """`read_mesh_file`, of one thing in the file.
 
     Args:
@@ -68,7 +74,9 @@ def read_thing(path: Path, max_side: int = MAX_TEXTURE, node: str = "", is_whole
     """
     file = read_named_file(path, max_side)
     # `read_shape` reports what is not finite.
-    if (is_whole and not node) or not all(np.isfinite(each.mesh.vertices).all() for each in file.pieces):
+    if (is_whole and not node) or not all(
+        np.isfinite(each.mesh.vertices).all() for each in file.pieces
+    ):
         return MeshFile(file.pieces, file.notes)
     scene = _Scene(path, file)
     if node:
@@ -79,7 +87,10 @@ def read_thing(path: Path, max_side: int = MAX_TEXTURE, node: str = "", is_whole
     notes = file.notes
     if len(scene.things) > 1:
         each = ", ".join(f"{path.name}#{name}" for name in scene.names()[:_MAX_NAMED])
-        notes = (*notes, f"it is made of {len(scene.things)} pieces that do not touch; one alone: {each}")
+        notes = (
+            *notes,
+            f"it is made of {len(scene.things)} pieces that do not touch; one alone: {each}",
+        )
     if sheet is None:
         return MeshFile(file.pieces, notes)
     name = scene.own_name(sheet)
@@ -107,9 +118,12 @@ class _Scene:
     """What a mesh file holds, in connected pieces."""
 
     def __init__(self, path: Path, file: NamedMeshFile) -> None:
-        self._path, self._file = path, file
+        self._path = path
+        self._file = file
         self.components = [
-            each for index, piece in enumerate(file.pieces) for each in _components(index, piece.mesh)
+            each
+            for index, piece in enumerate(file.pieces)
+            for each in _components(index, piece.mesh)
         ]
         self.sheet = _sheet(self.components)
         rest = [each for each in self.components if each is not self.sheet]
@@ -123,7 +137,9 @@ class _Scene:
         kinds = {re.sub(r"[-_. ]?\d+", "", name.lower()) for name in own}
         if len(kinds) == len(own) and all(map(says_something, kinds)):
             return True
-        return len(_things([each for thing in self.things for each in thing], _FAR, self._titles)) > 1
+        return (
+            len(_things([each for thing in self.things for each in thing], _FAR, self._titles)) > 1
+        )
 
     def names(self) -> list[str]:
         """What each thing is called: by its name where no other has it, else by its number."""
@@ -160,7 +176,9 @@ class _Scene:
             own = [each.faces for each in components if each.piece == index]
             if own:
                 faces = np.sort(np.concatenate(own))
-                pieces.append(piece if len(faces) == len(piece.mesh.faces) else _with_faces(piece, faces))
+                pieces.append(
+                    piece if len(faces) == len(piece.mesh.faces) else _with_faces(piece, faces)
+                )
         return pieces
 
     def _chain(self, component: _Component) -> tuple[str, ...]:
@@ -173,7 +191,9 @@ class _Scene:
                 self._of_obj = _obj_names(self._path)
             self._of_obj = self._of_obj or {}
         mesh = self._file.pieces[component.piece].mesh
-        return self._of_obj.get(tuple(mesh.vertices[mesh.faces[component.faces[0], 0]].tolist()), ())
+        return self._of_obj.get(
+            tuple(mesh.vertices[mesh.faces[component.faces[0], 0]].tolist()), ()
+        )
 
 
 def _components(index: int, mesh: Mesh) -> list[_Component]:
@@ -198,7 +218,9 @@ def _components(index: int, mesh: Mesh) -> list[_Component]:
 
 
 def _things(
-    components: Sequence[_Component], near: float, titles: Callable[[list[list[_Component]]], list[str]]
+    components: Sequence[_Component],
+    near: float,
+    titles: Callable[[list[list[_Component]]], list[str]],
 ) -> list[list[_Component]]:
     """Components that belong together; crumbs go to what they are nearest to.
 
@@ -217,7 +239,9 @@ def _things(
         count, label = connected_components(coo_matrix(apart), directed=False)
         if count == len(groups):
             break
-        groups = [[one for k in np.flatnonzero(label == i) for one in groups[k]] for i in range(count)]
+        groups = [
+            [one for k in np.flatnonzero(label == i) for one in groups[k]] for i in range(count)
+        ]
     size = (high - low).max(1)
     is_thing = size >= _LEAST * size.max()
     if not is_thing.all():
@@ -225,7 +249,12 @@ def _things(
         is_named = np.array([bool(name) and own.count(name) == 1 for name in own])
         is_thing |= is_named & (size >= _LEAST_NAMED * size.max())
     things = [group for group, is_large in zip(groups, is_thing, strict=True) if is_large]
-    crumbs = [one for group, is_large in zip(groups, is_thing, strict=True) if not is_large for one in group]
+    crumbs = [
+        one
+        for group, is_large in zip(groups, is_thing, strict=True)
+        if not is_large
+        for one in group
+    ]
     crumbs += [each for each in components if id(each) not in chosen]
     if crumbs:
         nearest = _gaps(*_boxes([[each] for each in crumbs]), *_boxes(things)).argmin(1)
@@ -241,7 +270,9 @@ def _boxes(groups: Sequence[Sequence[_Component]]) -> tuple[np.ndarray, np.ndarr
     return low, high
 
 
-def _gaps(low: np.ndarray, high: np.ndarray, other_low: np.ndarray, other_high: np.ndarray) -> np.ndarray:
+def _gaps(
+    low: np.ndarray, high: np.ndarray, other_low: np.ndarray, other_high: np.ndarray
+) -> np.ndarray:
     """f64[A, B]: distances between boxes; 0 where they overlap."""
     apart = np.maximum(low[:, None] - other_high, other_low - high[:, None])
     return np.linalg.norm(np.maximum(apart, 0.0), axis=-1)
@@ -253,12 +284,16 @@ def _sheet(components: Sequence[_Component]) -> _Component | None:
         return None
     sheet = max(components, key=lambda each: each.size)
     low, high = _boxes([[each for each in components if each is not sheet]])
-    rest_low, rest_high = low[0], high[0]
-    sides, rest = sheet.high - sheet.low, rest_high - rest_low
+    rest_low = low[0]
+    rest_high = high[0]
+    sides = sheet.high - sheet.low
+    rest = rest_high - rest_low
     thin = int(sides.argmin())
     others = [axis for axis in range(3) if axis != thin]
     slack = _THIN * rest[thin]
-    is_beside = rest_low[thin] >= sheet.high[thin] - slack or rest_high[thin] <= sheet.low[thin] + slack
+    is_beside = (
+        rest_low[thin] >= sheet.high[thin] - slack or rest_high[thin] <= sheet.low[thin] + slack
+    )
     is_thin = sides[thin] <= _THIN * min(sides[others])
     has_depth = rest[thin] > max(sides[thin], _NEAR * max(rest[others]))
     is_around = (sheet.low <= rest_low)[others].all() and (sheet.high >= rest_high)[others].all()

@@ -96,7 +96,9 @@ def find_all(path: str | Path) -> Found:
     if not os.path.exists(path):
         if "#" in given:
             return _chosen(given)
-        raise AssetError(f"{path} does not exist", "a mesh, URDF, SDF or MJCF file, or a folder of them")
+        raise AssetError(
+            f"{path} does not exist", "a mesh, URDF, SDF or MJCF file, or a folder of them"
+        )
     if path.suffix.lower() == XACRO and path.is_file():
         raise AssetError(f"{path} is an unprocessed xacro", "URDF", how_to_process(path))
     if path.is_dir():
@@ -123,8 +125,11 @@ def _chosen(text: str) -> Found:
     cuts = [place for place, sign in enumerate(text) if sign == "#"]
     cut = next((each for each in cuts if os.path.isfile(text[:each])), None)
     if cut is None or cut == len(text) - 1:
-        raise AssetError(f"{text} does not exist", "a file, and behind '#' the name of what is in it")
-    file, body = Path(text[:cut]), text[cut + 1 :]
+        raise AssetError(
+            f"{text} does not exist", "a file, and behind '#' the name of what is in it"
+        )
+    file = Path(text[:cut])
+    body = text[cut + 1 :]
     if file.suffix.lower() in MESH_SUFFIXES:
         return Found((node_source(file, body),), files=(file,))
     sources = find_all(file).sources
@@ -138,7 +143,9 @@ def _chosen(text: str) -> Found:
 def node_source(file: Path, node: str) -> ObjectFile:
     """The source of one node of a mesh file."""
     is_told = says_something(node)
-    source = make_source(file, "mesh", node if is_told else "", behind="" if is_told else f"-{node}")
+    source = make_source(
+        file, "mesh", node if is_told else "", behind="" if is_told else f"-{node}"
+    )
     return replace(source, body=node)
 
 
@@ -179,7 +186,9 @@ class _Tree:
     root: Path
     skipped: list[Skipped] = field(default_factory=list)
     files: dict[Path, list[Path]] = field(default_factory=dict)
-    named: dict[Path, Path] = field(default_factory=dict)  # Pieces, with the JSON that names them so.
+    named: dict[Path, Path] = field(
+        default_factory=dict
+    )  # Pieces, with the JSON that names them so.
 
     def enter_all(self) -> None:
         """Lists each real folder once: first those that lie here, then those that only links lead to."""
@@ -193,7 +202,9 @@ class _Tree:
             if real in above:
                 self.skip(link, "a link to a folder that holds this one")
             elif real in seen:
-                self.skip(link, f"a link to a folder that is imported already: {self._name(seen[real])}")
+                self.skip(
+                    link, f"a link to a folder that is imported already: {self._name(seen[real])}"
+                )
             else:
                 self._enter(link, seen, links)
 
@@ -235,22 +246,30 @@ class _Tree:
             yield from self._models(here, owner, belonging)
             yield from self._meshes(files, here, owner, belonging)
 
-    def _explain(self, file: Path, model: ModelFile | str | None, owner: dict[Path, ModelFile]) -> None:
+    def _explain(
+        self, file: Path, model: ModelFile | str | None, owner: dict[Path, ModelFile]
+    ) -> None:
         """Says why a file that can be no object is none."""
         suffix = file.suffix.lower()
         fault = model.fault if isinstance(model, ModelFile) else model
         if fault:
             part_of = owner.get(file.resolve())
             self.skip(
-                file, f"included by {part_of.path.name}" if part_of else fault, is_piece=part_of is not None
+                file,
+                f"included by {part_of.path.name}" if part_of else fault,
+                is_piece=part_of is not None,
             )
         elif suffix == XACRO:
             self.skip(file, f"an unprocessed xacro: `{how_to_process(file)}` makes URDF of it")
         elif suffix == MSH:
             if file.resolve() not in owner:
-                self.skip(file, "MSH is read where an MJCF file names it, and none does", is_piece=True)
+                self.skip(
+                    file, "MSH is read where an MJCF file names it, and none does", is_piece=True
+                )
         elif _OTHER_FORMATS.fullmatch(suffix):
-            self.skip(file, f"{suffix[1:].upper()} is not read; Blender and others can save it as GLB")
+            self.skip(
+                file, f"{suffix[1:].upper()} is not read; Blender and others can save it as GLB"
+            )
         elif not (model or suffix in (*MESH_SUFFIXES, *_COMPANIONS) or file.name in _NOTES):
             self.skip(file, "not a mesh format")
 
@@ -284,7 +303,11 @@ class _Tree:
         """Mesh files that no model names, one for each object."""
         meshes = [each for each in files if each.suffix.lower() in MESH_SUFFIXES]
         meshes.sort(
-            key=lambda each: (each.stem == "collision", MESH_SUFFIXES.index(each.suffix.lower()), each.name)
+            key=lambda each: (
+                each.stem == "collision",
+                MESH_SUFFIXES.index(each.suffix.lower()),
+                each.name,
+            )
         )
         owned = {each for each in meshes if each.resolve() in owner}
         models = [each.path for each in here if isinstance(each, ModelFile) and not each.fault]

@@ -17,7 +17,14 @@ from cluttergen_jax.assets.mass import MassProperties
 from cluttergen_jax.assets.shape import Joint
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import refuse_stand_in
-from cluttergen_jax.importing.readers.links import Link, Look, Surfaces, check_unique, link_mass, rigid
+from cluttergen_jax.importing.readers.links import (
+    Link,
+    Look,
+    Surfaces,
+    check_unique,
+    link_mass,
+    rigid,
+)
 from cluttergen_jax.importing.readers.materials import GREY
 from cluttergen_jax.importing.readers.model import (
     Model,
@@ -55,7 +62,9 @@ def refuse_xacro(path: Path, robot: Element | None = None) -> None:
     """
     sign = _sign_in_text(path) if robot is None else _sign_in_tree(robot)
     if sign:
-        raise AssetError(f"{path} is an unprocessed xacro: it has {sign}", "URDF", how_to_process(path))
+        raise AssetError(
+            f"{path} is an unprocessed xacro: it has {sign}", "URDF", how_to_process(path)
+        )
 
 
 def how_to_process(path: Path) -> str:
@@ -99,8 +108,11 @@ class Joints:
       notes: what was decided about them, in words.
     """
 
-    def __init__(self, robot: Element, path: Path, opened: Mapping[str, float] | None = None) -> None:
-        self._path, self._opened = path, opened or {}
+    def __init__(
+        self, robot: Element, path: Path, opened: Mapping[str, float] | None = None
+    ) -> None:
+        self._path = path
+        self._opened = opened or {}
         self._links = [link.get("name", "") for link in robot.findall("link")]
         self._joints = robot.findall("joint")
         self._by_name = {joint.get("name", ""): joint for joint in self._joints}
@@ -119,13 +131,19 @@ class Joints:
         Raises:
           AssetError: it mimics a joint that is not there, or itself.
         """
-        factor, offset, seen = 1.0, 0.0, {joint.get("name", "")}
+        factor = 1.0
+        offset = 0.0
+        seen = {joint.get("name", "")}
         while (mimic := joint.find("mimic")) is not None:
             name = mimic.get("joint", "")
             if name not in self._by_name:
-                raise wrong_attribute(self._path, mimic, "joint", ", ".join(map(repr, self._by_name)))
+                raise wrong_attribute(
+                    self._path, mimic, "joint", ", ".join(map(repr, self._by_name))
+                )
             if name in seen:
-                raise AssetError(f"{self._path}: joint {name!r} mimics itself", "a joint that mimics none")
+                raise AssetError(
+                    f"{self._path}: joint {name!r} mimics itself", "a joint that mimics none"
+                )
             seen.add(name)
             offset += factor * number(self._path, mimic, "offset", "0")
             factor *= number(self._path, mimic, "multiplier", "1")
@@ -133,7 +151,8 @@ class Joints:
         return factor * self._lower_limit(joint) + offset
 
     def _lower_limit(self, joint: Element) -> float:
-        name, (lower, upper) = joint.get("name", ""), self._limits(joint)
+        name = joint.get("name", "")
+        (lower, upper) = self._limits(joint)
         if name in self._opened:
             is_turn = joint.get("type") in _TURNS
             place, notes = opened_joint(name, self._opened[name], lower, upper, is_turn)
@@ -145,7 +164,9 @@ class Joints:
         limit = joint.find("limit")
         if limit is None or joint.get("type") not in _LIMITED:
             return -math.inf, math.inf
-        lower, upper = (number(self._path, limit, end, "0", is_finite=False) for end in ("lower", "upper"))
+        lower, upper = (
+            number(self._path, limit, end, "0", is_finite=False) for end in ("lower", "upper")
+        )
         return lower, upper
 
     def link_poses(self) -> dict[str, np.ndarray]:
@@ -167,7 +188,9 @@ class Joints:
         roots = [name for name in self._links if name not in above]
         if len(roots) > 1:
             names = ", ".join(map(repr, roots))
-            self.notes.append(f"its links {names} hang on no joint: all are put at the model's origin")
+            self.notes.append(
+                f"its links {names} hang on no joint: all are put at the model's origin"
+            )
         poses = {name: np.eye(4) for name in roots}
         todo = list(poses)
         while todo:
@@ -178,7 +201,9 @@ class Joints:
                     poses[child] = poses[parent] @ origin(self._path, joint) @ self._motion(joint)
                     todo.append(child)
         if lost := [name for name in self._links if name not in poses]:
-            raise AssetError(f"{self._path}: link {lost[0]!r} hangs in a loop of joints", "a tree of links")
+            raise AssetError(
+                f"{self._path}: link {lost[0]!r} hangs in a loop of joints", "a tree of links"
+            )
         return poses
 
     def movable(
@@ -196,8 +221,14 @@ class Joints:
         """
         above = {self._link_of(joint, "child"): joint for joint in self._joints}
         kinds = (*_LIMITED, *_TURNS)
-        own = [each for each in self._joints if each.get("type") in kinds and each.find("mimic") is None]
-        own = [each for each in own if self._axis(each).any() and self._link_of(each, "child") in moved]
+        own = [
+            each
+            for each in self._joints
+            if each.get("type") in kinds and each.find("mimic") is None
+        ]
+        own = [
+            each for each in own if self._axis(each).any() and self._link_of(each, "child") in moved
+        ]
 
         def mover(link: str) -> int:
             """The joint that moves a link, by number; -1 for none."""
@@ -207,7 +238,8 @@ class Joints:
                 link = self._link_of(above[link], "parent")
             return -1
 
-        movers, found = [mover(link) for link in links], []
+        movers = [mover(link) for link in links]
+        found = []
         for place, joint in enumerate(own):
             T_model_joint = poses[self._link_of(joint, "child")]
             axis = self._axis(joint)
@@ -229,7 +261,9 @@ class Joints:
                 damping=self._dynamics(joint, "damping"),
                 friction=self._dynamics(joint, "friction"),
             )
-            masses = [mass for name, mass in moved.items() if mass is not None and mover(name) == place]
+            masses = [
+                mass for name, mass in moved.items() if mass is not None and mover(name) == place
+            ]
             made = made.with_mass(sound_mass(masses))
             found.append(made.transform(np.eye(3), scale, np.zeros(3)))
         return tuple(found)
@@ -268,7 +302,8 @@ class Joints:
         kind = joint.get("type")
         if kind not in (*_LIMITED, *_TURNS):
             return np.eye(4)
-        value, axis = self.value(joint), self._axis(joint)
+        value = self.value(joint)
+        axis = self._axis(joint)
         if value == 0:
             return np.eye(4)
         if kind in _TURNS:
@@ -286,7 +321,11 @@ class Joints:
                 f"axis {element.get('xyz')!r} of joint {joint.get('name')!r}: the rest is taken for 0"
             )
             values += [0.0] * (3 - len(values))
-        if len(values) != 3 or not np.isfinite(values).all() or not (any(values) or self.value(joint) == 0):
+        if (
+            len(values) != 3
+            or not np.isfinite(values).all()
+            or not (any(values) or self.value(joint) == 0)
+        ):
             raise wrong_attribute(self._path, element, "xyz", "3 numbers, not all of them 0")
         return np.array(values)
 
@@ -316,7 +355,10 @@ _MOVABLE = ("revolute", "prismatic", "continuous", "floating", "planar")
 
 
 def read_urdf(
-    path: Path, max_side: int = MAX_TEXTURE, opened: Mapping[str, float] | None = None, body: str = ""
+    path: Path,
+    max_side: int = MAX_TEXTURE,
+    opened: Mapping[str, float] | None = None,
+    body: str = "",
 ) -> Model:
     """The model as one rigid thing; its parts are its collision meshes if all of them are convex.
 
@@ -335,21 +377,29 @@ def read_urdf(
     """
     robot = _parse(path)
     movable = (joint for joint in robot.findall("joint") if joint.find("mimic") is None)
-    names = [joint.get("name", "") for joint in movable if joint.get("type") in (*_LIMITED, *_TURNS)]
+    names = [
+        joint.get("name", "") for joint in movable if joint.get("type") in (*_LIMITED, *_TURNS)
+    ]
     check_joints(opened or (), names, path)
     joints = Joints(robot, path, opened)
     poses = joints.link_poses()
     scale = _global_scaling(path)
     surfaces = Surfaces(path, max_side, notes=joints.notes)
-    links = [Link(link, poses[link.get("name", "")], partial(origin, path)) for link in robot.findall("link")]
+    links = [
+        Link(link, poses[link.get("name", "")], partial(origin, path))
+        for link in robot.findall("link")
+    ]
     if body:
         own = joints.links_below(body)
         links = [link for link in links if link.name in own]
-    model = rigid(links, surfaces, _Looks(_materials(robot), surfaces).of, _notes(robot, joints), scale)
+    model = rigid(
+        links, surfaces, _Looks(_materials(robot), surfaces).of, _notes(robot, joints), scale
+    )
     names = [link.name for link in links]
     moved = {link.name: link_mass(path, link) for link in links if link.name != body}
     return replace(
-        model, joints=joints.movable(poses, [names[number] for number in model.link_of], scale, moved)
+        model,
+        joints=joints.movable(poses, [names[number] for number in model.link_of], scale, moved),
     )
 
 
@@ -365,7 +415,9 @@ def _parse(path: Path) -> Element:
     refuse_xacro(path, robot)
     without_namespace(robot)
     if robot.tag != "robot":
-        raise AssetError(f"{path} is no URDF: its root is <{robot.tag}>", "a file whose root is <robot>")
+        raise AssetError(
+            f"{path} is no URDF: its root is <{robot.tag}>", "a file whose root is <robot>"
+        )
     return robot
 
 
@@ -407,7 +459,8 @@ class _Looks:
 
     def of(self, element: Element) -> Look:
         """What the material of a <visual> says, here or elsewhere in the file."""
-        colour, texture = self._material(element, "color"), self._material(element, "texture")
+        colour = self._material(element, "color")
+        texture = self._material(element, "texture")
         name = "" if texture is None else texture.get("filename", "")
         return Look(
             GREY if colour is None else self.surfaces.colour(colour, "rgba"),

@@ -66,7 +66,8 @@ _OWN_DECLARATIONS = re.compile(rb"<!DOCTYPE[^>\[]*+\[|<!ENTITY")
 
 
 def _check_extent(root: Element) -> None:
-    todo, count = [(root, 1)], 0
+    todo = [(root, 1)]
+    count = 0
     while todo:
         element, depth = todo.pop()
         count += 1
@@ -85,7 +86,9 @@ _NAME = r"[A-Za-z_:\x80-\U0010ffff][\w:.\-\x80-\U0010ffff]*+"
 _VALUE = r"\"[^\"]*+\"|'[^']*+'"
 _ATTRIBUTE = re.compile(rf"\s*+({_NAME})\s*+=\s*+({_VALUE})")
 # Nothing in it is tried a second time: its time is proportional to the text.
-_TAG = re.compile(rf"<(?P<name>{_NAME})(?P<values>(?:\s*+{_NAME}\s*+=\s*+(?:{_VALUE}))*+)\s*+(?P<end>/?)>")
+_TAG = re.compile(
+    rf"<(?P<name>{_NAME})(?P<values>(?:\s*+{_NAME}\s*+=\s*+(?:{_VALUE}))*+)\s*+(?P<end>/?)>"
+)
 _END_TAG = re.compile(rf"</\s*+({_NAME})\s*+>")
 _PASSED_OVER = (("<!--", "-->"), ("<?", "?>"), ("<!", ">"))
 _CDATA = ("<![CDATA[", "]]>")
@@ -99,7 +102,10 @@ def _parse_as_tinyxml(text: str) -> Element:
     A prefix that is not declared counts as the name of its own namespace, of an attribute that comes twice
     the first holds, and an entity that is unknown is text.
     """
-    builder, open_tags, is_over, place = ElementTree.TreeBuilder(), list[str](), False, 0
+    builder = ElementTree.TreeBuilder()
+    open_tags = list[str]()
+    is_over = False
+    place = 0
     while place < len(text):
         start = text.find("<", place)
         start = len(text) if start < 0 else start
@@ -117,7 +123,8 @@ def _parse_as_tinyxml(text: str) -> Element:
             if not open_tags or open_tags.pop() != found[1]:
                 raise _fault(text, start, f"</{found[1]}> closes no element that is open")
             builder.end(_expanded(found[1]))
-            is_over, place = not open_tags, found.end()
+            is_over = not open_tags
+            place = found.end()
         elif found := _TAG.match(text, start):
             if is_over:
                 raise _fault(text, start, f"a second root, <{found['name']}>")
@@ -153,7 +160,9 @@ def _attributes(text: str) -> dict[str, str]:
     found = [(name, value[1:-1]) for name, value in _ATTRIBUTE.findall(text)]
     # Of one that comes twice the first holds.
     return {
-        _expanded(name): _plain_text(value) for name, value in reversed(found) if not name.startswith("xmlns")
+        _expanded(name): _plain_text(value)
+        for name, value in reversed(found)
+        if not name.startswith("xmlns")
     }
 
 
@@ -188,7 +197,12 @@ def without_namespace(root: Element) -> Element:
 
 
 def numbers(
-    path: Path, element: Element, name: str, count: int, default: str | None = None, is_finite: bool = True
+    path: Path,
+    element: Element,
+    name: str,
+    count: int,
+    default: str | None = None,
+    is_finite: bool = True,
 ) -> np.ndarray:
     """f64[count]: the numbers of an attribute, or of `default` where it is absent.
 
@@ -233,7 +247,8 @@ def all_numbers(path: Path, element: Element, name: str, default: str | None = N
         if len(element):
             raise AssetError(f"{path}: a <{element.tag}> without <{name}>")
         raise AssetError(
-            f"{path}: a <{element.tag}> without the attribute {name!r}", f"<{element.tag} {name}=...>"
+            f"{path}: a <{element.tag}> without the attribute {name!r}",
+            f"<{element.tag} {name}=...>",
         )
     if (values := parse_numbers(text)) is None:
         raise wrong_attribute(path, element, name, "numbers with spaces between them")

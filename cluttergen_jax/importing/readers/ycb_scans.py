@@ -22,7 +22,9 @@ YCB_ATTRIBUTION = (
 _SCANS = ("google_16k", "google_64k", "google_512k", "YCB-Video", "poisson", "tsdf")
 """The best first: those with images, and of these one of a size that is drawn quickly."""
 _FOLDER = re.compile(r"(\d{3})(?:-[a-z])?[_-](.+)")
-_FILE = re.compile(r"(textured|textured_simple|textured_simple_reordered|nontextured)\.(obj|ply|stl)")
+_FILE = re.compile(
+    r"(textured|textured_simple|textured_simple_reordered|nontextured)\.(obj|ply|stl)"
+)
 _NAMES = re.findall(
     r"\w+",
     """001_chips_can 002_master_chef_can 003_cracker_box 004_sugar_box 005_tomato_soup_can 006_mustard_bottle
@@ -41,7 +43,9 @@ _NAMES = re.findall(
 def ycb_provenance(path: Path) -> Provenance | None:
     """YCB's terms for a mesh file of its downloads; None for any other file."""
     scan = _scan_of(path)
-    return scan and Provenance(f"YCB Object and Model Set ({scan[1]})", YCB_LICENCE, YCB_ATTRIBUTION)
+    return scan and Provenance(
+        f"YCB Object and Model Set ({scan[1]})", YCB_LICENCE, YCB_ATTRIBUTION
+    )
 
 
 def best_scans(sources: Sequence[ObjectFile]) -> tuple[list[ObjectFile], dict[Path, Path]]:
@@ -56,7 +60,8 @@ def best_scans(sources: Sequence[ObjectFile]) -> tuple[list[ObjectFile], dict[Pa
             rival = best.setdefault(scan[0], source)
             if _rank(source) < _rank(rival):
                 best[scan[0]] = source
-    kept, others = [], {}
+    kept = []
+    others = {}
     for source in sources:
         scan = _scan_of(source.path)
         if scan is None:

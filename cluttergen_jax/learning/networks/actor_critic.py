@@ -86,25 +86,33 @@ class SetEncoder(nn.Module):
     max_tokens: int = 10
 
     @nn.compact
-    def __call__(self, features: Array, half_extents: Array, observation: Mapping[str, Any]) -> Array:
+    def __call__(
+        self, features: Array, half_extents: Array, observation: Mapping[str, Any]
+    ) -> Array:
         """Scene features seen from the current object, f32[B, 3 W].
 
         Args:
           features: f32[K, F], of every object's cloud; half_extents: f32[K, 3], metres.
           observation: of `placement.observation.observe`, with a leading axis B on every leaf.
         """
-        is_placed, poses = observation["is_placed"], observation["T_region_object"]
-        focus, region = observation["focus"], observation["region"]
+        is_placed = observation["is_placed"]
+        poses = observation["T_region_object"]
+        focus = observation["focus"]
+        region = observation["region"]
         size = jnp.concatenate([features, half_extents * LENGTH_SCALE], axis=-1)
         order = jnp.argsort(~is_placed, axis=1, stable=True)[:, : self.max_tokens]
         mask = jnp.take_along_axis(is_placed, order, axis=1)
         poses = jnp.take_along_axis(poses, order[..., None], axis=1)
-        place = jnp.concatenate([poses[..., :3] * LENGTH_SCALE, rotation_features(poses[..., 3:])], axis=-1)
+        place = jnp.concatenate(
+            [poses[..., :3] * LENGTH_SCALE, rotation_features(poses[..., 3:])], axis=-1
+        )
         # A sum of three layers is one layer over the three side by side; the first needs no batch.
         asked = nn.Dense(self.width, name="in_hand")(
             jnp.concatenate([size[focus], region * LENGTH_SCALE], axis=-1)
         )
-        tokens = nn.Dense(self.width, name="object")(size)[order] + nn.Dense(self.width, name="place")(place)
+        tokens = nn.Dense(self.width, name="object")(size)[order] + nn.Dense(
+            self.width, name="place"
+        )(place)
         tokens = nn.relu(tokens + asked[:, None])
         tokens = jnp.where(mask[..., None], nn.relu(nn.Dense(self.width)(tokens)), 0.0)
         score = jnp.where(mask[..., None], nn.Dense(self.num_heads)(tokens), -1e9)
@@ -114,8 +122,9 @@ class SetEncoder(nn.Module):
         return jnp.concatenate([asked, pooled, jnp.max(tokens, axis=1)], axis=-1)
 
 
-_NEAR, _FAR = 3, 9
-"""Cells along the sides of the squares around a cell whose crowding it is told."""
+# Cells along the sides of the squares around a cell whose crowding it is told.
+_NEAR = 3
+_FAR = 9
 
 _TOUCH = 0.02
 """A share of a footprint that already matters half as much as all of it: a board over a fork."""
@@ -160,18 +169,24 @@ class CellEncoder(nn.Module):
             weight = _STEPS_OF_SCORE * nn.Dense(2, kernel_init=zeros)(context)
             score = jnp.einsum("bxytc,bc->bxyt", room, weight)
         first, second = self.widths
-        cells = nn.Dense(first)(jnp.concatenate(seen, axis=-1)) + nn.Dense(first)(context)[:, None, None]
+        cells = (
+            nn.Dense(first)(jnp.concatenate(seen, axis=-1))
+            + nn.Dense(first)(context)[:, None, None]
+        )
         cells = nn.relu(nn.Dense(second)(nn.relu(cells)))
         score += nn.Dense(self.num_turns, kernel_init=zeros)(cells)
-        return score, jnp.concatenate([jnp.mean(cells, axis=(1, 2)), jnp.max(cells, axis=(1, 2))], axis=-1)
+        return score, jnp.concatenate(
+            [jnp.mean(cells, axis=(1, 2)), jnp.max(cells, axis=(1, 2))], axis=-1
+        )
 
 
 __all__ = ["ActorCritic", "HistoryEncoder", "NetworkConfig"]
 
 ACTION_SIZE = 4
 _STEPS_OF_Z = 4.0
-_BELOW_REST, _WINDOW = 0.001, 0.01
-"""Metres: the mixture's z lies in a window about where the object would rest on what lies below."""
+# Metres: the mixture's z lies in a window about where the object would rest on what lies below.
+_BELOW_REST = 0.001
+_WINDOW = 0.01
 
 _JUST_ABOVE_REST = (-1.1, 2.3)
 """Raw outputs from which z is learned: about 2 mm above rest, give or take 1 mm."""
@@ -233,7 +248,9 @@ class ActorCritic(nn.Module):
         if config.reads_clouds:
             seen = [observation["encoded"]]
         else:
-            features = PointNet(num_features=config.object_features)(cloud[:, : config.object_points])
+            features = PointNet(num_features=config.object_features)(
+                cloud[:, : config.object_points]
+            )
             features = jax.lax.stop_gradient(features) if config.encoder_frozen else features
             encoder = SetEncoder(config.token_width, config.num_heads, self.max_objects)
             seen = [encoder(features, half_extents, observation), features[focus]]
@@ -244,18 +261,26 @@ class ActorCritic(nn.Module):
             )
             seen.append(summary)
         if config.history_width:
-            seen.append(HistoryEncoder(config.history_width, config.history_length)(observation["history"]))
+            seen.append(
+                HistoryEncoder(config.history_width, config.history_length)(observation["history"])
+            )
         state = jnp.concatenate(seen, axis=-1)
         layers = [config.width] * config.num_layers
-        small, unit = nn.initializers.orthogonal(0.01), nn.initializers.orthogonal(1.0)
-        raw = nn.Dense(2 * ACTION_SIZE, kernel_init=small, name="action")(MLP(layers, name="actor")(state))
+        small = nn.initializers.orthogonal(0.01)
+        unit = nn.initializers.orthogonal(1.0)
+        raw = nn.Dense(2 * ACTION_SIZE, kernel_init=small, name="action")(
+            MLP(layers, name="actor")(state)
+        )
         value = nn.Dense(1, kernel_init=unit, name="value")(MLP(layers, name="critic")(state))
         raw = raw.reshape(*raw.shape[:-1], ACTION_SIZE, 2)
-        half_height, height_range = half_extents[focus, 2], observation["region"][:, 2]
+        half_height = half_extents[focus, 2]
+        height_range = observation["region"][:, 2]
         if config.head == MIXTURE:
             bottom, width = _windows(observation["heights"], half_height, height_range)
             raw = raw.at[:, 2].add(jnp.array(_JUST_ABOVE_REST))
-            return Mixture.from_scores(scores, raw, bottom, width, config.turn_symmetry), value[..., 0]
+            return Mixture.from_scores(scores, raw, bottom, width, config.turn_symmetry), value[
+                ..., 0
+            ]
         if config.height_precision:
             raw = _about_bare_height(raw, half_height, height_range, config)
         return HEADS[config.head](raw), value[..., 0]
@@ -272,13 +297,19 @@ def _windows(heights: Array, half_height: Array, height_range: Array) -> tuple[A
     return jnp.clip(bottom, EDGE, 1 - 2 * EDGE - width[:, None, None]), width
 
 
-def _about_bare_height(raw: Array, half_height: Array, height_range: Array, config: NetworkConfig) -> Array:
+def _about_bare_height(
+    raw: Array, half_height: Array, height_range: Array, config: NetworkConfig
+) -> Array:
     """Raw outputs f32[B, 4, 2] that, when zero, mean a height just above rest on the bare top.
 
     The first of z is then counted in a few standard deviations, so that a gradient step moves it by about as
     much as it is wide.
     """
     rest = jnp.clip((half_height + config.height_clearance) / height_range, 0.01, 0.99)
-    location = _STEPS_OF_Z * config.height_precision**-0.5 * raw[:, 2, 0] + jnp.log(rest) - jnp.log1p(-rest)
+    location = (
+        _STEPS_OF_Z * config.height_precision**-0.5 * raw[:, 2, 0]
+        + jnp.log(rest)
+        - jnp.log1p(-rest)
+    )
     raw = raw.at[:, 2, 0].set(location)
     return raw.at[:, 2, 1].add(jnp.log(config.height_precision))

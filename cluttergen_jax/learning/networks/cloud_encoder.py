@@ -46,7 +46,9 @@ def farthest_points(cloud: Array, mask: Array, number: int) -> tuple[Array, Arra
     return index, jnp.arange(number) < count
 
 
-def ball_query(centres: Array, cloud: Array, mask: Array, radius: float, number: int) -> tuple[Array, Array]:
+def ball_query(
+    centres: Array, cloud: Array, mask: Array, radius: float, number: int
+) -> tuple[Array, Array]:
     """The nearest points within a radius of each centre.
 
     PointNet++ takes the first points that it finds; the nearest do not depend on the order of the points.
@@ -135,7 +137,8 @@ class SetAbstraction(nn.Module):
         """
         centres = cloud[index]
         found, is_found = ball_query(centres, cloud, mask, self.radius, self.group_size)
-        found, is_found = checkpoint_name(found, NEIGHBOURS), checkpoint_name(is_found, NEIGHBOURS)
+        found = checkpoint_name(found, NEIGHBOURS)
+        is_found = checkpoint_name(is_found, NEIGHBOURS)
         x = (cloud[found] - centres[:, None]) / self.radius
         x = x if features is None else _concatenate_weighted(x, features[found])
         return SharedLayers(self.widths)(x, is_found & is_centroid[:, None])
@@ -170,9 +173,11 @@ class PointNet2(nn.Module):
         first = SetAbstraction(RADII[0], self.group_size, (64, 64, 128))
         second = SetAbstraction(RADII[1], 2 * self.group_size, (128, 128, 256))
         features = first(cloud, mask, None, centroids, mask[centroids])
-        cloud, mask = cloud[centroids], mask[centroids]
+        cloud = cloud[centroids]
+        mask = mask[centroids]
         index, is_centroid = farthest_points(cloud, mask, max(len(centroids) // 4, 1))
-        index, is_centroid = checkpoint_name(index, NEIGHBOURS), checkpoint_name(is_centroid, NEIGHBOURS)
+        index = checkpoint_name(index, NEIGHBOURS)
+        is_centroid = checkpoint_name(is_centroid, NEIGHBOURS)
         features = second(cloud, mask, features, index, is_centroid)
         x = _concatenate_weighted(2 * cloud[index], features)
         return SharedLayers((256, 512, self.num_features))(x, is_centroid)
@@ -242,7 +247,9 @@ class CloudEncoder(nn.Module):
         self, clouds: Array, half_extents: Array, poses: Array, is_placed: Array, region: Array
     ) -> tuple[Array, Array]:
         """The features of object 0 and of one scene; makes all weights."""
-        return self.of_object(clouds[0], half_extents[0]), self.of_scene(clouds, poses, is_placed, region)
+        return self.of_object(clouds[0], half_extents[0]), self.of_scene(
+            clouds, poses, is_placed, region
+        )
 
 
 def _radius(half_extents: Array) -> Array:
@@ -255,10 +262,14 @@ def init_encoder(encoder: CloudEncoder, key: Array, clouds: Array, half_extents:
     return jax.jit(encoder.init)(key, clouds, half_extents, *nothing, jnp.ones(3))["params"]
 
 
-def encode_objects(encoder: CloudEncoder, weights: Any, clouds: Array, half_extents: Array) -> Array:
+def encode_objects(
+    encoder: CloudEncoder, weights: Any, clouds: Array, half_extents: Array
+) -> Array:
     """f32[K, F] of every object."""
     apply = encoder.apply
-    return jax.vmap(lambda *each: apply({"params": weights}, *each, method="of_object"))(clouds, half_extents)
+    return jax.vmap(lambda *each: apply({"params": weights}, *each, method="of_object"))(
+        clouds, half_extents
+    )
 
 
 def encode_scenes(
@@ -276,7 +287,9 @@ def encode_scenes(
 
     kept = jax.checkpoint_policies.save_only_these_names(NEIGHBOURS)
     scenes = observation["T_region_object"], observation["is_placed"], observation["region"]
-    return jax.lax.map(jax.checkpoint(encode, policy=kept), scenes, batch_size=_chunk(len(scenes[1])))
+    return jax.lax.map(
+        jax.checkpoint(encode, policy=kept), scenes, batch_size=_chunk(len(scenes[1]))
+    )
 
 
 def _chunk(batch: int) -> int:

@@ -63,7 +63,8 @@ class Beta(struct.PyTreeNode):
         alpha and beta are 1 + m c and 1 + (1 - m) c, where m, the mode, is the sigmoid of the first raw
         output and c, the concentration, the exponential of the second. Raw zeros give 1.5 and 1.5.
         """
-        mode, concentration = jax.nn.sigmoid(raw[..., 0]), jnp.exp(jnp.clip(raw[..., 1], *_LOG_PRECISION))
+        mode = jax.nn.sigmoid(raw[..., 0])
+        concentration = jnp.exp(jnp.clip(raw[..., 1], *_LOG_PRECISION))
         return Beta(1 + mode * concentration, 1 + (1 - mode) * concentration)
 
     @staticmethod
@@ -117,7 +118,8 @@ class TruncatedNormal(struct.PyTreeNode):
     def from_raw(raw: Array) -> TruncatedNormal:
         """The distribution of raw outputs f32[..., A, 2]."""
         return TruncatedNormal(
-            jax.nn.sigmoid(raw[..., 0]), 0.5 * jnp.exp(-0.5 * jnp.clip(raw[..., 1], *_LOG_PRECISION))
+            jax.nn.sigmoid(raw[..., 0]),
+            0.5 * jnp.exp(-0.5 * jnp.clip(raw[..., 1], *_LOG_PRECISION)),
         )
 
     def _limits(self) -> tuple[Array, Array]:
@@ -136,7 +138,9 @@ class TruncatedNormal(struct.PyTreeNode):
     def mean(self) -> Array:
         """f32[..., A]."""
         lower, upper = self._limits()
-        return self.loc + self.scale * (norm.pdf(lower) - norm.pdf(upper)) / jnp.exp(self._log_mass())
+        return self.loc + self.scale * (norm.pdf(lower) - norm.pdf(upper)) / jnp.exp(
+            self._log_mass()
+        )
 
     def log_prob(self, action: Array) -> Array:
         """f32[...]."""
@@ -148,7 +152,9 @@ class TruncatedNormal(struct.PyTreeNode):
         lower, upper = self._limits()
         log_mass = self._log_mass()
         pull = (lower * norm.pdf(lower) - upper * norm.pdf(upper)) / (2 * jnp.exp(log_mass))
-        return jnp.sum(0.5 * jnp.log(2 * jnp.pi * jnp.e) + jnp.log(self.scale) + log_mass + pull, axis=-1)
+        return jnp.sum(
+            0.5 * jnp.log(2 * jnp.pi * jnp.e) + jnp.log(self.scale) + log_mass + pull, axis=-1
+        )
 
 
 class Mixture(struct.PyTreeNode):
@@ -175,7 +181,9 @@ class Mixture(struct.PyTreeNode):
     symmetry: int = struct.field(pytree_node=False, default=2)
 
     @staticmethod
-    def from_scores(scores: Array, raw: Array, bottom: Array, width: Array, symmetry: int = 2) -> Mixture:
+    def from_scores(
+        scores: Array, raw: Array, bottom: Array, width: Array, symmetry: int = 2
+    ) -> Mixture:
         """The distribution of the components' scores f32[..., G, G, T] and raw outputs f32[..., 4, 2].
 
         Args:
@@ -197,8 +205,11 @@ class Mixture(struct.PyTreeNode):
         return jnp.take_along_axis(self.bottom, cell[..., None], axis=-1)[..., 0]
 
     def _action(self, component: Array, inside: Array, half: Array) -> Array:
-        cell, turn = component // self.num_turns, component % self.num_turns
-        xy = (jnp.stack([cell // self.side, cell % self.side], axis=-1) + inside[..., :2]) / self.side
+        cell = component // self.num_turns
+        turn = component % self.num_turns
+        xy = (
+            jnp.stack([cell // self.side, cell % self.side], axis=-1) + inside[..., :2]
+        ) / self.side
         z = self._bottom(cell) + self.width * inside[..., 2]
         yaw = (half + (turn + inside[..., 3]) / self.num_turns) / self.symmetry
         return off_edges(jnp.concatenate([xy, z[..., None], yaw[..., None]], axis=-1))

@@ -15,7 +15,8 @@ from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
 NUM_FEATURES = 24
-_DEEPEST, _HIGHEST = -0.05, 0.3
+_DEEPEST = -0.05
+_HIGHEST = 0.3
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,9 @@ def features_of(rules: Rules, episode: Episode, candidates: CandidateSet) -> Arr
     the objects placed (twenties), the region's height (30 cm) and the logarithm of the object's share of the
     region. Nothing says which object it is, or of which pool.
     """
-    scores, fit, supporters = candidates.found.scores, candidates.found.scores.fit, candidates.supporters
+    scores = candidates.found.scores
+    fit = candidates.found.scores.fit
+    supporters = candidates.supporters
     body = rules.body(episode)
     cost = sum(costs_of_staying(scores))
     of_candidates = jnp.stack(
@@ -94,7 +97,9 @@ def features_of(rules: Rules, episode: Episode, candidates: CandidateSet) -> Arr
         ],
         axis=1,
     )
-    half, center, height = body.half_extents, body.center_of_mass, body.height
+    half = body.half_extents
+    center = body.center_of_mass
+    height = body.height
     own = jnp.clip(body.own_margin, 0.0, 0.1)
     of_object = jnp.concatenate(
         [
@@ -107,7 +112,8 @@ def features_of(rules: Rules, episode: Episode, candidates: CandidateSet) -> Arr
                     own / jnp.maximum(height + center[2], 0.005) / 2,
                     episode.is_placed.sum() / 20,
                     10 * rules.height_range(episode) / 3,
-                    jnp.log(4 * half[0] * half[1] / (4 * jnp.prod(episode.region.half_extents))) / 4,
+                    jnp.log(4 * half[0] * half[1] / (4 * jnp.prod(episode.region.half_extents)))
+                    / 4,
                 ]
             ),
         ]

@@ -73,13 +73,15 @@ class Checkpoint:
         """
         if self.kind != KIND:
             raise PoolError(
-                f"{self.path} holds a network of kind {self.kind!r}, and no policy of poses", hint=_HINT
+                f"{self.path} holds a network of kind {self.kind!r}, and no policy of poses",
+                hint=_HINT,
             )
         try:
             return NetworkConfig(**self.trained.network)
         except TypeError as error:
             raise PoolError(
-                f"{self.path / 'record.json'} does not say what network it holds ({error})", hint=_HINT
+                f"{self.path / 'record.json'} does not say what network it holds ({error})",
+                hint=_HINT,
             ) from error
 
     @cached_property
@@ -91,10 +93,13 @@ class Checkpoint:
     def files(self) -> dict[str, bytes]:
         """All that it consists of, by name within its folder; PoolError where there are no weights."""
         try:
-            return {name: (self.path / name).read_bytes() for name in ("record.json", "weights.npz")}
+            return {
+                name: (self.path / name).read_bytes() for name in ("record.json", "weights.npz")
+            }
         except OSError as error:
             raise PoolError(
-                f"{self.path} holds no policy ({error.strerror})", hint="the folder `policy` of a run"
+                f"{self.path} holds no policy ({error.strerror})",
+                hint="the folder `policy` of a run",
             ) from error
 
 

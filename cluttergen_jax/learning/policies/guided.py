@@ -22,7 +22,11 @@ from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.candidate_sampler import CandidateConfig, CandidateSampler, CandidateSet
+from cluttergen_jax.placement.search.candidate_sampler import (
+    CandidateConfig,
+    CandidateSampler,
+    CandidateSet,
+)
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -55,7 +59,9 @@ def blank_params(network: StabilityNetConfig) -> Any:
     return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
 
 
-def make_guided(rules: Rules, network: StabilityNetConfig, params: Any = None, **config: Any) -> Guided:
+def make_guided(
+    rules: Rules, network: StabilityNetConfig, params: Any = None, **config: Any
+) -> Guided:
     """The placer for one world, with given weights.
 
     Args:

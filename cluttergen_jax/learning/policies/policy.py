@@ -53,7 +53,9 @@ class TrainedPolicy(struct.PyTreeNode, eq=False):
         missing = self.num_attempts - self.rules.config.max_attempts
         if missing == 0:
             return seen
-        return seen | {"history": jax.tree.map(lambda rows: _pad_rows(rows, missing), seen["history"])}
+        return seen | {
+            "history": jax.tree.map(lambda rows: _pad_rows(rows, missing), seen["history"])
+        }
 
 
 def _pad_rows(rows: Array, missing: int) -> Array:
@@ -96,7 +98,8 @@ def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool = True) -
 
 def _check_history(trained: TrainedPlacement, rules: Rules) -> None:
     """Refuses rules whose history a policy cannot read; fewer attempts than it knows it can."""
-    most, stride = trained.max_attempts, trained.history_stride
+    most = trained.max_attempts
+    stride = trained.history_stride
     if rules.config.max_attempts > most:
         raise ConfigError(
             f"max_attempts = {rules.config.max_attempts} with a policy trained with {most}",

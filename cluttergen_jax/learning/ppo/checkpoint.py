@@ -31,8 +31,10 @@ from cluttergen_jax.types import Array
 FORMAT = 1
 _CRITIC = ("params/critic/", "params/value/")
 """What acting does not need; an attention layer has a `value` too, which it does."""
-_MOST_BYTES, _HEADER = 8, 4096
-"""Of a number, and of what stands before the numbers in a file of NumPy's."""
+# Of a number, and of what stands before the numbers in a file of NumPy's.
+_MOST_BYTES = 8
+_HEADER = 4096
+
 _BESIDE = 1 << 20
 """Bytes for what Orbax stores beside a state's numbers."""
 _OF_A_RUN = (".csv", ".png", ".log", ".txt", ".out")
@@ -209,11 +211,15 @@ def save_policy(path: Path, params: Any, record: Record) -> None:
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **weights)  # type: ignore[arg-type]
     write_atomically(path / "weights.npz", buffer.getvalue())
-    write_atomically(path / "record.json", _record_bytes({**record, _WEIGHTS: digest_of(buffer.getvalue())}))
+    write_atomically(
+        path / "record.json", _record_bytes({**record, _WEIGHTS: digest_of(buffer.getvalue())})
+    )
 
 
 def _record_bytes(record: Record) -> bytes:
-    return (json.dumps(with_checksum({"format": FORMAT, **record}, allow_nan=True), indent=1) + "\n").encode()
+    return (
+        json.dumps(with_checksum({"format": FORMAT, **record}, allow_nan=True), indent=1) + "\n"
+    ).encode()
 
 
 def _in_bytes(array: np.ndarray) -> np.ndarray:
@@ -240,7 +246,9 @@ def read_policy(path: Path, like: Any) -> Any:
     flat = flax.traverse_util.flatten_dict(like, sep="/")
     weights = _stored_weights(path / "weights.npz", flat)
     check_weights(path)
-    merged = {name: jnp.asarray(weights.get(name, value), jnp.float32) for name, value in flat.items()}
+    merged = {
+        name: jnp.asarray(weights.get(name, value), jnp.float32) for name, value in flat.items()
+    }
     return flax.traverse_util.unflatten_dict(merged, sep="/")
 
 
@@ -262,7 +270,9 @@ def check_weights(path: Path) -> None:
         except (OSError, ValueError, zipfile.BadZipFile, zlib.error) as error:
             raise PoolError(f"{file}: damaged ({error})", hint=_FRESH) from error
     if not is_sound:
-        raise PoolError(f"{file}: damaged, or not the weights that record.json beside it is of", hint=_FRESH)
+        raise PoolError(
+            f"{file}: damaged, or not the weights that record.json beside it is of", hint=_FRESH
+        )
 
 
 def _stored_weights(file: Path, flat: dict[str, Array]) -> dict[str, np.ndarray]:
@@ -272,21 +282,32 @@ def _stored_weights(file: Path, flat: dict[str, Array]) -> dict[str, np.ndarray]
             faults = _wrong_names(set(stored.files), flat)
             # The sizes are looked at before anything is unpacked: a small file may hold terabytes of zeros.
             with zipfile.ZipFile(file) as archive:
-                sizes = {each.filename.removesuffix(".npy"): each.file_size for each in archive.infolist()}
+                sizes = {
+                    each.filename.removesuffix(".npy"): each.file_size
+                    for each in archive.infolist()
+                }
             known = [name for name in stored.files if name in flat]
-            large = [name for name in known if sizes[name] > _MOST_BYTES * flat[name].size + _HEADER]
+            large = [
+                name for name in known if sizes[name] > _MOST_BYTES * flat[name].size + _HEADER
+            ]
             read = {name: _from_bytes(stored[name]) for name in known if name not in large}
             weights = {
                 name: read.get(str(value), value) if value.dtype.kind == "U" else value
                 for name, value in read.items()
             }
-    except Exception as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
-        raise PoolError(f"{file} cannot be read ({type(error).__name__}: {error})", hint=_FRESH) from error
+    except (
+        Exception
+    ) as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
+        raise PoolError(
+            f"{file} cannot be read ({type(error).__name__}: {error})", hint=_FRESH
+        ) from error
     faults += [
         f"array {name!r} has {sizes[name]} bytes, and the network's is of shape {flat[name].shape}"
         for name in large
     ]
-    faults += [fault for name, value in weights.items() if (fault := _wrong_array(name, value, flat[name]))]
+    faults += [
+        fault for name, value in weights.items() if (fault := _wrong_array(name, value, flat[name]))
+    ]
     if faults:
         more = f"; and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""
         raise PoolError(

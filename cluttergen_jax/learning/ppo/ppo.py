@@ -68,7 +68,9 @@ class PPOConfig:
             value = getattr(self, field.name)
             least = 0 if field.name in _MAY_BE_ZERO else 1e-12
             if value is not None and not least <= value <= _MOST and field.name != "anneals":
-                raise ConfigError(f"ppo.{field.name} = {value}", f"a positive number, {_MOST:,} at most")
+                raise ConfigError(
+                    f"ppo.{field.name} = {value}", f"a positive number, {_MOST:,} at most"
+                )
         if self.minibatch_size is None and self.batch_size % self.num_minibatches:
             raise ConfigError(
                 f"{self.num_envs} x {self.num_steps} steps in {self.num_minibatches} minibatches",
@@ -162,7 +164,9 @@ class PPO:
             if config.anneals
             else config.learning_rate
         )
-        return optax.chain(optax.clip_by_global_norm(config.max_gradient_norm), optax.adam(rate, eps=1e-5))
+        return optax.chain(
+            optax.clip_by_global_norm(config.max_gradient_norm), optax.adam(rate, eps=1e-5)
+        )
 
     def start(self, key: Array, params: Params) -> TrainState:
         """The state before the first update."""
@@ -181,7 +185,12 @@ class PPO:
         last_seen = self.encode(state.params)(env.obs)
         _, last_value = self.apply(state.params, last_seen)
         advantage, target = generalised_advantages(
-            batch.reward, batch.value, batch.done, last_value, self.config.discount, self.config.gae_lambda
+            batch.reward,
+            batch.value,
+            batch.done,
+            last_value,
+            self.config.discount,
+            self.config.gae_lambda,
         )
         flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), (batch, advantage, target))
         (params, optimizer), losses = self._learn(state.params, state.optimizer, flat, key_learn)
@@ -201,7 +210,8 @@ class PPO:
             dist, value = self.apply(params, seen)
             action = dist.sample(key)
             after = each(self.env.step, self.mesh)(env, action)
-            reward, limit = self.config.reward_scale * after.reward, self.config.reward_limit
+            reward = self.config.reward_scale * after.reward
+            limit = self.config.reward_limit
             reward = reward if limit is None else jnp.clip(reward, -limit, limit)
             return after, Transition(seen, action, dist.log_prob(action), value, reward, after.done)
 
@@ -210,7 +220,8 @@ class PPO:
     def _learn(
         self, params: Params, optimizer: optax.OptState, flat: Any, key: Array
     ) -> tuple[tuple[Params, optax.OptState], dict[str, Array]]:
-        config, transform = self.config, self.optimizer()
+        config = self.config
+        transform = self.optimizer()
 
         def minibatch(carry: Any, index: Array) -> tuple[Any, dict[str, Array]]:
             params, optimizer = carry

@@ -59,7 +59,9 @@ def each(function: Callable[..., Any], mesh: Mesh | None) -> Callable[..., Any]:
     if mesh is None:
         return jax.vmap(function)
     shared = PartitionSpec(AXIS)
-    return jax.shard_map(jax.vmap(function), mesh=mesh, in_specs=shared, out_specs=shared, check_vma=False)
+    return jax.shard_map(
+        jax.vmap(function), mesh=mesh, in_specs=shared, out_specs=shared, check_vma=False
+    )
 
 
 def spread(tree: Any, mesh: Mesh | None) -> Any:

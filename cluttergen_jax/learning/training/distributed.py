@@ -88,7 +88,8 @@ def fresh_state(ppo: PPO, key: Any, params: Any) -> TrainState:
     """`ppo.start`, compiled, each environment made where it belongs."""
     if ppo.mesh is None:
         return jax.jit(ppo.start)(key, params)
-    data, params = np.asarray(jax.random.key_data(key)), jax.device_get(params)
+    data = np.asarray(jax.random.key_data(key))
+    params = jax.device_get(params)
     implementation = jax.random.key_impl(key)
 
     def start(data: Any, params: Any) -> TrainState:
@@ -103,4 +104,6 @@ def put_state(ppo: PPO, state: TrainState) -> TrainState:
     if ppo.mesh is None:
         return state
     data = jax.tree.map(np.asarray, without_keys(state))
-    return jax.jit(lambda data: with_keys(data, state), out_shardings=state_sharding(ppo.mesh, state))(data)
+    return jax.jit(
+        lambda data: with_keys(data, state), out_shardings=state_sharding(ppo.mesh, state)
+    )(data)

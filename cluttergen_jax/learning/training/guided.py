@@ -130,8 +130,12 @@ class GuidedTraining:
       ConfigError: the folder holds a run with another config.
     """
 
-    def __init__(self, config: GuidedConfig, folder: Path, show: Callable[[str], None] = print) -> None:
-        self.config, self.folder, self._show = config, folder, show
+    def __init__(
+        self, config: GuidedConfig, folder: Path, show: Callable[[str], None] = print
+    ) -> None:
+        self.config = config
+        self.folder = folder
+        self._show = show
         checkpoint.check_folder(folder, {"config": asdict(config)})
         (folder / "attempts").mkdir(parents=True, exist_ok=True)
         checkpoint.save_state(folder / "last", {"begun": np.ones(1)}, {"config": asdict(config)})
@@ -143,22 +147,28 @@ class GuidedTraining:
         Raises:
           KeyboardInterrupt: on Ctrl-C; what was seen in the settings that are done is kept.
         """
-        config, started = self.config, time.monotonic()
+        config = self.config
+        started = time.monotonic()
         families = (TRAINING_FAMILIES, config.num_variants, 0)
         crowds = _Crowds(config, families, config.num_rounds, config.seed)
-        params, examples = blank_params(config.network), []
+        params = blank_params(config.network)
+        examples = []
         with Interrupt() as interrupt:
             for number in range(config.num_rounds):
                 # Weights of nothing but zeros trust no one: the first round tries everything.
                 exploration = config.exploration if number else 1.0
                 name = f"{number:02d}"
-                examples += self._see(crowds, number, name, params, exploration, config.num_steps, interrupt)
+                examples += self._see(
+                    crowds, number, name, params, exploration, config.num_steps, interrupt
+                )
                 params, loss = fit(config.network, config.fit, _concatenate(examples), config.seed)
                 self._show(f"round {number + 1}    {_summary(examples)}, loss {loss:.3f}")
             families = (HELD_OUT_FAMILIES, config.num_held_out, HELD_OUT_SEED)
             held_out = _Crowds(config, families, 1, config.seed + 1)
             num_steps = -(-config.num_steps // _TEST_SHARE)
-            seen = self._see(held_out, 0, "held-out", params, config.exploration, num_steps, interrupt)
+            seen = self._see(
+                held_out, 0, "held-out", params, config.exploration, num_steps, interrupt
+            )
         self._save(params, examples, _concatenate(seen))
         self._show(
             f"time       {(time.monotonic() - started) / 60:.1f} minutes; policy in {self.folder / 'policy'}"
@@ -176,7 +186,8 @@ class GuidedTraining:
         interrupt: Interrupt,
     ) -> list[Examples]:
         """The attempts of a round, by setting: from their files, or made now."""
-        config, seen = self.config, []
+        config = self.config
+        seen = []
         total = config.num_settings * num_steps * config.num_episodes
         with Progress(f"attempts {name}", total, "attempt") as progress:
             for index in range(config.num_settings):
@@ -211,11 +222,14 @@ class GuidedTraining:
         return _concatenate(rows)
 
     def _save(self, params: Any, examples: list[Examples], tested: Examples) -> None:
-        config, folder = self.config, self.folder / "policy"
+        config = self.config
+        folder = self.folder / "policy"
         predicted = predictions_of(config.network, params, tested)
         found = calibration(predicted.stands, tested.stands, tested.is_on)
         known = tested.knows_robust
-        robust = calibration(predicted.is_robust[known], tested.is_robust[known], tested.is_on[known])
+        robust = calibration(
+            predicted.is_robust[known], tested.is_robust[known], tested.is_on[known]
+        )
         self._show(f"held out   {found}")
         self._show(f"robust     {robust}")
         record = {
@@ -228,10 +242,14 @@ class GuidedTraining:
             "families": TRAINING_FAMILIES,
             "held_out_families": HELD_OUT_FAMILIES,
             "held_out": {"stands": asdict(found), "robust": asdict(robust)},
-            "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
+            "versions": {
+                name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")
+            },
         }
         folder.mkdir(parents=True, exist_ok=True)
-        draw_calibration({"stands": found, "stands under change": robust}, folder / "calibration.png")
+        draw_calibration(
+            {"stands": found, "stands under change": robust}, folder / "calibration.png"
+        )
         # Last: a folder with a record is a run that is done.
         checkpoint.save_policy(folder, params, record)
 
@@ -240,9 +258,16 @@ class _Crowds:
     """The worlds of some rounds: settings of one draw, other objects each time."""
 
     def __init__(
-        self, config: GuidedConfig, families: tuple[Sequence[str], int, int], num_rounds: int, seed: int
+        self,
+        config: GuidedConfig,
+        families: tuple[Sequence[str], int, int],
+        num_rounds: int,
+        seed: int,
     ) -> None:
-        self.config, self._families, self._num_rounds, self._seed = config, families, num_rounds, seed
+        self.config = config
+        self._families = families
+        self._num_rounds = num_rounds
+        self._seed = seed
 
     @cached_property
     def _made(self) -> tuple[WorldMaker, list[TrainingSetting]]:
@@ -302,5 +327,9 @@ def _read(file: Path) -> Examples:
             found = {each.name: stored[each.name] for each in dataclasses.fields(Examples)}
         check_numbers(found, _NUMBERS)
         return Examples(**found)
-    except Exception as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
-        raise PoolError(f"{file} cannot be read ({error})", hint="deleting it: it is made again") from error
+    except (
+        Exception
+    ) as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
+        raise PoolError(
+            f"{file} cannot be read ({error})", hint="deleting it: it is made again"
+        ) from error

@@ -41,7 +41,9 @@ class MetricsLog:
     def __init__(
         self, path: Path, first_update: int = 0, sinks: Sequence[Sink] = (), group: str = ""
     ) -> None:
-        self.path, self._sinks, self._group = path, sinks, group
+        self.path = path
+        self._sinks = sinks
+        self._group = group
         self.rows = [row for row in read_rows(path) if row["update"] < first_update]
         if self.rows or path.exists():
             self._rewrite()
@@ -117,7 +119,9 @@ def draw_curve(rows: list[Row], path: Path, title: str, evaluations: Sequence[Ro
     for axis, (name, label) in zip(axes, PANELS, strict=True):
         # A single row makes no line.
         marker = "." if len(rows) == 1 else ""
-        axis.plot(attempts, [row[name] for row in rows], marker=marker, linewidth=1.2, label="training")
+        axis.plot(
+            attempts, [row[name] for row in rows], marker=marker, linewidth=1.2, label="training"
+        )
         axis.set_xlabel("attempts (thousands)")
         axis.set_title(label, fontsize=10)
         axis.grid(alpha=0.3)
@@ -176,7 +180,9 @@ class WandbLog:
 
     def add(self, row: Row, group: str) -> None:
         """See `Sink.add`; the step is the number of attempts."""
-        self._run.log({group + name: value for name, value in row.items()}, step=int(row["attempts"]))
+        self._run.log(
+            {group + name: value for name, value in row.items()}, step=int(row["attempts"])
+        )
 
     def close(self) -> None:
         """See `Sink.close`."""

@@ -208,7 +208,9 @@ def choose_encoder(
       PoolError: there are no weights where they should be.
     """
     is_frozen = is_frozen or (network.encoder_frozen and (encoder is None or weights is not None))
-    network = replace(network, scene_encoder=encoder or network.scene_encoder, encoder_frozen=is_frozen)
+    network = replace(
+        network, scene_encoder=encoder or network.scene_encoder, encoder_frozen=is_frozen
+    )
     if weights is not None:
         return fit_to_weights(network, Path(weights))
     if is_frozen:

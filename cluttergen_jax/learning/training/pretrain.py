@@ -63,7 +63,9 @@ class Classifier(nn.Module):
         if config.reads_clouds:
             half = jnp.max(jnp.where(mask[:, None], jnp.abs(cloud), 0.0), axis=0)
             radius = jnp.maximum(jnp.linalg.norm(half), 1e-6)
-            net = CloudNet(config.scene_encoder, config.object_features, config.group_size, name="encoder")
+            net = CloudNet(
+                config.scene_encoder, config.object_features, config.group_size, name="encoder"
+            )
             features = net(cloud / radius, mask, jnp.arange(first_centroids(len(cloud), config)))
         else:
             features = PointNet(num_features=config.object_features, name="encoder")(cloud, mask)
@@ -100,14 +102,18 @@ class ClassifierTrainer:
 
     def start(self, key: Array, num_points: int) -> FitState:
         """Fresh weights for clouds of `num_points`."""
-        params = self.model.init(key, jnp.zeros((num_points, 3)), jnp.ones(num_points, bool))["params"]
+        params = self.model.init(key, jnp.zeros((num_points, 3)), jnp.ones(num_points, bool))[
+            "params"
+        ]
         return FitState(params, self._optimizer().init(params), jnp.int32(0))
 
     def logits(self, params: Any, cloud: Array, mask: Array) -> Array:
         """f32[B, C] of clouds f32[B, P, 3] and masks bool[B, P]."""
         return jax.vmap(lambda *each: self.model.apply({"params": params}, *each))(cloud, mask)
 
-    def step(self, state: FitState, cloud: Array, label: Array, key: Array) -> tuple[FitState, Array, Array]:
+    def step(
+        self, state: FitState, cloud: Array, label: Array, key: Array
+    ) -> tuple[FitState, Array, Array]:
         """One gradient step on clouds f32[B, P, 3] with labels i32[B]: the new state, loss and accuracy."""
         vary = jax.vmap(lambda cloud, key: augment(cloud, key, self.augment))
         cloud, mask = vary(cloud, jax.random.split(key, len(cloud)))
@@ -126,7 +132,9 @@ class ClassifierTrainer:
 def augment(cloud: Array, key: Array, config: AugmentConfig) -> tuple[Array, Array]:
     """A cloud f32[P, 3] varied, and bool[P]: the points that are left of it."""
     key_scale, key_turn, key_jitter, key_where, key_hole = jax.random.split(key, 5)
-    cloud = cloud * jax.random.uniform(key_scale, (3,), minval=1 - config.scale, maxval=1 + config.scale)
+    cloud = cloud * jax.random.uniform(
+        key_scale, (3,), minval=1 - config.scale, maxval=1 + config.scale
+    )
     cloud = rotate_about_z(cloud, jax.random.uniform(key_turn, maxval=2 * jnp.pi))
     radius = jnp.max(jnp.linalg.norm(cloud, axis=-1))
     centre = cloud[jax.random.randint(key_where, (), 0, len(cloud))]
@@ -139,7 +147,8 @@ def augment(cloud: Array, key: Array, config: AugmentConfig) -> tuple[Array, Arr
 
 def rotate_about_z(cloud: Array, angle: Array) -> Array:
     """A cloud f32[P, 3] turned about z, radians."""
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    cos = jnp.cos(angle)
+    sin = jnp.sin(angle)
     x, y, z = cloud.T
     return jnp.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
 
@@ -168,7 +177,9 @@ def shape_cloud(family: str, seed: int, num_points: int) -> np.ndarray:
     return (points[farthest_first(points)] - (lower + upper) / 2).astype(np.float32)
 
 
-def make_clouds(families: Sequence[str], seeds: Sequence[int], num_points: int, title: str) -> ShapeClouds:
+def make_clouds(
+    families: Sequence[str], seeds: Sequence[int], num_points: int, title: str
+) -> ShapeClouds:
     """One cloud of each family for each seed, with a progress bar."""
     wanted = [(label, seed) for label in range(len(families)) for seed in seeds]
     bar = track(wanted, title, len(wanted), "shape")
@@ -205,7 +216,9 @@ class PretrainConfig:
     def __post_init__(self) -> None:
         for name in ("num_shapes", "num_held_out", "num_epochs", "batch_size", "learning_rate"):
             if not 0 < getattr(self, name) <= _MOST:
-                raise ConfigError(f"{name} = {getattr(self, name)}", f"a positive number, {_MOST} at most")
+                raise ConfigError(
+                    f"{name} = {getattr(self, name)}", f"a positive number, {_MOST} at most"
+                )
         if self.num_steps == 0:
             raise ConfigError(
                 f"batches of {self.batch_size} from {self.num_shapes} x {len(self.families)} shapes",
@@ -245,7 +258,8 @@ class Pretraining:
     """
 
     def __init__(self, config: PretrainConfig, folder: Path) -> None:
-        self.config, self.folder = config, folder
+        self.config = config
+        self.folder = folder
         model = Classifier(config.network, len(config.families))
         self.fit = ClassifierTrainer(model, config.num_steps, config.learning_rate)
         checkpoint.check_folder(folder, {"config": asdict(config)})
@@ -257,7 +271,8 @@ class Pretraining:
         Raises:
           KeyboardInterrupt: on Ctrl-C, once everything is saved.
         """
-        config, points = self.config, self.config.network.object_points
+        config = self.config
+        points = self.config.network.object_points
         with Interrupt() as interrupt:
             state = self._start()
             if int(state.step) < config.num_steps:
@@ -279,8 +294,10 @@ class Pretraining:
         return checkpoint.read_state(last, state) if checkpoint.has_state(last) else state
 
     def _learn(self, state: FitState, shapes: ShapeClouds, interrupt: Interrupt) -> FitState:
-        config, step = self.config, jax.jit(self.fit.step, donate_argnums=0)
-        first, saved = int(state.step), time.monotonic()
+        config = self.config
+        step = jax.jit(self.fit.step, donate_argnums=0)
+        first = int(state.step)
+        saved = time.monotonic()
         with Progress("learning", config.num_steps, "step", kept=first) as progress:
             for number in range(first, config.num_steps):
                 if interrupt.is_asked:
@@ -356,13 +373,17 @@ def pretrain_for(network: NetworkConfig, folder: Path, show: Callable[[str], Non
     """
     if is_pretrained(folder):
         return
-    show(f"encoder    {folder}, pretrained first: the paper's method keeps it frozen; minutes on two cores")
+    show(
+        f"encoder    {folder}, pretrained first: the paper's method keeps it frozen; minutes on two cores"
+    )
     sizes = ("object_points", "num_centroids", "group_size", "object_features", "scene_features")
     values = {name: getattr(network, name) for name in sizes}
     # Several processes that train one policy together come here at once: one of them pretrains.
     with checkpoint.hold_run(folder, _LONGEST_RUN if jax.process_count() > 1 else 0.0):
         if not is_pretrained(folder):
-            Pretraining(PretrainConfig(replace(small(network.scene_encoder), **values)), folder).run()
+            Pretraining(
+                PretrainConfig(replace(small(network.scene_encoder), **values)), folder
+            ).run()
 
 
 def is_pretrained(folder: Path) -> bool:

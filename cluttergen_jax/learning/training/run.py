@@ -79,13 +79,15 @@ class Run:
         encoder_weights: Path | None = None,
         random: Callable[[], SuccessRate] | None = None,
     ) -> None:
-        self.config, self.folder = config, folder
+        self.config = config
+        self.folder = folder
         self.recipe = recipe | {"kind": KIND}
         self.agent = make_agent(rules, network)
         env = PlacementEnv(rules, self.agent.observation)
         self.ppo = PPO(env, self.agent.apply, ppo, make_mesh(ppo.num_envs), self.agent.encode)
         self._encoder_weights = encoder_weights
-        self._evaluate, self._random = evaluate, random
+        self._evaluate = evaluate
+        self._random = random
         folder.mkdir(parents=True, exist_ok=True)
 
     def start(self) -> TrainState:
@@ -97,7 +99,8 @@ class Run:
             return fresh
         whole = distributed.gather(fresh)
         return distributed.put_state(
-            self.ppo, distributed.broadcast(read_state(last, whole) if distributed.is_writer() else whole)
+            self.ppo,
+            distributed.broadcast(read_state(last, whole) if distributed.is_writer() else whole),
         )
 
     def _init(self, key: Any) -> Any:
@@ -106,7 +109,9 @@ class Run:
             return params
         return with_encoder(params, self._encoder_weights)
 
-    def train(self, show: Callable[[str], None] = print, interrupt: Interrupt | None = None) -> TrainState:
+    def train(
+        self, show: Callable[[str], None] = print, interrupt: Interrupt | None = None
+    ) -> TrainState:
         """Runs to the end, or until Ctrl-C, which saves and is passed on.
 
         Raises:
@@ -134,13 +139,16 @@ class Run:
 
     def _work(self, state: TrainState, logger: Logger, interrupt: Interrupt) -> TrainState:
         """Updates to the end, or until an interrupt asks for it; the latest state, which is saved."""
-        config, number, total = self.config, int(state.num_updates), self.ppo.config.num_updates
+        config = self.config
+        number = int(state.num_updates)
+        total = self.ppo.config.num_updates
         if number >= total:
             logger.complete_policy(state)
             return state
         logger.say("compiling")
         updates = interrupt.run_compiling(Updates, self.ppo, state, config.window)
-        seconds, saved = None, time.monotonic()
+        seconds = None
+        saved = time.monotonic()
         logger.say(f"memory     {check_memory(updates.compiled, config.memory_limit)}")
         logger.begin()
         while number < total:
@@ -160,7 +168,8 @@ class Run:
                 where = updates.where_not_finite(state, len(rows))
                 raise self._diverged_error(logger, state, number + len(rows) - 1, where)
             logger.add(rows, number, seconds)
-            state, number = after, number + len(rows)
+            state = after
+            number = number + len(rows)
             self._mark(logger, state, number)
         logger.save_state(distributed.gather(state))
         logger.save_policy(state)
@@ -182,7 +191,12 @@ class Run:
         if number % self.config.window == 0:
             logger.keep_best(state)
         every = self._eval_updates
-        if self._evaluate and every and number % every == 0 and number < self.ppo.config.num_updates:
+        if (
+            self._evaluate
+            and every
+            and number % every == 0
+            and number < self.ppo.config.num_updates
+        ):
             logger.add_evaluation(state, self._evaluate(jax.device_get(state.params)))
 
     def _finish(self, state: TrainState, logger: Logger) -> None:
@@ -192,14 +206,20 @@ class Run:
         asked = getattr(self._evaluate, "num_episodes", 1)
         if distributed.agree(logger.num_evaluated >= asked)[0, 0]:
             return
-        logger.say("evaluating" if self._random is None else "evaluating, beside `random` in the same world")
+        logger.say(
+            "evaluating"
+            if self._random is None
+            else "evaluating, beside `random` in the same world"
+        )
         evaluation = self._evaluate(jax.device_get(state.params))
         if self._random is not None:
             evaluation["random"] = self._random()
         logger.add_evaluation(state, evaluation)
         logger.save_policy(state, evaluation)
 
-    def _diverged_error(self, logger: Logger, state: TrainState, number: int, where: str) -> DivergedError:
+    def _diverged_error(
+        self, logger: Logger, state: TrainState, number: int, where: str
+    ) -> DivergedError:
         """Saves the state before the call in which numbers stopped being finite; the error to raise."""
         logger.save_state(distributed.gather(state))
         logger.save_policy(state)
@@ -279,7 +299,9 @@ def _left_in_group() -> int:
     """What a container's limit leaves."""
     folder = Path("/sys/fs/cgroup")
     try:
-        return int((folder / "memory.max").read_text()) - int((folder / "memory.current").read_text())
+        return int((folder / "memory.max").read_text()) - int(
+            (folder / "memory.current").read_text()
+        )
     except (OSError, ValueError):
         return 1 << 62
 
@@ -346,7 +368,9 @@ class Evaluator:
     def _success(self, proposer: Proposer) -> SuccessRate:
         key = jax.random.fold_in(new_key(self.seed), _FRESH)
         width = min(BLOCK_SIZE, self.num_episodes)
-        scenes = self._rollout.run_all(BlockSampler(self.rules, proposer), key, self.num_episodes, width)
+        scenes = self._rollout.run_all(
+            BlockSampler(self.rules, proposer), key, self.num_episodes, width
+        )
         found = scenes.is_success
         low, high = wilson(int(found.sum()), len(found))
         return {

@@ -97,9 +97,13 @@ class RunLogger:
         first: int,
         show: Callable[[str], None],
     ) -> None:
-        self._folder, self._recipe, self._show = folder, recipe, show
-        self._batch, self._window = ppo.batch_size, config.window
-        self._total, self._first = ppo.num_updates * ppo.batch_size, first * ppo.batch_size
+        self._folder = folder
+        self._recipe = recipe
+        self._show = show
+        self._batch = ppo.batch_size
+        self._window = config.window
+        self._total = ppo.num_updates * ppo.batch_size
+        self._first = first * ppo.batch_size
         self._progress: Progress | None = None
         self._sinks: list[metrics_log.Sink] = [metrics_log.TensorBoard(folder)]
         if config.wandb:
@@ -107,9 +111,13 @@ class RunLogger:
         self._updates = metrics_log.MetricsLog(folder / "progress.csv", first, self._sinks)
         # An evaluation is of the weights after so many updates; that of the present ones stays.
         evaluations = folder / "evaluations.csv"
-        self._evaluations = metrics_log.MetricsLog(evaluations, first + 1, self._sinks, group="evaluation/")
+        self._evaluations = metrics_log.MetricsLog(
+            evaluations, first + 1, self._sinks, group="evaluation/"
+        )
         best = folder / "best"
-        self._best = float(read_record(best)["success"]) if (best / "record.json").exists() else -1.0
+        self._best = (
+            float(read_record(best)["success"]) if (best / "record.json").exists() else -1.0
+        )
 
     def begin(self) -> None:
         """Updates begin now: what came before was compilation."""
@@ -148,7 +156,9 @@ class RunLogger:
         if not rows:
             return
         known = {"evaluation": self._beside(evaluation)} if evaluation else {}
-        metrics_log.draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
+        metrics_log.draw_curve(
+            rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows
+        )
         # Last: by the policy's record a run is known to be done.
         self._save("policy", state, {"success": rows[-1]["success"], **known})
 
@@ -171,7 +181,9 @@ class RunLogger:
         """Both rates side by side: training's own check of late, and the whole last check."""
         number = int(state.num_updates)
         found = self._beside(evaluation)
-        numbers = {name: float(value) for name, value in found.items() if isinstance(value, int | float)}
+        numbers = {
+            name: float(value) for name, value in found.items() if isinstance(value, int | float)
+        }
         self._evaluations.add({"update": number, "attempts": number * self._batch, **numbers})
         self.say(
             f"evaluation {tqdm.format_sizeof(number * self._batch)} attempts: training's check "
@@ -216,9 +228,18 @@ Logger = RunLogger | NullLogger
 
 
 def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> metrics_log.Row:
-    row = {name.removeprefix("env/"): float(value) for name, value in figures.items() if name != "env/reward"}
+    row = {
+        name.removeprefix("env/"): float(value)
+        for name, value in figures.items()
+        if name != "env/reward"
+    }
     attempts = (number + 1) * batch_size
-    return {"update": number, "attempts": attempts, "attempts_per_second": batch_size / seconds, **row}
+    return {
+        "update": number,
+        "attempts": attempts,
+        "attempts_per_second": batch_size / seconds,
+        **row,
+    }
 
 
 def _note(row: metrics_log.Row) -> str:
@@ -229,10 +250,13 @@ def _note(row: metrics_log.Row) -> str:
 _RISE = 0.03
 """How much higher the last quarter's success is than the one before where a curve still rises."""
 _EASY = 0.95
-_FALLS_LATE, _FEWEST = 0.15, 8
+_FALLS_LATE = 0.15
+_FEWEST = 8
 
 
-def difference_interval(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[float, float]:
+def difference_interval(
+    one: Mapping[str, float], other: Mapping[str, float]
+) -> tuple[float, float]:
     """The 95 % interval of the difference of two rates (Newcombe, 1998, method 10).
 
     Args:
@@ -244,7 +268,9 @@ def difference_interval(one: Mapping[str, float], other: Mapping[str, float]) ->
     return between - below, between + above
 
 
-def comparison_lines(evaluation: Mapping[str, Any], rows: Sequence[Mapping[str, float]]) -> list[str]:
+def comparison_lines(
+    evaluation: Mapping[str, Any], rows: Sequence[Mapping[str, float]]
+) -> list[str]:
     """Lines: the success of `random`, and where the policy is not better, that, and what may be missing.
 
     Args:
@@ -267,14 +293,18 @@ def comparison_lines(evaluation: Mapping[str, Any], rows: Sequence[Mapping[str, 
 def _advice(evaluation: Mapping[str, Any], rows: Sequence[Mapping[str, float]]) -> str:
     """What the run most likely lacks."""
     if evaluation["random"]["success"] > _EASY:
-        return "nothing: `random` fills this world. More objects or a smaller support make it harder"
+        return (
+            "nothing: `random` fills this world. More objects or a smaller support make it harder"
+        )
     number = f"{int(rows[-1]['attempts']):,}"
     if len(rows) < _FEWEST:
         return f"attempts: {number} make {len(rows)} updates, of which nothing can be said"
     success = np.array([row["success"] for row in rows])
     before, last = (float(part.mean()) for part in np.array_split(success, 4)[-2:])
     if last - before > _RISE:
-        rise = f"training's success still rises, from {before:.2f} to {last:.2f} in its last quarter"
+        rise = (
+            f"training's success still rises, from {before:.2f} to {last:.2f} in its last quarter"
+        )
         return f"attempts: {rise}; give more than {number}"
     passed = evaluation["training_success"]
     if passed - evaluation["success"] > _FALLS_LATE:

@@ -100,7 +100,8 @@ def _step(explorer: Explorer, episode: Episode) -> tuple[Episode, Examples]:
 
 def example_of(explorer: Guided, before: Episode, transition: Transition) -> Examples:
     """What one attempt teaches, without a leading axis."""
-    rules, settling = explorer.search.rules, transition.settling
+    rules = explorer.search.rules
+    settling = transition.settling
     lower, size = action_scale(before.region, rules.height_range(before))
     xy = (lower + transition.action[:3] * size)[:2]
     candidates = Candidates(xy[None], 2 * jnp.pi * transition.action[3:])
@@ -141,7 +142,9 @@ class FitConfig:
     learning_rate: float = 2e-3
 
 
-def fit(network: StabilityNetConfig, config: FitConfig, examples: Examples, seed: int) -> tuple[Any, float]:
+def fit(
+    network: StabilityNetConfig, config: FitConfig, examples: Examples, seed: int
+) -> tuple[Any, float]:
     """Weights fitted to examples from the start, and the mean loss of the last epoch."""
     number = len(examples.features)
     num_batches = max(number // config.batch_size, 1)
@@ -237,13 +240,16 @@ def _auc(score: np.ndarray, label: np.ndarray) -> float:
     """The chance that one that stood has a higher score than one that did not; ties count half."""
     from scipy.stats import rankdata
 
-    yes, no = int(label.sum()), int((~label).sum())
+    yes = int(label.sum())
+    no = int((~label).sum())
     if not yes or not no:
         return float("nan")
     return float((rankdata(score)[label].sum() - yes * (yes + 1) / 2) / (yes * no))
 
 
-def predictions_of(network: StabilityNetConfig, params: Any, examples: Examples) -> StabilityPrediction:
+def predictions_of(
+    network: StabilityNetConfig, params: Any, examples: Examples
+) -> StabilityPrediction:
     """What the network expects of examples: NumPy arrays."""
     return jax.device_get(jax.jit(StabilityNet(network).apply)(params, examples.features))
 
@@ -264,7 +270,8 @@ def draw_calibration(
     axis.plot([0, 1], [0, 1], color="gray", linewidth=1, linestyle="--")
     for name, each in found.items():
         is_there = np.array(each.count) > 0
-        trust, stood = np.array(each.trust)[is_there], np.array(each.stood)[is_there]
+        trust = np.array(each.trust)[is_there]
+        stood = np.array(each.stood)[is_there]
         axis.plot(trust, stood, marker="o", markersize=4, label=f"{name}: AUC {each.auc:.3f}")
     axis.set(xlabel="trust before the attempt", ylabel="share that stood", xlim=(0, 1), ylim=(0, 1))
     axis.set_title(f"{max(each.number for each in found.values()):,} {of}", fontsize=9)

@@ -18,7 +18,8 @@ PAPERS_PRESET: Preset = "paper_cpu"
 SEEDS = (0, 1, 2)
 ATTEMPTS_POOL = "dining"
 TABLE_ATTEMPTS = (1, 2, 3, 4, 5, 10)
-DEFAULT_ATTEMPTS, DEFAULT_OBJECTS = 5, 10
+DEFAULT_ATTEMPTS = 5
+DEFAULT_OBJECTS = 10
 LADDER_POOLS = ("dining",)
 
 
@@ -63,7 +64,9 @@ def plan(
     if suite not in RUN_SUITES:
         raise ConfigError(f"suite {suite!r}", ", ".join(RUN_SUITES), "suite='paper'")
     if len(set(seeds)) < len(seeds) or not all(seed >= 0 for seed in seeds):
-        raise ConfigError(f"seeds {' '.join(map(str, seeds))}", "different numbers from 0", "seeds=(0, 1, 2)")
+        raise ConfigError(
+            f"seeds {' '.join(map(str, seeds))}", "different numbers from 0", "seeds=(0, 1, 2)"
+        )
     runs = [run for seed in seeds for run in RUN_SUITES[suite](seed, pools)]
     chosen = [run for run in runs if only is None or fnmatchcase(run.name, only)]
     if not chosen:

@@ -151,12 +151,17 @@ def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
         # No run has begun without its encoder.
         kind = make_settings(config.preset, run.variant).network.scene_encoder
         settings = dataclasses.replace(config, encoder_weights=None, encoder=kind).settings()
-    batch, total = settings.ppo.batch_size, settings.ppo.num_updates * settings.ppo.batch_size
-    last, policy = config.folder / "last", config.folder / "policy"
+    batch = settings.ppo.batch_size
+    total = settings.ppo.num_updates * settings.ppo.batch_size
+    last = config.folder / "last"
+    policy = config.folder / "policy"
     attempts = int(read_record(last)["num_updates"]) * batch if has_state(last) else 0
     record: Record = read_record(policy) if (policy / "record.json").exists() else {}
-    asked, evaluation = config.eval_episodes, record.get("evaluation")
-    is_evaluated = not asked or (evaluation is not None and evaluation.get("episodes", asked) >= asked)
+    asked = config.eval_episodes
+    evaluation = record.get("evaluation")
+    is_evaluated = not asked or (
+        evaluation is not None and evaluation.get("episodes", asked) >= asked
+    )
     rows = read_rows(config.folder / "progress.csv")
     rate = statistics.median(row["attempts_per_second"] for row in rows[-50:]) if rows else None
     return RunStatus(
@@ -180,7 +185,9 @@ def _overview(standings: list[RunStatus]) -> str:
         lines.append(f"  {standing.planned.name:{width}}  {standing.word:5}  {done:>11}{success}")
     budgets = sorted({standing.total for standing in standings})
     rates = [standing.rate for standing in standings if standing.rate]
-    rate, source = (statistics.median(rates), "measured") if rates else (RATE, "assumed until one has run")
+    rate, source = (
+        (statistics.median(rates), "measured") if rates else (RATE, "assumed until one has run")
+    )
     left = sum(standing.total - standing.attempts for standing in standings if not standing.is_done)
     lines += [
         f"{len(standings)} runs of {' and '.join(f'{budget:,}' for budget in budgets)} attempts (the paper: "

@@ -64,7 +64,9 @@ class TrainConfig:
         if not 0 <= self.seed < 2**32:
             raise ConfigError(f"seed = {self.seed}", "0 to 4294967295")
         if self.memory_limit is not None and not 0 < self.memory_limit < math.inf:
-            raise ConfigError(f"memory_limit = {self.memory_limit}", "finite GB above zero, such as 8")
+            raise ConfigError(
+                f"memory_limit = {self.memory_limit}", "finite GB above zero, such as 8"
+            )
 
     @property
     def folder(self) -> Path:
@@ -81,11 +83,15 @@ class TrainConfig:
         )
         if self.reward is not None:
             placement = dataclasses.replace(placement, reward=self.reward)
-        network = choose_encoder(settings.network, self.encoder, self.encoder_weights, self.encoder_frozen)
+        network = choose_encoder(
+            settings.network, self.encoder, self.encoder_weights, self.encoder_frozen
+        )
         network = network.with_attempts(self.max_attempts)
         ppo = dataclasses.replace(
             settings.ppo,
-            num_attempts=settings.ppo.num_attempts if self.num_attempts is None else self.num_attempts,
+            num_attempts=settings.ppo.num_attempts
+            if self.num_attempts is None
+            else self.num_attempts,
             num_envs=settings.ppo.num_envs if self.num_envs is None else self.num_envs,
         )
         return dataclasses.replace(settings, placement=placement, network=network, ppo=ppo)
@@ -109,7 +115,9 @@ def as_in_paper(config: TrainConfig, show: Callable[[str], None] = print) -> Tra
 
     if config.preset not in ("cpu", *_PAPER_PRESETS):
         raise ConfigError(
-            f"preset = {config.preset!r} with paper", ", ".join(_PAPER_PRESETS), "leaving preset out"
+            f"preset = {config.preset!r} with paper",
+            ", ".join(_PAPER_PRESETS),
+            "leaving preset out",
         )
     by_machine: Preset = "paper_cpu" if jax.default_backend() == "cpu" else "paper"
     preset = by_machine if config.preset == "cpu" else config.preset

@@ -49,7 +49,8 @@ class Updates:
     """
 
     def __init__(self, ppo: PPO, state: TrainState, most: int) -> None:
-        self._ppo, self.most = ppo, most
+        self._ppo = ppo
+        self.most = most
         # The state given is not donated, so that the last good one outlives a call that ends in NaN; within
         # a call the loop writes over what it carries, and a state is small beside what an update makes.
         self.compiled = _jit(ppo, state, most).lower(state, np.int32(1)).compile()
@@ -64,7 +65,9 @@ class Updates:
             raise ValueError(f"{num} updates asked for, 1 to {self.most} can be made")
         done = self.compiled(state, np.int32(num))
         figures, is_finite, num_done = jax.device_get((done.figures, done.is_finite, done.num_done))
-        rows = [{name: values[row] for name, values in figures.items()} for row in range(int(num_done))]
+        rows = [
+            {name: values[row] for name, values in figures.items()} for row in range(int(num_done))
+        ]
         return done.state, rows, bool(is_finite)
 
     def where_not_finite(self, state: TrainState, num: int) -> str:
@@ -99,7 +102,9 @@ def _many(ppo: PPO, most: int) -> Callable[[TrainState, Array], Carry]:
             return Carry(state, kept, is_finite, row + 1)
 
         start = Carry(state, blank, jnp.bool_(True), jnp.int32(0))
-        return jax.lax.while_loop(lambda carry: (carry.num_done < num) & carry.is_finite, one_more, start)
+        return jax.lax.while_loop(
+            lambda carry: (carry.num_done < num) & carry.is_finite, one_more, start
+        )
 
     return many
 
@@ -109,7 +114,8 @@ def _jit(ppo: PPO, state: TrainState, most: int) -> Any:
     many = _many(ppo, most)
     if ppo.mesh is None:
         return jax.jit(many)
-    of_state, whole = state_sharding(ppo.mesh, state), whole_sharding(ppo.mesh)
+    of_state = state_sharding(ppo.mesh, state)
+    whole = whole_sharding(ppo.mesh)
     results = Carry(of_state, whole, whole, whole)  # type: ignore[arg-type]
     return jax.jit(many, in_shardings=(of_state, whole), out_shardings=results)
 

@@ -65,9 +65,13 @@ def list_variants(number: int, seed: int, families: Sequence[str]) -> tuple[Shap
       ConfigError: fewer than one, or no family; PoolError: there is no such family.
     """
     if number < 1 or not families:
-        raise ConfigError(f"{number} variants of {len(families)} families", "at least one of each", "640")
+        raise ConfigError(
+            f"{number} variants of {len(families)} families", "at least one of each", "640"
+        )
     if unknown := [family for family in families if family not in FAMILIES]:
-        raise PoolError(f"no family named {unknown[0]!r}", ", ".join(sorted(FAMILIES)), "one of these names")
+        raise PoolError(
+            f"no family named {unknown[0]!r}", ", ".join(sorted(FAMILIES)), "one of these names"
+        )
     rounds = -(-number // len(families))
     every = [ShapeVariant(family, seed + turn) for turn in range(rounds) for family in families]
     return tuple(every[:number])
@@ -119,7 +123,9 @@ def _make_one(variant: ShapeVariant) -> str:
     """Makes a body and caches it. The empty string, or why it could not be made."""
     try:
         with silent_log():
-            cache.store(variant.key, make_object(make_shape(variant.family, variant.seed), BodyConfig()))
+            cache.store(
+                variant.key, make_object(make_shape(variant.family, variant.seed), BodyConfig())
+            )
     except (ClutterGenError, OSError) as error:
         return str(error)
     return ""

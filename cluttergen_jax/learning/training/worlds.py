@@ -29,7 +29,8 @@ FURNITURE = ("tray_table", "shelf_desk", "bar_table")
 """Supports beside the cuboid tables: a rim, a riser behind the region, a round top of planks."""
 FILL = (0.3, 2.0)
 """Between which fills are drawn: the objects' footprints, as rectangles, over the region's area."""
-FEWEST_OBJECTS, MOST_OBJECTS = 4, 40
+FEWEST_OBJECTS = 4
+MOST_OBJECTS = 40
 _SIDES = (0.25, 0.8)
 _MOST_DRAWS = 1000
 
@@ -111,9 +112,12 @@ class WorldMaker:
         objects = list(dict.fromkeys(asset for each in self.sets for asset in each))
         self.radius = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects)
         self._columns = {
-            asset: columns_of(asset) for asset in track(objects, "cutting columns", len(objects), "object")
+            asset: columns_of(asset)
+            for asset in track(objects, "cutting columns", len(objects), "object")
         }
-        self.num_runs = max(sum(num_runs_of(self._columns[asset]) for asset in each) for each in self.sets)
+        self.num_runs = max(
+            sum(num_runs_of(self._columns[asset]) for asset in each) for each in self.sets
+        )
 
     def make(
         self, setting: TrainingSetting, set_index: int, stability: StabilityConfig | None = None
@@ -123,7 +127,8 @@ class WorldMaker:
         Raises:
           PoolError: there is no such support; ConfigError: a set has fewer objects than are asked for.
         """
-        objects, support = self.sets[set_index], find_support(setting.support)
+        objects = self.sets[set_index]
+        support = find_support(setting.support)
         check_number(setting.num_objects, len(objects), "of variants")
         stability = stability or StabilityConfig()
         physics = self._physics.setdefault(stability, SwappablePhysics(len(objects), stability))
@@ -149,7 +154,9 @@ def object_sets(
     """
     if not 1 <= size <= len(objects):
         raise ConfigError(
-            f"sets of {size} of {len(objects)} objects", range_text(1, len(objects)), "more variants"
+            f"sets of {size} of {len(objects)} objects",
+            range_text(1, len(objects)),
+            "more variants",
         )
     families: dict[str, list[ObjectAsset]] = defaultdict(list)
     for asset in objects:
@@ -187,7 +194,8 @@ def draw_settings(rng: np.random.Generator, number: int, footprint: float) -> li
     """
     low, high = FILL
     fills = low + (high - low) * (rng.permutation(number) + rng.uniform(size=number)) / number
-    left, settings = [float(fill) for fill in fills], []
+    left = [float(fill) for fill in fills]
+    settings = []
     for name in FURNITURE[: number // 2]:
         for fill in left:
             if setting := _setting(name, fill, footprint):

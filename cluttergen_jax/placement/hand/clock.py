@@ -17,18 +17,22 @@ class ActiveClock:
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic, idle: float = IDLE) -> None:
-        self._now, self._idle = now, idle
-        self._before, self._latest = 0.0, None
+        self._now = now
+        self._idle = idle
+        self._before = 0.0
+        self._latest = None
 
     _latest: float | None
 
     def touch(self) -> None:
         """There was an input."""
-        self._before, self._latest = self.seconds, self._now()
+        self._latest = self._now()
+        self._before = self.seconds
 
     def stop(self) -> None:
         """Nothing more counts until the next input."""
-        self._before, self._latest = self.seconds, None
+        self._before = self.seconds
+        self._latest = None
 
     @property
     def seconds(self) -> float:

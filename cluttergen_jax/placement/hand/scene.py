@@ -62,7 +62,9 @@ class HandScene:
         now: Callable[[], float] = time.monotonic,
         objects: Sequence[int] | None = None,
     ) -> None:
-        self.setup, self.number, self.clock = setup, number, ActiveClock(now)
+        self.setup = setup
+        self.number = number
+        self.clock = ActiveClock(now)
         self._rules = setup.problem.rules
         self._episode: Episode = _begin(self._rules, key, setup.keep_out, setup.start)
         if objects is not None:
@@ -138,7 +140,8 @@ class HandScene:
     @property
     def held_pose(self) -> np.ndarray:
         """f32[7]: where the current object is held, world frame."""
-        region, held = self.setup.problem.region, self.held
+        region = self.setup.problem.region
+        held = self.held
         xy = np.array(region.center) + rotate_in_plane((held.x, held.y), region.yaw)
         position = (*xy, self.setup.problem.world.support.top + held.z)
         return np.array([*position, *yaw_quaternion(region.yaw + held.yaw)], np.float32)
@@ -163,8 +166,10 @@ class HandScene:
           HandError: no object is left.
         """
         self._check_current()
-        episode, slots = self._episode, np.arange(self._rules.num_slots)
-        first, last = self.num_placed, len(self.all)
+        episode = self._episode
+        slots = np.arange(self._rules.num_slots)
+        first = self.num_placed
+        last = len(self.all)
         order = np.concatenate([slots[:first], np.roll(slots[first:last], -places), slots[last:]])
         counts = episode.counts
         self._episode = episode.replace(
@@ -182,7 +187,9 @@ class HandScene:
         """
         self.touch()
         half = self.setup.problem.region.half_extents
-        x, y = (float(np.clip(value, -side, side)) for value, side in zip((x, y), half, strict=True))
+        x, y = (
+            float(np.clip(value, -side, side)) for value, side in zip((x, y), half, strict=True)
+        )
         self.held = Held(x, y, self._clear_height(), math.remainder(yaw, math.tau))
 
     def hold_at(self, position: np.ndarray, wxyz: np.ndarray) -> None:
@@ -198,10 +205,12 @@ class HandScene:
           HandError: no object is left, there is nothing below it, or it would have to be let go too high.
         """
         self._check_current()
-        held, limit = self.held, float(self._rules.height_range(self._episode))
+        held = self.held
+        limit = float(self._rules.height_range(self._episode))
         candidates = Candidates(jnp.array([[held.x, held.y]]), jnp.array([held.yaw]))
         fit = jax.device_get(_lower(self._rules, self._mapper, self._episode, candidates))
-        rest, lift = float(fit.rest[0]), float(fit.rest[0]) - self._half_height()
+        rest = float(fit.rest[0])
+        lift = float(fit.rest[0]) - self._half_height()
         if rest <= VOID / 2:
             raise HandError("there is nothing below it", hint="another place")
         if rest + CLEARANCE > limit:
@@ -220,7 +229,8 @@ class HandScene:
           pose: f[7], world frame, however turned, in place of where it is held, above the surface it is for.
         """
         self._check_current()
-        held, before = self.held, self._episode
+        held = self.held
+        before = self._episode
         if pose is None:
             position = jnp.array([held.x, held.y, held.z])
             action, asked = _release(self._rules, before, position, jnp.float32(held.yaw))
@@ -248,7 +258,8 @@ class HandScene:
         self._check_open()
         if not self._before:
             raise HandError("nothing was placed that could be taken back")
-        before, now = self._before.pop(), self._episode
+        before = self._before.pop()
+        now = self._episode
         slot = self.num_placed - 1
         self._episode = now.replace(
             slot=jnp.int32(slot),
@@ -324,11 +335,14 @@ class HandScene:
         self._check_open()
         self.touch()
         if not self.left:
-            raise HandError("every object is placed", hint="saving the scene, or taking an object back")
+            raise HandError(
+                "every object is placed", hint="saving the scene, or taking an object back"
+            )
 
     def _clear_height(self) -> float:
         """Metres: where the current object is clear of all others, as far as it may be let go there."""
-        top, tall = self.setup.problem.world.support.top, np.asarray(self._rules.geometry.half_extents)[:, 2]
+        top = self.setup.problem.world.support.top
+        tall = np.asarray(self._rules.geometry.half_extents)[:, 2]
         highest = np.max((self.poses[:, 2] - top + tall)[self.is_placed], initial=0.0)
         own = 0.0 if self.current is None else tall[self.current]
         return min(float(highest + own + _CLEAR), float(self._rules.height_range(self._episode)))
@@ -336,8 +350,11 @@ class HandScene:
     def _half_height(self) -> float:
         return float(self._rules.geometry.half_extents[self.left[0], 2])
 
-    def _drop_report(self, before: Episode, transition: Any, settling: Settling, verdict: Verdict) -> Drop:
-        focus, is_placed = int(transition.object_index), np.asarray(before.is_placed)
+    def _drop_report(
+        self, before: Episode, transition: Any, settling: Settling, verdict: Verdict
+    ) -> Drop:
+        focus = int(transition.object_index)
+        is_placed = np.asarray(before.is_placed)
         config = self._rules.physics.config
         moved = np.maximum(settling.shift / config.max_shift, settling.turn / config.max_turn)
         mover = int(np.argmax(np.where(is_placed, moved, -1.0))) if is_placed.any() else None
@@ -385,7 +402,8 @@ def _release_at(rules: Rules, episode: Episode, pose: Array) -> Any:
         number = rules.surfaces.below(pose[:3])
         surface = episode.surface.at[focus].set(number)
         episode = episode.replace(surface=surface, region=rules.surfaces.region(number))
-    poses, is_placed = episode.poses.at[focus].set(pose), episode.is_placed.at[focus].set(True)
+    poses = episode.poses.at[focus].set(pose)
+    is_placed = episode.is_placed.at[focus].set(True)
     return episode, (poses, is_placed, focus, jnp.bool_(True))
 
 

@@ -103,12 +103,16 @@ class Recorder:
         return jax.jit(draw)
 
 
-def _all_parts(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
+def _all_parts(
+    before: Episode, after: Episode, transition: Transition
+) -> tuple[Any, Any, Transition]:
     """Whole steps, but for keys."""
     return before.replace(key=None), after.replace(key=None, history=None), transition
 
 
-def _picture_parts(before: Episode, after: Episode, transition: Transition) -> tuple[Any, Any, Transition]:
+def _picture_parts(
+    before: Episode, after: Episode, transition: Transition
+) -> tuple[Any, Any, Transition]:
     """Whole steps, but for what pictures do not show."""
     return before.replace(key=None, history=None), after.replace(key=None, history=None), transition
 
@@ -139,6 +143,10 @@ def rectangle_of(region: Region) -> Rectangle:
 def _boxes(episode: Any) -> tuple[Rectangle, ...]:
     keep_out = episode.keep_out
     return tuple(
-        Rectangle((float(center[0]), float(center[1])), (float(half[0]), float(half[1])), float(yaw))
-        for center, half, yaw in zip(keep_out.center, keep_out.half_extents, keep_out.yaw, strict=True)
+        Rectangle(
+            (float(center[0]), float(center[1])), (float(half[0]), float(half[1])), float(yaw)
+        )
+        for center, half, yaw in zip(
+            keep_out.center, keep_out.half_extents, keep_out.yaw, strict=True
+        )
     )

@@ -102,7 +102,8 @@ class Replay:
         """i64[N]: the objects that stood there until just before attempt `number`, from 0."""
         if number == 0:
             return np.zeros(0, np.int64)
-        before, attempt = self.attempts[number - 1], self.attempts[number]
+        before = self.attempts[number - 1]
+        attempt = self.attempts[number]
         stood = before.is_placed.copy()
         stood[before.object_index] |= before.is_stable
         return np.flatnonzero(stood & ~attempt.is_placed)

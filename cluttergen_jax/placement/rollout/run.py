@@ -73,7 +73,9 @@ class BlockSampler(struct.PyTreeNode, eq=False):
     def begin(self, key: Array, indices: Array, is_wanted: Array) -> Episode:
         """Episodes for scene indices i32[N]; those not wanted (bool[N]) are over before they start."""
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
-        episodes = jax.vmap(lambda key: self.rules.begin(key, None, self.keep_out, self.start))(keys)
+        episodes = jax.vmap(lambda key: self.rules.begin(key, None, self.keep_out, self.start))(
+            keys
+        )
         return episodes.replace(is_over=~is_wanted)
 
     def step(self, episodes: Episode) -> tuple[Episode, Transition]:
@@ -158,7 +160,11 @@ class Rollout:
             return _where_new(is_new, sampler.begin(key, indices, is_new), episodes)
 
         def conclude(
-            sampler: BlockSampler, before: Episode, after: Episode, transition: Transition, *checked: Any
+            sampler: BlockSampler,
+            before: Episode,
+            after: Episode,
+            transition: Transition,
+            *checked: Any,
         ) -> tuple[Episode, Array, Any]:
             after = jax.vmap(sampler.rules.conclude)(after, *checked)
             return after, after.is_over, look(before, after, transition)
@@ -175,7 +181,10 @@ class Rollout:
         def program(function: Callable[..., Any], donated: tuple[int, ...] = ()) -> Any:
             static = (0,) if is_constant else ()
             return jax.jit(
-                function, static_argnums=static, donate_argnums=donated, compiler_options=compiler_options()
+                function,
+                static_argnums=static,
+                donate_argnums=donated,
+                compiler_options=compiler_options(),
             )
 
         self._ask = program(ask)
@@ -225,7 +234,9 @@ class Rollout:
             is_left = ~np.asarray(episodes.is_over)
             is_due = is_left & (np.cumsum(is_left) <= WHOLE_AT_ONCE)
             asking, *asked = self._ask(sampler, episodes, is_due)
-            return self._finish_piles(sampler, episodes, asking, physics.pile_batch(*map(np.asarray, asked)))
+            return self._finish_piles(
+                sampler, episodes, asking, physics.pile_batch(*map(np.asarray, asked))
+            )
         episodes, action, *asked = self._propose(sampler, episodes)
         settling = physics.settle_batch(*map(np.asarray, asked))
         after, transition, is_filled = self._judge(sampler, episodes, action, settling)
@@ -256,7 +267,9 @@ class Rollout:
             on_step(before - left, seen)
         return interruptible(self._finish_to_host, sampler, episodes)
 
-    def _step_to_host(self, sampler: BlockSampler, episodes: Episode) -> tuple[Episode, np.ndarray, Any]:
+    def _step_to_host(
+        self, sampler: BlockSampler, episodes: Episode
+    ) -> tuple[Episode, np.ndarray, Any]:
         """`_step_all`, all but the episodes on the host."""
         episodes, is_over, seen = self._step_all(sampler, episodes)
         return episodes, *jax.device_get((is_over, seen))
@@ -279,7 +292,8 @@ class Rollout:
         Args:
           on_step: as that of `run`, and before it which scenes stand in the places, i64[width].
         """
-        indices, following = np.arange(width), width
+        indices = np.arange(width)
+        following = width
         # Scenes that are not stored yet, by place; those that were never wanted are over from the beginning.
         is_held = indices < num_scenes
         parts: list[SceneBatch] = []
@@ -289,7 +303,8 @@ class Rollout:
         while is_held.any():
             episodes, is_over, seen = interruptible(self._step_to_host, sampler, episodes)
             on_step(indices, int((is_over & ~was_over).sum()), seen)
-            was_over, is_done = is_over, is_over & is_held
+            was_over = is_over
+            is_done = is_over & is_held
             if not is_done.any() or (is_done.sum() < REFILL * width and (is_held & ~is_done).any()):
                 continue
             rows = np.flatnonzero(is_done)
@@ -327,15 +342,17 @@ def _by_parts(
         return part, *jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), proposed)
 
     parts = jax.tree.map(lambda leaf: leaf.reshape(number // PART, PART, *leaf.shape[1:]), episodes)
-    found = jax.lax.map(lambda part: jax.lax.cond(jnp.all(part.is_over), nothing, propose, part), parts)
+    found = jax.lax.map(
+        lambda part: jax.lax.cond(jnp.all(part.is_over), nothing, propose, part), parts
+    )
     return jax.tree.map(lambda leaf: leaf.reshape(number, *leaf.shape[2:]), found)
 
 
 def _where_new(is_new: Array, new: Episode, old: Episode) -> Episode:
     """Episode by episode, the new one or the old one."""
-    return jax.vmap(lambda new_one, *both: jax.tree.map(lambda a, b: jnp.where(new_one, a, b), *both))(
-        is_new, new, old
-    )
+    return jax.vmap(
+        lambda new_one, *both: jax.tree.map(lambda a, b: jnp.where(new_one, a, b), *both)
+    )(is_new, new, old)
 
 
 def blocks_of(num_scenes: int) -> list[tuple[int, int]]:

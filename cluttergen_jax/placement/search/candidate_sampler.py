@@ -129,7 +129,8 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         nearer to that than any that is trusted as asked, f32, `least_trust` holds.
         """
         rules = self.search.rules
-        focus, found = rules.focus(episode), candidates.found
+        focus = rules.focus(episode)
+        found = candidates.found
         logits = jnp.zeros(trust.shape)
         if rules.config.natural:
             logits = natural_logits(rules.geometry, focus, candidates.supporters)
@@ -138,11 +139,19 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         rest = found.scores.fit.rest
         quaternion = rules.body(episode).quaternion
         at = Placing.of(
-            episode, rules.geometry, focus, quaternion, found.candidates, rest, candidates.supporters
+            episode,
+            rules.geometry,
+            focus,
+            quaternion,
+            found.candidates,
+            rest,
+            candidates.supporters,
         )
         remaining, added = remaining_and_added(rules.config.clutter, at)
         least = self.config.least_trust
-        missed, missed_by_all = (shortfall(remaining, added, trust >= level) for level in (asked, least))
+        missed, missed_by_all = (
+            shortfall(remaining, added, trust >= level) for level in (asked, least)
+        )
         is_nearer = missed_by_all < missed - _CLOSER
         asked = jnp.where(jnp.any(is_nearer), jnp.minimum(asked, least), asked)
         return tilt_logits(logits, added, remaining, trust >= asked), asked
@@ -153,7 +162,10 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         asked = self.search.rules.config
         if asked.clutter is None:
             return self.config.num_above
-        most = max(each or 0.0 for each in (asked.clutter.stack, asked.clutter.depth, asked.clutter.contacts))
+        most = max(
+            each or 0.0
+            for each in (asked.clutter.stack, asked.clutter.depth, asked.clutter.contacts)
+        )
         number = _MANY_ABOVE if most > _MANY * asked.num_objects else _ABOVE if most else 0
         return max(self.config.num_above, number)
 
@@ -165,7 +177,8 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
 
     def candidates(self, key: Array, episode: Episode) -> CandidateSet:
         """The candidates for the episode's next attempt."""
-        search, config = self.search, self.config
+        search = self.search
+        config = self.config
         keys = jax.random.split(key, 3)
         scene = search.scene(episode, with_owner=True)
         drawn = [draw_candidates(keys[0], episode.region, config.num_uniform)]
@@ -188,7 +201,9 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
 
     def _look(self, scene: SearchScene, candidates: Candidates) -> CandidateSet:
         search = self.search
-        found, geometry, episode = search.closely(scene, candidates), search.rules.geometry, scene.episode
+        found = search.closely(scene, candidates)
+        geometry = search.rules.geometry
+        episode = scene.episode
         rest = found.scores.fit.rest
         supporters = find_supporters(scene, geometry, candidates, rest)
         is_allowed = found.cost < FORBIDDEN / 2
@@ -205,8 +220,11 @@ def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> 
 
     With nothing placed they are over the region's centre.
     """
-    episode, half = scene.episode, rules.geometry.half_extents
-    chance = jnp.where(episode.is_placed, jnp.log(footprint_area(rules.geometry.half_extents)), -jnp.inf)
+    episode = scene.episode
+    half = rules.geometry.half_extents
+    chance = jnp.where(
+        episode.is_placed, jnp.log(footprint_area(rules.geometry.half_extents)), -jnp.inf
+    )
     # Boxes are turned about z and sometimes tipped: a square with the box's diagonal is near enough.
     reach = jnp.linalg.norm(half[:, :2], axis=1) / jnp.sqrt(2.0)
     return _over(key, scene, rules, (episode.poses[:, :3], reach, chance), number)
@@ -214,7 +232,8 @@ def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> 
 
 def inside_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> Candidates:
     """Candidates over the hollows of placed objects into which the current one fits; region frame."""
-    episode, hollows = scene.episode, rules.geometry.hollows
+    episode = scene.episode
+    hollows = rules.geometry.hollows
     assert hollows is not None
     openings = hollows.boxes(safe_poses(episode.poses, episode.is_placed))
     chance = jnp.where(episode.is_placed & hollows.fits[scene.focus], 0.0, -jnp.inf)
@@ -236,19 +255,23 @@ def _over(
     Args:
       num_central: so many of them are the nearer to the centre.
     """
-    episode, (middle, reach, chance) = scene.episode, places
+    episode = scene.episode
+    (middle, reach, chance) = places
     key_which, key_at, key_yaw = jax.random.split(key, 3)
     noise = jax.random.gumbel(key_which, (number, len(chance)))
     which = jnp.argmax(chance + noise, axis=1)
     T_region_world = episode.region.T_world_region.inverse()
-    turn, shift = T_region_world.rotation().as_matrix(), T_region_world.translation()[:2]
+    turn = T_region_world.rotation().as_matrix()
+    shift = T_region_world.translation()[:2]
     center = middle[which, :2] @ turn[:2, :2].T + shift
     support_map = rules.support_map_of(episode)
     if support_map is not None and support_map.T_map_world is not None:
         center += middle[which, 2:3] * turn[:2, 2]
     offset = jax.random.uniform(key_at, (number, 2), minval=-1.0)
     if num_central:
-        offset *= jnp.append(jnp.linspace(0.0, 1.0, num_central), jnp.ones(number - num_central))[:, None]
+        offset *= jnp.append(jnp.linspace(0.0, 1.0, num_central), jnp.ones(number - num_central))[
+            :, None
+        ]
     xy = center + reach[which, None] * offset
     xy = jnp.where(jnp.any(jnp.isfinite(chance)), xy, 0.0)
     limit = episode.region.half_extents

@@ -49,7 +49,9 @@ def tilt_logits(logits: Array, values: Array, asked: Array, is_allowed: Array) -
         spread = features - expected
         curvature = (spread * weight[:, None]).T @ spread + _RIDGE * jnp.eye(len(slope))
         newton = jnp.linalg.solve(curvature, gradient)
-        tries = jnp.clip(slope - jnp.array([*_DAMPING, 0.0])[:, None] * newton, -_STEEPEST, _STEEPEST)
+        tries = jnp.clip(
+            slope - jnp.array([*_DAMPING, 0.0])[:, None] * newton, -_STEEPEST, _STEEPEST
+        )
         return tries[jnp.argmin(jax.vmap(objective)(tries))]
 
     slope = jax.lax.fori_loop(0, _STEPS, step, jnp.zeros(values.shape[1]))

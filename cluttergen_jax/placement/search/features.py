@@ -9,7 +9,14 @@ import jax.numpy as jnp
 import jaxlie
 from flax import struct
 
-from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, nearest_gaps, seen_shares
+from cluttergen_jax.placement.boxes import (
+    Boxes,
+    Views,
+    gaps,
+    hidden_shares,
+    nearest_gaps,
+    seen_shares,
+)
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.containers import is_contained, pairs_in
 from cluttergen_jax.placement.region import Region
@@ -59,7 +66,8 @@ class Placing(struct.PyTreeNode):
           focus: i32, the current object; quaternion: its orientation (`Body`).
           rest: f32[N], from `lower_onto`, metres.
         """
-        poses, hollows = safe_poses(episode.poses, episode.is_placed), geometry.hollows
+        poses = safe_poses(episode.poses, episode.is_placed)
+        hollows = geometry.hollows
         return Placing(
             episode=episode,
             placed=Boxes.of(geometry.half_extents, poses),
@@ -74,7 +82,11 @@ class Placing(struct.PyTreeNode):
 
 
 def proposed_boxes(
-    region: Region, half_extents: Array, quaternion: Array | None, candidates: Candidates, rest: Array
+    region: Region,
+    half_extents: Array,
+    quaternion: Array | None,
+    candidates: Candidates,
+    rest: Array,
 ) -> Boxes:
     """The boxes of an object at N candidates.
 
@@ -83,8 +95,10 @@ def proposed_boxes(
       rest: f32[N], from `lower_onto`, metres.
     """
     T_world_region = region.T_world_region
-    turn, shift = T_world_region.rotation().as_matrix(), T_world_region.translation()
-    cos, sin = jnp.cos(candidates.yaw), jnp.sin(candidates.yaw)
+    turn = T_world_region.rotation().as_matrix()
+    shift = T_world_region.translation()
+    cos = jnp.cos(candidates.yaw)
+    sin = jnp.sin(candidates.yaw)
     zero = jnp.zeros_like(cos)
     axes = jnp.stack(
         [
@@ -181,7 +195,8 @@ def _sum_of_hidden(at: Placing) -> Array:
 
 def _hidden_added(at: Placing) -> Array:
     is_placed = at.episode.is_placed[:, None]
-    placed, proposed = Views.of(at.placed), Views.of(at.proposed)
+    placed = Views.of(at.placed)
+    proposed = Views.of(at.proposed)
     seen = seen_shares(placed, at.episode.is_placed)
     own = 1.0 - jnp.prod(1.0 - jnp.where(is_placed, hidden_shares(proposed, placed), 0.0), axis=1)
     by_it = jnp.moveaxis(hidden_shares(placed, proposed), 0, 1) * seen
@@ -206,13 +221,15 @@ def remaining_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
     """
     episode = at.episode
     left = jnp.maximum(episode.num_slots - episode.slot, 1)
-    remaining, added = [], []
+    remaining = []
+    added = []
     for name, target in clutter.targets.items():
         feature = FEATURES[name]
         asked = target * episode.num_slots if feature.is_mean else target
         # Not every object finds something to lie on: what is counted is asked of the first to come.
         share = left if feature.is_mean else jnp.maximum(_EARLY * left, 1.0)
-        missing, change = asked - feature.total(at), feature.added(at)
+        missing = asked - feature.total(at)
+        change = feature.added(at)
         if feature.hinders is not None:
             share = jnp.float32(1.0)
             change = jnp.where((missing > 0) & feature.hinders(at), -1.0, change)

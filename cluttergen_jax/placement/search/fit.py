@@ -104,7 +104,9 @@ def mean_under(under: UnderSide, field: HeightMap, candidates: Candidates) -> Ar
     return values.sum(1) / jnp.maximum(under.is_column.sum(), 1)
 
 
-def support_share(under: UnderSide, heights: HeightMap, candidates: Candidates, rest: Array) -> Array:
+def support_share(
+    under: UnderSide, heights: HeightMap, candidates: Candidates, rest: Array
+) -> Array:
     """f32[N]: how far inside what carries it the centre of mass is, over the same on flat ground.
 
     1 is as good as the bare top; below 0 it tips. Distances are the smallest over some directions.
@@ -143,8 +145,10 @@ def _margin(under: UnderSide, touches: Array, yaw: Array | None = None) -> Array
     reach = [np.cos(angle) * offset[:, 0] + np.sin(angle) * offset[:, 1] for angle in angles]
     farthest = _reduce(*((jnp.where(touches, one, -1.0), jnp.maximum, -1.0) for one in reach))
     if yaw is not None and under.lean is not None:
-        cos, sin = jnp.cos(yaw), jnp.sin(yaw)
-        x, y = cos * under.lean[0] + sin * under.lean[1], cos * under.lean[1] - sin * under.lean[0]
+        cos = jnp.cos(yaw)
+        sin = jnp.sin(yaw)
+        x = cos * under.lean[0] + sin * under.lean[1]
+        y = cos * under.lean[1] - sin * under.lean[0]
         farthest = tuple(
             each - (np.cos(angle) * x + np.sin(angle) * y)
             for each, angle in zip(farthest, angles, strict=True)
@@ -164,14 +168,17 @@ def _reduce(*terms: tuple[Array, Callable[[Array, Array], Array], float]) -> tup
     return jax.lax.reduce(
         tuple(array for array, _, _ in terms),
         tuple(jnp.float32(start) for _, _, start in terms),
-        lambda left, right: tuple(join(a, b) for join, a, b in zip(joins, left, right, strict=True)),
+        lambda left, right: tuple(
+            join(a, b) for join, a, b in zip(joins, left, right, strict=True)
+        ),
         (1,),
     )
 
 
 def cells_under(under: UnderSide, heights: HeightMap, candidates: Candidates) -> Array:
     """i32[N, C]: the cell under each column at each candidate."""
-    cos, sin = jnp.cos(candidates.yaw)[:, None], jnp.sin(candidates.yaw)[:, None]
+    cos = jnp.cos(candidates.yaw)[:, None]
+    sin = jnp.sin(candidates.yaw)[:, None]
     x = cos * under.xy[:, 0] - sin * under.xy[:, 1] + candidates.xy[:, 0, None]
     y = sin * under.xy[:, 0] + cos * under.xy[:, 1] + candidates.xy[:, 1, None]
     return heights.index_of(x, y)

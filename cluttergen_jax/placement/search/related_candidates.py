@@ -37,19 +37,23 @@ def related_candidates(
 
     They are uniform over the region where it has none with what is placed, and fit one relation, not all.
     """
-    episode, region = scene.episode, scene.episode.region
+    episode = scene.episode
+    region = scene.episode.region
     key_which, key_xy, key_angle, key_far, key_yaw = jax.random.split(key, 5)
     is_subject, is_reference, other, is_table = related.pairs(_roles(scene), scene.focus)
     is_there = (is_subject | is_reference) & episode.is_placed[other] & ~is_table
     is_place = is_there & jnp.isin(related.kind, jnp.array(_PLACES))
     which = jax.random.categorical(key_which, jnp.where(is_place, 0.0, -jnp.inf), shape=(number,))
-    kind, placed = related.kind[which], _placed_boxes(scene, geometry)
+    kind = related.kind[which]
+    placed = _placed_boxes(scene, geometry)
     openings = openings_of(geometry, safe_poses(episode.poses, episode.is_placed))
     T_region_world = region.T_world_region.inverse()
 
     def of_other(boxes: Boxes) -> tuple[Array, Array]:
         middle = jax.vmap(T_region_world.apply)(boxes.center)[other[which], :2]
-        return middle, jnp.sort(jnp.linalg.norm(boxes.sides[..., :2], axis=-1), axis=-1)[other[which]]
+        return middle, jnp.sort(jnp.linalg.norm(boxes.sides[..., :2], axis=-1), axis=-1)[
+            other[which]
+        ]
 
     center, plan = (
         jnp.where((kind == IN)[:, None], inside, whole)
@@ -69,7 +73,9 @@ def related_candidates(
     is_over = (kind == ON) | (kind == IN)
     xy = center + jnp.where(is_over[:, None], over, beside)
     xy = jnp.where(jnp.any(is_place), xy, unit * region.half_extents)
-    yaw = _yaws(key_yaw, scene, related, placed, (is_subject | is_reference, other, is_table), number)
+    yaw = _yaws(
+        key_yaw, scene, related, placed, (is_subject | is_reference, other, is_table), number
+    )
     return Candidates(jnp.clip(xy, -region.half_extents, region.half_extents), yaw)
 
 
@@ -105,7 +111,11 @@ def _yaws(
 
 
 def is_related(
-    scene: SearchScene, related: RelatedObjects, geometry: Geometry, candidates: Candidates, rest: Array
+    scene: SearchScene,
+    related: RelatedObjects,
+    geometry: Geometry,
+    candidates: Candidates,
+    rest: Array,
 ) -> Array:
     """bool[N]: where the relations of the current object with what is placed would hold, but for contacts.
 
@@ -113,12 +123,19 @@ def is_related(
       rest: f32[N], from `lower_onto`, metres.
     """
     episode = scene.episode
-    half, quaternion = geometry.half_extents[scene.focus], scene.body.quaternion
+    half = geometry.half_extents[scene.focus]
+    quaternion = scene.body.quaternion
     proposed = proposed_boxes(episode.region, half, quaternion, candidates, rest)
-    placed, roles, focus = _placed_boxes(scene, geometry), _roles(scene), scene.focus
+    placed = _placed_boxes(scene, geometry)
+    roles = _roles(scene)
+    focus = scene.focus
     openings = openings_of(geometry, safe_poses(episode.poses, episode.is_placed))
-    has_room = leaves_room(related, roles, focus, candidates.xy, geometry.half_extents, episode.region)
-    is_well = allowed_at(related, roles, focus, proposed, placed, openings, episode.is_placed, episode.region)
+    has_room = leaves_room(
+        related, roles, focus, candidates.xy, geometry.half_extents, episode.region
+    )
+    is_well = allowed_at(
+        related, roles, focus, proposed, placed, openings, episode.is_placed, episode.region
+    )
     return has_room & is_well
 
 

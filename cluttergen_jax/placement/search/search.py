@@ -136,7 +136,8 @@ class Search(struct.PyTreeNode, eq=False):
     def scene(self, episode: Episode, with_owner: bool = False) -> SearchScene:
         """What there is to know of an episode before candidates are looked at."""
         focus = self.rules.focus(episode)
-        mapper, support_map = self.mapper, self.rules.support_map_of(episode)
+        mapper = self.mapper
+        support_map = self.rules.support_map_of(episode)
         assert mapper is not None
         if episode.surface is not None:
             mapper = mapper.replace(support_map=support_map)
@@ -162,7 +163,9 @@ class Search(struct.PyTreeNode, eq=False):
         _, cost = self._rank(scene, candidates, fit, jnp.ones_like(fit.rest))
         return candidates.take(jax.lax.top_k(-cost, number)[1])
 
-    def closely(self, scene: SearchScene, candidates: Candidates, number: int | None = None) -> TopCandidates:
+    def closely(
+        self, scene: SearchScene, candidates: Candidates, number: int | None = None
+    ) -> TopCandidates:
         """Candidates wholly looked at: those that `best` finds, or all of them."""
         finalists = candidates if number is None else self.best(scene, candidates, number)
         fit = lower_onto(scene.under, scene.heights, finalists)
@@ -179,7 +182,9 @@ class Search(struct.PyTreeNode, eq=False):
     ) -> tuple[CandidateScores, Array]:
         """What is known of candidates, and f32[N] what each costs."""
         crowd = mean_under(scene.sparse, scene.crowded, candidates)
-        scores = CandidateScores(fit, fit.rest - scene.body.height, support, crowd, scene.episode.attempt)
+        scores = CandidateScores(
+            fit, fit.rest - scene.body.height, support, crowd, scene.episode.attempt
+        )
         is_allowed = self._is_allowed(scene, candidates)
         is_allowed &= fit.rest + CLEARANCE <= scene.height_range
         if fit.room is not None:
@@ -196,26 +201,36 @@ class Search(struct.PyTreeNode, eq=False):
         support_map = self.rules.support_map_of(scene.episode) or self.rules.support_map
         assert support_map is not None
         under = scene.under
-        cos, sin = jnp.cos(candidates.yaw)[:, None], jnp.sin(candidates.yaw)[:, None]
-        x, y = under.xy[:, 0], under.xy[:, 1]
+        cos = jnp.cos(candidates.yaw)[:, None]
+        sin = jnp.sin(candidates.yaw)[:, None]
+        x = under.xy[:, 0]
+        y = under.xy[:, 1]
         xy = jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + candidates.xy[:, None]
         T_map_region = support_map.place(scene.episode.region.T_world_region)
-        turn, shift = T_map_region.rotation().as_matrix()[:2, :2], T_map_region.translation()[:2]
+        turn = T_map_region.rotation().as_matrix()[:2, :2]
+        shift = T_map_region.translation()[:2]
         share = share_beyond(support_map, xy @ turn.T + shift, under.is_column)
         return is_in_region & (share <= most_beyond(self.rules.config.overhang))
 
     def _is_in_region(self, scene: SearchScene, candidates: Candidates) -> Array:
         """bool[N]: where the object would be inside and out of every keep-out box."""
         episode = scene.episode
-        half, containment = self.rules.geometry.half_extents[scene.focus], self.rules.config.containment
-        if containment == "center" and not episode.keep_out.yaw.shape[0] and self.rules.polygon is None:
+        half = self.rules.geometry.half_extents[scene.focus]
+        containment = self.rules.config.containment
+        if (
+            containment == "center"
+            and not episode.keep_out.yaw.shape[0]
+            and self.rules.polygon is None
+        ):
             return jnp.ones_like(candidates.yaw, bool)
 
         def is_allowed(xy: Array, yaw: Array) -> Array:
             rotation = jaxlie.SO3.from_z_radians(yaw)
             if scene.body.quaternion is not None:
                 rotation = rotation @ jaxlie.SO3(scene.body.quaternion)
-            T_region_object = jaxlie.SE3.from_rotation_and_translation(rotation, jnp.append(xy, 0.0))
+            T_region_object = jaxlie.SE3.from_rotation_and_translation(
+                rotation, jnp.append(xy, 0.0)
+            )
             pose = to_pose(episode.region.T_world_region @ T_region_object)
             is_kept_in = is_inside(pose, half, episode.region, containment)
             placed = on_map(self.rules.support_map_of(episode), pose)
@@ -239,7 +254,9 @@ def _lean(body: Body, region: Region) -> Array:
 def draw_candidates(key: Array, region: Region, number: int) -> Candidates:
     """Uniform over one turn and over the region, but for 2 mm along its sides."""
     key_xy, key_yaw = jax.random.split(key)
-    xy = jax.random.uniform(key_xy, (number, 2), minval=-1.0) * jnp.maximum(region.half_extents - _EDGE, 0.0)
+    xy = jax.random.uniform(key_xy, (number, 2), minval=-1.0) * jnp.maximum(
+        region.half_extents - _EDGE, 0.0
+    )
     return Candidates(xy, jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi))
 
 
@@ -250,7 +267,8 @@ def crowding(heights: HeightMap) -> HeightMap:
         for step in (2**power for power in range(_WINDOW_DOUBLINGS)):
             sides = [(0, 0), (0, 0)]
             sides[axis] = ((step + 1) // 2, step // 2)
-            padded, size = jnp.pad(taken, sides), taken.shape[axis]
+            padded = jnp.pad(taken, sides)
+            size = taken.shape[axis]
             before = jax.lax.slice_in_dim(padded, 0, size, axis=axis)
             taken = before + jax.lax.slice_in_dim(padded, step, step + size, axis=axis)
     return heights.replace(height=taken / 4**_WINDOW_DOUBLINGS)

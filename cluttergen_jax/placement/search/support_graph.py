@@ -47,7 +47,9 @@ def find_supporters(
       scene: with owners.
       rest: f32[N], from `lower_onto`, metres.
     """
-    support_graph, under, heights = scene.episode.support_graph, scene.under, scene.heights
+    support_graph = scene.episode.support_graph
+    under = scene.under
+    heights = scene.heights
     touches = touching(under, heights, candidates, rest)
     owner = heights.owner_at(cells_under(under, heights, candidates))
     is_by_object = touches & (owner < geometry.num_objects)
@@ -79,7 +81,9 @@ def _found_among(place: Array, number: int) -> Array:
     """bool[N, number]: which of the whole numbers from 0 on are among i32[N, C]."""
     words = [
         jax.lax.reduce(
-            jnp.where(place // _WORD == word, jnp.uint32(1) << (place % _WORD).astype(jnp.uint32), 0),
+            jnp.where(
+                place // _WORD == word, jnp.uint32(1) << (place % _WORD).astype(jnp.uint32), 0
+            ),
             jnp.uint32(0),
             jax.lax.bitwise_or,
             (1,),
@@ -94,7 +98,8 @@ def _in_world(scene: SearchScene, candidates: Candidates) -> Array:
     """f32[N, 2]: the centres of mass at the candidates, world x and y."""
     T_world_region = scene.episode.region.T_world_region
     turn = T_world_region.rotation().as_matrix()[:2, :2]
-    cos, sin = jnp.cos(candidates.yaw), jnp.sin(candidates.yaw)
+    cos = jnp.cos(candidates.yaw)
+    sin = jnp.sin(candidates.yaw)
     x, y = scene.under.center_of_mass
     local = candidates.xy + jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
     return local @ turn.T + T_world_region.translation()[:2]

@@ -43,7 +43,9 @@ class Guard:
     """
 
     def __init__(self, host: str) -> None:
-        self.host, self.token, self.is_asked = host, secrets.token_urlsafe(24), False
+        self.host = host
+        self.token = secrets.token_urlsafe(24)
+        self.is_asked = False
         self._names = {_LOCAL, host.lower()}
         if _is_any(host):
             own = socket.gethostname().lower()
@@ -51,12 +53,12 @@ class Guard:
 
     def refusal(self, path: str, headers: Headers) -> str | None:
         """Why a request is not answered; None for one that is."""
-        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        hosts = headers.get_all("Host")
+        origins = headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_own(hosts[0]):
             asked = hosts[0] if hosts else ""
-            return (
-                f"This server is not called {asked!r}. {_HINT} An IP address in place of the name works, too."
-            )
+            refusal = f"This server is not called {asked!r}."
+            return f"{refusal} {_HINT} An IP address in place of the name works, too."
         if any(origin.lower().partition("://")[2] != hosts[0].lower() for origin in origins):
             return f"Another web page ({origins[0]!r}) may not ask this server."
         if not secrets.compare_digest(_parts(path)[0].encode(), self.token.encode()):
@@ -123,7 +125,9 @@ class GuardedServer(viser.ViserServer):
         return self._url(socket.gethostname()) if _is_any(self.guard.host) else None
 
     def _url(self, name: str) -> str:
-        return f"http://{f'[{name}]' if ':' in name else name}:{self.get_port()}/{self.guard.token}/"
+        return (
+            f"http://{f'[{name}]' if ':' in name else name}:{self.get_port()}/{self.guard.token}/"
+        )
 
 
 @contextmanager

@@ -22,7 +22,12 @@ from cluttergen_jax.rendering.viewer.scene_nodes import (
     outline,
 )
 from cluttergen_jax.rendering.viewer.source import HandScenes
-from cluttergen_jax.rendering.viewer.words import check_words, drop_words, lowered_words, progress_words
+from cluttergen_jax.rendering.viewer.words import (
+    check_words,
+    drop_words,
+    lowered_words,
+    progress_words,
+)
 from cluttergen_jax.types import Verdict
 
 if TYPE_CHECKING:
@@ -49,7 +54,8 @@ class PlacingPanel:
     """
 
     def __init__(self, scenes: HandScenes, server: viser.ViserServer) -> None:
-        self.scenes, self.server = scenes, server
+        self.scenes = scenes
+        self.server = server
         self.nodes = SceneNodes(server)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="placing")
         self._closed = threading.Event()
@@ -127,7 +133,10 @@ class PlacingPanel:
                 "objects are placed and stand together."
             )
             scene = self.scene
-            for label, act in (("Give up", lambda: self.give_up(scene)), ("Go on with it", lambda: "")):
+            for label, act in (
+                ("Give up", lambda: self.give_up(scene)),
+                ("Go on with it", lambda: ""),
+            ):
                 button = self.server.gui.add_button(label)
                 button.on_click(lambda _: modal.close())
                 button.on_click(self._make_callback(act))
@@ -195,7 +204,8 @@ class PlacingPanel:
 
     def _show(self, words: str) -> None:
         """Shows the scene as it is now, and says something."""
-        scene, server = self.scene, self.server
+        scene = self.scene
+        server = self.server
         with server.atomic():
             self.nodes.put(scene.poses, scene.is_placed)
             self._show_held()
@@ -210,7 +220,8 @@ class PlacingPanel:
             self._status.content = progress_words(scene)
 
     def _show_held(self) -> None:
-        scene, current = self.scene, self.scene.current
+        scene = self.scene
+        current = self.scene.current
         self.handle.visible = current is not None and not scene.is_closed
         if current != self._shown_object:
             for node in (self._held, self._shadow):
@@ -229,13 +240,15 @@ class PlacingPanel:
                 self.handle.scale = float(np.hypot(*half[:2])) + _HANDLE
             self._shown_object = current
         pose = scene.held_pose
-        self.handle.position, self.handle.wxyz = pose[:3], pose[3:]
+        self.handle.position = pose[:3]
+        self.handle.wxyz = pose[3:]
         if self._shadow is not None:
             # Where it is held over, drawn on the top.
             self._shadow.position = (0.0, 0.0, 0.002 - scene.held.z)
 
     def _build_panel(self) -> None:
-        gui, scene = self.server.gui, self.server.scene
+        gui = self.server.gui
+        scene = self.server.scene
         with gui.add_folder("Scene"):
             self._status = gui.add_markdown("")
             self._said = gui.add_markdown("")
@@ -273,7 +286,8 @@ class PlacingPanel:
     async def _on_drag(self, event: Any) -> None:
         self.scene.touch()
         if event.phase == "end" and not self._closed.is_set():
-            position, wxyz = np.array(event.target.position), np.array(event.target.wxyz)
+            position = np.array(event.target.position)
+            wxyz = np.array(event.target.wxyz)
             self._worker.submit(self._move, position, wxyz)
 
     def _move(self, position: np.ndarray, wxyz: np.ndarray) -> None:

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 RED = (214, 30, 36)
 _GHOST = (RED[0] / 255, RED[1] / 255, RED[2] / 255, 0.45)
-_BLUE, _ORANGE = (40, 110, 220), (245, 130, 20)
+_BLUE = (40, 110, 220)
+_ORANGE = (245, 130, 20)
 _DIRECTION = np.array([0.62, -0.88, 0.78])
 _LIFT = 0.0015
 """Metres by which lines and points lie above the top, so that they are seen."""
@@ -60,7 +61,8 @@ class SceneNodes:
     """
 
     def __init__(self, server: viser.ViserServer | viser.ClientHandle) -> None:
-        self.server, self.shown = server, Shown()
+        self.server = server
+        self.shown = Shown()
         self.recording: Replay | None = None
         self._roots: list[Any] = []
         self._fixed: list[Any] = []
@@ -84,7 +86,9 @@ class SceneNodes:
             self._add_region(recording)
             for index, asset in enumerate(recording.objects):
                 if recording.is_placed[index] or recording.attempts_at(index):
-                    self._objects[index] = ObjectNodes(self.server, f"/objects/{index}", asset, index)
+                    self._objects[index] = ObjectNodes(
+                        self.server, f"/objects/{index}", asset, index
+                    )
             for number, attempt in enumerate(recording.attempts):
                 if not attempt.is_stable:
                     asset = recording.objects[attempt.object_index]
@@ -140,7 +144,8 @@ class SceneNodes:
             return recording.poses, recording.is_placed
         if progress is None and number == len(recording.attempts) and attempt.is_stable:
             return recording.poses, recording.is_placed
-        poses, is_placed = attempt.poses.copy(), attempt.is_placed.copy()
+        poses = attempt.poses.copy()
+        is_placed = attempt.is_placed.copy()
         if attempt.is_stable:
             poses = attempt.settled.copy() if progress is None else poses
             is_placed[attempt.object_index] = True
@@ -155,7 +160,9 @@ class SceneNodes:
             for nodes in group.values():
                 nodes.remove()
             group.clear()
-        self._fixed, self._region, self._top_cloud = [], [], None
+        self._fixed = []
+        self._region = []
+        self._top_cloud = None
 
     def _add_support(self, support: SupportAsset) -> None:
         scene = self.server.scene
@@ -193,7 +200,12 @@ class SceneNodes:
         points, colours, size = heat_points(recording, attempt)
         points[:, 2] += _LIFT
         return self.server.scene.add_point_cloud(
-            f"/heat/{number}", points, colours, point_size=_DOT * size, point_shape="circle", visible=False
+            f"/heat/{number}",
+            points,
+            colours,
+            point_size=_DOT * size,
+            point_shape="circle",
+            visible=False,
         )
 
     def _add_region(self, recording: Replay) -> None:
@@ -218,13 +230,16 @@ class SceneNodes:
 class ObjectNodes:
     """One object: a frame called `root`, its surfaces, its hulls in colours by `index`, and its cloud."""
 
-    def __init__(self, server: viser.ViserServer, root: str, asset: ObjectAsset, index: int = 0) -> None:
+    def __init__(
+        self, server: viser.ViserServer, root: str, asset: ObjectAsset, index: int = 0
+    ) -> None:
         self.frame = server.scene.add_frame(root, show_axes=False)
         self.surfaces = [
             _surface(server, f"{root}/visual-{k}", piece) for k, piece in enumerate(asset.pieces)
         ]
         self.hulls = [
-            _hull(server, f"{root}/hull-{k}", part, _hue(index * 7 + k)) for k, part in enumerate(asset.parts)
+            _hull(server, f"{root}/hull-{k}", part, _hue(index * 7 + k))
+            for k, part in enumerate(asset.parts)
         ]
         self.cloud = server.scene.add_point_cloud(
             f"{root}/cloud", asset.cloud.astype(np.float32), cloud_colours(asset), point_size=0.0035
@@ -235,7 +250,9 @@ class ObjectNodes:
 
     def place(self, pose: np.ndarray, is_there: bool, shown: Shown, is_current: bool) -> None:
         """Puts the object to `pose` f[7] and shows of it what is wanted."""
-        self.frame.position, self.frame.wxyz, self.frame.visible = pose[:3], pose[3:], is_there
+        self.frame.position = pose[:3]
+        self.frame.wxyz = pose[3:]
+        self.frame.visible = is_there
         for node in self.surfaces:
             node.visible = not shown.hulls or not self.hulls
         for node in self.hulls:
@@ -251,18 +268,23 @@ class ObjectNodes:
 class FailedAttempt:
     """A failed attempt: the object in red where it ended, and its path."""
 
-    def __init__(self, server: viser.ViserServer, number: int, asset: ObjectAsset, attempt: Attempt) -> None:
+    def __init__(
+        self, server: viser.ViserServer, number: int, asset: ObjectAsset, attempt: Attempt
+    ) -> None:
         root = f"/failed/{number}"
         self.attempt = attempt
         self.frame = add_ghost(server, root, asset, _GHOST)
         points = attempt.trajectory[:, :3].astype(np.float32)
         segments = np.stack([points[:-1], points[1:]], axis=1)
-        self.trail = server.scene.add_line_segments(f"/trail/{number}", segments, RED, thickness=0.003)
+        self.trail = server.scene.add_line_segments(
+            f"/trail/{number}", segments, RED, thickness=0.003
+        )
 
     def place(self, progress: float | None, is_seen: bool) -> None:
         """Shows the object at a moment of its attempt, None being the end."""
         pose = _pose_at(self.attempt, 1.0 if progress is None else progress)
-        self.frame.position, self.frame.wxyz = pose[:3], pose[3:]
+        self.frame.position = pose[:3]
+        self.frame.wxyz = pose[3:]
         self.frame.visible = self.trail.visible = is_seen
 
     def remove(self) -> None:
@@ -272,11 +294,16 @@ class FailedAttempt:
 
 
 def add_ghost(
-    server: viser.ViserServer, root: str, asset: ObjectAsset, rgba: tuple[float, float, float, float]
+    server: viser.ViserServer,
+    root: str,
+    asset: ObjectAsset,
+    rgba: tuple[float, float, float, float],
 ) -> Any:
     """A frame `root`, which may be moved, with an object in one colour, each channel in [0, 1]."""
     frame = server.scene.add_frame(root, show_axes=False)
-    whole = join_meshes([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
+    whole = join_meshes(
+        [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
+    )
     _surface(server, f"{root}/visual", Piece(whole, rgba))
     return frame
 

@@ -60,10 +60,15 @@ class Session:
     """
 
     def __init__(self, config: SessionConfig, client: viser.ClientHandle) -> None:
-        self.source, self.folder, self.client = config.source, config.folder, client
+        self.source = config.source
+        self.folder = config.folder
+        self.client = client
         self.nodes = SceneNodes(client)
-        self.number, self.recording, self._note = config.first, None, ""
-        self._request, self._lock = 0, threading.RLock()
+        self.number = config.first
+        self.recording = None
+        self._note = ""
+        self._request = 0
+        self._lock = threading.RLock()
         self._worker = config.worker
         self._playing = threading.Event()
         self._is_closed = False
@@ -109,7 +114,8 @@ class Session:
 
     def sample(self) -> None:
         """A new scene by the chosen method."""
-        method, seed = self._method.value, int(self._seed_entry.value)
+        method = self._method.value
+        seed = int(self._seed_entry.value)
         self._seed_entry.value = seed + 1
         what = f"sampling by {method}, seed {seed}"
 
@@ -124,7 +130,8 @@ class Session:
     def screenshot(self) -> Path:
         """Saves what the browser shows as PNG here, and sends it to the browser as a download."""
         client = self.client
-        height, width = client.camera.image_height, client.camera.image_width
+        height = client.camera.image_height
+        width = client.camera.image_width
         pixels = client.get_render(height=height, width=width, transport_format="png", timeout=30)
         image = Image.new("RGB", (width, height), (255, 255, 255))
         layer = Image.fromarray(pixels)
@@ -178,7 +185,9 @@ class Session:
         self._status.content = f"{what}: {notice} ..." if notice else f"{what} ..."
         self._worker.submit(self._answer, request, make, then)
 
-    def _answer(self, request: int, make: Callable[[], Replay], then: Callable[[], Replay] | None) -> None:
+    def _answer(
+        self, request: int, make: Callable[[], Replay], then: Callable[[], Replay] | None
+    ) -> None:
         """In the worker's thread: makes and shows a recording, and then its fuller version."""
         if request != self._request:
             return
@@ -189,7 +198,9 @@ class Session:
                 self._set(request, recording, "")
                 return
             self._set(
-                request, recording, "_making its attempts again, which takes longer the first time ..._"
+                request,
+                recording,
+                "_making its attempts again, which takes longer the first time ..._",
             )
             # In a turn of its own, so that other browsers need not wait for it.
             if request == self._request:
@@ -206,7 +217,8 @@ class Session:
             if request != self._request or self._is_closed:
                 return
             is_first = self.recording is None
-            self.recording, self._note = recording, note
+            self.recording = recording
+            self._note = note
             self.nodes.show(recording)
             if is_first:
                 self._aim()
@@ -319,7 +331,9 @@ class Session:
 
 
 def _has_proposals(recording: Replay | None) -> bool:
-    return recording is not None and any(attempt.proposals is not None for attempt in recording.attempts)
+    return recording is not None and any(
+        attempt.proposals is not None for attempt in recording.attempts
+    )
 
 
 def _write_new(folder: Path, title: str, data: bytes) -> Path:

@@ -52,7 +52,9 @@ def free_port(host: str, port: int) -> int:
                 "host='localhost', or host='0.0.0.0' for other machines too",
             ) from error
         raise ConfigError(
-            f"{host}:{port} cannot be listened on: {reason}", "a free port", "port=0, which takes any"
+            f"{host}:{port} cannot be listened on: {reason}",
+            "a free port",
+            "port=0, which takes any",
         ) from error
 
 
@@ -76,7 +78,9 @@ def open_server(host: str, port: int, title: str) -> GuardedServer:
     return server
 
 
-def announce(server: GuardedServer, browser: bool, show: Callable[[str], None], notice: str = "") -> None:
+def announce(
+    server: GuardedServer, browser: bool, show: Callable[[str], None], notice: str = ""
+) -> None:
     """Says where a server is, and opens a browser if wanted."""
     show(f"viewer     {server.url} (Ctrl-C ends it)")
     if elsewhere := server.url_elsewhere:
@@ -100,8 +104,11 @@ class Viewer:
       sessions: of the browsers that are there, by viser's number of the client.
     """
 
-    def __init__(self, source: SceneSource, server: viser.ViserServer, first: int, folder: Path) -> None:
-        self.source, self.server = source, server
+    def __init__(
+        self, source: SceneSource, server: viser.ViserServer, first: int, folder: Path
+    ) -> None:
+        self.source = source
+        self.server = server
         self.sessions: dict[int, Session] = {}
         self._lock = threading.Lock()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="scenes")
@@ -142,7 +149,9 @@ class DisplayError(ClutterGenError):
 
 def check_display() -> None:
     """Refuses to open a window where there is no screen (DisplayError: there is none)."""
-    if platform.system() == "Linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if platform.system() == "Linux" and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
         raise DisplayError(
             "MuJoCo's viewer needs a screen, and there is none (DISPLAY is not set)",
             hint="the web viewer, which is the same command without `native`, or ssh -X",
@@ -168,5 +177,6 @@ def show_native(model: mujoco.MjModel, qpos: np.ndarray) -> None:
         mujoco.viewer.launch(model, data)
     except (RuntimeError, mujoco.FatalError) as error:
         raise DisplayError(
-            f"MuJoCo's viewer could not open a window ({error})", hint="the web viewer: leave `native` out"
+            f"MuJoCo's viewer could not open a window ({error})",
+            hint="the web viewer: leave `native` out",
         ) from error

@@ -19,14 +19,18 @@ def scene_words(recording: Replay, note: str = "") -> str:
     if recording.is_success:
         text = "stands" if verdict is not None else recording.verdict or "stands"
     else:
-        text = f"failed: {recording.verdict}" + (f" ({verdict.sentence})" if verdict is not None else "")
+        text = f"failed: {recording.verdict}" + (
+            f" ({verdict.sentence})" if verdict is not None else ""
+        )
     lines = [f"**{recording.title}** {text}", f"objects placed: {len(recording.placed)}"]
     if recording.drift > 0:
         lines.append(f"largest movement in the last check: {small_length(recording.drift)}")
     if recording.attempts:
         failures = Counter(attempt.verdict.label for attempt in recording.failures)
         counted = ", ".join(f"{number} {label}" for label, number in failures.most_common())
-        lines.append(f"attempts: {len(recording.attempts)}" + (f", of which {counted}" if counted else ""))
+        lines.append(
+            f"attempts: {len(recording.attempts)}" + (f", of which {counted}" if counted else "")
+        )
     if note:
         lines.append(note)
     return "\n\n".join(lines)
@@ -44,7 +48,9 @@ def attempt_words(recording: Replay, number: int) -> str:
     lines = [f"attempt {number} of {len(recording.attempts)}: {name}"]
     taken = [recording.objects[index] for index in recording.taken_away(number - 1)]
     if taken:
-        lines.append(f"taken away before it: {', '.join(each.label or each.name for each in taken)}")
+        lines.append(
+            f"taken away before it: {', '.join(each.label or each.name for each in taken)}"
+        )
     end = f"failed, {attempt.verdict.label}: {attempt.verdict.sentence} ({attempt.num_steps} steps)"
     if attempt.is_stable:
         end = f"stable after {attempt.num_steps} steps"
@@ -74,7 +80,8 @@ def lowered_words(scene: HandScene, lowered: Lowered) -> str:
 def drop_words(scene: HandScene, drop: Drop) -> str:
     """What came of an attempt, by which verdict, and why."""
     attempt = drop.attempt
-    verdict, name = attempt.verdict, scene.names[attempt.object_index]
+    verdict = attempt.verdict
+    name = scene.names[attempt.object_index]
     if verdict == Verdict.STABLE:
         return f"**{name}: stable** after {attempt.num_steps} steps"
     text = f"**{name}: {verdict.label}**: {verdict.sentence}"
@@ -91,10 +98,10 @@ def drop_words(scene: HandScene, drop: Drop) -> str:
 def check_words(scene: HandScene, check: Check) -> str:
     """What came of the last check."""
     if check.verdict == Verdict.STABLE:
-        return (
-            f"all {len(scene.all)} objects stand together (none moved more than {small_length(check.drift)})"
-        )
-    name, moved = scene.names[check.mover], small_length(check.drift)
+        most = small_length(check.drift)
+        return f"all {len(scene.all)} objects stand together (none moved more than {most})"
+    name = scene.names[check.mover]
+    moved = small_length(check.drift)
     return (
         f"**not saved: {check.verdict.label}**: {check.verdict.sentence} ({name}: by {moved}). Take objects "
         "back and place them better, or give the scene up"

@@ -58,7 +58,9 @@ class Bank:
 
     def __repr__(self) -> str:
         names = ("pool", "method", "seed")
-        words = ", ".join(f"{name} {value!r}" for name, value in self.recipe.items() if name in names)
+        words = ", ".join(
+            f"{name} {value!r}" for name, value in self.recipe.items() if name in names
+        )
         return f"{type(self).__name__}({str(self.path)!r}, {self.num_scenes} scenes, {words})"
 
     @property
@@ -81,7 +83,9 @@ class Bank:
         try:
             return SceneSpec.from_recipe(self.recipe)
         except (KeyError, TypeError, ValueError) as error:
-            raise BankError(f"{self.path}: how it was made is not recorded whole ({error})") from error
+            raise BankError(
+                f"{self.path}: how it was made is not recorded whole ({error})"
+            ) from error
 
     @cached_property
     def table(self) -> pa.Table:
@@ -140,7 +144,8 @@ class Bank:
         Raises:
           BankError: a block is damaged.
         """
-        stored, found = StoredBlocks.of(self.path), {}
+        stored = StoredBlocks.of(self.path)
+        found = {}
         for block, wanted in groupby(sorted(set(indices)), lambda index: index // BLOCK_SIZE):
             if block in stored.places:
                 table = self._check_objects(stored.read(block))
@@ -189,7 +194,8 @@ class Bank:
     def _check_asset(self, name: str, digest: str, wanted: str | None) -> None:
         if wanted is not None and digest != wanted:
             raise BankError(
-                f"{self.path}: asset {name!r} is not the one that the scenes were made with", hint=AGAIN
+                f"{self.path}: asset {name!r} is not the one that the scenes were made with",
+                hint=AGAIN,
             )
 
 

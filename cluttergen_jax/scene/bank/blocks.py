@@ -81,7 +81,8 @@ class StoredBlocks:
         """What lies in a folder now; nothing if there is none."""
         places: dict[int, tuple[str, int]] = {}
         # The last one wins: long shards over short ones that they were made of, single blocks over all.
-        files, remote = block_files(path), remote_of(path)
+        files = block_files(path)
+        remote = remote_of(path)
         if remote is not None:
             files |= _block_files(remote.sizes())
         for name, blocks in files.items():
@@ -116,13 +117,17 @@ class StoredBlocks:
           BankError: likewise.
         """
 
-        rest = list(self.places) if blocks is None else sorted(set(blocks).intersection(self.places))
+        rest = (
+            list(self.places) if blocks is None else sorted(set(blocks).intersection(self.places))
+        )
         while rest:
             number, table = self._use(rest, partial(_rows_of, rest[0], columns))
             rest = rest[number:]
             yield table
 
-    def _use(self, blocks: Sequence[int], use: Callable[[pq.ParquetFile, list[int]], _T]) -> tuple[int, _T]:
+    def _use(
+        self, blocks: Sequence[int], use: Callable[[pq.ParquetFile, list[int]], _T]
+    ) -> tuple[int, _T]:
         """What `use` makes of the first ones of some blocks, those that lie together; and how many these are.
 
         A writer may put blocks into another file after they were listed: listing and reading are one step,
@@ -205,7 +210,9 @@ class StoredBlocks:
         """
         if self.remote is None or (self.path / self.places[block][0]).exists():
             return self.read(block).num_rows
-        return self._use([block], lambda file, groups: int(file.metadata.row_group(groups[0]).num_rows))[1]
+        return self._use(
+            [block], lambda file, groups: int(file.metadata.row_group(groups[0]).num_rows)
+        )[1]
 
 
 class _GoneError(Exception):
@@ -243,8 +250,11 @@ def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> N
             raise ValueError(f"its column {each.name!r} is missing or of another type")
         if each.name in SCHEMA.names and table[each.name].null_count:
             raise ValueError(f"its column {each.name!r} has gaps")
-    first, names = block * BLOCK_SIZE, set(table.schema.names)
-    if "index" in names and not np.array_equal(table["index"], np.arange(first, first + table.num_rows)):
+    first = block * BLOCK_SIZE
+    names = set(table.schema.names)
+    if "index" in names and not np.array_equal(
+        table["index"], np.arange(first, first + table.num_rows)
+    ):
         raise ValueError(f"its scenes are not those from {first} on")
     lists = [
         table[each.name].combine_chunks()
@@ -265,7 +275,9 @@ def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> N
         if strange := [text for text in verdicts if not text.isprintable()]:
             raise ValueError(f"it has a verdict {strange[0]!r}")
     if {"objects", "is_placed", "is_success"} <= names:
-        row = np.repeat(np.arange(table.num_rows), np.array(pc.list_value_length(table["is_placed"])))
+        row = np.repeat(
+            np.arange(table.num_rows), np.array(pc.list_value_length(table["is_placed"]))
+        )
         placed = np.array(pc.list_flatten(table["is_placed"]), bool)
         objects = pc.list_flatten(table["objects"]).combine_chunks().dictionary_encode().indices
         pairs = np.stack([row, np.array(objects)])[:, placed]
@@ -285,7 +297,9 @@ def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> N
             number = pc.list_value_length(table["is_placed"])
             placed &= np.repeat(np.array(table["is_success"], bool), np.array(number))
             if (np.abs(poses[placed, :3]) > _FAR).any():
-                raise ValueError(f"an object of a scene that succeeded is farther away than {_FAR:g} m")
+                raise ValueError(
+                    f"an object of a scene that succeeded is farther away than {_FAR:g} m"
+                )
 
 
 def with_record(table: pa.Table, record: Record) -> pa.Table:
@@ -395,7 +409,9 @@ def write_shard(path: Path, blocks: range, record: Record) -> WrittenShard | Non
         return None
     publish(path, target.name)
     removed = [
-        name for name, held in block_files(path).items() if name != target.name and set(held) <= set(blocks)
+        name
+        for name, held in block_files(path).items()
+        if name != target.name and set(held) <= set(blocks)
     ]
     for name in removed:
         (path / name).unlink()
@@ -423,7 +439,9 @@ def _write_row_groups(target: Path, stored: StoredBlocks, blocks: range, record:
             if schema is None:
                 schema = own
                 stamped = with_record(own.empty_table(), record).schema
-                writer = stack.enter_context(pq.ParquetWriter(file, stamped, write_page_checksum=True))
+                writer = stack.enter_context(
+                    pq.ParquetWriter(file, stamped, write_page_checksum=True)
+                )
             elif own != schema:
                 raise _UnevenError
             # One chunk a column: equal rows make equal bytes, wherever they were read from.

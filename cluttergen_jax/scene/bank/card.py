@@ -15,7 +15,14 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
-from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, CLUTTER, COUNTED, SCHEMA, count_column
+from cluttergen_jax.scene.bank.table import (
+    BY_HAND,
+    CERTIFICATE,
+    CLUTTER,
+    COUNTED,
+    SCHEMA,
+    count_column,
+)
 from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.types import Verdict, small_length
 
@@ -197,15 +204,19 @@ def _files(folder: Path, added: Iterable[pa.Field]) -> str:
 
 
 def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
-    placement, is_by_hand = recipe.get("placement", {}), recipe.get("method") == HAND
+    placement = recipe.get("placement", {})
+    is_by_hand = recipe.get("method") == HAND
     rows = {
         "pool": public_name(str(recipe.get("pool"))),
         "support": Path(str(recipe.get("support"))).name,
         "objects per scene": placement.get("num_objects"),
         "order of objects": placement.get("order"),
-        "attempts per object": "as many as were wanted" if is_by_hand else placement.get("max_attempts"),
+        "attempts per object": "as many as were wanted"
+        if is_by_hand
+        else placement.get("max_attempts"),
         "attempts per scene": placement.get("budget") or "so many for each object",
-        "failed attempts after which objects are taken away": placement.get("ruin_after") or "none are",
+        "failed attempts after which objects are taken away": placement.get("ruin_after")
+        or "none are",
         "method": recipe.get("method"),
         "checkpoint": recipe.get("checkpoint_hash") or "none",
         "seed": recipe.get("seed"),
@@ -213,20 +224,26 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
         "queried region": recipe.get("region"),
         "containment": placement.get("containment"),
         "support margin asked for, metres": placement.get("min_margin", 0),
-        "robust": "asked for" if recipe.get("stability", {}).get("robust_tilt") else "not asked for",
+        "robust": "asked for"
+        if recipe.get("stability", {}).get("robust_tilt")
+        else "not asked for",
         "overhang": placement.get("overhang", "any"),
         **{
             f"{name} asked for": placement[name]
             for name in ("clutter", "natural", "tidy")
             if name in placement
         },
-        "versions": ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items()),
+        "versions": ", ".join(
+            f"{name} {number}" for name, number in recipe.get("versions", {}).items()
+        ),
     }
     if bits:
         rows["computed by"] = "; other scenes by ".join(
             ", ".join(filter(None, each.values())) for each in bits
         )
-    return "\n".join(["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())])
+    return "\n".join(
+        ["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())]
+    )
 
 
 def _stability(recipe: Recipe) -> str:

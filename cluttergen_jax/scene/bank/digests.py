@@ -26,7 +26,8 @@ from cluttergen_jax.scene.bank.record import READER
 from cluttergen_jax.scene.bank.table import BankRow
 from cluttergen_jax.schema import digest_of
 
-_ASSETS, _SCENES = "assets", "scenes"
+_ASSETS = "assets"
+_SCENES = "scenes"
 _SCENE_FILE = re.compile(rf"{_SCENES}/(\d+)\.xml")
 
 
@@ -109,7 +110,9 @@ def _unlike_rows(bank: Bank, names: Iterable[str]) -> Iterator[Change]:
             # Reading a file of rows that is damaged is an error elsewhere.
             continue
         for number in some:
-            if number not in rows or not _is_scene_of(rows[number], inside(bank.path, files[number])):
+            if number not in rows or not _is_scene_of(
+                rows[number], inside(bank.path, files[number])
+            ):
                 yield Change(files[number], "not the scene of its row")
 
 
@@ -117,15 +120,25 @@ def _is_scene_of(row: BankRow, file: Path) -> bool:
     """Whether an MJCF file has the objects of a row at its poses, in its bodies and in its keyframe."""
     try:
         root = ET.parse(file).getroot()
-        bodies = [each for each in root.iterfind("worldbody/body") if each.find("freejoint") is not None]
+        bodies = [
+            each for each in root.iterfind("worldbody/body") if each.find("freejoint") is not None
+        ]
         names = [base_name(body.get("name", "")) for body in bodies]
         texts = [f"{body.get('pos')} {body.get('quat')}" for body in bodies]
-        texts += [key.get("qpos", "") for key in root.iterfind("keyframe/key") if key.get("name") == "scene"]
+        texts += [
+            key.get("qpos", "")
+            for key in root.iterfind("keyframe/key")
+            if key.get("name") == "scene"
+        ]
         numbers = np.array(" ".join(texts).split(), np.float32)
     except (OSError, ET.ParseError, ValueError):
         return False
     wanted = np.tile(row.poses.ravel(), 2)
-    return row.is_success and names == [*map(base_name, row.objects)] and np.array_equal(numbers, wanted)
+    return (
+        row.is_success
+        and names == [*map(base_name, row.objects)]
+        and np.array_equal(numbers, wanted)
+    )
 
 
 def changes_to_scene(changes: Iterable[Change], file: str, objects: Iterable[str]) -> list[str]:

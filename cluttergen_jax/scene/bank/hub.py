@@ -29,7 +29,9 @@ _EMPTY = {".gitattributes", "README.md"}
 _NAMES_PATHS = ("pool", "support", "checkpoint", "start")
 
 
-def push(path: str | Path, name: str, hub: str | None, is_private: bool, allow_outside: bool = False) -> str:
+def push(
+    path: str | Path, name: str, hub: str | None, is_private: bool, allow_outside: bool = False
+) -> str:
     """Where a bank is after it was published; see `cluttergen_jax.push_bank`."""
     _check_name(name)
     place = hub_of(hub)
@@ -125,7 +127,9 @@ def hub_of(text: str | None) -> Hub:
         return HuggingFaceHub(text)
     place = text.removeprefix("file://")
     if is_url(place):
-        raise BankError(f"no hub at {text}", "a folder that exists, or https://...", "another `hub`")
+        raise BankError(
+            f"no hub at {text}", "a folder that exists, or https://...", "another `hub`"
+        )
     return FolderHub(Path(place))
 
 
@@ -141,7 +145,9 @@ def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
       UnsafePathError: it names a path outside of its folder.
     """
     if not bank.recipe:
-        raise BankError(f"{bank.path}: its record does not say how it was made", "a bank with its recipe")
+        raise BankError(
+            f"{bank.path}: its record does not say how it was made", "a bank with its recipe"
+        )
     if (unchecked := without_digests(bank)) and not allow_unchecked:
         raise BankError(
             f"{bank.path}: bank.json has no digests of the bank's {unchecked}: nobody can tell whether they "
@@ -149,10 +155,13 @@ def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
             "a bank that knows its files",
             f"{_MENDED}, which adds them; or `allow_unchecked` to take it as it is",
         )
-    num_rows, names = 0, set()
+    num_rows = 0
+    names = set()
     for rows in bank.tables():
         num_rows += rows.num_rows
-        names |= {base_name(name) for name in pc.unique(pc.list_flatten(rows["objects"])).to_pylist()}
+        names |= {
+            base_name(name) for name in pc.unique(pc.list_flatten(rows["objects"])).to_pylist()
+        }
     if num_rows < bank.num_scenes:
         raise BankError(f"{bank.path} holds {num_rows} of {bank.num_scenes} scenes", hint=_MENDED)
     for name in sorted(names | set(bank.assets["objects"])):
@@ -193,7 +202,9 @@ def local_paths(bank: Bank) -> list[str]:
     return [text for text in texts if isinstance(text, str) and ("/" in text or os.sep in text)]
 
 
-def _fetch(place: Hub, name: str, revision: str | None, scratch: Path, allow_unchecked: bool) -> None:
+def _fetch(
+    place: Hub, name: str, revision: str | None, scratch: Path, allow_unchecked: bool
+) -> None:
     """Fetches and checks; what is found to be bad is not kept."""
     commit, names = place.listing(name, revision)
     if INDEX not in names:
@@ -235,9 +246,13 @@ def _check_place(out: Path, overwrite: bool) -> None:
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     if not (out / INDEX).is_file():
-        raise BankError(f"{out} exists and is not a bank", "a new folder, or that of a bank", "another `out`")
+        raise BankError(
+            f"{out} exists and is not a bank", "a new folder, or that of a bank", "another `out`"
+        )
     if not overwrite:
-        raise BankError(f"{out} exists", "a new folder", "another `out`, or `overwrite` to replace it")
+        raise BankError(
+            f"{out} exists", "a new folder", "another `out`, or `overwrite` to replace it"
+        )
 
 
 def _check_name(name: str) -> None:

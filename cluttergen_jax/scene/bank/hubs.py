@@ -75,7 +75,9 @@ class FolderHub:
         if revision is not None:
             raise BankError(f"revision {revision!r} of {dataset} in a folder", "no revision")
         if not folder.is_dir():
-            known = sorted(each.parent.relative_to(self._root) for each in self._root.glob("*/*/bank.json"))
+            known = sorted(
+                each.parent.relative_to(self._root) for each in self._root.glob("*/*/bank.json")
+            )
             raise BankError(
                 f"no data set {dataset} in {self._root}", ", ".join(map(str, known)) or "none yet"
             )
@@ -102,7 +104,9 @@ class FolderHub:
 
 
 def _names_in(folder: Path) -> list[str]:
-    return sorted(each.relative_to(folder).as_posix() for each in folder.rglob("*") if each.is_file())
+    return sorted(
+        each.relative_to(folder).as_posix() for each in folder.rglob("*") if each.is_file()
+    )
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -141,20 +145,29 @@ class HuggingFaceHub:
         """See `Hub`. What an interrupted call has fetched is not fetched again."""
         with self._explain_errors(dataset):
             self._api.snapshot_download(
-                dataset, repo_type=_KIND, revision=revision, local_dir=folder, allow_patterns=list(patterns)
+                dataset,
+                repo_type=_KIND,
+                revision=revision,
+                local_dir=folder,
+                allow_patterns=list(patterns),
             )
 
     def store(self, dataset: str, folder: Path, is_private: bool) -> str:
         """See `Hub`: one commit. Large files that an interrupted call has sent are not sent again."""
         if self._hub.get_token() is None:
             raise BankError(
-                f"pushing to {self._api.endpoint} without a token", hint="hf auth login, or HF_TOKEN=..."
+                f"pushing to {self._api.endpoint} without a token",
+                hint="hf auth login, or HF_TOKEN=...",
             )
         with self._explain_errors(dataset):
             # None leaves a data set that is there as it is, and a new one as its owner's default says.
-            url = self._api.create_repo(dataset, repo_type=_KIND, private=is_private or None, exist_ok=True)
+            url = self._api.create_repo(
+                dataset, repo_type=_KIND, private=is_private or None, exist_ok=True
+            )
             if is_private and not self._api.dataset_info(dataset).private:
-                raise BankError(f"{dataset} is there and public", "a private data set", "another name")
+                raise BankError(
+                    f"{dataset} is there and public", "a private data set", "another name"
+                )
             self._api.upload_folder(
                 repo_id=dataset,
                 repo_type=_KIND,
@@ -168,20 +181,29 @@ class HuggingFaceHub:
     @contextmanager
     def _explain_errors(self, dataset: str) -> Iterator[None]:
         """What the library raises becomes a BankError that says what to do."""
-        errors, where = self._hub.errors, f"{dataset} on {self._api.endpoint}"
+        errors = self._hub.errors
+        where = f"{dataset} on {self._api.endpoint}"
         try:
             yield
         except errors.GatedRepoError as error:
             hint = "asking for access on its page, then hf auth login"
-            raise BankError(f"{where} is open only to those whom its owner admits", hint=hint) from error
+            raise BankError(
+                f"{where} is open only to those whom its owner admits", hint=hint
+            ) from error
         except errors.RepositoryNotFoundError as error:
             hint = "another OWNER/NAME; for a private one hf auth login, or HF_TOKEN=..."
-            raise BankError(f"there is no data set {where}, or you may not see it", hint=hint) from error
+            raise BankError(
+                f"there is no data set {where}, or you may not see it", hint=hint
+            ) from error
         except errors.RevisionNotFoundError as error:
-            raise BankError(f"{where} has no such revision", hint="no `revision` for the latest") from error
+            raise BankError(
+                f"{where} has no such revision", hint="no `revision` for the latest"
+            ) from error
         except errors.HfHubHTTPError as error:
             status = getattr(error.response, "status_code", None)
-            hint = "a token that may do that: hf auth login" if status in (401, 403) else "again later"
+            hint = (
+                "a token that may do that: hf auth login" if status in (401, 403) else "again later"
+            )
             raise BankError(f"{where}: {_one_line(error)}", hint=hint) from error
         except errors.HFValidationError as error:
             raise BankError(f"{dataset}: {_one_line(error)}", "OWNER/NAME") from error
@@ -192,7 +214,9 @@ class HuggingFaceHub:
             # The library has changed its HTTP client twice, and what that raises without a network with it.
             reason = f"{type(error).__name__}: {_one_line(error)}"
             hint = "the same command when the network is back: it goes on where it stopped"
-            raise BankError(f"{where} does not answer as it should ({reason})", hint=hint) from error
+            raise BankError(
+                f"{where} does not answer as it should ({reason})", hint=hint
+            ) from error
 
 
 def _one_line(error: Exception) -> str:

@@ -39,7 +39,10 @@ class BankIndex:
     """
 
     def __init__(self, path: Path, record: Record, num_scenes: int, files: dict[str, str]) -> None:
-        self.path, self.record, self.num_scenes, self.files = path, record, num_scenes, files
+        self.path = path
+        self.record = record
+        self.num_scenes = num_scenes
+        self.files = files
         self.has_digests = True
 
     @classmethod
@@ -73,7 +76,8 @@ class BankIndex:
         Returns:
           Whether another one, or none, was there (OSError: it cannot be written).
         """
-        path, data = self.path / READER, (resources.files("cluttergen_jax") / READER).read_bytes()
+        path = self.path / READER
+        data = (resources.files("cluttergen_jax") / READER).read_bytes()
         self.files[READER] = digest_of(data)
         is_ours = path.is_file() and path.read_bytes() == data
         if not is_ours:
@@ -87,7 +91,8 @@ class BankIndex:
 
     def write_block(self, block: int, table: pa.Table) -> None:
         """Stores the rows of a block in a file of their own (BankError)."""
-        name, data = block_path(self.path, block).name, rows_bytes(table, self.record)
+        name = block_path(self.path, block).name
+        data = rows_bytes(table, self.record)
         with self._replacing([name]):
             write_block(self.path, block, data)
             self.files[name] = digest_of(data)
@@ -121,7 +126,9 @@ class BankIndex:
     @contextmanager
     def _replacing(self, names: Iterable[str]) -> Iterator[None]:
         """`bank.json` knows nothing of these files inside the block, and what `self.files` says after it."""
-        known = {name: digest for name in names if (digest := self.files.pop(name, None)) is not None}
+        known = {
+            name: digest for name in names if (digest := self.files.pop(name, None)) is not None
+        }
         if known:
             self.add({})
         yield

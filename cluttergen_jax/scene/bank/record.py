@@ -17,8 +17,11 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.schema import SchemaError, digest_of, refuse_control_characters
 
 FORMAT = 1
-INDEX, READER = "bank.json", "bank_reader.py"
-AGAIN = "the same `cluttergen generate` again, which mends what is damaged and makes what is missing"
+INDEX = "bank.json"
+READER = "bank_reader.py"
+AGAIN = (
+    "the same `cluttergen generate` again, which mends what is damaged and makes what is missing"
+)
 Bits = dict[str, str]
 
 
@@ -107,7 +110,11 @@ def parse_record(path: Path, data: bytes) -> Record:
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise BankError(f"{index} is not the record of a bank of format {FORMAT}", hint=AGAIN)
     digest = record.pop("hash", None)
-    fault = fault_of(record) if digest in (None, _digest(record)) else "it does not match its own digest"
+    fault = (
+        fault_of(record)
+        if digest in (None, _digest(record))
+        else "it does not match its own digest"
+    )
     try:
         refuse_control_characters(record)
     except SchemaError as error:
@@ -142,7 +149,11 @@ def fault_of(record: Mapping[str, Any]) -> str | None:
     if not isinstance(record.get("recipe"), dict):
         return "it has no recipe"
     assets = record.get("assets", NO_ASSETS)
-    if not isinstance(assets, dict) or not isinstance(assets.get("objects"), dict) or "support" not in assets:
+    if (
+        not isinstance(assets, dict)
+        or not isinstance(assets.get("objects"), dict)
+        or "support" not in assets
+    ):
         return "its digests of assets are not understood"
     if strange := [name for name in assets["objects"] if not NAME_PATTERN.fullmatch(name)]:
         return f"it names an object {strange[0]!r}"
@@ -154,7 +165,8 @@ def fault_of(record: Mapping[str, Any]) -> str | None:
         not isinstance(bits, list)
         or not bits
         or not all(
-            isinstance(each, dict) and all(isinstance(text, str) for text in each.values()) for each in bits
+            isinstance(each, dict) and all(isinstance(text, str) for text in each.values())
+            for each in bits
         )
     ):
         return "by what its scenes were computed is not understood"
@@ -185,7 +197,8 @@ def differences(ours: Bits, theirs: Bits) -> list[str]:
     """What differs, and where many words are alike those that are not."""
     lines = []
     for name in sorted({*ours, *theirs}):
-        here, there = ours.get(name, "").split(), theirs.get(name, "").split()
+        here = ours.get(name, "").split()
+        there = theirs.get(name, "").split()
         if here != there:
             only_here = " ".join(word for word in here if word not in there) or "nothing more"
             only_there = " ".join(word for word in there if word not in here) or "nothing more"

@@ -36,7 +36,9 @@ def parse_reference(text: str) -> tuple[Path, int | None] | None:
     path = Path(text)
     if path.is_file():
         bank = path.parent.parent
-        is_scene = path.parent.name == "scenes" and path.stem.isdecimal() and (bank / INDEX).is_file()
+        is_scene = (
+            path.parent.name == "scenes" and path.stem.isdecimal() and (bank / INDEX).is_file()
+        )
         return (bank, int(path.stem)) if is_scene else None
     head, _, number = text.rpartition(":")
     if head and number.isdecimal() and not path.exists():

@@ -60,9 +60,13 @@ def check_is_here(path: Path) -> None:
     if (url := url_of(path)) is not None:
         if url.startswith("file://"):
             raise BankError(
-                f"{url} is a URL", "a bank in a folder", f"the plain path {url.removeprefix('file://')}"
+                f"{url} is a URL",
+                "a bank in a folder",
+                f"the plain path {url.removeprefix('file://')}",
             )
-        raise BankError(f"{url} is not on this machine", "a bank in a folder", "copying it to a folder first")
+        raise BankError(
+            f"{url} is not on this machine", "a bank in a folder", "copying it to a folder first"
+        )
 
 
 def _root() -> Path:
@@ -113,7 +117,10 @@ class RemoteFolder:
 
     def fetch(self, name: str, folder: Path) -> None:
         """Copies a file into a folder of this machine, where it appears whole."""
-        with _explain_errors(self.url), self.system.open_input_stream(f"{self.root}/{name}") as stream:
+        with (
+            _explain_errors(self.url),
+            self.system.open_input_stream(f"{self.root}/{name}") as stream,
+        ):
             write_atomically(inside(folder, name), stream.read())
 
     def put(self, name: str, folder: Path) -> None:
@@ -150,7 +157,8 @@ def fetch_mirror(url: str, is_held: bool = False) -> Path:
       BankError: it cannot be reached.
       UnsafePathError: it has a file of a name that leads elsewhere.
     """
-    folder, remote = mirror_of(url), RemoteFolder.of(url)
+    folder = mirror_of(url)
+    remote = RemoteFolder.of(url)
     if is_held:
         _fetch(folder, remote)
         return folder
@@ -208,7 +216,8 @@ def fetch_scenes(path: Path) -> None:
     """Fetches the files of single scenes into a mirror."""
     if not (remote := remote_of(path)):
         return
-    names, listed = sorted(name for name in remote.sizes() if name.startswith("scenes/")), _digests(path)
+    names = sorted(name for name in remote.sizes() if name.startswith("scenes/"))
+    listed = _digests(path)
     for name in names:
         file = inside(path, name)
         if not (file.is_file() and digest_of(file.read_bytes()) == listed.get(name)):
@@ -237,7 +246,8 @@ def publish_all(path: Path, is_begun: bool = False) -> None:
     files = [name for name in files if name not in _NOT_OF_THE_BANK]
     there = remote.sizes()
     for name in sorted(files, key=lambda name: (name == INDEX, name)):
-        is_block, is_same = name.startswith("scenes-"), there.get(name) == (path / name).stat().st_size
+        is_block = name.startswith("scenes-")
+        is_same = there.get(name) == (path / name).stat().st_size
         # Assets and scenes' files do not change while their size does not; what does is small.
         if (is_block and is_begun) or (is_same and "/" in name):
             continue

@@ -42,7 +42,9 @@ def good_indices(bank: Bank) -> list[int]:
     for rows in bank.tables(["index", "is_success"]):
         found += rows["index"].to_numpy()[rows["is_success"].to_numpy()].tolist()
     if not found:
-        raise BankError(f"{bank.path}: none of its {bank.num_scenes} scenes succeeded", hint="more scenes")
+        raise BankError(
+            f"{bank.path}: none of its {bank.num_scenes} scenes succeeded", hint="more scenes"
+        )
     return found
 
 
@@ -56,12 +58,16 @@ def select_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRo
         rows = list(bank.scenes())
         good = [row for row in rows if row.is_success]
         if not good:
-            raise BankError(f"{bank.path}: none of its {len(rows)} scenes succeeded", hint="more scenes")
+            raise BankError(
+                f"{bank.path}: none of its {len(rows)} scenes succeeded", hint="more scenes"
+            )
         return good
     by_index = bank.rows(indices)
     faults = []
     if len(by_index) < len(set(indices)):
-        there = [int(index) for rows in bank.tables(["index"]) for index in rows["index"].to_numpy()]
+        there = [
+            int(index) for rows in bank.tables(["index"]) for index in rows["index"].to_numpy()
+        ]
         faults.append(missing_text(indices, there))
     failed = [by_index[i] for i in indices if i in by_index and not by_index[i].is_success]
     if len(failed) == 1:
@@ -88,7 +94,8 @@ def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Sc
 
 
 def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
-    recipe, checkpoint = bank.recipe, bank.recipe.get("checkpoint")
+    recipe = bank.recipe
+    checkpoint = bank.recipe.get("checkpoint")
     return Scene(
         names=row.objects,
         objects=tuple(objects),
@@ -224,7 +231,9 @@ class SceneArrayReader:
         # The slot of each among the placed ones of its scene.
         slot = np.arange(len(scene)) - np.searchsorted(scene, scene)
         asset_index = np.full((rows.num_rows, int(slot.max(initial=-1)) + 1), -1, np.int32)
-        asset_index[scene, slot] = self._numbers(pc.list_flatten(columns["objects"]).filter(is_placed))
+        asset_index[scene, slot] = self._numbers(
+            pc.list_flatten(columns["objects"]).filter(is_placed)
+        )
         most = most_of(asset_index, len(self.names))
         most[: len(self.most)] = np.maximum(most[: len(self.most)], self.most)
         self.most = most

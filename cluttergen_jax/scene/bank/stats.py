@@ -83,13 +83,18 @@ class CertificateStats:
             f"objects that rest on another: {self.on_others:.1%}",
         ]
         if self.margin_median is not None and self.margin_least is not None:
-            middle, least = small_length(self.margin_median), small_length(self.margin_least)
-            lines.append(f"support margin, the least in a scene: {middle} in the median, {least} at least")
+            middle = small_length(self.margin_median)
+            least = small_length(self.margin_least)
+            lines.append(
+                f"support margin, the least in a scene: {middle} in the median, {least} at least"
+            )
         if self.tilt:
             shares = ", ".join(f"{share:.1%} by {by} degrees" for by, share in self.tilt.items())
             lines.append(f"directions in which tilted gravity topples nothing: {shares}")
         if self.robust is not None:
-            lines.append(f"robust (tilted by 3 degrees, less friction, soft contact): {self.robust:.1%}")
+            lines.append(
+                f"robust (tilted by 3 degrees, less friction, soft contact): {self.robust:.1%}"
+            )
         return lines
 
 
@@ -139,10 +144,14 @@ class BankStats:
         """What the certificates say, for people, a fact each; nothing if no scene has one."""
         if self.certificate is None:
             return []
-        measured, lines = self.certificate.scenes, self.certificate.lines()
+        measured = self.certificate.scenes
+        lines = self.certificate.lines()
         if measured == self.success:
             return lines
-        return [f"measured: {measured} of {self.success} scenes; `cluttergen certify` adds the rest", *lines]
+        return [
+            f"measured: {measured} of {self.success} scenes; `cluttergen certify` adds the rest",
+            *lines,
+        ]
 
     def as_json(self) -> dict[str, object]:
         """JSON values."""
@@ -165,7 +174,9 @@ class _Tally:
     """Sums over the rows of a bank. Some 20 bytes a scene are kept: movements, and digests for duplicates."""
 
     def __init__(self, bank: Bank) -> None:
-        self._bank, self._clutter, self._totals = bank, ClutterTally(bank), Totals()
+        self._bank = bank
+        self._clutter = ClutterTally(bank)
+        self._totals = Totals()
         self._missing: list[tuple[int, int]] = []
         self._last = -1
         self._verdicts: Counter[str] = Counter()
@@ -188,12 +199,15 @@ class _Tally:
         self._drift.append(np.array(good["drift"]))
         self._index.append(np.array(good["index"]))
         self._digest.append(_digests(good))
-        self._seconds += [np.array(rows[name]) for name in BY_HAND.names if name in rows.schema.names]
+        self._seconds += [
+            np.array(rows[name]) for name in BY_HAND.names if name in rows.schema.names
+        ]
         self._certified.append(_certificate_rows(good.filter(pc.is_valid(good["shake"]))))
 
     def stats(self) -> BankStats:
         """The numbers of all that was added."""
-        totals, drift = self._totals, np.concatenate(self._drift)
+        totals = self._totals
+        drift = np.concatenate(self._drift)
         self._look_for_gaps(np.array([self._bank.num_scenes]))
         seconds = np.concatenate(self._seconds) if self._seconds else None
         return BankStats(
@@ -206,10 +220,14 @@ class _Tally:
             placed=totals.placed,
             attempts=totals.attempts,
             simulated_steps=totals.simulated_steps,
-            objects=tuple(ObjectStats(name, *self._objects[name].tolist()) for name in sorted(self._objects)),
+            objects=tuple(
+                ObjectStats(name, *self._objects[name].tolist()) for name in sorted(self._objects)
+            ),
             drift_median=float(np.median(drift)) if len(drift) else 0.0,
             drift_most=float(drift.max(initial=0.0)),
-            duplicates=_duplicates(self._bank, np.concatenate(self._index), np.concatenate(self._digest)),
+            duplicates=_duplicates(
+                self._bank, np.concatenate(self._index), np.concatenate(self._digest)
+            ),
             certificate=_certificate(pa.concat_tables(self._certified)),
             clutter=self._clutter.features(),
             hand_median=None if seconds is None else float(np.median(seconds)),
@@ -220,13 +238,16 @@ class _Tally:
         """Runs of indices that are asked for and not there."""
         fences = np.append(self._last, index[index <= self._bank.num_scenes])
         self._missing += [
-            (int(fences[gap]) + 1, int(fences[gap + 1]) - 1) for gap in np.flatnonzero(np.diff(fences) > 1)
+            (int(fences[gap]) + 1, int(fences[gap + 1]) - 1)
+            for gap in np.flatnonzero(np.diff(fences) > 1)
         ]
         self._last = int(fences[-1])
 
     def _count_objects(self, rows: pa.Table) -> None:
         names = pc.list_flatten(rows["objects"].combine_chunks()).dictionary_encode()
-        stands, tries = (np.array(pc.list_flatten(rows[name])) for name in ("is_placed", "attempts"))
+        stands, tries = (
+            np.array(pc.list_flatten(rows[name])) for name in ("is_placed", "attempts")
+        )
         counts = [
             np.bincount(names.indices, weights, len(names.dictionary)).astype(int)
             for weights in (stands | (tries > 0), stands, tries)
@@ -239,17 +260,25 @@ class _Tally:
 def _certificate_rows(rows: pa.Table) -> pa.Table:
     """What `_certificate` needs of rows that stand: numbers, and how many objects rest on another."""
     # An object may rest on several.
-    upper = [len({above for above, below in pairs if below >= 0}) for pairs in rows["rests_on"].to_pylist()]
+    upper = [
+        len({above for above, below in pairs if below >= 0})
+        for pairs in rows["rests_on"].to_pylist()
+    ]
     kept = rows.select([*(name for name in CERTIFICATE.names if name not in _LISTS), "num_placed"])
-    return kept.append_column("num_on_others", pa.array(upper, pa.int32())).replace_schema_metadata(None)
+    return kept.append_column("num_on_others", pa.array(upper, pa.int32())).replace_schema_metadata(
+        None
+    )
 
 
 def _certificate(rows: pa.Table) -> CertificateStats | None:
     """Of rows that stand."""
     if not rows.num_rows:
         return None
-    of = {name: np.array(rows[name].drop_null()) for name in CERTIFICATE.names if name not in _LISTS}
-    margin, has_tilt = of["margin"], len(of["tilt_1"]) > 0
+    of = {
+        name: np.array(rows[name].drop_null()) for name in CERTIFICATE.names if name not in _LISTS
+    }
+    margin = of["margin"]
+    has_tilt = len(of["tilt_1"]) > 0
     return CertificateStats(
         scenes=rows.num_rows,
         shake_median=float(np.median(of["shake"])),
@@ -299,25 +328,34 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
     recipe = bank.recipe
     made_by = f"made by {recipe.get('method')} with seed {recipe.get('seed')} of pool {recipe.get('pool')}"
     lines = [f"bank       {bank.path}, {made_by}", totals_of(bank.tables()).text()]
-    lines.append(f"verdicts   {', '.join(f'{number} {name}' for name, number in stats.verdicts.items())}")
+    lines.append(
+        f"verdicts   {', '.join(f'{number} {name}' for name, number in stats.verdicts.items())}"
+    )
     lines.append(
         f"movement   in the last check of scenes that stand: median {small_length(stats.drift_median)}, "
         f"most {small_length(stats.drift_most)}"
     )
-    lines += [f"{'' if place else 'clutter':11}{each.line()}" for place, each in enumerate(stats.clutter)]
+    lines += [
+        f"{'' if place else 'clutter':11}{each.line()}" for place, each in enumerate(stats.clutter)
+    ]
     facts = stats.certificate_lines()
     lines += [f"{'' if place else 'certified':11}{fact}" for place, fact in enumerate(facts)]
     if stats.hand_median is not None and stats.hand_total is not None:
-        median, total = time_text(stats.hand_median), time_text(stats.hand_total)
+        median = time_text(stats.hand_median)
+        total = time_text(stats.hand_total)
         lines.append(f"by hand    {median} a scene in the median, {total} in all")
-    runs = ", ".join(f"{first} to {last}" if first < last else f"{first}" for first, last in stats.missing)
+    runs = ", ".join(
+        f"{first} to {last}" if first < last else f"{first}" for first, last in stats.missing
+    )
     lines.append(f"missing    {runs or 'nothing'} of the {stats.asked} scenes asked for")
     lines.append(f"duplicates {_duplicates_text(stats)}")
     width = max(len(each.name) for each in stats.objects)
     lines.append(f"objects    {'name':{width}}  drawn  placed  attempts each")
     for each in stats.objects:
         mean = each.attempts / max(each.drawn, 1)
-        lines.append(f"           {each.name:{width}}  {each.drawn:5d}  {each.placed:6d}  {mean:13.2f}")
+        lines.append(
+            f"           {each.name:{width}}  {each.drawn:5d}  {each.placed:6d}  {mean:13.2f}"
+        )
     return "\n".join(lines)
 
 
@@ -326,4 +364,6 @@ def _duplicates_text(stats: BankStats) -> str:
         return "no two scenes that stand are equal"
     shown = "; ".join(" = ".join(map(str, group)) for group in stats.duplicates[:_SHOWN_GROUPS])
     more = ", and others" if len(stats.duplicates) > _SHOWN_GROUPS else ""
-    return f"{sum(len(group) - 1 for group in stats.duplicates)} scenes repeat another: {shown}{more}"
+    return (
+        f"{sum(len(group) - 1 for group in stats.duplicates)} scenes repeat another: {shown}{more}"
+    )

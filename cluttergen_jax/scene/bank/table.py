@@ -121,7 +121,9 @@ def rows_of(table: pa.Table) -> Iterator[BankRow]:
         yield BankRow(
             index=row["index"],
             objects=tuple(compress(row["objects"], row["is_placed"])),
-            poses=np.array(row["poses"], np.float32).reshape(-1, 7)[np.array(row["is_placed"], bool)],
+            poses=np.array(row["poses"], np.float32).reshape(-1, 7)[
+                np.array(row["is_placed"], bool)
+            ],
             is_success=row["is_success"],
             verdict=row["verdict"],
             drift=row["drift"],
@@ -184,12 +186,16 @@ def is_fully_certified(rows: pa.Table, seconds: float) -> bool:
     """
     if not (is_certified(rows) and _is_known(rows, "robust") and _is_known(rows, "detectors")):
         return False
-    return all(each.as_py() in (None, np.float32(seconds), seconds) for each in rows["horizon_seconds"])
+    return all(
+        each.as_py() in (None, np.float32(seconds), seconds) for each in rows["horizon_seconds"]
+    )
 
 
 def is_certified(rows: pa.Table) -> bool:
     """Whether all scenes that succeeded have their certificate, perhaps an older version's."""
-    return all(field.name in rows.schema.names for field in CERTIFICATE) and _is_known(rows, "shake")
+    return all(field.name in rows.schema.names for field in CERTIFICATE) and _is_known(
+        rows, "shake"
+    )
 
 
 def _is_known(rows: pa.Table, name: str) -> bool:

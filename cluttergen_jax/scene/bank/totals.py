@@ -57,7 +57,8 @@ class Totals:
         self.placed += _sum(rows, "num_placed")
         self.simulated_steps += _sum(rows, "simulated_steps")
         attempts, steps, placed = (
-            np.array(pc.list_flatten(rows[name])) for name in ("attempts", "rest_steps", "is_placed")
+            np.array(pc.list_flatten(rows[name]))
+            for name in ("attempts", "rest_steps", "is_placed")
         )
         self.attempts += int(attempts.sum())
         # Objects that stood there at the beginning took no attempt.
@@ -74,7 +75,8 @@ class Totals:
         Args:
           num_new, seconds: scenes made just now and how long that took, for the rate; 0 leaves it out.
         """
-        rested, total = max(self.num_rested, 1), max(sum(self.verdicts.values()), 1)
+        rested = max(self.num_rested, 1)
+        total = max(sum(self.verdicts.values()), 1)
         lines = [
             f"scenes     {self.scenes}, of which {self.success} succeed ({self.success / self.scenes:.1%}): "
             "every object placed, and all stand together in the last check",
@@ -89,7 +91,9 @@ class Totals:
         ]
         lines.append("rejected   " + ("\n           ".join(rejected) or "nothing"))
         if num_new and seconds > 0:
-            lines.append(f"speed      {num_new} scenes made in {seconds:.1f} s, compilation included")
+            lines.append(
+                f"speed      {num_new} scenes made in {seconds:.1f} s, compilation included"
+            )
         return "\n".join(lines)
 
 
@@ -139,7 +143,8 @@ class ClutterTally:
     def __init__(self, bank: Bank) -> None:
         self._targets = _targets(bank)
         self._number = dict.fromkeys(NAMES, 0)
-        self._sum, self._num_near = dict.fromkeys(NAMES, 0.0), dict.fromkeys(NAMES, 0)
+        self._sum = dict.fromkeys(NAMES, 0.0)
+        self._num_near = dict.fromkeys(NAMES, 0)
 
     def add(self, rows: pa.Table) -> None:
         """Counts some more rows."""
@@ -149,7 +154,9 @@ class ClutterTally:
             self._number[name] += len(values)
             self._sum[name] += float(values.sum())
             if (asked := self._targets.get(name)) is not None:
-                self._num_near[name] += int((np.abs(values - asked) <= _NEAR_ENOUGH * asked + 1e-6).sum())
+                self._num_near[name] += int(
+                    (np.abs(values - asked) <= _NEAR_ENOUGH * asked + 1e-6).sum()
+                )
 
     def features(self) -> tuple[FeatureStats, ...]:
         """Those that some row knows."""

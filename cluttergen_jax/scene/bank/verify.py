@@ -30,7 +30,8 @@ from cluttergen_jax.scene.bank.remote import fetch_scenes
 from cluttergen_jax.types import small_length
 
 _STRIDE = 12
-_SHORTEST_STEP, _LONGEST_STEP = 1e-4, 0.05
+_SHORTEST_STEP = 1e-4
+_LONGEST_STEP = 0.05
 _GIVEN = "the folder of a bank with files, or one MJCF file"
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _SHOWN = 20
@@ -113,7 +114,9 @@ class VerificationReport:
                     for name, *moved in zip(scene.objects, scene.shift, scene.turn, strict=True)
                 },
             }
-            for scene, stands, changed in zip(self.scenes, self.stands, self.changed_files, strict=True)
+            for scene, stands, changed in zip(
+                self.scenes, self.stands, self.changed_files, strict=True
+            )
         ]
 
     def __str__(self) -> str:
@@ -132,14 +135,15 @@ class VerificationReport:
                 f"most {small_length(shift.max())} and {turn.max():.2f} deg"
             )
         if num_changed := sum(map(bool, self.changed_files)):
-            lines.append(f"  {num_changed} scenes do not count: files that they are made of were changed")
+            lines.append(
+                f"  {num_changed} scenes do not count: files that they are made of were changed"
+            )
         for each in self.scenes:
             if each.fault:
                 lines.append(f"  {each.path.name}: {each.fault}")
             elif not each.stands:
-                moved = (
-                    f"{each.worst} moved {small_length(each.shift.max())} with the detector {each.detector}"
-                )
+                far = small_length(each.shift.max())
+                moved = f"{each.worst} moved {far} with the detector {each.detector}"
                 lines.append(f"  {each.path.name}: {moved}")
         return "\n".join(lines)
 
@@ -183,12 +187,12 @@ def verify_files(
     with closing(checks):
         found = dict(track(checks, "verifying", len(files), "scene"))
     scenes = tuple(found[place] for place in range(len(files)))
-    changed = tuple(tuple(changes_to_scene(changes or [], each.path.name, each.objects)) for each in scenes)
-    kept = None if changes is None else tuple(changes)
-    report, file = (
-        VerificationReport(path, check, scenes, kept, changed, unchecked),
-        path / "verification.json",
+    changed = tuple(
+        tuple(changes_to_scene(changes or [], each.path.name, each.objects)) for each in scenes
     )
+    kept = None if changes is None else tuple(changes)
+    report = VerificationReport(path, check, scenes, kept, changed, unchecked)
+    file = path / "verification.json"
     try:
         if path.is_dir():
             write_atomically(file, (json.dumps(report.as_json(), indent=1) + "\n").encode())
@@ -274,7 +278,9 @@ def _load_model(path: Path) -> tuple[mujoco.MjModel, int]:
         model.names.decode()
     except (ValueError, OSError) as error:
         reason = " ".join(str(error).split())
-        raise BankError(f"{path} cannot be loaded: {reason}", _OURS, "generating the bank again") from error
+        raise BankError(
+            f"{path} cannot be loaded: {reason}", _OURS, "generating the bank again"
+        ) from error
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "scene")
     if key < 0:
         raise BankError(f"{path} has no keyframe called 'scene'", _OURS)
@@ -303,7 +309,8 @@ def verify_model(
     mujoco.mj_resetDataKeyframe(model, data, key)
     data.qvel[:] = 0
     start = data.qpos.reshape(-1, 7).copy()
-    shift, turn = np.zeros(len(start)), np.zeros(len(start))
+    shift = np.zeros(len(start))
+    turn = np.zeros(len(start))
     whole, rest = divmod(round(config.seconds / model.opt.timestep), _STRIDE)
     # In strides after each of which the scene is looked at.
     for num_steps in [_STRIDE] * whole + [rest] * (rest > 0):
@@ -312,7 +319,9 @@ def verify_model(
         shift = np.maximum(shift, np.linalg.norm(poses[:, :3] - start[:, :3], axis=1))
         turn = np.maximum(turn, turn_between(np, poses[:, 3:], start[:, 3:]))
     names = tuple(model.body(int(body)).name for body in model.jnt_bodyid)
-    stands = bool((shift <= config.max_shift).all() and (turn <= np.radians(config.max_turn_deg)).all())
+    stands = bool(
+        (shift <= config.max_shift).all() and (turn <= np.radians(config.max_turn_deg)).all()
+    )
     return Verification(path, names, shift, turn, stands, detector)
 
 

@@ -96,14 +96,18 @@ class BankWriter:
     ) -> None:
         self.path = mirror_of(str(path)) if is_url(path) else Path(path)
         check_utf8(self.path)
-        self._shard_blocks, self._bits, self._allows_other_bits = shard_blocks, bits, allow_other_bits
+        self._shard_blocks = shard_blocks
+        self._bits = bits
+        self._allows_other_bits = allow_other_bits
         self._find = objects if callable(objects) else None
         self._assets: dict[str, ObjectAsset] = {} if callable(objects) else dict(objects)
         hashes = {
             "objects": {name: object_hash(asset) for name, asset in self._assets.items()},
             "support": support_hash(support),
         }
-        self._record: Record = json.loads(json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes}))
+        self._record: Record = json.loads(
+            json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes})
+        )
         with writing(self.path):
             self._lock = self._hold(path)
         try:
@@ -242,9 +246,13 @@ class BankWriter:
             self._record["bits"] = known
         # What an interrupted writer left beside its shard counts, too: the shard is made again.
         places = self._stored.places.items()
-        self._loose = {block for block, (name, _) in places if name == block_path(self.path, block).name}
+        self._loose = {
+            block for block, (name, _) in places if name == block_path(self.path, block).name
+        }
         rows = {name for _, (name, _) in places}
-        files = {n: digest for n, digest in theirs.get("files", {}).items() if "/" in n or n in rows}
+        files = {
+            n: digest for n, digest in theirs.get("files", {}).items() if "/" in n or n in rows
+        }
         number = max(num_scenes, theirs.get("num_scenes", 1))
         self._index = BankIndex(self.path, self._record, number, files)
         self._index.add_unknown_rows()
@@ -253,11 +261,16 @@ class BankWriter:
     def _check_continued(self, num_scenes: int) -> Record:
         """What is continued, empty where nothing is; refuses another bank, and scenes of other bits."""
         theirs = self._stored_record()
-        self._stored, self._sound = StoredBlocks.of(self.path), set[int]()
+        self._stored = StoredBlocks.of(self.path)
+        self._sound = set[int]()
         self._edited = self._edited_files(theirs.get("files", {}))
         if theirs:
             _check_same(self.path, self._record, theirs)
-            if self._bits and not self._allows_other_bits and self._brings_other_bits(theirs, num_scenes):
+            if (
+                self._bits
+                and not self._allows_other_bits
+                and self._brings_other_bits(theirs, num_scenes)
+            ):
                 check_bits(self.path, self._bits, theirs["bits"])
         return theirs
 
@@ -279,7 +292,9 @@ class BankWriter:
     def _brings_other_bits(self, theirs: Record, num_scenes: int) -> bool:
         """Whether the bank says by what it was made, and scenes are missing that would be made otherwise."""
         is_other = self._bits is not None and "bits" in theirs and self._bits not in theirs["bits"]
-        return is_other and not all(self.has_block(block, rows) for block, rows in blocks_of(num_scenes))
+        return is_other and not all(
+            self.has_block(block, rows) for block, rows in blocks_of(num_scenes)
+        )
 
     def _stored_record(self) -> Record:
         """What the folder says it holds: `bank.json`, or a block in its stead; empty if it holds nothing."""
@@ -288,7 +303,8 @@ class BankWriter:
         except NewerBankError:
             raise
         except BankError as error:
-            blocks, record = block_numbers(self.path), recover_record(self.path)
+            blocks = block_numbers(self.path)
+            record = recover_record(self.path)
             if record is not None:
                 return {"num_scenes": blocks[-1] * BLOCK_SIZE + 1, **record}
             if blocks or _is_json(self.path / INDEX):
@@ -304,7 +320,8 @@ class BankWriter:
         hashes = self._record["assets"]
         for name in hashes["objects"]:
             self._store_object(name)
-        folder, known = "assets/support", hashes["support"]
+        folder = "assets/support"
+        known = hashes["support"]
         if not self._is_as_written(folder, known, lambda path: support_hash(read_support(path))):
             with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
                 write_support(fresh, support)
@@ -319,7 +336,8 @@ class BankWriter:
 
     def _store_object(self, name: str) -> None:
         """Writes an object's files, unless they are there as they were written."""
-        images, digest = inside(self.path, "assets/textures"), self._record["assets"]["objects"][name]
+        images = inside(self.path, "assets/textures")
+        digest = self._record["assets"]["objects"][name]
         folder = f"assets/objects/{name}"
         if self._is_as_written(folder, digest, lambda path: object_hash(read_object(path, images))):
             return
@@ -343,8 +361,11 @@ class BankWriter:
         """
         if self._find is None:
             return
-        hashes, files = self._record["assets"]["objects"], self._index.files
-        names = sorted({base_name(each) for each in pc.unique(pc.list_flatten(table["objects"])).to_pylist()})
+        hashes = self._record["assets"]["objects"]
+        files = self._index.files
+        names = sorted(
+            {base_name(each) for each in pc.unique(pc.list_flatten(table["objects"])).to_pylist()}
+        )
         with writing(self.path):
             for name in names:
                 digest = object_hash(self._find(name))
@@ -355,9 +376,15 @@ class BankWriter:
                     self._index.files |= digests_in(self.path, f"assets/objects/{name}")
             self._index.files |= digests_in(self.path, "assets/textures")
 
-    def _is_as_written(self, folder: str, wanted: str | None, hash_of: Callable[[Path], str]) -> bool:
+    def _is_as_written(
+        self, folder: str, wanted: str | None, hash_of: Callable[[Path], str]
+    ) -> bool:
         """Whether the bank's copy of an asset is what its digests say, if there are any, and the asset."""
-        known = {name: digest for name, digest in self._index.files.items() if name.startswith(f"{folder}/")}
+        known = {
+            name: digest
+            for name, digest in self._index.files.items()
+            if name.startswith(f"{folder}/")
+        }
         with suppress(ClutterGenError):
             is_kept = bool(known) and digests_in(self.path, folder) == known
             return is_kept and hash_of(self.path / folder) == wanted
@@ -378,7 +405,9 @@ def _check_same(path: Path, ours: Record, theirs: Record) -> None:
     """Refuses to continue a bank of another recipe, or of other assets."""
     check_recipe(path, "a bank made", ours["recipe"], theirs["recipe"], _ELSEWHERE)
     known = theirs.get("assets", ours["assets"])
-    other = sorted(n for n, digest in ours["assets"]["objects"].items() if known["objects"].get(n) != digest)
+    other = sorted(
+        n for n, digest in ours["assets"]["objects"].items() if known["objects"].get(n) != digest
+    )
     other += ["its support"] * (known["support"] != ours["assets"]["support"])
     if other:
         raise _other_assets(path, other)

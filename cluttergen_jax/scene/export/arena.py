@@ -53,7 +53,9 @@ def _environment(scene: Scene) -> str:
             "params": {"initial_pose": {"position_xyz": [float(x) for x in base]}},
         },
         "background": {"id": _SUPPORT, "registry_name": "cluttergen_support"},
-        "objects": [{"id": own, "registry_name": registry_name(asset.name)} for own, asset in things],
+        "objects": [
+            {"id": own, "registry_name": registry_name(asset.name)} for own, asset in things
+        ],
         "relations": [
             {"kind": "is_anchor", "subject": _SUPPORT},
             *({"kind": "on", "subject": own, "reference": _SUPPORT} for own, _ in things),
@@ -77,7 +79,10 @@ def registry_name(name: str) -> str:
 def _row(scene: Scene) -> dict[str, object]:
     origin = scene.origin
     poses = {
-        own: {"position_xyz": pose[:3].tolist(), "rotation_xyzw": [*pose[4:].tolist(), float(pose[3])]}
+        own: {
+            "position_xyz": pose[:3].tolist(),
+            "rotation_xyzw": [*pose[4:].tolist(), float(pose[3])],
+        }
         for own, pose in zip(identifiers(scene.names), scene.poses, strict=True)
     }
     check = {"passed": origin.is_success, "simulator": "mujoco", "max_drift_m": origin.drift}

@@ -91,7 +91,8 @@ def export_bank(
     Raises:
       ConfigError: `out` exists. BankError: another export is being written there.
     """
-    kind, out = BANK_FORMATS[format], Path(out)
+    kind = BANK_FORMATS[format]
+    out = Path(out)
     package = importlib.resources.files("cluttergen_jax")
     check_place(out, overwrite)
     with lock_beside(out):

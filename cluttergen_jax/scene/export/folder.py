@@ -65,7 +65,8 @@ def export_scenes(
       MissingExtraError: the format needs a package that is not installed.
       UnsafePathError: an object's name is a path that leads out of the folder.
     """
-    kind, out = find_format(format), Path(out)
+    kind = find_format(format)
+    out = Path(out)
     if grasps is not None and not kind.takes_grasps:
         allowed = ", ".join(each.name for each in FORMATS.values() if each.takes_grasps)
         raise ConfigError(f"grasps in the format {format!r}", f"grasps with: {allowed}")
@@ -76,7 +77,9 @@ def export_scenes(
         check_place(out, overwrite)
         with folder_whole(out) as fresh:
             if cameras:
-                scenes = (replace(each, cameras=scene_cameras(each.support, cameras)) for each in scenes)
+                scenes = (
+                    replace(each, cameras=scene_cameras(each.support, cameras)) for each in scenes
+                )
             folder = _Folder(fresh, kind, transforms)
             folder.write(scenes)
             if grasps is not None and not folder.num_grasped:
@@ -115,7 +118,9 @@ class _Folder:
     """The folder while it grows."""
 
     def __init__(self, path: Path, kind: Format, grasps: Mapping[str, np.ndarray]) -> None:
-        self._path, self._kind, self._grasps = path, kind, grasps
+        self._path = path
+        self._kind = kind
+        self._grasps = grasps
         self.num_grasped = 0
         self._assets: dict[str, ObjectAsset] = {}
         self._records: list[dict[str, object]] = []
@@ -147,11 +152,15 @@ class _Folder:
                     write_grasps(self._path / folder, transforms)
                     self.num_grasped += 1
         # The scene's own number, or the next that is free.
-        number = scene.origin.index if scene.origin.index not in self._taken else max(self._taken) + 1
+        number = (
+            scene.origin.index if scene.origin.index not in self._taken else max(self._taken) + 1
+        )
         self._taken.add(number)
         file = f"scenes/{number:06d}.{self._kind.ending}"
         self._kind.write_scene(self._path / file, scene)
-        self._records.append({"file": file, **asdict(scene.origin), "objects": objects_record(scene)})
+        self._records.append(
+            {"file": file, **asdict(scene.origin), "objects": objects_record(scene)}
+        )
 
     def _make_folder(self, folder: str) -> Path:
         path = inside(self._path, folder)
@@ -238,7 +247,10 @@ def licences_text(support: SupportAsset, assets: Sequence[ObjectAsset], script: 
     by_licence: dict[str, list[tuple[str, Provenance]]] = {}
     for name, provenance in things:
         by_licence.setdefault(provenance.licence or "not stated", []).append((name, provenance))
-    lines = ["Terms on which the contents of this folder may be passed on, as far as they are known.", ""]
+    lines = [
+        "Terms on which the contents of this folder may be passed on, as far as they are known.",
+        "",
+    ]
     for licence, members in sorted(by_licence.items()):
         lines.append(f"Licence: {licence}")
         for name, provenance in members:

@@ -27,7 +27,13 @@ from cluttergen_jax.scene.export.meshes import (
 from cluttergen_jax.scene.export.molmospaces import asset_json, scene_metadata
 from cluttergen_jax.scene.export.robosuite import robosuite_xml, support_xml
 from cluttergen_jax.scene.export.scene_json import maniskill_json, scene_json
-from cluttergen_jax.scene.export.sdf import PACKAGE_XML, model_directives, object_sdf, sdf_text, support_sdf
+from cluttergen_jax.scene.export.sdf import (
+    PACKAGE_XML,
+    model_directives,
+    object_sdf,
+    sdf_text,
+    support_sdf,
+)
 from cluttergen_jax.scene.export.urdf import object_urdf, support_urdf
 from cluttergen_jax.scene.xml import object_xml, scene_xml
 
@@ -139,7 +145,9 @@ def _write_arena_scene(path: Path, scene: Scene) -> None:
 
 def _usd(function: str) -> Callable[..., None]:
     """A function of `scene.export.usd`, imported when it is called: USD's library takes a while to load."""
-    return lambda *args: getattr(importlib.import_module("cluttergen_jax.scene.export.usd"), function)(*args)
+    return lambda *args: getattr(
+        importlib.import_module("cluttergen_jax.scene.export.usd"), function
+    )(*args)
 
 
 def _robocasa_file(asset: ObjectAsset) -> str:
@@ -307,6 +315,8 @@ def find_format(name: str) -> Format:
       MissingExtraError: it needs a package that is not installed.
     """
     if name not in FORMATS:
-        raise ConfigError(f"format {name!r}", ", ".join(FORMATS), "format='mjcf'", closest(name, FORMATS))
+        raise ConfigError(
+            f"format {name!r}", ", ".join(FORMATS), "format='mjcf'", closest(name, FORMATS)
+        )
     FORMATS[name].require()
     return FORMATS[name]

@@ -43,7 +43,8 @@ def principal_of(asset: ObjectAsset) -> Principal:
     """The principal frame of an asset: of the 24 the one that is turned least from the object frame."""
     moments, axes = np.linalg.eigh(np.asarray(asset.inertia, np.float64))
     _, order = linear_sum_assignment(-np.abs(axes))
-    moments, axes = moments[order], axes[:, order]
+    moments = moments[order]
+    axes = axes[:, order]
     axes *= np.where(np.diag(axes) < 0, -1.0, 1.0)
     axes[:, np.argmin(np.diag(axes))] *= np.sign(np.linalg.det(axes))
     turn = Rotation.from_matrix(axes).as_quat(scalar_first=True)
@@ -68,7 +69,11 @@ def xml_bytes(root: ET.Element) -> bytes:
 
 def friction_of(asset: ObjectAsset, contact: ContactConfig) -> tuple[float, float, float]:
     """Sliding, torsional and rolling coefficients of the object: its own, or the contact's."""
-    return contact.friction if asset.friction is None else own_contact(asset.friction, contact.friction)[0]
+    return (
+        contact.friction
+        if asset.friction is None
+        else own_contact(asset.friction, contact.friction)[0]
+    )
 
 
 def factor_of(wanted: float, default: float) -> float:

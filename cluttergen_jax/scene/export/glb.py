@@ -21,8 +21,10 @@ from cluttergen_jax.scene import Camera, Scene
 from cluttergen_jax.scene.export.frames import friction_of
 from cluttergen_jax.scene.export.meshes import drawn_pieces
 
-_ARRAY, _ELEMENT = 34962, 34963
-_FLOAT, _UNSIGNED = 5126, 5125
+_ARRAY = 34962
+_ELEMENT = 34963
+_FLOAT = 5126
+_UNSIGNED = 5125
 _Y_UP = [-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
 _PART_RGBA = (0.6, 0.6, 0.65, 1.0)
 
@@ -47,9 +49,13 @@ class _Builder:
         solids = collision_pieces(scene.support)
         supports = scene.support.pieces or solids
         boxes = [Piece(piece.mesh, _PART_RGBA) for piece in solids]
-        drawn = {name: self._mesh(name, drawn_pieces(asset)) for name, asset in scene.assets.items()}
+        drawn = {
+            name: self._mesh(name, drawn_pieces(asset)) for name, asset in scene.assets.items()
+        }
         hulls = {
-            name: self._mesh(f"{name}/collision", [Piece(part.hull(), _PART_RGBA) for part in asset.parts])
+            name: self._mesh(
+                f"{name}/collision", [Piece(part.hull(), _PART_RGBA) for part in asset.parts]
+            )
             for name, asset in scene.assets.items()
         }
         roots = [
@@ -61,7 +67,9 @@ class _Builder:
     def _world(self, name: str, scene: Scene, support: int, meshes: dict[str, int]) -> int:
         suffix = "" if name == "world" else "/collision"
         friction = {"friction": scene.contact.friction[0]}
-        children = [self._add("nodes", {"name": "support" + suffix, "mesh": support, "extras": friction})]
+        children = [
+            self._add("nodes", {"name": "support" + suffix, "mesh": support, "extras": friction})
+        ]
         for own, asset, pose in zip(scene.names, scene.objects, scene.poses, strict=True):
             w, x, y, z = pose[3:].tolist()
             node = {
@@ -89,10 +97,14 @@ class _Builder:
             "znear": 0.01,
             "zfar": 100.0,
         }
-        index = self._add("cameras", {"name": camera.name, "type": "perspective", "perspective": lens})
+        index = self._add(
+            "cameras", {"name": camera.name, "type": "perspective", "perspective": lens}
+        )
         w, x, y, z = camera.quaternion.tolist()
         node = {"name": f"camera/{camera.name}", "camera": index}
-        return self._add("nodes", {**node, "translation": camera.position.tolist(), "rotation": [x, y, z, w]})
+        return self._add(
+            "nodes", {**node, "translation": camera.position.tolist(), "rotation": [x, y, z, w]}
+        )
 
     def _mesh(self, name: str, pieces: Any) -> int:
         primitives = [self._primitive(piece) for piece in pieces]
@@ -114,12 +126,20 @@ class _Builder:
             "material": self._material(piece),
         }
 
-    def _accessor(self, values: np.ndarray, kind: str, component: int, target: int, **more: Any) -> int:
+    def _accessor(
+        self, values: np.ndarray, kind: str, component: int, target: int, **more: Any
+    ) -> int:
         data = values.astype("<u4" if component == _UNSIGNED else "<f4").tobytes()
         index = self._view(data, target=target)
         return self._add(
             "accessors",
-            {"bufferView": index, "componentType": component, "count": len(values), "type": kind, **more},
+            {
+                "bufferView": index,
+                "componentType": component,
+                "count": len(values),
+                "type": kind,
+                **more,
+            },
         )
 
     def _view(self, data: bytes, **more: Any) -> int:
@@ -129,7 +149,8 @@ class _Builder:
         return self._add("bufferViews", view)
 
     def _material(self, piece: Piece) -> int:
-        rgba, key = piece.rgba, (piece.rgba, piece.texture)
+        rgba = piece.rgba
+        key = (piece.rgba, piece.texture)
         if key not in self._materials:
             colour: dict[str, object] = {
                 "baseColorFactor": linear(rgba),
@@ -164,7 +185,9 @@ class _Builder:
         document = {
             "asset": {"version": "2.0", "generator": "cluttergen_jax"},
             "scene": 0,
-            "scenes": [{"name": name, "nodes": [root]} for name, root in zip(names, roots, strict=True)],
+            "scenes": [
+                {"name": name, "nodes": [root]} for name, root in zip(names, roots, strict=True)
+            ],
             "buffers": [{"byteLength": len(self._blob)}],
             **self._doc,
         }

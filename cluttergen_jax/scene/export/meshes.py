@@ -110,7 +110,8 @@ def _write_piece(folder: Path, index: int, piece: Piece, image: str | None) -> N
     if image is None:
         path.write_text(shaded_text(piece), encoding="ascii")
         return
-    library, name = path.with_suffix(".mtl"), f"image-{index}"
+    library = path.with_suffix(".mtl")
+    name = f"image-{index}"
     path.write_text(shaded_text(piece, (library.name, name)), encoding="ascii")
     colour = " ".join(f"{value:.6g}" for value in piece.rgba[:3])
     library.write_text(

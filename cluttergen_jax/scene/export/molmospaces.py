@@ -23,8 +23,10 @@ from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.meshes import category
 from cluttergen_jax.schema import Numbers, check_numbers, check_seal
 
-ROBOT, HAND = "franka", "panda"
-"""Whose hand the grasps were tested with: what MolmoSpaces calls it, and what a file of grasps does."""
+# Whose hand the grasps were tested with: what MolmoSpaces calls it, and what a file of grasps does.
+ROBOT = "franka"
+HAND = "panda"
+
 _SHORT = ("one_word", "two_words", "three_words", "four_words", "five_words")
 _PREPOSITION = re.compile(" (?:in|of|on|for|with) ")
 _POSES = {"pose": Numbers("f8", ("grasps", 7), -10, 10)}
@@ -34,7 +36,8 @@ def asset_json(asset: ObjectAsset) -> bytes:
     """An object's entry of the library; a synset only if the object came with one of WordNet."""
     points = [mesh.vertices for mesh in (*asset.parts, *(piece.mesh for piece in asset.pieces))]
     thing = f"{'an' if asset.label[:1] in 'aeiou' else 'a'} {asset.label}"
-    words, head = asset.label.split(), _PREPOSITION.split(asset.label)[0].split()
+    words = asset.label.split()
+    head = _PREPOSITION.split(asset.label)[0].split()
     record = {
         "assetId": asset.name,
         "category": category(asset),
@@ -45,7 +48,9 @@ def asset_json(asset: ObjectAsset) -> bytes:
             for size, name in enumerate(_SHORT, 1)
         },
         "mass": float(asset.mass),
-        "boundingBox": dict(zip("xyz", (2 * np.abs(np.concatenate(points)).max(0)).tolist(), strict=True)),
+        "boundingBox": dict(
+            zip("xyz", (2 * np.abs(np.concatenate(points)).max(0)).tolist(), strict=True)
+        ),
         **({"synset": asset.synset} if asset.synset.count(".") == 2 else {}),
     }
     return (json.dumps(record, indent=1) + "\n").encode()
@@ -54,7 +59,12 @@ def asset_json(asset: ObjectAsset) -> bytes:
 def scene_metadata(scene: Scene) -> bytes:
     """Which asset each body of a scene is."""
     objects = {
-        name: {"asset_id": asset.name, "object_id": name, "category": category(asset), "is_static": False}
+        name: {
+            "asset_id": asset.name,
+            "object_id": name,
+            "category": category(asset),
+            "is_static": False,
+        }
         for name, asset in zip(scene.names, scene.objects, strict=True)
     }
     return (json.dumps({"objects": objects}, indent=1) + "\n").encode()
@@ -81,10 +91,14 @@ def read_grasps(path: str | Path) -> dict[str, np.ndarray]:
     hand = (table.schema.metadata or {}).get(b"hand", b"").decode()
     if hand != HAND:
         whose = "another hand" if hand else "a hand that it does not name"
-        raise ConfigError(f"grasps {str(path)!r}, tested with {whose}", allowed, "making them again")
+        raise ConfigError(
+            f"grasps {str(path)!r}, tested with {whose}", allowed, "making them again"
+        )
     transforms = np.tile(np.eye(4), (len(poses), 1, 1))
     transforms[:, :3, 3] = poses[:, :3]
-    transforms[:, :3, :3] = np.array([rotation_matrix(each) for each in poses[:, 3:]]).reshape(-1, 3, 3)
+    transforms[:, :3, :3] = np.array([rotation_matrix(each) for each in poses[:, 3:]]).reshape(
+        -1, 3, 3
+    )
     return {str(each): transforms[hashes == each] for each in np.unique(hashes)}
 
 

@@ -16,8 +16,9 @@ from cluttergen_jax.scene.export.frames import text
 from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, own_image, visual_name
 from cluttergen_jax.scene.xml import contact_attributes, own_contact_attributes, weightless
 
-_COLLIDES, _DRAWN = "0", "1"
-"""robosuite's geom groups."""
+# robosuite's geom groups.
+_COLLIDES = "0"
+_DRAWN = "1"
 
 
 def robosuite_xml(asset: ObjectAsset, contact: ContactConfig, region: bool = False) -> bytes:
@@ -59,14 +60,18 @@ def support_xml(support: SupportAsset, contact: ContactConfig) -> bytes:
             "quat": text(yaw_quaternion(box.yaw)),
             "size": text(box.half_extents),
         }
-        ET.SubElement(body, "geom", place | contact_attributes(contact), group=_COLLIDES, rgba="0 0 0 0")
+        ET.SubElement(
+            body, "geom", place | contact_attributes(contact), group=_COLLIDES, rgba="0 0 0 0"
+        )
         if not support.pieces:
             ET.SubElement(body, "geom", place | _unseen(box.rgba))
     for index in range(len(support.parts)):
         name = part_name(index).removesuffix(".obj")
         ET.SubElement(assets, "mesh", name=name, file=part_name(index))
         place = {"type": "mesh", "mesh": name}
-        ET.SubElement(body, "geom", place | contact_attributes(contact), group=_COLLIDES, rgba="0 0 0 0")
+        ET.SubElement(
+            body, "geom", place | contact_attributes(contact), group=_COLLIDES, rgba="0 0 0 0"
+        )
         if not support.pieces:
             ET.SubElement(body, "geom", place | _unseen(PART_RGBA))
     for index, piece in enumerate(support.pieces):
@@ -87,14 +92,19 @@ def _unseen(rgba: tuple[float, ...]) -> dict[str, str]:
     return {"contype": "0", "conaffinity": "0", "group": _DRAWN, "mass": "0", "rgba": text(rgba)}
 
 
-def _add_visual(assets: ET.Element, body: ET.Element, index: int, piece: Piece, image: str | None) -> None:
-    name, rgba = f"visual-{index}", piece.rgba
+def _add_visual(
+    assets: ET.Element, body: ET.Element, index: int, piece: Piece, image: str | None
+) -> None:
+    name = f"visual-{index}"
+    rgba = piece.rgba
     ET.SubElement(assets, "mesh", weightless(piece), name=name, file=visual_name(index))
     geom = ET.SubElement(body, "geom", _unseen(rgba), type="mesh", mesh=name)
     if image is not None:
         texture = f"image-{index}"
         ET.SubElement(assets, "texture", name=texture, type="2d", file=image)
-        ET.SubElement(assets, "material", name=name, texture=texture, specular="0.25", shininess="0.35")
+        ET.SubElement(
+            assets, "material", name=name, texture=texture, specular="0.25", shininess="0.35"
+        )
         geom.set("material", name)
 
 

@@ -130,15 +130,22 @@ def maniskill_json(scene: Scene) -> bytes:
     bodies = {name: _body(asset, scene.contact) for name, asset in scene.assets.items()}
     record = json.loads(scene_json(scene, more=bodies, support=_support(scene.support)))
     rest = [0.0] * 6
-    actors = {name: [*pose, *rest] for name, pose in zip(scene.names, scene.poses.tolist(), strict=True)}
+    actors = {
+        name: [*pose, *rest] for name, pose in zip(scene.names, scene.poses.tolist(), strict=True)
+    }
     record["env_state"] = {"actors": actors}
     return (json.dumps(record, indent=1) + "\n").encode()
 
 
 def _body(asset: ObjectAsset, contact: ContactConfig) -> dict[str, object]:
-    principal, default = principal_of(asset), contact.friction[0]
+    principal = principal_of(asset)
+    default = contact.friction[0]
     # What the object's own sliding coefficient has to be in PhysX, if it has one.
-    own = {} if asset.friction is None else {"friction": mean_of(friction_of(asset, contact)[0], default)}
+    own = (
+        {}
+        if asset.friction is None
+        else {"friction": mean_of(friction_of(asset, contact)[0], default)}
+    )
     return {
         "mass": float(asset.mass),
         "center_of_mass": principal.center.tolist(),

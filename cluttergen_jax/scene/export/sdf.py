@@ -21,7 +21,12 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import Camera, Scene
 from cluttergen_jax.scene.export.frames import friction_of, harmonic_of, text, xml_bytes
-from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER, drawn_pieces, object_folder, visual_name
+from cluttergen_jax.scene.export.meshes import (
+    SUPPORT_FOLDER,
+    drawn_pieces,
+    object_folder,
+    visual_name,
+)
 
 VERSION = "1.9"
 _DRAKE = "http://drake.mit.edu"
@@ -101,7 +106,9 @@ class _Dumper(yaml.SafeDumper):
     """YAML with Drake's tags."""
 
 
-_Dumper.add_representer(_AngleAxis, lambda dumper, value: dumper.represent_mapping("!AngleAxis", value))
+_Dumper.add_representer(
+    _AngleAxis, lambda dumper, value: dumper.represent_mapping("!AngleAxis", value)
+)
 
 
 def _root() -> ET.Element:
@@ -119,7 +126,9 @@ def _add_pose(parent: ET.Element, position: np.ndarray, quaternion: np.ndarray) 
     _leaf(parent, "pose", text([*position, x, y, z, w]), rotation_format="quat_xyzw")
 
 
-def _add_support(world: ET.Element, support: SupportAsset, contact: ContactConfig, folder: str) -> None:
+def _add_support(
+    world: ET.Element, support: SupportAsset, contact: ContactConfig, folder: str
+) -> None:
     model = ET.SubElement(world, "model", name="support")
     _leaf(model, "static", "true")
     link = ET.SubElement(model, "link", name="body")
@@ -178,7 +187,9 @@ def _add_object(
 def _add_camera(world: ET.Element, camera: Camera) -> None:
     """A sensor on a model that stands still; SDFormat's cameras look along +x, +z is up."""
     right, up, backward = camera.rotation.T
-    turn = Rotation.from_matrix(np.stack([-backward, -right, up], axis=1)).as_quat(scalar_first=True)
+    turn = Rotation.from_matrix(np.stack([-backward, -right, up], axis=1)).as_quat(
+        scalar_first=True
+    )
     model = ET.SubElement(world, "model", name=f"camera-{camera.name}")
     _leaf(model, "static", "true")
     _add_pose(model, camera.position, turn)

@@ -16,7 +16,9 @@ from cluttergen_jax.sensing.rays import FARTHEST, RaySensor, sensed_model
 QCODE = "Q223557"
 """Wikidata's item for a physical object: true of everything, and no more is known."""
 MATERIAL = "unknown"
-SIZE, _LIGHT, _FILL = 256, np.array([-0.4, -0.5, 0.77]), 0.35
+SIZE = 256
+_LIGHT = np.array([-0.4, -0.5, 0.77])
+_FILL = 0.35
 _VIEW = np.array([-0.6, -1.0, 0.7])
 
 

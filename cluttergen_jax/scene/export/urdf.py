@@ -16,7 +16,14 @@ from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.scene.export.frames import euler_of, factor_of, friction_of, principal_of, text, xml_bytes
+from cluttergen_jax.scene.export.frames import (
+    euler_of,
+    factor_of,
+    friction_of,
+    principal_of,
+    text,
+    xml_bytes,
+)
 from cluttergen_jax.scene.export.meshes import drawn_pieces, object_image, own_image, visual_name
 
 
@@ -25,7 +32,9 @@ def object_urdf(asset: ObjectAsset, contact: ContactConfig) -> bytes:
     root, link = _robot(asset.name, contact, friction_of(asset, contact))
     principal = principal_of(asset)
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=text(principal.center), rpy=text(euler_of(principal.turn)))
+    ET.SubElement(
+        inertial, "origin", xyz=text(principal.center), rpy=text(euler_of(principal.turn))
+    )
     ET.SubElement(inertial, "mass", value=text([asset.mass]))
     ixx, iyy, izz = (text([moment]) for moment in principal.moments)
     ET.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
@@ -72,7 +81,9 @@ def _robot(
     share = factor_of(friction[0], contact.friction[0])
     ET.SubElement(own, "lateral_friction", value=text([share]))
     # Bullet's pair value is friction A times spinning friction B, and the other way round, added up.
-    ET.SubElement(own, "spinning_friction", value=text([friction[1] / (2 * math.sqrt(contact.friction[0]))]))
+    ET.SubElement(
+        own, "spinning_friction", value=text([friction[1] / (2 * math.sqrt(contact.friction[0]))])
+    )
     return root, link
 
 

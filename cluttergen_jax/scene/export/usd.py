@@ -194,7 +194,9 @@ def _add_label(prim: Any, taxonomy: str, label: str) -> None:
     prim.CreateAttribute(f"semantics:labels:{taxonomy}", kind, custom=False).Set([label])
 
 
-def _add_visuals(stage: Any, pieces: Sequence[Piece], images: Sequence[str | None], folder: str = "") -> None:
+def _add_visuals(
+    stage: Any, pieces: Sequence[Piece], images: Sequence[str | None], folder: str = ""
+) -> None:
     for index, (piece, name) in enumerate(zip(pieces, images, strict=True)):
         image = None if name is None else folder + name
         mesh = _add_mesh(stage, f"{_root(stage)}/visuals/piece_{index:02d}", piece.mesh, piece.uv)
@@ -247,7 +249,9 @@ def _colour(stage: Any, rgba: tuple[float, ...], image: str | None = None) -> An
     if image is None:
         diffuse.Set(Gf.Vec3f(red, green, blue))
     else:
-        diffuse.ConnectToSource(_image(stage, path, image, (red, green, blue)).ConnectableAPI(), "rgb")
+        diffuse.ConnectToSource(
+            _image(stage, path, image, (red, green, blue)).ConnectableAPI(), "rgb"
+        )
     shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(alpha)
     shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.65)
     shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
@@ -268,7 +272,9 @@ def _image(stage: Any, path: str, image: str, factor: tuple[float, float, float]
     for side in ("wrapS", "wrapT"):
         texture.CreateInput(side, Sdf.ValueTypeNames.Token).Set("repeat")
     texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*factor, 1.0))
-    texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+    texture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(
+        reader.ConnectableAPI(), "result"
+    )
     texture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
     return texture
 

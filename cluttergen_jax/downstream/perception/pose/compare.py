@@ -55,7 +55,8 @@ class Comparer:
     """Compares poses of one object with looks; model: the object. index: its number. looks: at one moment."""
 
     def __init__(self, model: ObjectModel, index: int, looks: Sequence[Look]) -> None:
-        self._model, self._sensor = model, model.sensor
+        self._model = model
+        self._sensor = model.sensor
         self._data = self._sensor.make_data()
         self._points = model.points[::10]
         self._looks = [each for each in looks if each.mask(index).any()]
@@ -70,7 +71,9 @@ class Comparer:
     def visible(self, pose: np.ndarray) -> float:
         """The share of the silhouette that is seen, in the look that shows the most."""
         found = [Agreement(*self._compare(k, pose)) for k in range(len(self._looks))]
-        return max((min(each.seen / each.drawn, 1.0) if each.drawn else 0.0 for each in found), default=0.0)
+        return max(
+            (min(each.seen / each.drawn, 1.0) if each.drawn else 0.0 for each in found), default=0.0
+        )
 
     def evidence(self, pose: np.ndarray, top: float) -> float:
         """The log-likelihood ratio of a pose f64[4, 4] to an empty table, summed over pixels of depth.
@@ -84,24 +87,32 @@ class Comparer:
         total = 0.0
         for look, mask in zip(self._looks, self._masks, strict=True):
             drawn = render_alone(self._model, look.camera, pose)
-            speaks = np.isfinite(drawn) & np.isfinite(look.depth) & ((look.label == BACKGROUND) | mask)
+            speaks = (
+                np.isfinite(drawn) & np.isfinite(look.depth) & ((look.label == BACKGROUND) | mask)
+            )
             table = _table_depth(look.camera, top)[speaks]
-            seen, drawn = look.depth[speaks], np.minimum(drawn[speaks], table)
+            seen = look.depth[speaks]
+            drawn = np.minimum(drawn[speaks], table)
             errors = [np.minimum(((seen - each) / AGREES) ** 2, _MOST) for each in (table, drawn)]
             total += float((errors[0] - errors[1]).sum())
         return total
 
     def _compare(self, number: int, pose: np.ndarray) -> tuple[float, float, float, float]:
-        look, mask = self._looks[number], self._masks[number]
+        look = self._looks[number]
+        mask = self._masks[number]
         window, rows, columns = self._window(number, pose)
         self._sensor.pose(self._data, pose_of(pose)[None])
         drawn = self._sensor.sense(self._data, window).depth
         # Beyond the picture's edge nothing was seen, for or against.
         inside = (rows >= 0)[:, None] & (rows < look.camera.height)[:, None]
         inside = inside & (columns >= 0) & (columns < look.camera.width)
-        at = np.ix_(np.clip(rows, 0, look.camera.height - 1), np.clip(columns, 0, look.camera.width - 1))
-        seen, in_mask = look.depth[at], mask[at] & inside
-        is_hit, is_known = np.isfinite(drawn), np.isfinite(seen) & inside
+        at = np.ix_(
+            np.clip(rows, 0, look.camera.height - 1), np.clip(columns, 0, look.camera.width - 1)
+        )
+        seen = look.depth[at]
+        in_mask = mask[at] & inside
+        is_hit = np.isfinite(drawn)
+        is_known = np.isfinite(seen) & inside
         with np.errstate(invalid="ignore"):
             behind = np.where(is_known & is_hit, seen - drawn, 0.0)
         agree = np.exp2(-((behind / AGREES) ** 2)) * (is_hit & is_known)
@@ -113,7 +124,8 @@ class Comparer:
 
     def _window(self, number: int, pose: np.ndarray) -> tuple[Camera, np.ndarray, np.ndarray]:
         """A camera that sees a look's mask and the pose alone, and the pixels i[h], i[w] that it sees."""
-        camera, (low, high) = self._looks[number].camera, self._boxes[number]
+        camera = self._looks[number].camera
+        (low, high) = self._boxes[number]
         pixels, depth = camera.project(_points_at(self._points, pose))
         if (depth > _CLOSEST).all():
             size = np.array([camera.width, camera.height])
@@ -122,7 +134,8 @@ class Comparer:
         left, upper = np.floor(low).astype(int) - 2
         width, height = np.ceil(high - low).astype(int) + 5
         stride = max(1, int(np.ceil(np.sqrt(width * height / _MOST_RAYS))))
-        columns, rows = np.arange(left, left + width, stride), np.arange(upper, upper + height, stride)
+        columns = np.arange(left, left + width, stride)
+        rows = np.arange(upper, upper + height, stride)
         return _part_of(camera, rows, columns), rows, columns
 
 
@@ -153,16 +166,20 @@ def render_alone(model: ObjectModel, camera: Camera, pose: np.ndarray) -> np.nda
     low = np.clip(np.floor(pixels.min(0)).astype(int) - 2, 0, size)
     high = np.clip(np.ceil(pixels.max(0)).astype(int) + 3, 0, size)
     if (away > _CLOSEST).all() and (low < high).all():
-        columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
+        columns = np.arange(low[0], high[0])
+        rows = np.arange(low[1], high[1])
         data = model.sensor.make_data()
         model.sensor.pose(data, pose_of(pose)[None])
-        depth[np.ix_(rows, columns)] = model.sensor.sense(data, _part_of(camera, rows, columns)).depth
+        depth[np.ix_(rows, columns)] = model.sensor.sense(
+            data, _part_of(camera, rows, columns)
+        ).depth
     return depth
 
 
 def _part_of(camera: Camera, rows: np.ndarray, columns: np.ndarray) -> Camera:
     """A camera that sees these pixels alone, evenly spaced i[h], i[w]."""
-    stride, K = rows[1] - rows[0] if len(rows) > 1 else 1, camera.K.copy()
+    stride = rows[1] - rows[0] if len(rows) > 1 else 1
+    K = camera.K.copy()
     # The middle of the part's first pixel is that of the picture's.
     K[:2, 2] -= [columns[0] + 0.5, rows[0] + 0.5]
     K[:2] /= stride

@@ -15,10 +15,13 @@ from cluttergen_jax.geometry import yaw_matrix
 
 NUM_YAWS = 24
 _STEPS = 12
-_FIRST_TRIM, _LAST_TRIM = 0.04, 0.010
-"""Metres beyond which points pair with nothing, at the first and at the last step."""
-_POINTS, _DAMPING = 0.2, 1e-8
-"""What a point's own distance counts for beside that from its plane; and what keeps an open move at none."""
+# Metres beyond which points pair with nothing, at the first and at the last step.
+_FIRST_TRIM = 0.04
+_LAST_TRIM = 0.010
+
+# What a point's own distance counts for beside that from its plane; and what keeps an open move at none.
+_POINTS = 0.2
+_DAMPING = 1e-8
 
 
 def starting_yaws(symmetry: int) -> np.ndarray:
@@ -56,7 +59,8 @@ def register_upright(
         is_near = np.isfinite(distance)
         if is_near.sum() < 8:
             return pose
-        near, index = local[is_near], nearest[is_near]
+        near = local[is_near]
+        index = nearest[is_near]
         normal = model.normals[index]
         # A surface that faces away from the eye was not what was seen.
         view = near - ((eyes[is_near] - pose[:3, 3]) @ rotation)
@@ -66,7 +70,8 @@ def register_upright(
         change = _solve_move(near, model.points[index], normal, weight, fixed)
         turn = yaw_matrix(change[3])
         moved = np.eye(4)
-        moved[:3, :3], moved[:3, 3] = turn, change[:3]
+        moved[:3, :3] = turn
+        moved[:3, 3] = change[:3]
         pose = pose @ moved
     return pose
 
@@ -96,7 +101,9 @@ def _solve_move(
       near, target, normal: f64[P, 3], seen points, the surface's points and normals; weight: f64[P].
       fixed: z does not change.
     """
-    apart, none, one = near - target, np.zeros(len(near)), np.ones(len(near))
+    apart = near - target
+    none = np.zeros(len(near))
+    one = np.ones(len(near))
     # A point p of the object moves by t + w x p.
     about = target[:, 0] * normal[:, 1] - target[:, 1] * normal[:, 0]
     planes = np.column_stack([normal[:, :2], none if fixed else normal[:, 2], about])
@@ -104,7 +111,8 @@ def _solve_move(
     along_x = _POINTS * np.column_stack([one, none, none, -target[:, 1]])
     along_y = _POINTS * np.column_stack([none, one, none, target[:, 0]])
     aims = (apart * normal).sum(1), _POINTS * apart[:, 0], _POINTS * apart[:, 1]
-    matrix, right = _DAMPING * np.eye(4), np.zeros(4)
+    matrix = _DAMPING * np.eye(4)
+    right = np.zeros(4)
     for rows, aim in zip((planes, along_x, along_y), aims, strict=True):
         weighted = rows * weight[:, None]
         matrix += weighted.T @ rows
@@ -134,7 +142,9 @@ class FreeRegistration:
         self._gicp = need_gicp()
         self._target = self._gicp.PointCloud(model.points)
         self._tree = self._gicp.KdTree(self._target, num_threads=1)
-        self._gicp.estimate_normals_covariances(self._target, self._tree, num_neighbors=12, num_threads=1)
+        self._gicp.estimate_normals_covariances(
+            self._target, self._tree, num_neighbors=12, num_threads=1
+        )
 
     def __call__(self, points: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """f64[4, 4]: T_world_object near `pose` f64[4, 4] for points f64[P, 3] of it, world frame."""

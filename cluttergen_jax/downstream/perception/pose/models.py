@@ -15,7 +15,8 @@ from cluttergen_jax.assets.symmetry import turn_symmetry
 from cluttergen_jax.sensing import RaySensor, sensed_model
 
 NUM_POINTS = 3000
-NUM_DENSE, NUM_JUDGED = 60_000, 1000
+NUM_DENSE = 60_000
+NUM_JUDGED = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,9 @@ class ObjectModel:
     @lru_cache(maxsize=64)
     def of(asset: ObjectAsset) -> ObjectModel:
         """The model of an object, made once: what is drawn of it, or its collision parts where nothing is."""
-        mesh = join_meshes([piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts])
+        mesh = join_meshes(
+            [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
+        )
         surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
         points, faces = trimesh.sample.sample_surface(surface, NUM_POINTS, seed=0)
         normals = np.asarray(surface.face_normals)[faces]

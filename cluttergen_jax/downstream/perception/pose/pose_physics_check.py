@@ -17,8 +17,10 @@ MOST_SHIFT = 0.003
 """Metres that a steady object moves at most."""
 MOST_MOVED = 0.01
 """Metres that an object is moved at most, so that it overlaps with nothing."""
-_OVERLAP, _GAP = 0.0002, 0.0005
-"""Metres of penetration from which on two objects are moved apart, and of the gap that is then left."""
+# Metres of penetration from which on two objects are moved apart, and of the gap that is then left.
+_OVERLAP = 0.0002
+_GAP = 0.0005
+
 _LEVEL = 0.5
 """Vertical part of a contact normal up to which objects are side by side, and not one on the other."""
 _ROUNDS = 30
@@ -60,7 +62,8 @@ class PosePhysicsCheck:
         Args:
           is_placed: bool[K], the objects that are there.
         """
-        data, moved = self._data, poses.copy()
+        data = self._data
+        moved = poses.copy()
         mujoco.mj_resetData(self._model, data)
         for _ in range(_ROUNDS):
             data.qpos.reshape(-1, 7)[is_placed] = moved[is_placed]
@@ -75,9 +78,14 @@ class PosePhysicsCheck:
 
     def _pushes(self) -> np.ndarray:
         """f64[K, 2]: by how much each object has to move, for the deepest contact of each pair."""
-        contact, deepest = self._data.contact, dict[tuple[int, int], int]()
+        contact = self._data.contact
+        deepest = dict[tuple[int, int], int]()
         pairs = self._number[self._model.geom_bodyid[contact.geom]]
-        is_beside = (contact.dist < -_OVERLAP) & (np.abs(contact.frame[:, 2]) < _LEVEL) & (pairs >= 0).all(1)
+        is_beside = (
+            (contact.dist < -_OVERLAP)
+            & (np.abs(contact.frame[:, 2]) < _LEVEL)
+            & (pairs >= 0).all(1)
+        )
         for k in np.flatnonzero(is_beside)[np.argsort(-contact.dist[is_beside], kind="stable")]:
             deepest[tuple(pairs[k].tolist())] = k
         push = np.zeros((self._model.nq // 7, 2))

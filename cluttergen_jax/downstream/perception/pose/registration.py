@@ -27,28 +27,40 @@ from cluttergen_jax.geometry import rotation_matrix
 FEWEST_PIXELS = 40
 """Of an object, below which no pose is sought."""
 _MOST_POINTS = 400
-_BEST, _REFINED = 5, 3
+_BEST = 5
+_REFINED = 3
 SURE = 0.6
 """Score from which on a pose is believed, and no other is tried."""
-_OFFSET, _AROUND = 0.5, np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-"""Where else registration begins, in half diagonals of the object, towards the eye and across."""
-_NEARLY_UPRIGHT, _LOW = np.cos(np.radians(10)), 0.01
-"""Cosine of the tilt, and metres over the table, up to which an object counts as standing on it."""
-_ALL_BUT_UPRIGHT, _ALL_BUT_DOWN = np.cos(np.radians(3)), 0.005
-"""The same up to which it is taken to stand there exactly: nothing leans so little, or sinks into a table."""
-_SAME_PLACE, _SAME_TURN = 0.01, np.radians(10)
+# Where else registration begins, in half diagonals of the object, towards the eye and across.
+_OFFSET = 0.5
+_AROUND = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+
+# Cosine of the tilt, and metres over the table, up to which an object counts as standing on it.
+_NEARLY_UPRIGHT = np.cos(np.radians(10))
+_LOW = 0.01
+
+# The same up to which it is taken to stand there exactly: nothing leans so little, or sinks into a table.
+_ALL_BUT_UPRIGHT = np.cos(np.radians(3))
+_ALL_BUT_DOWN = 0.005
+
+_SAME_PLACE = 0.01
+_SAME_TURN = np.radians(10)
 _STEPS = ((0.03, 0.0), (0.015, 0.0), (0.006, 0.0), (0.003, 4.0), (0.0015, 2.0))
 """Metres and degrees of the last refinement; long ones first: what is half hidden slides along itself."""
 _TOPMOST = 0.98
 """Share of an object's points below what counts as its top: some bled over an edge."""
-_FREE_GAIN, _LYING_GAIN, _LEANING = 0.03, 0.05, 0.7
-"""By which a pose that leans has to agree better, and one that rests in another way, as a ring that looks the
-same upside down; and the cosine of the tilt between them."""
+# By which a pose that leans has to agree better, and one that rests in another way, as a ring that looks the
+# same upside down; and the cosine of the tilt between them.
+_FREE_GAIN = 0.03
+_LYING_GAIN = 0.05
+_LEANING = 0.7
+
 _FEW_TURNS = 8
 """Turns that are tried first where an object was; if one scores like its own, all of `starting_yaws` are."""
-_DECISIVE, _ALIKE = 200.0, 0.05
-"""Evidence from which on another turn than the one that was is believed, and by how much a score may be less:
-something small decides about a turn, as the handle of a candlestick does."""
+# Evidence from which on another turn than the one that was is believed, and by how much a score may be less:
+# something small decides about a turn, as the handle of a candlestick does.
+_DECISIVE = 200.0
+_ALIKE = 0.05
 
 Scored = tuple[float, np.ndarray]
 """A score, and the pose f64[4, 4] that has it."""
@@ -86,7 +98,8 @@ class RegistrationEstimator:
 
     def __init__(self, objects: Sequence[ObjectAsset], support: SupportAsset) -> None:
         need_gicp()
-        self._objects, self._top = tuple(objects), float(support.top)
+        self._objects = tuple(objects)
+        self._top = float(support.top)
         self._models: dict[int, tuple[ObjectModel, FreeRegistration]] = {}
 
     def model(self, index: int) -> ObjectModel:
@@ -146,7 +159,8 @@ class RegistrationEstimator:
         Returns:
           Also by how much more evidence its turn has than the next best (`PoseEstimate.lead`).
         """
-        first, alike = found[0], [each for each in found if each[0] > found[0][0] - _ALIKE]
+        first = found[0]
+        alike = [each for each in found if each[0] > found[0][0] - _ALIKE]
         is_other = np.array([_is_turned(each[1], first[1], symmetry) for each in alike])
         if not is_other.any():
             return first, 1.0
@@ -163,7 +177,8 @@ class RegistrationEstimator:
         Returns:
           Also the lead of the first (`_likeliest`).
         """
-        model, compare = seen.model, seen.compare
+        model = seen.model
+        compare = seen.compare
         is_low = known[2, 3] - model.asset.half_extents[2] < self._top + _LOW
         bottom = self._top if is_low else None
         yaws = starting_yaws(model.symmetry)
@@ -172,7 +187,10 @@ class RegistrationEstimator:
             return [seen.upright(_yaw(known) + turn, bottom) for turn in turns]
 
         own, *others = from_all(yaws[:: max(len(yaws) // _FEW_TURNS, 1)])
-        if any(each[0] > own[0] - _ALIKE and _is_turned(each[1], own[1], model.symmetry) for each in others):
+        if any(
+            each[0] > own[0] - _ALIKE and _is_turned(each[1], own[1], model.symmetry)
+            for each in others
+        ):
             own, *others = from_all(yaws)
         likely, lead = self._likeliest([own, *others], model.symmetry, compare, _DECISIVE)
         first = _climb(compare, likely)
@@ -183,17 +201,23 @@ class RegistrationEstimator:
 
         If none on the table agrees well, it may stand on something else, or begin too far away.
         """
-        model, yaws = seen.model, starting_yaws(seen.model.symmetry)
+        model = seen.model
+        yaws = starting_yaws(seen.model.symmetry)
 
         def from_all(bottom: float | None, offsets: np.ndarray) -> list[Scored]:
-            return [seen.upright(yaw, bottom, offset) for yaw, offset in itertools.product(yaws, offsets)]
+            return [
+                seen.upright(yaw, bottom, offset)
+                for yaw, offset in itertools.product(yaws, offsets)
+            ]
 
         nothing = np.zeros((1, 2))
         found = from_all(self._top, nothing)
         if _best(found)[0][0] < SURE:
             # What stands on something else has its top where its highest points are.
             highest = float(np.quantile(seen.points[:, 2], _TOPMOST))
-            found += from_all(max(highest - 2 * float(model.asset.half_extents[2]), self._top), nothing)
+            found += from_all(
+                max(highest - 2 * float(model.asset.half_extents[2]), self._top), nothing
+            )
         if _best(found)[0][0] < SURE:
             found += from_all(None, nothing)
         if _best(found)[0][0] < SURE:
@@ -218,14 +242,22 @@ class RegistrationEstimator:
         return _best(found)[:_BEST]
 
     def _estimate(
-        self, model: ObjectModel, ranked: list[Scored], compare: Comparer, num_pixels: int, lead: float
+        self,
+        model: ObjectModel,
+        ranked: list[Scored],
+        compare: Comparer,
+        num_pixels: int,
+        lead: float,
     ) -> PoseEstimate:
         """The best of poses with their scores, best first; what all but stands on the table stands there."""
         score, pose = ranked[0]
         others = [each for each, other in ranked[1:] if _differs(other, pose, model.symmetry)]
-        visible, height = compare.visible(pose), float(model.asset.half_extents[2])
+        visible = compare.visible(pose)
+        height = float(model.asset.half_extents[2])
         if pose[2, 2] > _ALL_BUT_UPRIGHT and pose[2, 3] - height < self._top + _ALL_BUT_DOWN:
-            pose = rigid(turn_matrix(_yaw(pose))[:3, :3], np.array([*pose[:2, 3], self._top + height]))
+            pose = rigid(
+                turn_matrix(_yaw(pose))[:3, :3], np.array([*pose[:2, 3], self._top + height])
+            )
         return PoseEstimate(
             pose=pose_of(pose),
             score=max(score, 0.0),
@@ -241,7 +273,9 @@ def seen_points(index: int, looks: Sequence[Look]) -> tuple[np.ndarray, np.ndarr
 
     Points beyond the bulk of each look's, along its line of sight, are left out: what bled over an edge.
     """
-    points, eyes, number = [], [], 0
+    points = []
+    eyes = []
+    number = 0
     for look in looks:
         mask = look.mask(index)
         number += int(mask.sum())
@@ -256,7 +290,8 @@ def seen_points(index: int, looks: Sequence[Look]) -> tuple[np.ndarray, np.ndarr
         eyes.append(np.broadcast_to(look.camera.eye, found.shape))
     if not points:
         return np.zeros((0, 3)), np.zeros((0, 3)), number
-    all_points, all_eyes = np.concatenate(points), np.concatenate(eyes)
+    all_points = np.concatenate(points)
+    all_eyes = np.concatenate(eyes)
     chosen = np.random.default_rng(len(all_points)).permutation(len(all_points))[:_MOST_POINTS]
     return all_points[chosen], all_eyes[chosen], number
 
@@ -301,9 +336,11 @@ def _climb(compare: Comparer, start: Scored) -> Scored:
         for along in ((step, 0, 0), (-step, 0, 0), (0, step, 0), (0, -step, 0)):
             tried = shift_along(pose, along)
             if (score := _worth(compare, tried)) > best:
-                best, pose = score, tried
+                best = score
+                pose = tried
         for angle in np.radians([degrees, -degrees]) if degrees else ():
             tried = pose @ turn_matrix(angle)
             if (score := _worth(compare, tried)) > best:
-                best, pose = score, tried
+                best = score
+                pose = tried
     return best, pose

@@ -15,16 +15,21 @@ from flax import struct
 from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, num_classes
 from cluttergen_jax.types import Array
 
-WIDTH, HEIGHT = 160, 120
-"""Pixels of what the network reads and answers."""
+# Pixels of what the network reads and answers.
+WIDTH = 160
+HEIGHT = 120
+
 NO_DEPTH = -8.0
 """In place of metres where nothing was measured."""
 _COLOUR = 3
 _GROUPS = 8
 _VOTE_SCALE = 20.0
 """Pixels; votes are told in these."""
-_OBJECT_WEIGHT, _VOTE_WEIGHT = 3.0, 0.3
-_NEAR, _DEPTH_SCALE, _HEIGHT_SCALE = 0.8, 0.4, 0.1
+_OBJECT_WEIGHT = 3.0
+_VOTE_WEIGHT = 0.3
+_NEAR = 0.8
+_DEPTH_SCALE = 0.4
+_HEIGHT_SCALE = 0.1
 
 
 @dataclass(frozen=True)
@@ -85,13 +90,21 @@ class SegmentNet(nn.Module):
 def _space_to_depth(x: Array) -> Array:
     """f[B, H/2, W/2, 4 C]: squares of pixels as one."""
     b, h, w, c = x.shape
-    return x.reshape(b, h // 2, 2, w // 2, 2, c).transpose(0, 1, 3, 2, 4, 5).reshape(b, h // 2, w // 2, 4 * c)
+    return (
+        x.reshape(b, h // 2, 2, w // 2, 2, c)
+        .transpose(0, 1, 3, 2, 4, 5)
+        .reshape(b, h // 2, w // 2, 4 * c)
+    )
 
 
 def _depth_to_space(x: Array) -> Array:
     """The inverse of `_space_to_depth`."""
     b, h, w, c = x.shape
-    return x.reshape(b, h, w, 2, 2, c // 4).transpose(0, 1, 3, 2, 4, 5).reshape(b, 2 * h, 2 * w, c // 4)
+    return (
+        x.reshape(b, h, w, 2, 2, c // 4)
+        .transpose(0, 1, 3, 2, 4, 5)
+        .reshape(b, 2 * h, 2 * w, c // 4)
+    )
 
 
 class SegmentExample(struct.PyTreeNode):
@@ -112,7 +125,8 @@ class SegmentExample(struct.PyTreeNode):
 
 def network_images(rgb: Array, depth: Array, height: Array) -> Array:
     """f32[..., H, W, 5] of what `SegmentExample` has, each about as large as 1."""
-    depth, height = depth.astype(jnp.float32), height.astype(jnp.float32)
+    depth = depth.astype(jnp.float32)
+    height = height.astype(jnp.float32)
     is_there = depth > 0
     far = jnp.where(is_there, (depth - _NEAR) / _DEPTH_SCALE, -2.0)
     high = jnp.where(is_there, jnp.clip(height / _HEIGHT_SCALE, -2.0, 4.0), -2.0)
@@ -133,7 +147,9 @@ class SegmentLearner:
         """Fresh weights."""
         return SegmentNet(self.config).init(key, jnp.zeros((1, HEIGHT, WIDTH, 5)))
 
-    def loss(self, params: Any, examples: SegmentExample, key: Array) -> tuple[Array, dict[str, Array]]:
+    def loss(
+        self, params: Any, examples: SegmentExample, key: Array
+    ) -> tuple[Array, dict[str, Array]]:
         """See `fitting.Learner`; as coins fall views are mirrored, and their backgrounds recoloured."""
         number = len(examples.label)
         flip_key, colour_key = jax.random.split(key)

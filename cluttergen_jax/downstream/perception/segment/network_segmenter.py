@@ -22,7 +22,12 @@ from cluttergen_jax.downstream.perception.segment.network import (
     network_images,
     shrink,
 )
-from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, Segmentation, check_images
+from cluttergen_jax.downstream.perception.types import (
+    BACKGROUND,
+    FIRST_OBJECT,
+    Segmentation,
+    check_images,
+)
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.ppo import checkpoint
 from cluttergen_jax.sensing import Camera
@@ -31,9 +36,12 @@ _STEP = 0.008
 """Metres of depth between two neighbouring pixels from which on they count as parts of different things."""
 _SHARE = 0.6
 """How much of a pixel's chances come from the piece that it belongs to."""
-_FLAT, _LOW, _RAISED = 0.002, 0.004, 0.006
-"""Metres over the table: below the first nothing of an object is seen; pieces begin at the second; what is
-above the third and near to an object is a part of it."""
+# Metres over the table: below the first nothing of an object is seen; pieces begin at the second; what is
+# above the third and near to an object is a part of it.
+_FLAT = 0.002
+_LOW = 0.004
+_RAISED = 0.006
+
 _SELDOM = 0.1
 """What is left of the chance that something raised is background."""
 _NEAR = 6
@@ -47,7 +55,9 @@ def smooth(height: np.ndarray) -> np.ndarray:
       height: f32[H, W], metres over the table, nan where nothing was measured, as it is in the answer.
     """
     is_there = np.isfinite(height)
-    return np.where(is_there, median_filter(np.where(is_there, height, 0.0), 3), np.nan).astype(np.float32)
+    return np.where(is_there, median_filter(np.where(is_there, height, 0.0), 3), np.nan).astype(
+        np.float32
+    )
 
 
 def enlarge(image: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -86,8 +96,11 @@ def by_pieces(chance: np.ndarray, depth: np.ndarray, height: np.ndarray) -> np.n
     other = np.concatenate([number[:, :-1][beside], number[:-1][below]])
     graph = coo_matrix((np.ones(len(one), bool), (one, other)), shape=(rows * columns,) * 2)
     num_pieces, piece = connected_components(graph, directed=False)
-    flat, size = chance.reshape(-1, classes), np.bincount(piece, minlength=num_pieces)
-    mean = np.stack([np.bincount(piece, each, num_pieces) for each in flat.T], axis=1) / size[:, None]
+    flat = chance.reshape(-1, classes)
+    size = np.bincount(piece, minlength=num_pieces)
+    mean = (
+        np.stack([np.bincount(piece, each, num_pieces) for each in flat.T], axis=1) / size[:, None]
+    )
     mixed = (1 - _SHARE) * flat + _SHARE * mean[piece]
     return mixed.reshape(chance.shape).astype(np.float32)
 
@@ -117,8 +130,11 @@ def fit_to_depth(label: np.ndarray, height: np.ndarray) -> np.ndarray:
 KIND = "segmenter"
 """Of a checkpoint, as its record names it."""
 _HINT = "the folder named segmenter of a run of `cluttergen perception train`"
-_BIN, _SPREAD, _REACH = 2, 2.0, 25.0
-"""Pixels: of the votes' histogram, of its blur, and from its peak within which votes are believed."""
+# Pixels: of the votes' histogram, of its blur, and from its peak within which votes are believed.
+_BIN = 2
+_SPREAD = 2.0
+_REACH = 25.0
+
 _MIRRORED: tuple[Callable[[np.ndarray], np.ndarray], ...] = (
     lambda image: image,
     np.fliplr,
@@ -128,12 +144,16 @@ _MIRRORED: tuple[Callable[[np.ndarray], np.ndarray], ...] = (
 """Each is its own inverse."""
 
 _answers: Any = jax.jit(
-    lambda learner, params, rgb, depth, height: learner.answers(params, network_images(rgb, depth, height)),
+    lambda learner, params, rgb, depth, height: learner.answers(
+        params, network_images(rgb, depth, height)
+    ),
     static_argnums=0,
 )
 
 
-def answers_of(learner: Any, params: Any, examples: SegmentExample) -> tuple[np.ndarray, np.ndarray]:
+def answers_of(
+    learner: Any, params: Any, examples: SegmentExample
+) -> tuple[np.ndarray, np.ndarray]:
     """Probabilities f32[B, H, W, C] and centres f32[B, H, W, 2] that the network tells of examples."""
     found = _answers(learner, params, examples.rgb, examples.depth, examples.height)
     return np.asarray(found[0]), np.asarray(found[1])
@@ -149,8 +169,12 @@ class NetworkSegmenter:
       top: height of the table's top, metres.
     """
 
-    def __init__(self, names: tuple[str, ...], params: Any, config: SegmentConfig, top: float) -> None:
-        self._names, self._params, self._top = tuple(names), params, top
+    def __init__(
+        self, names: tuple[str, ...], params: Any, config: SegmentConfig, top: float
+    ) -> None:
+        self._names = tuple(names)
+        self._params = params
+        self._top = top
         self._learner = SegmentLearner(config)
 
     @property
@@ -164,12 +188,18 @@ class NetworkSegmenter:
         rgb, depth = check_images(rgb, depth, camera)
         height = (camera.points(depth)[..., 2] - self._top).astype(np.float32)
         # The picture and its mirror images, which the network has learned from alike.
-        images = (np.stack([turn(each) for turn in _MIRRORED]) for each in shrink(rgb, depth, height))
-        chances, centers = (np.asarray(each) for each in _answers(self._learner, self._params, *images))
+        images = (
+            np.stack([turn(each) for turn in _MIRRORED]) for each in shrink(rgb, depth, height)
+        )
+        chances, centers = (
+            np.asarray(each) for each in _answers(self._learner, self._params, *images)
+        )
         mean = np.mean([turn(each) for turn, each in zip(_MIRRORED, chances, strict=True)], axis=0)
         chance = enlarge(mean, depth.shape)
         height = smooth(height)
-        absent = [k for k, name in enumerate(self._names) if among is not None and name not in among]
+        absent = [
+            k for k, name in enumerate(self._names) if among is not None and name not in among
+        ]
         chance[..., [FIRST_OBJECT + k for k in absent]] = 0.0
         chance = with_raised(by_pieces(chance, depth, height), height)
         center = enlarge(centers[0], depth.shape)
@@ -225,16 +255,23 @@ def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
     path = segmenter_folder(segmenter)
     record = checkpoint.read_record(path)
     if record.get("kind") != KIND:
-        raise PoolError(f"{path} holds a network of kind {record.get('kind')!r}, no segmenter", hint=_HINT)
+        raise PoolError(
+            f"{path} holds a network of kind {record.get('kind')!r}, no segmenter", hint=_HINT
+        )
     config = config_of(SegmentConfig, record, path, _HINT)
     try:
-        names, top = tuple(map(str, record["names"])), float(record["top"])
-        if len(names) != config.num_objects or len(config.widths) != len(set(SegmentConfig(1).widths)):
+        names = tuple(map(str, record["names"]))
+        top = float(record["top"])
+        if len(names) != config.num_objects or len(config.widths) != len(
+            set(SegmentConfig(1).widths)
+        ):
             raise ValueError(f"{len(names)} names, widths {config.widths}")
         blank = blank_params(SegmentLearner(config))
     except (TypeError, KeyError, ValueError) as error:
         place = path / "record.json"
-        raise PoolError(f"{place} does not say what network it holds ({error})", hint=_HINT) from error
+        raise PoolError(
+            f"{place} does not say what network it holds ({error})", hint=_HINT
+        ) from error
     return NetworkSegmenter(names, checkpoint.read_policy(path, blank), config, top)
 
 

@@ -96,7 +96,10 @@ def example_of(stored: StoredView, views: ViewSet, seed: int) -> SegmentExample:
     center = np.zeros((len(views.names), 2), np.float32)
     camera = stored.view.camera
     if len(stored.objects):
-        pixels = camera.project(stored.poses[:, :3])[0] * [WIDTH / camera.width, HEIGHT / camera.height]
+        pixels = camera.project(stored.poses[:, :3])[0] * [
+            WIDTH / camera.width,
+            HEIGHT / camera.height,
+        ]
         center[stored.objects] = np.clip(pixels, -WIDTH, 2 * WIDTH)
     return SegmentExample(rgb, depth, height, shrink_label(stored.view.label), center)
 
@@ -106,7 +109,8 @@ def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> RgbdIm
 
     Depth is nan where nothing was measured; labels stay exact.
     """
-    view, rng = stored.view, np.random.default_rng((seed, stored.number, 7))
+    view = stored.view
+    rng = np.random.default_rng((seed, stored.number, 7))
     if noise == NOISE_OFF:
         return view
     rgb = expose(view.rgb, rng)
@@ -134,7 +138,8 @@ class SegmenterTraining(FitRun):
       ConfigError: the folder holds a run with other settings.
     """
 
-    kind, unit = KIND, "view"
+    kind = KIND
+    unit = "view"
 
     def __init__(
         self,
@@ -153,9 +158,11 @@ class SegmenterTraining(FitRun):
         return self.source.load(split)
 
     def save(self, state: FitState, held_out: SegmentExample) -> Path:
-        params, names = jax.device_get(state.best), self.source.views.names
+        params = jax.device_get(state.best)
+        names = self.source.views.names
         labels = [
-            answers_of(self.learner, params, batch)[0].argmax(-1) for batch in self.batches_of(held_out)
+            answers_of(self.learner, params, batch)[0].argmax(-1)
+            for batch in self.batches_of(held_out)
         ]
         iou = intersection_over_union(np.concatenate(labels), held_out.label, len(names))
         by_name = {name: float(value) for name, value in zip(names, iou[2:], strict=True)}

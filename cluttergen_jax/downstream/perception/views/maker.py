@@ -13,7 +13,13 @@ import pyarrow as pa
 
 from cluttergen_jax.downstream.bank_scenes import StableScenes
 from cluttergen_jax.downstream.perception.views.stage import Kind, Stage, draw_camera, open_stage
-from cluttergen_jax.downstream.perception.views.store import SCHEMA, VIEWS, StoredView, ViewSet, row_of
+from cluttergen_jax.downstream.perception.views.store import (
+    SCHEMA,
+    VIEWS,
+    StoredView,
+    ViewSet,
+    row_of,
+)
 from cluttergen_jax.downstream.robot.cameras import SIZE
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
@@ -25,8 +31,10 @@ from cluttergen_jax.statistics import is_of_share
 _ROBOT = 0.6
 """Share of pairs of the robot's cameras."""
 _ROBOTS: tuple[Kind, Kind] = ("overhead", "wrist")
-_CAMERAS, _SEEN = 8, 0.4
-"""Cameras that are drawn until so large a share of the objects is in the picture."""
+# Cameras that are drawn until so large a share of the objects is in the picture.
+_CAMERAS = 8
+_SEEN = 0.4
+
 VIEWS_A_SCENE = 4
 """Views of each scene, at two moments of its filling; where there are too few scenes they are used again."""
 
@@ -64,9 +72,12 @@ class ViewMaker:
         support: Any,
         num_objects: int,
     ) -> None:
-        self._scenes, self._stage, self._config = tuple(scenes), stage, config
+        self._scenes = tuple(scenes)
+        self._stage = stage
+        self._config = config
         self._textures = TEXTURES_OF[split]
-        self._support, self._num_objects = support, num_objects
+        self._support = support
+        self._num_objects = num_objects
 
     def view(self, number: int) -> dict[str, object]:
         """A row of `store.SCHEMA`; views 2 i and 2 i + 1 show the same moment, in different light.
@@ -75,7 +86,8 @@ class ViewMaker:
         """
         pair, place = divmod(number, 2)
         rng = np.random.default_rng((self._config.seed, pair, 3))
-        stage, support = self._stage, self._support
+        stage = self._stage
+        support = self._support
         turn, bank = divmod(pair, len(self._scenes))
         scenes = self._scenes[bank]
         row = scenes.row(turn // (VIEWS_A_SCENE // 2))
@@ -87,7 +99,8 @@ class ViewMaker:
         stage.place(poses, np.isin(np.arange(self._num_objects), placed))
         # Not used since shares are exact; what is drawn after them stays as it was.
         rng.uniform(size=2)
-        is_robot, has_arm = self.is_robots(pair), self.has_arm(pair)
+        is_robot = self.is_robots(pair)
+        has_arm = self.has_arm(pair)
         tool = stage.move_arm(support.top, rng if has_arm else None)
         kind = _ROBOTS[place] if is_robot else "free"
         rng = np.random.default_rng((self._config.seed, number, 4))
@@ -113,7 +126,8 @@ class ViewMaker:
     def _dress(self, rng: np.random.Generator) -> tuple[int, float]:
         """Draws colours, texture and light; the texture's number and the lamps' turn."""
         look = self._stage.appearance
-        texture, light = int(rng.choice(self._textures)), draw_light(rng)
+        texture = int(rng.choice(self._textures))
+        light = draw_light(rng)
         self._stage.model.geom_rgba[:] = look.draw_colours(rng)
         look.set_texture(texture)
         look.set_light(light)
@@ -126,7 +140,9 @@ class ViewMaker:
         for _ in range(_CAMERAS):
             camera = draw_camera(kind, self._support, tool, rng)
             pixels, depth = camera.project(poses[:, :3])
-            is_inside = (pixels > 0).all(1) & (pixels < [camera.width, camera.height]).all(1) & (depth > 0)
+            is_inside = (
+                (pixels > 0).all(1) & (pixels < [camera.width, camera.height]).all(1) & (depth > 0)
+            )
             if is_inside.mean() >= _SEEN:
                 break
         return camera
@@ -141,7 +157,8 @@ def write_views(
     overwrite: bool = False,
 ) -> ViewSet:
     """The views of one split in a folder, begun or continued; see `cluttergen_jax.perception_data`."""
-    path, first = Path(out), next(iter(banks.values()))
+    path = Path(out)
+    first = next(iter(banks.values()))
     scenes = [StableScenes.read(bank) for bank in banks.values()]
     names = [str(name) for name in first.record["recipe"]["names"]]
     made = {
@@ -160,7 +177,8 @@ def write_views(
     def fill(record: dict[str, Any], missing: dict[int, int]) -> None:
         if not missing:
             return
-        views, total = ViewSet(path, record), record["splits"][split][VIEWS.number]
+        views = ViewSet(path, record)
+        total = record["splits"][split][VIEWS.number]
         with (
             Progress(f"views of {split}", total, "view", total - sum(missing.values())) as progress,
             open_stage(views.objects, views.support, config.arm > 0) as stage,

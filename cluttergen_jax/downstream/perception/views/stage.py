@@ -37,7 +37,8 @@ def expose(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 Kind = Literal["free", "overhead", "wrist"]
 """Of cameras."""
-_TILT, _SHIFT = np.radians(4.0), 0.03
+_TILT = np.radians(4.0)
+_SHIFT = 0.03
 
 
 def draw_camera(
@@ -105,14 +106,17 @@ class Stage:
     def __init__(
         self, model: mujoco.MjModel, renderer: Renderer, names: Sequence[str], has_arm: bool
     ) -> None:
-        self.model, self._renderer = model, renderer
+        self.model = model
+        self._renderer = renderer
         self._data = mujoco.MjData(model)
         self._qpos = [int(model.joint(name).qposadr[0]) for name in names]
         self._arm = Robot.of(model) if has_arm else None
         self._label = self._labels(names)
         body = model.geom_bodyid
         is_seen = model.geom_group == VISUAL_GROUP
-        self._arm_geoms = is_seen & self._arm.is_arm[body] if self._arm else np.zeros(model.ngeom, bool)
+        self._arm_geoms = (
+            is_seen & self._arm.is_arm[body] if self._arm else np.zeros(model.ngeom, bool)
+        )
         self.appearance = Appearance(model, is_seen & (self._label >= FIRST_OBJECT))
 
     def _labels(self, names: Sequence[str]) -> np.ndarray:
@@ -146,7 +150,9 @@ class Stage:
             return None
         home = np.array(find_robot().arm.home)
         for _ in range(_ARM_TRIES):
-            joints = np.clip(home + rng.normal(0, _ARM_SPREAD, len(home)), self._arm.low, self._arm.high)
+            joints = np.clip(
+                home + rng.normal(0, _ARM_SPREAD, len(home)), self._arm.low, self._arm.high
+            )
             self._data.qpos[self._arm.qpos] = joints
             self._data.qpos[self._arm.fingers] = rng.uniform(0.0, 0.04)
             mujoco.mj_kinematics(self.model, self._data)
@@ -163,7 +169,9 @@ class Stage:
 
 
 @contextmanager
-def open_stage(objects: Sequence[ObjectAsset], support: SupportAsset, has_arm: bool) -> Iterator[Stage]:
+def open_stage(
+    objects: Sequence[ObjectAsset], support: SupportAsset, has_arm: bool
+) -> Iterator[Stage]:
     """A stage.
 
     Args:

@@ -60,10 +60,16 @@ def check_rows(table: pa.Table) -> None:
       SchemaError: a number is not finite or out of its range, or the parts of a row do not belong together.
     """
     found = read_columns(table, _NUMBERS)
-    pixels, objects = found["width"].astype(np.int64) * found["height"], lengths_of(table, "objects")
+    pixels = found["width"].astype(np.int64) * found["height"]
+    objects = lengths_of(table, "objects")
     lengths = {"rgb": 3 * pixels, "depth": 2 * pixels, "label": pixels, "poses": objects}
     lacking = [name for name in ("method", "has_arm") if table[name].null_count]
-    refuse([*faults_of(table, lengths, found["poses"]), *(f"{name!r} lacks a value" for name in lacking)])
+    refuse(
+        [
+            *faults_of(table, lengths, found["poses"]),
+            *(f"{name!r} lacks a value" for name in lacking),
+        ]
+    )
 
 
 TENTHS_A_METRE = 10_000
@@ -128,7 +134,9 @@ class ViewSet(SampleSet):
     @property
     def pool(self) -> str:
         """The name of the pool, for people."""
-        recipes = [recipe for split in self.record["splits"].values() for recipe in split["recipes"]]
+        recipes = [
+            recipe for split in self.record["splits"].values() for recipe in split["recipes"]
+        ]
         return public_name(str(recipes[0].get("pool"))) if recipes else ""
 
     @property
@@ -155,7 +163,9 @@ class ViewSet(SampleSet):
         known = len(self.names)
         for table in self.tables(split, number):
             for view in map(_view_of, table.to_pylist()):
-                if max(view.objects, default=0) >= known or view.view.label.max() >= num_classes(known):
+                if max(view.objects, default=0) >= known or view.view.label.max() >= num_classes(
+                    known
+                ):
                     fault = f"view {view.number} shows objects beyond the {known} of its record"
                     raise BankError(f"{self.path} is damaged: {fault}", hint=VIEWS.again)
                 yield view
@@ -166,8 +176,11 @@ read_views = ViewSet.read
 
 def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, object]:
     """A view as a row of `SCHEMA`."""
-    view, camera = stored.view, stored.view.camera
-    tenths = np.round(np.where(np.isfinite(view.depth), view.depth, 0.0).astype(np.float64) * TENTHS_A_METRE)
+    view = stored.view
+    camera = stored.view.camera
+    tenths = np.round(
+        np.where(np.isfinite(view.depth), view.depth, 0.0).astype(np.float64) * TENTHS_A_METRE
+    )
     depth = np.where(tenths <= np.iinfo(np.uint16).max, tenths, 0).astype("<u2")
     return {
         "view": stored.number,
@@ -203,5 +216,10 @@ def _view_of(row: dict[str, Any]) -> StoredView:
     poses = np.array(row["poses"], np.float64).reshape(-1, 7)
     objects = np.array(row["objects"], np.int64)
     return StoredView(
-        row["view"], RgbdImage(rgb, depth, label, camera), objects, poses, row["method"], row["has_arm"]
+        row["view"],
+        RgbdImage(rgb, depth, label, camera),
+        objects,
+        poses,
+        row["method"],
+        row["has_arm"],
     )

@@ -65,11 +65,15 @@ class Bench:
     """
 
     def __init__(self, setup: Setup, labels: PairLabels, num_threads: int = 0) -> None:
-        self.labels, self.problem, self._keep_out = labels, setup.problem, setup.keep_out
+        self.labels = labels
+        self.problem = setup.problem
+        self._keep_out = setup.keep_out
         self._rules = judging_rules(setup.problem)
         self._episodes = self._of(self._rules)
         self._judge = ProposalJudge(self._rules)
-        self._count = PaperCount(setup.problem.world.layout, self._rules.physics.config, num_threads)
+        self._count = PaperCount(
+            setup.problem.world.layout, self._rules.physics.config, num_threads
+        )
         self._above: Any = jax.jit(jax.vmap(_height_above, in_axes=(None, None, 0, 0)))
         self._mapper = HeightMapper.of(self._rules.geometry, self._rules.region)
 
@@ -97,7 +101,8 @@ class Bench:
         """Tries each query's proposals, best first, until one is good."""
         num_queries, num_proposals = proposals.score.shape
         verdict = np.full((num_queries, num_proposals), int(Verdict.NONE), np.int32)
-        has_margin, left = np.zeros(num_queries, bool), np.arange(num_queries)
+        has_margin = np.zeros(num_queries, bool)
+        left = np.arange(num_queries)
         for place in range(num_proposals):
             if not len(left):
                 break
@@ -144,7 +149,9 @@ def proposals_arrays(proposals: Proposals) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(proposals.pose, np.float32), np.asarray(proposals.score, np.float32)
 
 
-def _episode(rules: Rules, keep_out: KeepOut, order: Array, poses: Array, num_standing: Array) -> Episode:
+def _episode(
+    rules: Rules, keep_out: KeepOut, order: Array, poses: Array, num_standing: Array
+) -> Episode:
     """The episode behind a query; poses are T_region_object."""
     world = jax.vmap(lambda pose: to_pose(rules.region.T_world_region @ from_pose(pose)))(poses)
     return episode_of(rules, keep_out, order, world, num_standing)
@@ -157,7 +164,9 @@ def _height_above(mapper: HeightMapper, rules: Rules, episode: Episode, pose: Ar
     return pose[2] - fit.rest[0] - CLEARANCE
 
 
-_answers: Any = jax.jit(jax.vmap(lambda placer, key, query: placer(key, query), in_axes=(None, 0, 0)))
+_answers: Any = jax.jit(
+    jax.vmap(lambda placer, key, query: placer(key, query), in_axes=(None, 0, 0))
+)
 """Placers are arguments: those of equal sizes share what is compiled."""
 
 

@@ -46,13 +46,16 @@ class Chains:
         num_cameras: int = 1,
     ) -> None:
         check_cameras(num_cameras, camera)
-        self._scenes, self._noise, self._seed = scenes, noise, seed
+        self._scenes = scenes
+        self._noise = noise
+        self._seed = seed
         self.num_chains = min(num_chains, len(scenes.number))
         self._looks = SceneCameras(scenes.problem, camera)
         self._cameras = [
             self._looks.draw_cameras((seed, row, 3), num_cameras) for row in range(self.num_chains)
         ]
-        self._maker, self._judge = QueryMaker(scenes.problem), ProposalJudge(scenes.rules)
+        self._maker = QueryMaker(scenes.problem)
+        self._judge = ProposalJudge(scenes.rules)
         self._pool = ThreadPoolExecutor(num_threads or os.cpu_count())
 
     def run(self, placer: Placer | PlainPlacer) -> dict[str, Any]:
@@ -71,7 +74,9 @@ class Chains:
                 if not len(rows):
                     break
                 episodes, is_good = self._place(placer, episodes, rows, slot)
-                by_slot.append({"standing": slot, "chains": len(rows), "share": float(is_good.mean())})
+                by_slot.append(
+                    {"standing": slot, "chains": len(rows), "share": float(is_good.mean())}
+                )
                 placed[rows] += is_good
                 alive[rows] = is_good
                 progress.update(self.num_chains)
@@ -86,19 +91,23 @@ class Chains:
     ) -> tuple[Episode, np.ndarray]:
         """The episodes after one object more in some of them, and in which of these it stands."""
         state = np.asarray(episodes.poses), np.asarray(episodes.is_placed)
-        queries = stack_queries(list(self._pool.map(lambda row: self._query(row, slot, *state), rows)))
+        queries = stack_queries(
+            list(self._pool.map(lambda row: self._query(row, slot, *state), rows))
+        )
         key = jax.random.fold_in(new_key(self._seed), slot)
         keys = jax.vmap(lambda row: jax.random.fold_in(key, row))(rows)
         proposals = answers(placer, keys, queries)
         poses, is_placed = (each.copy() for each in state)
-        is_good, left = np.zeros(len(rows), bool), np.arange(len(rows))
+        is_good = np.zeros(len(rows), bool)
+        left = np.arange(len(rows))
         for place in range(proposals.score.shape[1]):
             if not len(left):
                 break
             judged = self._judge.settle(episodes, rows[left], proposals.pose[left, place])
             good = judged.verdict == int(Verdict.STABLE)
             at = rows[left[good]]
-            poses[at], is_placed[at] = judged.poses[good], judged.is_placed[good]
+            poses[at] = judged.poses[good]
+            is_placed[at] = judged.is_placed[good]
             is_good[left[good]] = True
             left = left[~good]
         slots = np.asarray(episodes.slot).copy()
@@ -106,7 +115,9 @@ class Chains:
         poses = np.where(is_placed[..., None], poses, state[0])
         return episodes.replace(poses=poses, is_placed=is_placed, slot=slots), is_good
 
-    def _query(self, row: int, slot: int, poses: np.ndarray, is_placed: np.ndarray) -> PlacementQuery:
+    def _query(
+        self, row: int, slot: int, poses: np.ndarray, is_placed: np.ndarray
+    ) -> PlacementQuery:
         rng = np.random.default_rng((self._seed, row, slot, 4))
         views = self._looks.views(poses[row], is_placed[row], self._cameras[row])
         sight = self._maker.see_all(views, self._noise, rng)

@@ -14,9 +14,19 @@ from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.parts import part_label, part_name
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench, ProposalOutcomes
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
-from cluttergen_jax.downstream.placer.evaluation.tables import Row, chain_table, figures_of, tables_of
+from cluttergen_jax.downstream.placer.evaluation.tables import (
+    Row,
+    chain_table,
+    figures_of,
+    tables_of,
+)
 from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
-from cluttergen_jax.downstream.placer.pairs.store import PairLabels, PairSet, load_queries, of_tenths
+from cluttergen_jax.downstream.placer.pairs.store import (
+    PairLabels,
+    PairSet,
+    load_queries,
+    of_tenths,
+)
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes
 from cluttergen_jax.downstream.placer.proposers import FullState, find_placer
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, PlainPlacer
@@ -89,11 +99,17 @@ class PlacerTrials:
         num_cameras: int = 1,
         tenth: int | None = None,
     ) -> None:
-        self.pairs, self.split, self.made = pairs, split, pairs.split(split)
+        self.pairs = pairs
+        self.split = split
+        self.made = pairs.split(split)
         check_cameras(num_cameras, self.made["camera"])
-        self.num_cameras, self.tenth = num_cameras, tenth
+        self.num_cameras = num_cameras
+        self.tenth = tenth
         self.num_pairs = int(self.made["num_pairs"]) if num_pairs is None else num_pairs
-        self.seed, self.store, self.is_fresh, self._num_threads = seed, store, fresh, num_threads
+        self.seed = seed
+        self.store = store
+        self.is_fresh = fresh
+        self._num_threads = num_threads
         self._seen: tuple[float, PlacementQuery, PairLabels] | None = None
 
     @property
@@ -118,7 +134,8 @@ class PlacerTrials:
         """
         found = find_placer(placer)
         name = name or _name_of(placer)
-        trial, sources = self._trial(name, noise), self._sources(placer, found)
+        trial = self._trial(name, noise)
+        sources = self._sources(placer, found)
         key = json_digest({"trial": trial, "sources": sources}, 20)
         title = f"{Path(name).name} noise {noise:g} {self.split} {self._place(trial)}"
         known = None if self.is_fresh else self.store.read(title, key)
@@ -189,7 +206,9 @@ class PlacerTrials:
             **more,
         }
 
-    def _sources(self, placer: AnyPlacer, found: Placer | PlainPlacer | FullState) -> dict[str, object]:
+    def _sources(
+        self, placer: AnyPlacer, found: Placer | PlainPlacer | FullState
+    ) -> dict[str, object]:
         """Hashes of what decides the figures beside the trial."""
         if isinstance(found, FullState):
             trained = checkpoint_of(found.method, self.made["recipe"]["pool"])
@@ -216,7 +235,9 @@ class PlacerTrials:
         is_asked = outcome.is_quiet | self._is_own_quiet
         figures = figures_of(outcome, labels, self._bench.problem.world.names)
         num_asked = int(is_asked.sum())
-        figures["paper_without_invalid"] = proportion(outcome.is_quiet[is_asked]) | {"queries": num_asked}
+        figures["paper_without_invalid"] = proportion(outcome.is_quiet[is_asked]) | {
+            "queries": num_asked
+        }
         figures["stands_without"] = float(self._stands_alone.mean())
         return figures, outcome
 
@@ -280,7 +301,9 @@ def compare_placers(
         trials.bank()
     total = len(placers) * len(noises) * trials.num_queries
     with Progress("placing", total, "proposal") as progress:
-        rows = [trials.row(placer, noise, progress.update) for noise in noises for placer in placers]
+        rows = [
+            trials.row(placer, noise, progress.update) for noise in noises for placer in placers
+        ]
     asked = [(placer, noise) for noise in noises for placer in placers] if num_chains else []
     chains = [row for each in asked if (row := trials.chain(*each, num_chains)) is not None]
     tables = tables_of(rows) + ([chain_table(chains)] if chains else [])

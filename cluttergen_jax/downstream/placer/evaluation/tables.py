@@ -23,7 +23,9 @@ MANY = 7
 _BINS = 10
 
 
-def figures_of(outcome: ProposalOutcomes, labels: PairLabels, names: Sequence[str]) -> dict[str, Any]:
+def figures_of(
+    outcome: ProposalOutcomes, labels: PairLabels, names: Sequence[str]
+) -> dict[str, Any]:
     """Everything that a table tells of one row; shares are of all queries unless it is said of which.
 
     Args:
@@ -31,7 +33,8 @@ def figures_of(outcome: ProposalOutcomes, labels: PairLabels, names: Sequence[st
     """
     first = outcome.verdict[:, 0]
     is_good = first == int(Verdict.STABLE)
-    standing, unseen = labels.num_standing, labels.unseen
+    standing = labels.num_standing
+    unseen = labels.unseen
     error = np.abs(outcome.z_error[np.isfinite(outcome.z_error)])
     return {
         "success": proportion(is_good),
@@ -44,7 +47,9 @@ def figures_of(outcome: ProposalOutcomes, labels: PairLabels, names: Sequence[st
             "p90": finite(float(np.percentile(error, 90))) if len(error) else None,
         },
         "many": _share(is_good, standing >= MANY),
-        "by_standing": [{"standing": int(k)} | _share(is_good, standing == k) for k in np.unique(standing)],
+        "by_standing": [
+            {"standing": int(k)} | _share(is_good, standing == k) for k in np.unique(standing)
+        ],
         "by_object": [
             {"object": names[k]} | _share(is_good, labels.object_index == k)
             for k in np.unique(labels.object_index)
@@ -73,10 +78,12 @@ def _calibration(score: np.ndarray, is_good: np.ndarray) -> dict[str, Any] | Non
     if not np.isfinite(score).all():
         return None
     place = np.clip((score * _BINS).astype(int), 0, _BINS - 1)
-    bins, gap = [], 0.0
+    bins = []
+    gap = 0.0
     for each in np.unique(place):
         which = place == each
-        told, found = float(score[which].mean()), float(is_good[which].mean())
+        told = float(score[which].mean())
+        found = float(is_good[which].mean())
         bins.append({"told": told, "found": found, "queries": int(which.sum())})
         gap += which.mean() * abs(told - found)
     return {"brier": float(((score - is_good) ** 2).mean()), "gap": float(gap), "bins": bins}
@@ -84,28 +91,49 @@ def _calibration(score: np.ndarray, is_good: np.ndarray) -> dict[str, Any] | Non
 
 Row = dict[str, Any]
 _SHOWN = (Verdict.DISPLACED, Verdict.PENETRATING, Verdict.UNSETTLED, Verdict.OUTSIDE)
-_NAMES = {"drop": "drop (full state)", "guided": "guided (full state)", "policy": "policy (full state)"}
+_NAMES = {
+    "drop": "drop (full state)",
+    "guided": "guided (full state)",
+    "policy": "policy (full state)",
+}
 
 
 def tables_of(rows: Sequence[Row]) -> list[Table]:
     """The main table, then shares by number standing, by what is unseen, and by object."""
     asked = rows[0]["trial"]
-    place = f"{asked['queries']} queries of {asked['pool']} on {asked['support']}, {_cameras(asked)}"
-    notes = [*NOTES, "full state: a method that sees the scene itself, five attempts; it is no placer"]
+    place = (
+        f"{asked['queries']} queries of {asked['pool']} on {asked['support']}, {_cameras(asked)}"
+    )
+    notes = [
+        *NOTES,
+        "full state: a method that sees the scene itself, five attempts; it is no placer",
+    ]
     cells = tuple((*_head(row), *main_cells(row["figures"])) for row in rows)
     main = Table(place, ("placer", "noise", *MAIN), cells, tuple(notes))
     return [
         main,
         _by_the_paper(rows),
-        _by(rows, "by_standing", "By number of objects that stand", lambda each: str(each["standing"])),
-        _by(rows, "by_unseen", "By share of the region unseen", lambda e: f"{e['from']:.0%}-{e['to']:.0%}"),
+        _by(
+            rows,
+            "by_standing",
+            "By number of objects that stand",
+            lambda each: str(each["standing"]),
+        ),
+        _by(
+            rows,
+            "by_unseen",
+            "By share of the region unseen",
+            lambda e: f"{e['from']:.0%}-{e['to']:.0%}",
+        ),
         _by(rows, "by_object", "By object", lambda each: each["object"]),
     ]
 
 
 def _cameras(asked: dict[str, Any]) -> str:
     number = asked.get("cameras", 1)
-    return f"{number} cameras {asked['camera']}, fused" if number > 1 else f"camera {asked['camera']}"
+    return (
+        f"{number} cameras {asked['camera']}, fused" if number > 1 else f"camera {asked['camera']}"
+    )
 
 
 def chain_table(chains: Sequence[Row]) -> Table:
@@ -177,7 +205,13 @@ def _by_the_paper(rows: Sequence[Row]) -> Table:
         )
         for row in rows
     ]
-    columns = ("placer", "noise", "stands", "paper's count", "paper's count, invalid pairs left out")
+    columns = (
+        "placer",
+        "noise",
+        "stands",
+        "paper's count",
+        "paper's count, invalid pairs left out",
+    )
     notes = (
         "paper's count: every object is quiet for 20 steps within 60, at 2 deg/s; neighbours may be pushed",
         "left out: pairs in which neither the proposal nor the scene's own pose counts",
@@ -189,7 +223,9 @@ def _by(rows: Sequence[Row], name: str, title: str, word: Callable[[Row], str]) 
     """A table of shares with a column for each class of queries, and how many queries each has."""
     classes = rows[0]["figures"][name]
     columns = ("placer", "noise", *(f"{word(each)} ({each['queries']})" for each in classes))
-    cells = tuple((*_head(row), *(cell(each["share"]) for each in row["figures"][name])) for row in rows)
+    cells = tuple(
+        (*_head(row), *(cell(each["share"]) for each in row["figures"][name])) for row in rows
+    )
     return Table(f"{title} (queries)", columns, cells)
 
 

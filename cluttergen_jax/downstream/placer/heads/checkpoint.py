@@ -59,10 +59,14 @@ def head_of(record: Mapping[str, Any], path: Path, wanted: str | None = None) ->
         raise PoolError(f"{path} holds a network of kind {kind!r}, and no placer", hint=_HINT)
     name = str(record.get("head"))
     if name not in HEADS or wanted not in (None, name):
-        raise PoolError(f"{path} holds a placer with the head {name!r}", wanted or ", ".join(HEADS), _HINT)
+        raise PoolError(
+            f"{path} holds a placer with the head {name!r}", wanted or ", ".join(HEADS), _HINT
+        )
     head, config = HEADS[name]
     return head(
-        config_of(config, record, path, "a placer that `cluttergen placer train` of this version left")
+        config_of(
+            config, record, path, "a placer that `cluttergen placer train` of this version left"
+        )
     )
 
 
@@ -96,5 +100,7 @@ def load_placer(path: Path, wanted: str | None = None) -> Placer:
     head = head_of(record, path, wanted)
     temperature = record.get("temperature", 1.0)
     if not isinstance(temperature, int | float) or not 0 < temperature < 1e3:
-        raise PoolError(f"{path / 'record.json'}: temperature {temperature!r}", "a positive number", _HINT)
+        raise PoolError(
+            f"{path / 'record.json'}: temperature {temperature!r}", "a positive number", _HINT
+        )
     return head.placer(checkpoint.read_policy(path, blank_params(head)), float(temperature))

@@ -29,8 +29,10 @@ UNSEEN = 0.01
 _CROP_MARGIN = 0.03
 _OWN_REACH = 0.008
 _NUM_SPARSE = 64
-_FINE, _COARSE = 100.0, 10.0
-_FINE_MOST, _COARSE_MOST = 2.0, 2.0
+_FINE = 100.0
+_COARSE = 10.0
+_FINE_MOST = 2.0
+_COARSE_MOST = 2.0
 MIRRORED = (26, 27)
 """Places of the features that change their sign where x, or y, of the object's frame is mirrored."""
 
@@ -73,11 +75,13 @@ def crops_of(heights: HeightMap, ceilings: HeightMap, shape: OwnShape, pose: Arr
     both finely (centimetres) and coarsely (decimetres); whether it was not seen; whether there is nothing
     below; whether the object is above it.
     """
-    cos, sin = jnp.cos(pose[:, 3])[:, None], jnp.sin(pose[:, 3])[:, None]
+    cos = jnp.cos(pose[:, 3])[:, None]
+    sin = jnp.sin(pose[:, 3])[:, None]
     x = cos * shape.xy[:, 0] - sin * shape.xy[:, 1] + pose[:, 0, None]
     y = sin * shape.xy[:, 0] + cos * shape.xy[:, 1] + pose[:, 1, None]
     cells = heights.index_of(x, y)
-    height, ceiling = heights.at(cells), ceilings.at(cells)
+    height = heights.at(cells)
+    ceiling = ceilings.at(cells)
     bottom = pose[:, 2, None] + shape.bottom
     is_void = height <= VOID
     channels = []
@@ -138,9 +142,11 @@ def occupancy_around(surface: HeightMap) -> HeightMap:
 
 def _of_pose(query: PlacementQuery, candidates: Candidates, pose: Array) -> Array:
     """f32[N, 9]."""
-    under, z = query.under, pose[:, 2]
+    under = query.under
+    z = pose[:, 2]
     cells = cells_under(under, query.heights, candidates)
-    height, ceiling = query.heights.at(cells), query.ceilings.at(cells)
+    height = query.heights.at(cells)
+    ceiling = query.ceilings.at(cells)
     is_void = height <= VOID
     hidden = jnp.where(is_void, 0.0, ceiling - height)
     bottom = z[:, None] + under.bottom
@@ -170,13 +176,15 @@ def _of_pose(query: PlacementQuery, candidates: Candidates, pose: Array) -> Arra
 
 def _unseen(query: PlacementQuery) -> Array:
     """f32[W, H]: 1 where something may be that was not seen."""
-    heights, ceilings = query.heights.height, query.ceilings.height
+    heights = query.heights.height
+    ceilings = query.ceilings.height
     return ((ceilings - heights > UNSEEN) & (heights > VOID)).astype(jnp.float32)
 
 
 def _of_scene(query: PlacementQuery) -> Array:
     """f32[13]: of the object (9), and of the scene."""
-    half, center = query.half_extents, query.center_of_mass
+    half = query.half_extents
+    center = query.center_of_mass
     own = jnp.clip(query.own_margin, 0.0, 0.1)
     region = query.region_half_extents
     is_there = query.heights.height > VOID

@@ -22,7 +22,13 @@ from cluttergen_jax.downstream.placer.query import (
 )
 from cluttergen_jax.learning.networks.distributions import EDGE, Mixture
 from cluttergen_jax.placement.heightmap import VOID
-from cluttergen_jax.placement.search import CLEARANCE, Candidates, cells_under, lower_onto, mean_under
+from cluttergen_jax.placement.search import (
+    CLEARANCE,
+    Candidates,
+    cells_under,
+    lower_onto,
+    mean_under,
+)
 from cluttergen_jax.types import Array
 
 NUM_CELL_FEATURES = 13
@@ -57,7 +63,8 @@ class MixtureNet(nn.Module):
         Args:
           features: f32[G * G * T, NUM_CELL_FEATURES], of the cells' middles (`cell_features`).
         """
-        config, hidden = self.config, features
+        config = self.config
+        hidden = features
         for width in config.widths:
             hidden = nn.relu(nn.Dense(width)(hidden))
         scores = nn.Dense(1, kernel_init=nn.initializers.zeros)(hidden)[..., 0]
@@ -65,7 +72,11 @@ class MixtureNet(nn.Module):
         raw = jnp.stack([x, y, jnp.zeros(2), turn])
         side = (config.num_cells, config.num_cells)
         return Mixture.from_scores(
-            scores.reshape(*side, config.num_turns), raw, jnp.zeros(side), jnp.float32(1.0), symmetry=1
+            scores.reshape(*side, config.num_turns),
+            raw,
+            jnp.zeros(side),
+            jnp.float32(1.0),
+            symmetry=1,
         )
 
 
@@ -73,13 +84,16 @@ def cells_of(query: PlacementQuery, config: MixtureConfig) -> Candidates:
     """The middles of all cells and turns, in the order of the mixture's components."""
     place = (np.arange(config.num_cells) + 0.5) / config.num_cells * 2 - 1
     turn = (np.arange(config.num_turns) + 0.5) / config.num_turns * 2 * np.pi
-    grid = np.stack(np.meshgrid(place, place, turn, indexing="ij"), axis=-1, dtype=np.float32).reshape(-1, 3)
+    grid = np.stack(
+        np.meshgrid(place, place, turn, indexing="ij"), axis=-1, dtype=np.float32
+    ).reshape(-1, 3)
     return Candidates(grid[:, :2] * query.region_half_extents, jnp.asarray(grid[:, 2]))
 
 
 def cell_features(query: PlacementQuery, config: MixtureConfig) -> Array:
     """f32[G * G * T, NUM_CELL_FEATURES]: how the object would lie at the middle of each cell and turn."""
-    cells, under = cells_of(query, config), query.under.first(config.num_columns)
+    cells = cells_of(query, config)
+    under = query.under.first(config.num_columns)
     columns = []
     for surface in (query.heights, query.ceilings):
         fit = lower_onto(under, surface, cells)
@@ -93,7 +107,9 @@ def cell_features(query: PlacementQuery, config: MixtureConfig) -> Array:
     hidden = query.ceilings.at(below) - query.heights.at(below)
     number = jnp.maximum(under.is_column.sum(), 1)
     columns.append(jnp.where(under.is_column, hidden > UNSEEN, False).sum(1) / number)
-    columns.append(jnp.where(under.is_column, query.heights.at(below) <= VOID, False).sum(1) / number)
+    columns.append(
+        jnp.where(under.is_column, query.heights.at(below) <= VOID, False).sum(1) / number
+    )
     inside = query.region_half_extents - jnp.abs(cells.xy)
     columns.append(10 * jnp.clip(jnp.min(inside, axis=1), 0.0, 0.1))
     size = 10 * jnp.stack([jnp.linalg.norm(query.half_extents[:2]), query.half_extents[2]])
@@ -105,7 +121,9 @@ def mass_around(mass: Array) -> Array:
     """f32[G, G, T]: the mass of each cell and turn and of all beside it; nothing is beyond the region."""
     # Turns go round.
     mass = jnp.concatenate([mass[..., -1:], mass, mass[..., :1]], axis=-1)
-    return jax.lax.reduce_window(mass, 0.0, jax.lax.add, (3, 3, 3), (1, 1, 1), ((1, 1), (1, 1), (0, 0)))
+    return jax.lax.reduce_window(
+        mass, 0.0, jax.lax.add, (3, 3, 3), (1, 1, 1), ((1, 1), (1, 1), (0, 0))
+    )
 
 
 class MixturePlacer(struct.PyTreeNode, eq=False):
@@ -125,13 +143,16 @@ class MixturePlacer(struct.PyTreeNode, eq=False):
         """See `query.Placer`; nothing is drawn."""
         del key
         found: Any = MixtureNet(self.config).apply(self.params, cell_features(query, self.config))
-        cells, shape = cells_of(query, self.config), (*[self.config.num_cells] * 2, self.config.num_turns)
+        cells = cells_of(query, self.config)
+        shape = (*[self.config.num_cells] * 2, self.config.num_turns)
         mass = mass_around(jnp.exp(found.log_weight).reshape(shape)).ravel()
         best = best_apart(-mass, cells.xy, NUM_PROPOSALS)
         inside = found.inside.mean() - _MIDDLE
         step = jnp.append(2 * query.region_half_extents / self.config.num_cells, 0.0)
         turn = 2 * jnp.pi / self.config.num_turns
-        chosen = Candidates(cells.xy[best] + (step[:2] * inside[:2]), cells.yaw[best] + turn * inside[3])
+        chosen = Candidates(
+            cells.xy[best] + (step[:2] * inside[:2]), cells.yaw[best] + turn * inside[3]
+        )
         z = lower_onto(query.under, query.heights, chosen).rest + CLEARANCE
         return without_scores(jnp.column_stack([chosen.xy, z, chosen.yaw]))
 
@@ -155,7 +176,8 @@ class MixtureHead:
     kind = "mixture"
 
     def prepare(self, example: Example) -> MixtureExample:
-        query, target = example.query, example.target
+        query = example.query
+        target = example.target
         place = (target[:2] / query.region_half_extents + 1) / 2
         turn = jnp.mod(target[3] / (2 * jnp.pi), 1.0)
         action = jnp.stack([place[0], place[1], jnp.float32(_MIDDLE), turn])
@@ -166,7 +188,9 @@ class MixtureHead:
         number = self.config.num_cells**2 * self.config.num_turns
         return MixtureNet(self.config).init(key, jnp.zeros((number, NUM_CELL_FEATURES)))
 
-    def loss(self, params: Any, examples: MixtureExample, key: Array) -> tuple[Array, dict[str, Array]]:
+    def loss(
+        self, params: Any, examples: MixtureExample, key: Array
+    ) -> tuple[Array, dict[str, Array]]:
         del key
 
         def surprise(example: MixtureExample) -> Array:

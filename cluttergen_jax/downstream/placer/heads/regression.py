@@ -140,20 +140,28 @@ class RegressionHead:
 
     def init(self, key: Array) -> Any:
         """See `checkpoint.Head`. Raises PoolError: `encoder_weights` has none, or of other sizes."""
-        scene, own = self.config.scene_points, self.config.object_points
+        scene = self.config.scene_points
+        own = self.config.object_points
         blank = Clouds(
-            jnp.zeros((scene, 3)), jnp.ones(scene, bool), jnp.zeros((own, 3)), jnp.ones(2), jnp.ones(3)
+            jnp.zeros((scene, 3)),
+            jnp.ones(scene, bool),
+            jnp.zeros((own, 3)),
+            jnp.ones(2),
+            jnp.ones(3),
         )
         params: Any = RegressionNet(self.config).init(key, blank)
         if self.encoder_weights is None:
             return params
         inner = params["params"]
         read = {
-            name: checkpoint.read_policy(self.encoder_weights, inner[name]) for name in ("scene", "object")
+            name: checkpoint.read_policy(self.encoder_weights, inner[name])
+            for name in ("scene", "object")
         }
         return {"params": inner | read}
 
-    def loss(self, params: Any, examples: RegressionExample, key: Array) -> tuple[Array, dict[str, Array]]:
+    def loss(
+        self, params: Any, examples: RegressionExample, key: Array
+    ) -> tuple[Array, dict[str, Array]]:
         del key
         found: Any = jax.vmap(lambda clouds: RegressionNet(self.config).apply(params, clouds))(
             examples.clouds

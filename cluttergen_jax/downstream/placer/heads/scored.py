@@ -35,7 +35,8 @@ _NUM_COARSE = 24
 _GAP_SCALE = 0.01
 _DOUBT_COST = 0.5
 _LIFTED = 0.005
-_STEP, _TURN = 0.01, 0.2
+_STEP = 0.01
+_TURN = 0.2
 _INSIDE = 0.002
 
 
@@ -76,7 +77,8 @@ class ScoreNet(nn.Module):
         Args:
           features: f32[N, NUM_FEATURES]; crops: f32[N, S, S, NUM_CHANNELS] (`features`).
         """
-        number, side = len(crops), CROP_SIDE // _PATCH
+        number = len(crops)
+        side = CROP_SIDE // _PATCH
         patches = crops.reshape(number, side, _PATCH, side, _PATCH, NUM_CHANNELS)
         patches = patches.transpose(0, 1, 3, 2, 4, 5).reshape(number, side * side, -1)
         seen = nn.relu(nn.Dense(self.config.patch_width)(patches)).reshape(number, -1)
@@ -99,7 +101,9 @@ class ScoredPlacer(struct.PyTreeNode, eq=False):
     temperature: Any = 1.0
 
     def __call__(self, key: Array, query: PlacementQuery) -> Proposals:
-        config, keys, shape = self.config, jax.random.split(key, 3), own_shape(query)
+        config = self.config
+        keys = jax.random.split(key, 3)
+        shape = own_shape(query)
         many = cheapest(query, draw(keys[0], query, config.num_drawn), config.num_finalists)
         first = concatenate_candidates(draw(keys[1], query, config.num_uniform), many)
         pose = lower_candidates(query, first)
@@ -114,7 +118,9 @@ class ScoredPlacer(struct.PyTreeNode, eq=False):
     def logits(self, query: PlacementQuery, shape: OwnShape, pose: Array) -> Array:
         """f32[N]: how likely poses f32[N, 4] are to stand; shape: of the query (`own_shape`)."""
         found: Any = ScoreNet(self.config).apply(
-            self.params, features_of(query, pose), crops_of(query.heights, query.ceilings, shape, pose)
+            self.params,
+            features_of(query, pose),
+            crops_of(query.heights, query.ceilings, shape, pose),
         )
         return found[:, 0]
 
@@ -192,7 +198,9 @@ class ScoredHead:
         crops = jnp.zeros((1, CROP_SIDE, CROP_SIDE, NUM_CHANNELS))
         return ScoreNet(self.config).init(key, jnp.zeros((1, NUM_FEATURES)), crops)
 
-    def loss(self, params: Any, examples: ScoredExample, key: Array) -> tuple[Array, dict[str, Array]]:
+    def loss(
+        self, params: Any, examples: ScoredExample, key: Array
+    ) -> tuple[Array, dict[str, Array]]:
         """See `checkpoint.Head`; every pair is mirrored along x and y of its object as a coin falls."""
         is_mirrored = jax.random.bernoulli(key, shape=(2, len(examples.verdict)))
         logits = self._logits(params, examples, is_mirrored)

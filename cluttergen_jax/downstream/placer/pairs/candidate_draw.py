@@ -19,11 +19,16 @@ from cluttergen_jax.placement.search import CLEARANCE, Candidates, SearchConfig,
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
-TRUE_MAP, PARTIAL_MAP, RANDOM = 0, 1, 2
-"""Sources: a search on the true map, one on what the camera saw, and poses drawn uniformly."""
+# Sources: a search on the true map, one on what the camera saw, and poses drawn uniformly.
+TRUE_MAP = 0
+PARTIAL_MAP = 1
+RANDOM = 2
 
-_NUM_TRUE, _NUM_SEEN, _NUM_CEILING = 12, 6, 6
-_NUM_RANDOM_SEEN, _NUM_RANDOM_CEILING = 5, 3
+_NUM_TRUE = 12
+_NUM_SEEN = 6
+_NUM_CEILING = 6
+_NUM_RANDOM_SEEN = 5
+_NUM_RANDOM_CEILING = 3
 _SEARCH = SearchConfig(num_candidates=192, num_finalists=6)
 _NUM_UNIFORM = 24
 _HIGHEST_COST = 0.5

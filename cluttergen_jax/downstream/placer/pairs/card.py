@@ -62,7 +62,8 @@ def card_text(pairs: PairSet) -> str:
         f"[{', '.join(files)}]",
     )
     columns = markdown_table(
-        ("column", "type", "meaning"), [(f"`{f.name}`", f"`{f.type}`", _COLUMNS[f.name]) for f in SCHEMA]
+        ("column", "type", "meaning"),
+        [(f"`{f.name}`", f"`{f.type}`", _COLUMNS[f.name]) for f in SCHEMA],
     )
     sections = [
         head,
@@ -90,6 +91,10 @@ def _split(pairs: PairSet, split: str) -> str:
         "pool": public_name(str(recipe.get("pool"))),
         "method of the scenes": recipe.get("method"),
         "versions": ", ".join(f"{name} {number}" for name, number in made["versions"].items()),
-        "verdicts of candidates": ", ".join(f"{name} {share:.1%}" for name, share in shares if share),
+        "verdicts of candidates": ", ".join(
+            f"{name} {share:.1%}" for name, share in shares if share
+        ),
     }
-    return "\n".join([f"## Split `{split}`", "", *(f"- {name}: {value}" for name, value in rows.items())])
+    return "\n".join(
+        [f"## Split `{split}`", "", *(f"- {name}: {value}" for name, value in rows.items())]
+    )

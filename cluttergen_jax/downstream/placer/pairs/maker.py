@@ -15,7 +15,13 @@ import pyarrow as pa
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs.candidate_draw import SOURCES, CandidateDraw
 from cluttergen_jax.downstream.placer.pairs.card import write_card
-from cluttergen_jax.downstream.placer.pairs.store import PAIRS, SCHEMA, PairSet, changed_frame, stack_queries
+from cluttergen_jax.downstream.placer.pairs.store import (
+    PAIRS,
+    SCHEMA,
+    PairSet,
+    changed_frame,
+    stack_queries,
+)
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, depth_bytes, depth_of
@@ -48,9 +54,11 @@ class PairMaker:
     """
 
     def __init__(self, scenes: PartialScenes, camera: str, seed: int, num_threads: int = 0) -> None:
-        self.scenes, self.seed = scenes, seed
+        self.scenes = scenes
+        self.seed = seed
         self._cameras = SceneCameras(scenes.problem, camera)
-        self._maker, self._judge = QueryMaker(scenes.problem), ProposalJudge(scenes.rules)
+        self._maker = QueryMaker(scenes.problem)
+        self._judge = ProposalJudge(scenes.rules)
         self._draw = CandidateDraw(scenes.rules)
         self._pool = ThreadPoolExecutor(num_threads or os.cpu_count())
 
@@ -62,7 +70,9 @@ class PairMaker:
             number: np.random.default_rng((self.seed, number)).permutation(len(known))
             for number in np.unique(rounds)
         }
-        return np.array([known[order[number][place]] for number, place in zip(rounds, rest, strict=True)])
+        return np.array(
+            [known[order[number][place]] for number, place in zip(rounds, rest, strict=True)]
+        )
 
     def block(
         self, block: int, num_rows: int, on_rows: Callable[[int], None] = lambda number: None
@@ -90,9 +100,13 @@ class PairMaker:
 
     def _candidates(self, block: int, episodes: Episode, queries: PlacementQuery) -> np.ndarray:
         rng = np.random.default_rng((self.seed, block, 1))
-        return self._draw(rng.integers(2**32, size=PAIRS.block_size, dtype=np.uint32), episodes, queries)
+        return self._draw(
+            rng.integers(2**32, size=PAIRS.block_size, dtype=np.uint32), episodes, queries
+        )
 
-    def _look(self, pair: int, place: np.ndarray, poses: np.ndarray, is_placed: np.ndarray) -> SensedPair:
+    def _look(
+        self, pair: int, place: np.ndarray, poses: np.ndarray, is_placed: np.ndarray
+    ) -> SensedPair:
         """What the pair's camera sees."""
         rng = np.random.default_rng((self.seed, pair, 2))
         camera, image = self._cameras.look(poses, is_placed, rng)
@@ -110,11 +124,17 @@ class PairMaker:
         )
 
     def _row(
-        self, pair: int, place: np.ndarray, look: SensedPair, candidates: np.ndarray, verdict: np.ndarray
+        self,
+        pair: int,
+        place: np.ndarray,
+        look: SensedPair,
+        candidates: np.ndarray,
+        verdict: np.ndarray,
     ) -> dict[str, object]:
         scene, slot = place
         T_region_world = np.linalg.inv(self._maker.T_world_region)
-        names, camera = self.scenes.problem.world.names, look.camera
+        names = self.scenes.problem.world.names
+        camera = look.camera
         order = self.scenes.object_index[scene]
         poses = changed_frame(T_region_world, self.scenes.poses[scene])
         return {
@@ -167,7 +187,9 @@ def write_pairs(
 
     def fill(record: dict[str, Any], missing: dict[int, int]) -> None:
         total = record["splits"][split][PAIRS.number]
-        with Progress(f"pairs of {split}", total, "pair", total - sum(missing.values())) as progress:
+        with Progress(
+            f"pairs of {split}", total, "pair", total - sum(missing.values())
+        ) as progress:
             if missing:
                 progress.say(COMPILING)
             for block, rows in missing.items():

@@ -24,7 +24,12 @@ from cluttergen_jax.downstream.columns import (
 )
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker, SceneMaps
 from cluttergen_jax.downstream.placer.query import PlacementQuery
-from cluttergen_jax.downstream.placer.scene_cameras import DepthView, SceneCameras, check_cameras, depth_of
+from cluttergen_jax.downstream.placer.scene_cameras import (
+    DepthView,
+    SceneCameras,
+    check_cameras,
+    depth_of,
+)
 from cluttergen_jax.downstream.samples import SPLITS, SampleFormat, SampleSet
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.sources.replay import setup_of
@@ -76,7 +81,8 @@ def check_rows(table: pa.Table) -> None:
     found = read_columns(table, _NUMBERS)
     for name in ("scene", "slot", "object", "standing"):
         numbers_of(table, name)
-    standing, pixels = numbers_of(table, "num_standing"), found["width"].astype(np.int64) * found["height"]
+    standing = numbers_of(table, "num_standing")
+    pixels = found["width"].astype(np.int64) * found["height"]
     candidates = lengths_of(table, "candidate")
     lengths = {
         "standing": standing,
@@ -160,7 +166,8 @@ class PairSet(SampleSet):
         Raises:
           ConfigError: there is no such split; BankError: an asset is missing or damaged.
         """
-        recipe, assets = self.split(split)["recipe"], self.record["assets"]
+        recipe = self.split(split)["recipe"]
+        assets = self.record["assets"]
         return setup_of(Bank(self.path, {"recipe": recipe, "assets": assets}), engine="native")
 
 
@@ -198,7 +205,8 @@ def load_queries(
     """
     check_workers("num_threads", num_threads)
     pairs = dataset if isinstance(dataset, PairSet) else read_pairs(dataset)
-    made, total = pairs.split(split), pairs.num_samples(split, num_pairs)
+    made = pairs.split(split)
+    total = pairs.num_samples(split, num_pairs)
     check_cameras(num_cameras, made["camera"])
     problem = pairs.setup(split).problem
     names = {name: k for k, name in enumerate(problem.world.names)}
@@ -215,14 +223,20 @@ def load_queries(
             if chosen.num_rows:
                 part = labels_of(chosen, names, problem.rules.num_slots)
                 noise_of_each = [noises[pair % len(noises)] for pair in part.pair]
-                sights = list(pool.map(reader.see, reader.scenes(chosen, part), noise_of_each, repeat(seed)))
+                sights = list(
+                    pool.map(reader.see, reader.scenes(chosen, part), noise_of_each, repeat(seed))
+                )
                 seen = zip(sights, part.object_index, strict=True)
-                queries.append(stack_queries([reader.maker.query(sight, index) for sight, index in seen]))
+                queries.append(
+                    stack_queries([reader.maker.query(sight, index) for sight, index in seen])
+                )
                 unseen = np.array([sight.unseen for sight in sights], np.float32)
                 labels.append(part._replace(unseen=unseen))
             progress.update(rows.num_rows)
     if not queries:
-        raise ConfigError(f"no wanted pairs among {total} of {split!r} in {pairs.path}", "one or more")
+        raise ConfigError(
+            f"no wanted pairs among {total} of {split!r} in {pairs.path}", "one or more"
+        )
     return concatenate_queries(queries), PairLabels(
         *(np.concatenate(each) for each in zip(*labels, strict=True))
     )
@@ -250,9 +264,13 @@ class _Reader:
       first_seed: of the split.
     """
 
-    def __init__(self, problem: Problem, camera: str, seed: int, num_cameras: int, first_seed: int) -> None:
-        self.maker, self._num_cameras = QueryMaker(problem), num_cameras
-        self._seed, self._first_seed = seed, first_seed
+    def __init__(
+        self, problem: Problem, camera: str, seed: int, num_cameras: int, first_seed: int
+    ) -> None:
+        self.maker = QueryMaker(problem)
+        self._num_cameras = num_cameras
+        self._seed = seed
+        self._first_seed = first_seed
         self._num_objects = len(problem.world.names)
         self._cameras = SceneCameras(problem, camera) if num_cameras > 1 else None
 
@@ -260,7 +278,8 @@ class _Reader:
         """What `see` needs of some rows."""
         for row, view in enumerate(images_of(table, self.maker.T_world_region)):
             standing = slice(0, int(labels.num_standing[row]))
-            poses, is_placed = np.zeros((self._num_objects, 7)), np.zeros(self._num_objects, bool)
+            poses = np.zeros((self._num_objects, 7))
+            is_placed = np.zeros(self._num_objects, bool)
             at = labels.order[row, standing]
             poses[at] = changed_frame(self.maker.T_world_region, labels.poses[row, standing])
             is_placed[at] = True
@@ -330,7 +349,8 @@ def images_of(table: pa.Table, T_world_region: np.ndarray) -> Iterator[DepthView
     """Each row's depth image, f32[H, W] in metres, inf where nothing is, and its camera in the world."""
     names = ("camera_K", "T_region_camera", "width", "height", "depth")
     for row in table.select(names).to_pylist():
-        width, height = row["width"], row["height"]
+        width = row["width"]
+        height = row["height"]
         T = np.array(row["T_region_camera"]).reshape(4, 4)
         camera = Camera(width, height, np.array(row["camera_K"]).reshape(3, 3), T_world_region @ T)
         yield DepthView(depth_of(row["depth"], width, height), camera)

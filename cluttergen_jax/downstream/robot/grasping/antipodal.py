@@ -60,7 +60,9 @@ class Union:
         self._planes = [np.unique(hull.equations.round(9), axis=0) for hull in hulls]
         self._hulls = hulls
 
-    def surface_points(self, number: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def surface_points(
+        self, number: int, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Points on the faces of all parts, uniform by area, and outward normals, f64[number, 3] each.
 
         Points that lie inside another part are among them.
@@ -72,7 +74,8 @@ class Union:
         face = rng.choice(len(area), number, p=area / area.sum())
         u, v = rng.random((2, number, 1))
         fold = u + v > 1
-        u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
+        u = np.where(fold, 1 - u, u)
+        v = np.where(fold, 1 - v, v)
         return a[face] + u * (b - a)[face] + v * (c - a)[face], normals[face]
 
     def cast(self, start: np.ndarray, direction: np.ndarray) -> _Crossing:
@@ -84,7 +87,8 @@ class Union:
     def _cast_one(
         planes: np.ndarray, start: np.ndarray, direction: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        slope, height = direction @ planes[:, :3].T, start @ planes[:, :3].T + planes[:, 3]
+        slope = direction @ planes[:, :3].T
+        height = start @ planes[:, :3].T + planes[:, 3]
         is_along = np.abs(slope) < 1e-9
         time = -height / np.where(is_along, 1.0, slope)
         enter = np.where(slope < 0, time, -np.inf)
@@ -92,7 +96,9 @@ class Union:
         enter[is_along] = leave[is_along] = -np.inf
         enter = np.where(is_along & (height > 0), np.inf, enter)
         leave = np.where(is_along, np.inf, leave)
-        first, last, face = enter.max(1), leave.min(1), leave.argmin(1)
+        first = enter.max(1)
+        last = leave.min(1)
+        face = leave.argmin(1)
         is_hit = first < last
         return np.where(is_hit, first, np.inf), np.where(is_hit, last, -np.inf), face
 
@@ -155,7 +161,9 @@ def _narrow(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Of the ends of segments those that fit between the fingers and are faced well enough."""
     fits = reach <= max_width
-    rows, reach, part = rows[fits], reach[fits], part[fits]
+    rows = rows[fits]
+    reach = reach[fits]
+    part = part[fits]
     facing = (union.normals(crossing, part, rows) * axis[rows]).sum(1)
     is_good = facing >= np.cos(cone)
     return rows[is_good], reach[is_good]
@@ -169,18 +177,21 @@ def _segments(crossing: _Crossing) -> list[tuple[np.ndarray, np.ndarray, np.ndar
     """
     num_lines = len(crossing.enter)
     every = np.arange(num_lines)
-    reach, last = np.full(num_lines, -np.inf), np.zeros(num_lines, np.int64)
+    reach = np.full(num_lines, -np.inf)
+    last = np.zeros(num_lines, np.int64)
     is_ours = np.zeros(num_lines, bool)
     ends = []
     for column in np.argsort(crossing.enter, axis=1).T:
-        enter, leave = crossing.enter[every, column], crossing.leave[every, column]
+        enter = crossing.enter[every, column]
+        leave = crossing.leave[every, column]
         is_new = enter > reach + _GAP
         done = every[is_ours & is_new & np.isfinite(reach)]
         ends.append((done, reach[done].copy(), last[done].copy()))
         # Behind the last part everything is inf: nothing more ends there.
         is_ours = (is_ours | (is_new & (np.abs(enter) < _ON_SURFACE))) & np.isfinite(enter)
         grows = np.isfinite(enter) & (leave > reach)
-        reach, last = np.where(grows, leave, reach), np.where(grows, column, last)
+        reach = np.where(grows, leave, reach)
+        last = np.where(grows, column, last)
     done = every[is_ours]
     ends.append((done, reach[done], last[done]))
     return ends

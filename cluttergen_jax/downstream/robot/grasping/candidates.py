@@ -29,7 +29,9 @@ _STEEPEST_UP = 0.1
 _DOWN = np.array([0.0, 0.0, -1.0])
 _CLEARANCE = 0.0015
 """Metres between the hand and the object; the arm is where it should be to a millimetre."""
-_PLANE, _GROUND_GAP, _GROUND_HALF = "plane", 0.001, (0.5, 0.5, 0.05)
+_PLANE = "plane"
+_GROUND_GAP = 0.001
+_GROUND_HALF = (0.5, 0.5, 0.05)
 _BACK = (0.0, 0.03, 0.06, 0.1)
 """Metres before the grasp at which the hand must be clear of the object too."""
 
@@ -52,7 +54,11 @@ class Candidates(NamedTuple):
 
 
 def candidates_of(
-    asset: ObjectAsset, number: int, num_lines: int, rng: np.random.Generator, robot: RobotDescription
+    asset: ObjectAsset,
+    number: int,
+    num_lines: int,
+    rng: np.random.Generator,
+    robot: RobotDescription,
 ) -> Candidates:
     """At most `number` candidates of which the hand is clear where it comes, spread over the object.
 
@@ -62,7 +68,8 @@ def candidates_of(
       num_lines: lines that are cast to find pairs; half as many ways of approach are looked at.
       robot: whose hand it is.
     """
-    union, gripper = Union(asset.parts), gripper_of(robot)
+    union = Union(asset.parts)
+    gripper = gripper_of(robot)
     pairs = sample_pairs(union, num_lines, rng, 2 * gripper.max_opening - MARGIN)
     found = draw_approaches(union, pairs, max(num_lines // 2, 1), rng, gripper, robot.gripper.pad)
     found = found.take(spread(found.pose, min(len(found.width), 4 * number), rng))
@@ -98,19 +105,25 @@ def draw_approaches(
     if not wide.size:
         return Candidates(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, bool))
     row = rng.choice(wide, number)
-    axis, width, middle = pairs.axis[row], pairs.width[row], pairs.middle[row]
+    axis = pairs.axis[row]
+    width = pairs.width[row]
+    middle = pairs.middle[row]
     below = _downwards(axis, down)
     side = np.cross(axis, below)
     quarter = np.pi / 2
-    turned = rng.uniform(-quarter, quarter, number) if spread is None else rng.normal(0, spread, number)
+    turned = (
+        rng.uniform(-quarter, quarter, number) if spread is None else rng.normal(0, spread, number)
+    )
     angle = np.where(np.arange(number) % 2, np.clip(turned, -quarter, quarter), 0.0)
     approach = np.cos(angle)[:, None] * below + np.sin(angle)[:, None] * side
     shallow = rng.choice(_SHALLOW, number)
     first = pairs.first[row] + _INSIDE * axis
-    ahead, behind = union.reach(first, approach), union.reach(first, -approach)
+    ahead = union.reach(first, approach)
+    behind = union.reach(first, -approach)
     depth = np.minimum(ahead, pad - shallow) + np.minimum(behind, pad + shallow)
     across = np.cross(axis, approach)
-    left, right = union.reach(first, across), union.reach(first, -across)
+    left = union.reach(first, across)
+    right = union.reach(first, -across)
     cover = np.minimum(left, pad) + np.minimum(right, pad)
     is_deep = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
         cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
@@ -130,7 +143,9 @@ def _downwards(axis: np.ndarray, down: np.ndarray) -> np.ndarray:
     # Across an upright axis any direction is as good as another.
     any_side = np.eye(3)[np.argmin(np.abs(down))]
     any_side = any_side - down * (down @ any_side)
-    return np.where(length > 1e-3, below / np.maximum(length, 1e-3), any_side / np.linalg.norm(any_side))
+    return np.where(
+        length > 1e-3, below / np.maximum(length, 1e-3), any_side / np.linalg.norm(any_side)
+    )
 
 
 class HandCheck:
@@ -147,7 +162,9 @@ class HandCheck:
             geom.margin = _CLEARANCE
         body = add_object(spec, asset, OBJECT)
         below = -asset.half_extents[2] - _GROUND_GAP - _GROUND_HALF[2]
-        body.add_geom(name=_PLANE, type=mujoco.mjtGeom.mjGEOM_BOX, size=_GROUND_HALF, pos=(0.0, 0.0, below))
+        body.add_geom(
+            name=_PLANE, type=mujoco.mjtGeom.mjGEOM_BOX, size=_GROUND_HALF, pos=(0.0, 0.0, below)
+        )
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         self._start = int(self._model.joint(OBJECT).qposadr[0])
@@ -159,7 +176,8 @@ class HandCheck:
 
         Nor before, where it comes straight.
         """
-        opening, of_plane = self._gripper.opening_of(np.array(width)), True
+        opening = self._gripper.opening_of(np.array(width))
+        of_plane = True
         self._data.qpos[: self._start] = self._gripper.joints_of(opening)
         for back in _BACK:
             of_object, is_clear = self._look(pose, back)

@@ -35,19 +35,33 @@ ROUNDS = 16
 """How often candidates of a scene are drawn at most."""
 _NUM_LINES = 1500
 _TIMESTEP = 1 / 360
-_CLOSE, _RISE, _HOLD = 0.5, 0.5, 0.2
-"""Seconds of each part of a lift."""
+# Seconds of each part of a lift.
+_CLOSE = 0.5
+_RISE = 0.5
+_HOLD = 0.2
+
 _EMPTY = 0.002
 """Metres between the fingers up to which they have closed on nothing."""
 _AT_ONCE = 6
-_PREFIX, _CARRIAGE = "hand/", "carriage"
-_GAIN, _DAMPING = 2e4, 400.0
-"""N/m and N s/m of what lifts the hand: it sags by half a millimetre under a kilogram."""
+_PREFIX = "hand/"
+_CARRIAGE = "carriage"
+# N/m and N s/m of what lifts the hand: it sags by half a millimetre under a kilogram.
+_GAIN = 2e4
+_DAMPING = 400.0
+
 _STEEPEST_UP = 0.1
 _SPREAD = np.radians(35)
 """Of antipodal candidates: most that come flatly are blocked."""
 _AWAY = np.array([0.0, 0.0, 100.0, 1.0, 0.0, 0.0, 0.0])
-_OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations", "integrator")
+_OPTIONS = (
+    "timestep",
+    "gravity",
+    "cone",
+    "impratio",
+    "iterations",
+    "noslip_iterations",
+    "integrator",
+)
 _IMPRATIO = 10.0
 
 
@@ -123,7 +137,9 @@ class Lift(NamedTuple):
     moved: float
 
 
-def label_grasps(scene: Scene, still: StillScene, number: int, rng: np.random.Generator) -> LabelledGrasps:
+def label_grasps(
+    scene: Scene, still: StillScene, number: int, rng: np.random.Generator
+) -> LabelledGrasps:
     """Draws candidates for a scene and looks which of them are free; half of each source where there are.
 
     In clutter most are not free. So `number` of them are drawn again and again, `ROUNDS` times at most, until
@@ -133,8 +149,11 @@ def label_grasps(scene: Scene, still: StillScene, number: int, rng: np.random.Ge
     blockers: list[str] = []
     while len(parts) < ROUNDS and 2 * blockers.count("") < number:
         parts.append(draw_grasps(scene, still.robot, number, rng))
-        blockers += [still.blocker(*each) for each in zip(parts[-1].pose, parts[-1].width, strict=True)]
-    drawn, blocked_by = _joined_grasps(parts), np.array(blockers)
+        blockers += [
+            still.blocker(*each) for each in zip(parts[-1].pose, parts[-1].width, strict=True)
+        ]
+    drawn = _joined_grasps(parts)
+    blocked_by = np.array(blockers)
     is_free = blocked_by == ""
     free = rng.permutation(np.flatnonzero(is_free))[: (number + 1) // 2]
     others = rng.permutation(np.flatnonzero(~is_free))[: number - len(free)]
@@ -153,7 +172,9 @@ def draw_grasps(
       robot: whose hand it is.
       number: C, fewer where antipodal ones are rare.
     """
-    whole = _joined_grasps([_draw_for(scene, index, robot, rng, number) for index in range(len(scene.names))])
+    whole = _joined_grasps(
+        [_draw_for(scene, index, robot, rng, number) for index in range(len(scene.names))]
+    )
     chosen = [
         rng.permutation(np.flatnonzero(whole.is_antipodal == is_antipodal))[:share]
         for is_antipodal, share in ((True, (number + 1) // 2), (False, number // 2))
@@ -169,12 +190,15 @@ def _draw_for(
     scene: Scene, index: int, robot: RobotDescription, rng: np.random.Generator, number: int
 ) -> ClutterGrasps:
     """The share of one object, of each source."""
-    share, gripper = -(-number // len(scene.names)), gripper_of(robot)
+    share = -(-number // len(scene.names))
+    gripper = gripper_of(robot)
     widest = 2 * gripper.max_opening - MARGIN
     union, pairs = _lines(scene.objects[index], widest)
     T = matrix_of(scene.poses[index])
     # Many of these are not deep enough.
-    found = draw_approaches(union, pairs, 4 * share, rng, gripper, robot.gripper.pad, -T[2, :3], _SPREAD)
+    found = draw_approaches(
+        union, pairs, 4 * share, rng, gripper, robot.gripper.pad, -T[2, :3], _SPREAD
+    )
     chosen = rng.permutation(len(found.width))[:share]
     seen = T @ _surface_poses(union, share, T[:3, :3], rng)
     return ClutterGrasps(
@@ -185,7 +209,9 @@ def _draw_for(
     )
 
 
-def _surface_poses(union: Union, number: int, turn: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _surface_poses(
+    union: Union, number: int, turn: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
     """f64[C, 4, 4]: T_object_tool along the normals of points that do not face down.
 
     The root of the fingers is between 5 mm below the surface and 5 mm more than they are long above it, as
@@ -193,7 +219,8 @@ def _surface_poses(union: Union, number: int, turn: np.ndarray, rng: np.random.G
     """
     points, normals = union.surface_points(4 * number, rng)
     is_up = (normals @ turn.T)[:, 2] > -_STEEPEST_UP
-    points, normals = points[is_up][:number], normals[is_up][:number]
+    points = points[is_up][:number]
+    normals = normals[is_up][:number]
     helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     x = np.cross(helper, normals)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
@@ -221,7 +248,8 @@ class StillScene:
     """
 
     def __init__(self, scene: Scene, robot: RobotDescription) -> None:
-        self.robot, self._gripper = robot, gripper_of(robot)
+        self.robot = robot
+        self._gripper = gripper_of(robot)
         spec = _spec_with_hand(scene, robot, visual=True)
         for joint in [each for each in spec.joints if each.name in scene.names]:
             spec.delete(joint)
@@ -246,7 +274,10 @@ class StillScene:
           Its name; "" where the hand is free.
         """
         for back in _BACK:
-            self._put(shift_along(pose, (0.0, 0.0, -back)), float(self._gripper.opening_of(np.array(width))))
+            self._put(
+                shift_along(pose, (0.0, 0.0, -back)),
+                float(self._gripper.opening_of(np.array(width))),
+            )
             mujoco.mj_collision(self._model, self._data)
             bodies = self._model.geom_bodyid[self._data.contact.geom]
             others = bodies[self._is_hand[bodies].sum(1) == 1]
@@ -261,7 +292,9 @@ class StillScene:
         return cast_rays(self._model, self._data, camera, self._groups)[0]
 
     def _put(self, pose: np.ndarray, opening: float) -> None:
-        _put_hand(self._model, self._carriage, self._hand, pose @ inverse(self._gripper.T_hand_tool))
+        _put_hand(
+            self._model, self._carriage, self._hand, pose @ inverse(self._gripper.T_hand_tool)
+        )
         self._data.qpos[self._fingers] = self._gripper.joints_of(np.array(opening))
         mujoco.mj_kinematics(self._model, self._data)
 
@@ -288,11 +321,13 @@ class LiftScene:
         self._is_hand = bodies_of_tree(self._model, self._carriage)
         self._is_object = np.isin(np.arange(self._model.nbody), self._bodies)
         # The carriage's motor was added first.
-        self._up, self._grip = 0, 1
+        self._up = 0
+        self._grip = 1
 
     def lift(self, pose: np.ndarray, width: float) -> Lift:
         """Closes the hand at T_world_tool f64[4, 4] and lifts what it holds."""
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         mujoco.mj_resetData(model, data)
         gripper = self._gripper
         _put_hand(model, self._carriage, self._hand, pose @ inverse(gripper.T_hand_tool))
@@ -332,17 +367,26 @@ class LiftScene:
 
     def _largest_shift(self, start: np.ndarray, held: int) -> float:
         shift = np.linalg.norm(self._data.xpos[self._bodies] - start, axis=1)
-        return float(np.delete(shift, held).max(initial=0.0) if held >= 0 else shift.max(initial=0.0))
+        return float(
+            np.delete(shift, held).max(initial=0.0) if held >= 0 else shift.max(initial=0.0)
+        )
 
 
 def _spec_with_hand(scene: Scene, robot: RobotDescription, visual: bool) -> mujoco.MjSpec:
     """A scene and a hand that can rise, at 100 m."""
     spec = populated_spec(
-        scene.names, scene.objects, scene.support, _TIMESTEP, scene.contact, poses=scene.poses, visual=visual
+        scene.names,
+        scene.objects,
+        scene.support,
+        _TIMESTEP,
+        scene.contact,
+        poses=scene.poses,
+        visual=visual,
     )
     hand = hand_spec(scene.contact, robot)
     remove_drawings(hand)
-    spec.option.integrator, spec.option.impratio = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, _IMPRATIO
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.impratio = _IMPRATIO
     for option in _OPTIONS:
         setattr(hand.option, option, getattr(spec.option, option))
     carriage = spec.worldbody.add_body(name=_CARRIAGE, pos=_AWAY[:3])
@@ -353,7 +397,8 @@ def _spec_with_hand(scene: Scene, robot: RobotDescription, visual: bool) -> mujo
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
     )
-    motor.gainprm[0], motor.biastype = _GAIN, mujoco.mjtBias.mjBIAS_AFFINE
+    motor.gainprm[0] = _GAIN
+    motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     motor.biasprm[:3] = 0.0, -_GAIN, -_DAMPING
     spec.attach(hand, prefix=_PREFIX, frame=carriage.add_frame())
     return spec
@@ -362,7 +407,8 @@ def _spec_with_hand(scene: Scene, robot: RobotDescription, visual: bool) -> mujo
 def _put_hand(model: mujoco.MjModel, carriage: int, hand: int, T_world_hand: np.ndarray) -> None:
     """Puts the hand at f64[4, 4]."""
     pose = pose_of(T_world_hand)
-    model.body_pos[carriage], model.body_quat[hand] = pose[:3], pose[3:]
+    model.body_pos[carriage] = pose[:3]
+    model.body_quat[hand] = pose[3:]
 
 
 def _fingers_of(model: mujoco.MjModel) -> list[int]:

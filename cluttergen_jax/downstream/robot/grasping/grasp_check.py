@@ -26,14 +26,24 @@ LIFT = 0.15
 """Metres that the object is lifted, in half a second."""
 SHAKE = 3.0
 """m/s^2, to and fro in three directions."""
-MAX_SLIP, MAX_TURN = 0.005, np.radians(10)
-"""How far a verified grasp may let the object slip in the hand, metres and radians."""
-MAX_SHIFT, MAX_SHIFT_TURN = 0.02, np.radians(20)
-"""How far the closing fingers may push it."""
+# How far a verified grasp may let the object slip in the hand, metres and radians.
+MAX_SLIP = 0.005
+MAX_TURN = np.radians(10)
+
+# How far the closing fingers may push it.
+MAX_SHIFT = 0.02
+MAX_SHIFT_TURN = np.radians(20)
+
 MAX_LOAD = 4.0
 """Times its weight that an object is pulled with in the end, to see how much more a grasp holds."""
-_CLOSE, _HOLD, _LIFT, _SHAKE, _TURN, _LOAD = 0.5, 0.15, 0.5, 0.1, 0.4, 0.4
-"""Seconds of each part."""
+# Seconds of each part.
+_CLOSE = 0.5
+_HOLD = 0.15
+_LIFT = 0.5
+_SHAKE = 0.1
+_TURN = 0.4
+_LOAD = 0.4
+
 _TIMESTEP = 1 / 360
 """Seconds. At the arm's 1/960 nearly the same grasps hold, at 2.7 times the cost; 1/240 chatters."""
 
@@ -91,10 +101,14 @@ def check_grasps(
       is_brief: leave out the shaking and the load; `margin` is then 1 or 0.
       robot: whose hand it is; the Panda's if not given.
     """
-    contact, robot = ContactConfig(), robot or find_robot()
-    model, course, gripper = _model(asset, contact, robot), _course(_TIMESTEP, is_brief), gripper_of(robot)
+    contact = ContactConfig()
+    robot = robot or find_robot()
+    model = _model(asset, contact, robot)
+    course = _course(_TIMESTEP, is_brief)
+    gripper = gripper_of(robot)
     T_hand_object = gripper.T_hand_tool @ inverse(candidates.pose)
-    num, steps = len(candidates.width), len(course.closed)
+    num = len(candidates.width)
+    steps = len(course.closed)
     object_body = model.body(OBJECT).id
     opening = gripper.opening_of(candidates.width)
     come = gripper.control_of(opening)[:, None]
@@ -117,12 +131,16 @@ def check_grasps(
     motion[:, : course.lifted] = states[..., address : address + 7]
     motion[:, course.lifted :] = motion[:, course.lifted - 1 : course.lifted]
     point = _points(gripper, candidates.width)
-    closed, last = (matrix_of(_sound(motion)[:, step]) for step in (course.closed_at, course.lifted - 1))
+    closed, last = (
+        matrix_of(_sound(motion)[:, step]) for step in (course.closed_at, course.lifted - 1)
+    )
     is_kept = ~_is_lost(*_slip_and_turn(closed, last[:, None], point))[:, 0] & ~_is_pushed(
         closed, T_hand_object
     )
     if is_kept.any():
-        states, _ = pool.rollout(model, data, states[is_kept, -1], later[is_kept], control_spec=wanted)
+        states, _ = pool.rollout(
+            model, data, states[is_kept, -1], later[is_kept], control_spec=wanted
+        )
         motion[is_kept, course.lifted :] = states[..., address : address + 7]
     return _evaluate(motion, T_hand_object, course, gripper.T_hand_tool, point)
 
@@ -151,7 +169,8 @@ def _course(step: float, is_brief: bool) -> _Course:
     parts = np.round(seconds / step).astype(int)
     close, hold, lift, shake, turn, load = parts
     ends = np.cumsum(parts)
-    total, at = int(ends[-1]), np.arange(ends[-1])
+    total = int(ends[-1])
+    at = np.arange(ends[-1])
     weight = np.clip((at - close) / max(hold // 2, 1), 0, 1)
     weight[ends[4] :] = np.linspace(1, MAX_LOAD, load)
     motion = np.zeros((total, 3))
@@ -161,12 +180,16 @@ def _course(step: float, is_brief: bool) -> _Course:
     each = np.minimum(np.arange(shake) * 6 // shake, 5)
     motion[ends[2] : ends[3]] = SHAKE * (np.eye(3)[each // 2]) * np.where(each % 2, -1, 1)[:, None]
     angle = np.zeros(total)
-    angle[ends[3] : ends[4]] = np.pi / 2 * np.minimum(np.linspace(0, 2, turn), np.linspace(2, 0, turn))
+    angle[ends[3] : ends[4]] = (
+        np.pi / 2 * np.minimum(np.linspace(0, 2, turn), np.linspace(2, 0, turn))
+    )
     closed = np.clip(at / (0.9 * close), 0, 1)
     return _Course(closed, weight, motion, angle, int(close), int(ends[2]), int(ends[4]))
 
 
-def _pull(T_hand_object: np.ndarray, course: _Course, gravity: float, R_hand_tool: np.ndarray) -> np.ndarray:
+def _pull(
+    T_hand_object: np.ndarray, course: _Course, gravity: float, R_hand_tool: np.ndarray
+) -> np.ndarray:
     """f64[C, T, 3]: m/s^2 that pull at the object in the hand's frame.
 
     The object's frame has the world's axes as long as the hand is not turned; it turns about the tool's x,
@@ -174,13 +197,18 @@ def _pull(T_hand_object: np.ndarray, course: _Course, gravity: float, R_hand_too
     """
     apparent = -course.shake - np.array([0, 0, gravity]) * course.weight[:, None]
     in_tool = np.einsum("cij,tj->cti", R_hand_tool.T @ T_hand_object[:, :3, :3], apparent)
-    cos, sin = np.cos(course.angle), np.sin(course.angle)
+    cos = np.cos(course.angle)
+    sin = np.sin(course.angle)
     x, y, z = np.moveaxis(in_tool, -1, 0)
     return np.stack([x, cos * y - sin * z, sin * y + cos * z], axis=-1) @ R_hand_tool.T
 
 
 def _evaluate(
-    motion: np.ndarray, start: np.ndarray, course: _Course, T_hand_tool: np.ndarray, point: np.ndarray
+    motion: np.ndarray,
+    start: np.ndarray,
+    course: _Course,
+    T_hand_tool: np.ndarray,
+    point: np.ndarray,
 ) -> GraspCheck:
     """What the objects' poses f64[C, T, 7] in the hand's frame tell; point: f64[C, 4, 1], as `_points`."""
     closed_at = course.closed_at
@@ -189,12 +217,19 @@ def _evaluate(
     slip, turn = _slip_and_turn(closed, poses[:, closed_at:], point)
     is_lost = _is_lost(slip, turn)
     before = course.loading - closed_at
-    is_held = np.isfinite(motion).all((1, 2)) & ~is_lost[:, :before].any(1) & ~_is_pushed(closed, start)
+    is_held = (
+        np.isfinite(motion).all((1, 2)) & ~is_lost[:, :before].any(1) & ~_is_pushed(closed, start)
+    )
     lost_at = np.where(is_lost.any(1), is_lost.argmax(1), is_lost.shape[1] - 1) + closed_at
     margin = np.where(is_held, course.weight[lost_at], 0.0)
     held = pose_of(inverse(T_hand_tool) @ poses[:, course.lifted])
     return GraspCheck(
-        is_held, _shift(closed, start), slip[:, :before].max(1), turn[:, :before].max(1), margin, held
+        is_held,
+        _shift(closed, start),
+        slip[:, :before].max(1),
+        turn[:, :before].max(1),
+        margin,
+        held,
     )
 
 
@@ -213,7 +248,9 @@ def _is_pushed(closed: np.ndarray, start: np.ndarray) -> np.ndarray:
     return (_shift(closed, start) > MAX_SHIFT) | (angle_between(closed, start) > MAX_SHIFT_TURN)
 
 
-def _slip_and_turn(closed: np.ndarray, poses: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _slip_and_turn(
+    closed: np.ndarray, poses: np.ndarray, point: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """f64[C, T] each: metres and radians by which poses f64[C, T, 4, 4] are off from `closed` f64[C, 4, 4].
 
     The slip is that of the object's point f64[C, 4, 1] between the fingers once they have closed.

@@ -50,22 +50,35 @@ from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.sensing import REALSENSE, Camera, noisy
 from cluttergen_jax.tables import markdown_table
 
-GRASPS, _CONTENT = "grasps.parquet", "grasps"
+GRASPS = "grasps.parquet"
+_CONTENT = "grasps"
 _COLUMNS = {
     "scene": (pa.int32(), "number of the scene in its bank"),
     "object": (pa.string(), "name of the object that is meant"),
-    "source": (pa.string(), "antipodal: about two points that fingers can press; surface: along a normal"),
+    "source": (
+        pa.string(),
+        "antipodal: about two points that fingers can press; surface: along a normal",
+    ),
     "pose": (
         pa.list_(pa.float64(), 7),
         "T_world_tool, metres, wxyz; z the approach, y the closing direction",
     ),
     "width": (pa.float64(), "metres between the points that are pressed; of `surface` the widest"),
-    "is_free": (pa.bool_(), "the open hand touches nothing there, nor on the last 10 cm of its straight way"),
+    "is_free": (
+        pa.bool_(),
+        "the open hand touches nothing there, nor on the last 10 cm of its straight way",
+    ),
     "blocked_by": (pa.string(), "the first body that it touches; empty where it is free"),
     "lift": (pa.string(), "lifted, empty, lost or diverged; null where it was not executed"),
     "lifted_object": (pa.string(), "name of the object that came up; null where none did"),
-    "lifted_width": (pa.float64(), "metres between the fingers in the end; null where nothing came up"),
-    "others_moved": (pa.float64(), "metres that another object moved, at most; null where not executed"),
+    "lifted_width": (
+        pa.float64(),
+        "metres between the fingers in the end; null where nothing came up",
+    ),
+    "others_moved": (
+        pa.float64(),
+        "metres that another object moved, at most; null where not executed",
+    ),
     "in_cube": (pa.bool_(), "inside VGN's cube, so that it is in the files of VGN"),
 }
 SCHEMA = pa.schema([(name, kind) for name, (kind, _) in _COLUMNS.items()])
@@ -114,7 +127,9 @@ class GraspDataset:
         )
 
 
-def make(bank: Path, num_scenes: int | None, plan: GraspPlan, out: Path, num_threads: int) -> GraspDataset:
+def make(
+    bank: Path, num_scenes: int | None, plan: GraspPlan, out: Path, num_threads: int
+) -> GraspDataset:
     """A dataset in a folder, begun or continued; see `cluttergen_jax.grasp_dataset`."""
     source = read_bank(bank)
     scenes = list(read_scenes(source))[:num_scenes]
@@ -140,21 +155,29 @@ def make(bank: Path, num_scenes: int | None, plan: GraspPlan, out: Path, num_thr
                     progress.update(1, future.result())
         finally:
             pool.shutdown(cancel_futures=True)
-        return _finish(out, scenes, list(meshes.values()), recipe, gripper_of(plan.robot).max_opening)
+        return _finish(
+            out, scenes, list(meshes.values()), recipe, gripper_of(plan.robot).max_opening
+        )
 
 
 def _make_scene(out: Path, plan: GraspPlan, scene: Scene) -> str:
     """Makes all files of a scene, that of its candidates last; a note."""
     streams = np.random.default_rng([plan.seed, scene.origin.index]).spawn(3)
-    still, T_world_task = StillScene(scene, plan.robot), vgn.task_frame(scene.support)
+    still = StillScene(scene, plan.robot)
+    T_world_task = vgn.task_frame(scene.support)
     labelled = label_grasps(scene, still, plan.num_grasps, streams[0])
-    grasps, is_free = labelled.grasps, labelled.blocked_by == ""
+    grasps = labelled.grasps
+    is_free = labelled.blocked_by == ""
     lifts: dict[int, Lift] = {}
     if plan.num_lifts and is_free.any():
         executed = LiftScene(scene, plan.robot)
         chosen = streams[1].permutation(np.flatnonzero(is_free))[: plan.num_lifts]
-        lifts = {int(row): executed.lift(grasps.pose[row], grasps.width[row]) for row in np.sort(chosen)}
-    noise, depths, cameras = REALSENSE.scale(plan.noise), [], []
+        lifts = {
+            int(row): executed.lift(grasps.pose[row], grasps.width[row]) for row in np.sort(chosen)
+        }
+    noise = REALSENSE.scale(plan.noise)
+    depths = []
+    cameras = []
     for camera in vgn.draw_cameras(T_world_task, plan.num_views, streams[2]):
         depth, believed = noisy(still.depth(camera), camera, noise, streams[2])
         depths.append(depth)
@@ -181,7 +204,9 @@ def _write_scene(
     number = _number(scene)
     grid = vgn.tsdf_grid(depths, cameras, T_world_task)
     poses = inverse(T_world_task) @ matrix_of(scene.poses)
-    meshes = [(_mesh_name(each.name), pose) for each, pose in zip(scene.objects, poses, strict=True)]
+    meshes = [
+        (_mesh_name(each.name), pose) for each, pose in zip(scene.objects, poses, strict=True)
+    ]
     _write(out / f"raw/scenes/{number}.npz", vgn.sensor_file(depths, cameras, T_world_task))
     _write(out / f"raw/mesh_pose_list/{number}.npz", vgn.mesh_file(meshes))
     _write(out / f"voxels/scenes/{number}.npz", vgn.voxel_file(grid))
@@ -214,7 +239,11 @@ def _table(
 
 
 def _finish(
-    out: Path, scenes: Sequence[Scene], objects: Sequence[ObjectAsset], recipe: dict[str, Any], opening: float
+    out: Path,
+    scenes: Sequence[Scene],
+    objects: Sequence[ObjectAsset],
+    recipe: dict[str, Any],
+    opening: float,
 ) -> GraspDataset:
     """Joins what the scenes have: the tables of all formats, and the card."""
     parts = [pq.read_table(out / _part_name(scene)) for scene in scenes]
@@ -227,7 +256,8 @@ def _finish(
     pq.write_table(whole, buffer, write_page_checksum=True)
     _write(out / GRASPS, buffer.getvalue())
     _write(out / "raw/setup.json", (json.dumps(vgn.setup(2 * opening), indent=4) + "\n").encode())
-    raw, voxels = [vgn.CSV], [vgn.VOXEL_CSV]
+    raw = [vgn.CSV]
+    voxels = [vgn.VOXEL_CSV]
     for scene, part in zip(scenes, parts, strict=True):
         rows = _labelled_rows(part, recipe["num_lifts"], vgn.task_frame(scene.support))
         raw += vgn.csv_lines(_number(scene), *rows, 1.0)
@@ -236,9 +266,15 @@ def _finish(
     _write(out / "voxels/grasps.csv", ("\n".join(voxels) + "\n").encode())
     lifts = Counter(each for each in whole["lift"].to_pylist() if each is not None)
     made = GraspDataset(
-        out, len(scenes), len(whole), int(np.sum(whole["is_free"].to_numpy())), dict(lifts.most_common())
+        out,
+        len(scenes),
+        len(whole),
+        int(np.sum(whole["is_free"].to_numpy())),
+        dict(lifts.most_common()),
     )
-    write_unless_own(out, lambda: _card(made, whole, counts, len(raw) - 1, scenes[0], objects, recipe))
+    write_unless_own(
+        out, lambda: _card(made, whole, counts, len(raw) - 1, scenes[0], objects, recipe)
+    )
     return made
 
 
@@ -250,7 +286,8 @@ def _labelled_rows(
     A label is that of the lift; a candidate that is not free has failed. Free ones that were not executed are
     left out, unless none was to be: then what is free is good.
     """
-    is_free, lift = part["is_free"].to_numpy(), np.array(part["lift"].to_pylist(), object)
+    is_free = part["is_free"].to_numpy()
+    lift = np.array(part["lift"].to_pylist(), object)
     label = lift == str(LiftEnd.LIFTED) if num_lifts else is_free
     is_known = ~is_free | (lift != None) if num_lifts else np.ones(len(lift), bool)  # noqa: E711
     chosen = np.flatnonzero(part["in_cube"].to_numpy() & is_known)
@@ -272,13 +309,16 @@ def _card(
     """The card as Markdown."""
     licences = [*(each.provenance.licence for each in objects), scene.support.provenance.licence]
     tags = ["robotics", "simulation", "mujoco", "grasping", "clutter"]
-    head = front_matter(licences, tags, "grasps in clutter", f"[{{split: train, path: '{GRASPS}'}}]")
+    head = front_matter(
+        licences, tags, "grasps in clutter", f"[{{split: train, path: '{GRASPS}'}}]"
+    )
     sources = whole["source"].to_pylist()
     facts = {
         "scenes": f"{made.num_scenes} of the bank `{recipe['bank']['name']}`",
         "candidates": f"{made.num_grasps}, {Counter(sources)[str(Source.ANTIPODAL)]} of them antipodal",
         "free": f"{made.num_free} of these; of all {counts['drawn']} that were drawn {counts['free']}",
-        "lifts": ", ".join(f"{name} {number}" for name, number in made.lifts.items()) or "none executed",
+        "lifts": ", ".join(f"{name} {number}" for name, number in made.lifts.items())
+        or "none executed",
         "in VGN's files": f"{num_csv}, those inside its cube of {vgn.SIZE:g} m whose label is known",
         "views": f"{recipe['num_views']} of {vgn.WIDTH} x {vgn.HEIGHT} a scene, noise {recipe['noise']:g}",
         "seed": recipe["seed"],

@@ -38,14 +38,22 @@ MIN_GRASPS = 8
 """As many an object needs; one with fewer is named."""
 _VERSION = 5
 _NUM_LINES = 6000
-_CANDIDATES, _LEAST_CANDIDATES = 4, 128
-"""Candidates that are tested at most, for each grasp that is wanted; and at least, where few are wanted."""
+# Candidates that are tested at most, for each grasp that is wanted; and at least, where few are wanted.
+_CANDIDATES = 4
+_LEAST_CANDIDATES = 128
+
 _AT_ONCE = 16
 _SHORT = np.eye(4)
 _SHORT[2, 3] = -0.002
 """A hand that stops 2 mm short has to hold the object, too: what it has by an edge alone slips out."""
 _POSES = {"pose": "T_object_tool, metres, wxyz", "held": "T_tool_object once lifted, metres, wxyz"}
-_COLUMNS = {"width": "metres", "shift": "metres", "slip": "metres", "turn": "radians", "margin": "weights"}
+_COLUMNS = {
+    "width": "metres",
+    "shift": "metres",
+    "slip": "metres",
+    "turn": "radians",
+    "margin": "weights",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +109,25 @@ def make_grasps(
     content = object_hash(asset)
     # An object's own numbers, whatever pool it is in.
     rng = np.random.default_rng([seed, int(content[:12], 16)])
-    candidates = candidates_of(asset, max(_CANDIDATES * number, _LEAST_CANDIDATES), _NUM_LINES, rng, robot)
+    candidates = candidates_of(
+        asset, max(_CANDIDATES * number, _LEAST_CANDIDATES), _NUM_LINES, rng, robot
+    )
     tests: list[GraspCheck] = []
-    num_tested, missing = 0, number
+    num_tested = 0
+    missing = number
     while missing > 0 and num_tested < len(candidates.width):
         # Few where few are missing, but not one by one, which would leave threads idle.
-        batch = candidates.take(slice(num_tested, num_tested + min(_AT_ONCE, max(missing, _AT_ONCE // 2))))
+        batch = candidates.take(
+            slice(num_tested, num_tested + min(_AT_ONCE, max(missing, _AT_ONCE // 2)))
+        )
         tests.append(verify_grasps(asset, batch, pool, robot))
-        num_tested, missing = num_tested + len(batch.width), missing - int(tests[-1].is_held.sum())
-    result = GraspCheck(*(np.concatenate(each) for each in zip(*tests, strict=True))) if tests else _NO_TEST
+        num_tested = num_tested + len(batch.width)
+        missing = missing - int(tests[-1].is_held.sum())
+    result = (
+        GraspCheck(*(np.concatenate(each) for each in zip(*tests, strict=True)))
+        if tests
+        else _NO_TEST
+    )
     held = np.flatnonzero(result.is_held)
     chosen = held[spread(candidates.pose[held], min(number, len(held)), rng)]
     chosen = chosen[np.argsort(~candidates.is_low[chosen], kind="stable")]
@@ -121,7 +139,10 @@ def make_grasps(
         is_low=candidates.is_low[chosen],
         num_tested=num_tested,
         gripper=robot.gripper.hash,
-        **{name: getattr(result, name)[chosen] for name in ("shift", "slip", "turn", "margin", "held")},
+        **{
+            name: getattr(result, name)[chosen]
+            for name in ("shift", "slip", "turn", "margin", "held")
+        },
     )
 
 
@@ -141,7 +162,9 @@ def verify_grasps(
 _NO_TEST = GraspCheck(np.zeros(0, bool), *(np.zeros(0),) * 4, np.zeros((0, 7)))
 
 
-def grasp_file(asset: ObjectAsset, number: int, seed: int, robot: RobotDescription | None = None) -> Path:
+def grasp_file(
+    asset: ObjectAsset, number: int, seed: int, robot: RobotDescription | None = None
+) -> Path:
     """Where the grasps of an object are kept; robot: whose hand it is, the Panda's if not given."""
     gripper = (robot or find_robot()).gripper.hash
     name = f"{asset.name}-{object_hash(asset)[:16]}-{gripper[:8]}-{number}-{seed}.parquet"
@@ -162,7 +185,10 @@ def grasps_of(
       robot: whose hand it is; the Panda's if not given.
     """
     robot = robot or find_robot()
-    with Progress("grasping", len(objects), "object") as progress, Rollout(nthread=num_threads) as pool:
+    with (
+        Progress("grasping", len(objects), "object") as progress,
+        Rollout(nthread=num_threads) as pool,
+    ):
         for asset in objects:
             path = grasp_file(asset, number, seed, robot)
             found = None if fresh else read_grasps(path, asset)
@@ -193,7 +219,10 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
                 pa.field(name, pa.list_(pa.float64(), 7), metadata={"what": what})
                 for name, what in _POSES.items()
             ),
-            *(pa.field(name, pa.float64(), metadata={"unit": unit}) for name, unit in _COLUMNS.items()),
+            *(
+                pa.field(name, pa.float64(), metadata={"unit": unit})
+                for name, unit in _COLUMNS.items()
+            ),
             ("is_low", pa.bool_()),
         ],
         metadata={
@@ -241,22 +270,33 @@ def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
         check_seal(data)
         table = pq.read_table(pa.BufferReader(data), page_checksum_verification=True)
         table.validate(full=True)
-        metadata = {key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()}
+        metadata = {
+            key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()
+        }
         if metadata.get("cluttergen_grasps") != str(_VERSION):
             return None
         tested = dict(each.split("=") for each in metadata["tested"].split())
         rows = table.filter(pa.compute.equal(table["hash"], object_hash(asset)))
         columns = {name: rows[name].to_numpy() for name in (*_COLUMNS, "is_low")}
-        poses = {name: np.array(rows[name].to_pylist(), np.float64).reshape(-1, 7) for name in _POSES}
+        poses = {
+            name: np.array(rows[name].to_pylist(), np.float64).reshape(-1, 7) for name in _POSES
+        }
         check_numbers({**poses, **columns}, _NUMBERS)
         turns = [np.linalg.norm(each[:, 3:], axis=1) for each in poses.values()]
         num_tested = int(tested[asset.name])
         if np.abs(np.concatenate(turns) - 1).max(initial=0) > _UNIT or num_tested < len(rows):
             raise SchemaError("a turn is none, or more grasps than were tested")
-        known: dict[str, Any] = {"num_tested": num_tested, "gripper": metadata["gripper"], **poses, **columns}
+        known: dict[str, Any] = {
+            "num_tested": num_tested,
+            "gripper": metadata["gripper"],
+            **poses,
+            **columns,
+        }
         return Grasps(asset.name, object_hash(asset), **known)
     except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as error:
-        raise PoolError(f"{path}: damaged ({error})", "a file of `robot grasps`", "removing it") from error
+        raise PoolError(
+            f"{path}: damaged ({error})", "a file of `robot grasps`", "removing it"
+        ) from error
 
 
 _HEADINGS = ("object", "grasps", "low", "tested", "shift mm", "slip mm", "turn deg", "margin")
@@ -302,8 +342,10 @@ def _row(grasps: Grasps) -> tuple[str, ...]:
     counts = (grasps.name, str(len(grasps)), str(int(grasps.is_low.sum())), str(grasps.num_tested))
     if not len(grasps):
         return (*counts, "-", "-", "-", "-")
-    shift, slip = 1e3 * np.median(grasps.shift), 1e3 * np.median(grasps.slip)
-    turn, margin = np.degrees(np.median(grasps.turn)), np.median(grasps.margin)
+    shift = 1e3 * np.median(grasps.shift)
+    slip = 1e3 * np.median(grasps.slip)
+    turn = np.degrees(np.median(grasps.turn))
+    margin = np.median(grasps.margin)
     return (*counts, *(f"{each:.1f}" for each in (shift, slip, turn, margin)))
 
 

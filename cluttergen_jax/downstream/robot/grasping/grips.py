@@ -42,11 +42,13 @@ def rank_grasps(grasps: Grasps, T_world_object: np.ndarray, gripper: Gripper) ->
 
     Those that come from above and hold well are first.
     """
-    pose, held = matrix_of(grasps.pose), matrix_of(grasps.held)
+    pose = matrix_of(grasps.pose)
+    held = matrix_of(grasps.held)
     worth, levers = _worth(grasps, T_world_object)
     for index in np.argsort(-worth, kind="stable"):
         for turn in (np.eye(4), _FLIP):
-            width, lever = float(grasps.width[index]), float(levers[index])
+            width = float(grasps.width[index])
+            lever = float(levers[index])
             opening = float(gripper.opening_of(np.array(width)))
             yield Grip(pose[index] @ turn, turn @ held[index], width, opening, lever)
 
@@ -54,7 +56,8 @@ def rank_grasps(grasps: Grasps, T_world_object: np.ndarray, gripper: Gripper) ->
 def _worth(grasps: Grasps, T_world_object: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """f64[G], a grasp's worth: more if it comes from above and holds well; f64[G], its lever (`Grip`)."""
     turned = T_world_object[:3, :3] @ matrix_of(grasps.pose)[:, :3]
-    down, levers = -turned[:, 2, 2], _levers(turned)
+    down = -turned[:, 2, 2]
+    levers = _levers(turned)
     # A centimetre of slip or of shift counts as much as half a turn from straight down.
     worth = down + 0.25 * grasps.margin - 100 * (grasps.shift + grasps.slip)
     return worth - (_SWING * grasps.turn + _LEVER * levers), levers
@@ -66,7 +69,8 @@ def _levers(pose: np.ndarray) -> np.ndarray:
     Args:
       pose: f64[G, 3, 4], T_object_tool, turned into world axes.
     """
-    axis, at = pose[:, :2, 1], pose[:, :2, 3]
+    axis = pose[:, :2, 1]
+    at = pose[:, :2, 3]
     return np.abs(axis[:, 0] * at[:, 1] - axis[:, 1] * at[:, 0])
 
 

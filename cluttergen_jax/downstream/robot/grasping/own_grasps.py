@@ -15,7 +15,12 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.downstream.parts import array_of
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, GraspSets, grasps_of, read_grasps
+from cluttergen_jax.downstream.robot.grasping.grasps import (
+    Grasps,
+    GraspSets,
+    grasps_of,
+    read_grasps,
+)
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.protocols import GraspSource
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
@@ -38,11 +43,15 @@ class GraspFinder:
     """
 
     def __init__(
-        self, own: GraspSource | GraspSets | None, num_threads: int, robot: RobotDescription | None = None
+        self,
+        own: GraspSource | GraspSets | None,
+        num_threads: int,
+        robot: RobotDescription | None = None,
     ) -> None:
         self._path = Path(own) if isinstance(own, str | Path) else None
         self._robot = robot or find_robot()
-        self._num_threads, self._told = num_threads, set[str]()
+        self._num_threads = num_threads
+        self._told = set[str]()
         self._own: Mapping[str, Any] | None = None
         if isinstance(own, GraspSets):
             self._own = {each.name: each for each in own}
@@ -62,7 +71,9 @@ class GraspFinder:
         if self._own is None:
             return list(grasps_of(objects, num_threads=self._num_threads, robot=self._robot))
         if missing := sorted({each.name for each in objects} - set(self._own)):
-            raise ConfigError(f"`grasps` without any of {', '.join(missing)}", "some of each object", _HINT)
+            raise ConfigError(
+                f"`grasps` without any of {', '.join(missing)}", "some of each object", _HINT
+            )
         found = [self._of(asset, self._own[asset.name]) for asset in objects]
         fresh = [each.name for each in found if not each.num_tested and each.name not in self._told]
         if fresh:
@@ -77,7 +88,9 @@ class GraspFinder:
             if tested is not None:
                 given = tested
             elif given is None:
-                raise PoolError(f"{self._path}: grasps of another version", _HINT, "making them again")
+                raise PoolError(
+                    f"{self._path}: grasps of another version", _HINT, "making them again"
+                )
         if isinstance(given, Grasps):
             is_ours = given.gripper == self._robot.gripper.hash
             if len(given) and given.hash == content and is_ours:
@@ -97,7 +110,9 @@ def _read_plain(path: Path) -> dict[str, Any]:
         names = table["object"].to_pylist()
         if b"cluttergen_grasps" in (table.schema.metadata or {}):
             return dict.fromkeys(names)
-        poses, widths = (np.array(table[each].to_pylist(), np.float64) for each in ("pose", "width"))
+        poses, widths = (
+            np.array(table[each].to_pylist(), np.float64) for each in ("pose", "width")
+        )
         return {
             name: (poses[rows], widths[rows])
             for name in dict.fromkeys(names)
@@ -116,7 +131,10 @@ def _make_grasps(name: str, content: str, given: Any, robot: RobotDescription) -
             if pose.shape[1:] != (4, 4) or not np.isfinite(pose).all():
                 raise ValueError(f"poses of shape {pose.shape}, or not finite")
             turn = pose[:, :3, :3]
-            if np.abs(turn @ turn.mT - np.eye(3)).max(initial=0) > _UNIT or (np.linalg.det(turn) < 0).any():
+            if (
+                np.abs(turn @ turn.mT - np.eye(3)).max(initial=0) > _UNIT
+                or (np.linalg.det(turn) < 0).any()
+            ):
                 raise ValueError("poses that are no rigid transforms")
             pose = pose_of(pose)
         if pose.ndim != 2 or pose.shape[1] != 7 or width.shape != (len(pose),) or not len(pose):

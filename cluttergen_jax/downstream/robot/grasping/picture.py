@@ -16,10 +16,13 @@ from cluttergen_jax.rendering.sheet import contact_sheet
 
 _MOST = 24
 """Of an object: more hide it."""
-_FINGER, _STEM = 0.045, 0.035
-"""Metres from the tips to the palm, and of the line behind it."""
+# Metres from the tips to the palm, and of the line behind it.
+_FINGER = 0.045
+_STEM = 0.035
+
 _RADIUS = 0.0012
-_WEAK, _STRONG = np.array([0.85, 0.35, 0.1]), np.array([0.1, 0.55, 0.25])
+_WEAK = np.array([0.85, 0.35, 0.1])
+_STRONG = np.array([0.1, 0.55, 0.25])
 
 
 def grasp_trails(grasps: Grasps, most: int = _MOST) -> list[Trail]:
@@ -27,9 +30,11 @@ def grasp_trails(grasps: Grasps, most: int = _MOST) -> list[Trail]:
 
     Green ones held `MAX_LOAD` times the object's weight, red ones hardly more than once.
     """
-    number, trails = min(most, len(grasps)), []
+    number = min(most, len(grasps))
+    trails = []
     for k in np.linspace(0, len(grasps) - 1, number).round().astype(int):
-        T_object_tool, half = matrix_of(grasps.pose[k]), grasps.width[k] / 2
+        T_object_tool = matrix_of(grasps.pose[k])
+        half = grasps.width[k] / 2
         fork = np.array([[0, -half, 0], [0, -half, -_FINGER], [0, half, -_FINGER], [0, half, 0]])
         stem = np.array([[0, 0, -_FINGER], [0, 0, -_FINGER - _STEM]])
         share = float(np.clip((grasps.margin[k] - 1) / (MAX_LOAD - 1), 0, 1))
@@ -48,7 +53,8 @@ def grasp_sheet(
     Args:
       sets: of each object, in their order.
     """
-    images, captions = [], []
+    images = []
+    captions = []
     for asset, grasps in zip(objects, sets, strict=True):
         trails = grasp_trails(grasps)
         images.append(render_object(asset, width=320, height=320, samples=samples, trails=trails))

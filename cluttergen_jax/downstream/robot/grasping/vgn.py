@@ -24,13 +24,17 @@ SIZE = 0.3
 DEPTH = 0.05
 """Metres that a finger is long there."""
 RESOLUTION = 40
-WIDTH, HEIGHT, FOCAL = 320, 240, 270.0
-"""Of pictures, pixels; half of theirs."""
+# Of pictures, pixels; half of theirs.
+WIDTH = 320
+HEIGHT = 240
+FOCAL = 270.0
+
 _TRUNCATION = 4
 """Voxels around a surface within which distances are kept."""
 _EDGE = 0.98
 """Truncated distances nearer to 1 are not in their grids."""
-_FAR, _TILT = (1.6, 2.4), np.pi / 4
+_FAR = (1.6, 2.4)
+_TILT = np.pi / 4
 CSV = "scene_id,qx,qy,qz,qw,x,y,z,width,label"
 VOXEL_CSV = "scene_id,qx,qy,qz,qw,i,j,k,width,label"
 
@@ -38,7 +42,8 @@ VOXEL_CSV = "scene_id,qx,qy,qz,qw,i,j,k,width,label"
 def task_frame(support: SupportAsset) -> np.ndarray:
     """f64[4, 4]: T_world_task, a lower corner of the cube, which has the region's middle and turn."""
     turn = support.region.yaw
-    cos, sin = np.cos(turn), np.sin(turn)
+    cos = np.cos(turn)
+    sin = np.sin(turn)
     rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     middle = support.region_points[0]
     corner = middle[:2] + rotate_in_plane(np.array([-SIZE / 2, -SIZE / 2]), turn)
@@ -50,7 +55,9 @@ def draw_cameras(T_world_task: np.ndarray, number: int, rng: np.random.Generator
     middle = (T_world_task @ [SIZE / 2, SIZE / 2, DEPTH, 1.0])[:3]
     cameras = []
     for _ in range(number):
-        tilt, turn, far = rng.uniform(0.02, _TILT), rng.uniform(0, 2 * np.pi), rng.uniform(*_FAR) * SIZE
+        tilt = rng.uniform(0.02, _TILT)
+        turn = rng.uniform(0, 2 * np.pi)
+        far = rng.uniform(*_FAR) * SIZE
         away = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
         cameras.append(Camera.looking(middle + far * away, middle, WIDTH, HEIGHT, FOCAL))
     return cameras
@@ -72,11 +79,14 @@ def tsdf_grid(
     steps = (np.arange(RESOLUTION) + 0.5) * voxel
     points = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     points = points @ T_world_task[:3, :3].T + T_world_task[:3, 3]
-    total, weight = np.zeros(len(points)), np.zeros(len(points))
+    total = np.zeros(len(points))
+    weight = np.zeros(len(points))
     for depth, camera in zip(depths, cameras, strict=True):
         pixels, far = camera.project(points)
         column, row = np.floor(pixels).astype(int).T
-        is_seen = (far > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        is_seen = (
+            (far > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        )
         measured = np.full(len(points), np.nan)
         measured[is_seen] = depth[row[is_seen], column[is_seen]]
         # Along the ray, not along the optical axis.
@@ -90,7 +100,9 @@ def tsdf_grid(
     return grid.astype(np.float32).reshape(1, RESOLUTION, RESOLUTION, RESOLUTION)
 
 
-def sensor_file(depths: Sequence[np.ndarray], cameras: Sequence[Camera], T_world_task: np.ndarray) -> bytes:
+def sensor_file(
+    depths: Sequence[np.ndarray], cameras: Sequence[Camera], T_world_task: np.ndarray
+) -> bytes:
     """`depth_imgs` f32[V, H, W], metres, 0 where nothing was measured, and `extrinsics` f32[V, 7]."""
     extrinsics = [_numbers(inverse(each.T_world_camera) @ T_world_task) for each in cameras]
     images = np.stack([np.where(np.isfinite(each), each, 0.0) for each in depths])

@@ -142,8 +142,11 @@ class PlanningWorld:
         columns: OccupancyBoxes | None = None,
         robot: RobotDescription | None = None,
     ) -> None:
-        robot, contact = robot or find_robot(), ContactConfig()
-        spec = populated_spec(names, objects, support, StabilityConfig().timestep, contact, poses=poses)
+        robot = robot or find_robot()
+        contact = ContactConfig()
+        spec = populated_spec(
+            names, objects, support, StabilityConfig().timestep, contact, poses=poses
+        )
         for joint in list(spec.joints):
             spec.delete(joint)
         for number, box in enumerate(stands):
@@ -161,13 +164,15 @@ class PlanningWorld:
             geom.margin = CLEARANCE + ROOM
         self.model = attach_robot(spec, arm, robot, base).compile()
         self.data = mujoco.MjData(self.model)
-        self.arm, self.gripper = Robot.of(self.model, robot), gripper_of(robot)
+        self.arm = Robot.of(self.model, robot)
+        self.gripper = gripper_of(robot)
         self._T_tool_hand = inverse(self.gripper.T_hand_tool)
         self._bodies = [self.model.body(name).id for name in names]
         self._target = self._bodies[target]
         self._held = self.model.body(robot.prefix + _HELD).id
         self._kind = self._kinds()
-        self.num_checks, self.room = 0, 0.0
+        self.num_checks = 0
+        self.room = 0.0
         self._home = np.array(robot.arm.home)
         self.data.qpos[self.arm.qpos] = self._home
         mujoco.mj_kinematics(self.model, self.data)
@@ -180,7 +185,9 @@ class PlanningWorld:
         kind = kinds_of(self.arm, self._bodies, self._target)
         kind[self._held] = Kind.HELD
         for each in _COLUMN_KINDS:
-            if (body := mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _name_of(each))) >= 0:
+            if (
+                body := mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _name_of(each))
+            ) >= 0:
                 kind[body] = each
         return kind[self.model.geom_bodyid]
 
@@ -199,7 +206,8 @@ class PlanningWorld:
         self._put(self._target, pose)
 
     def _put(self, body: int, pose: np.ndarray) -> None:
-        self.model.body_pos[body], self.model.body_quat[body] = pose[:3], pose[3:]
+        self.model.body_pos[body] = pose[:3]
+        self.model.body_quat[body] = pose[3:]
 
     def is_free(self, joints: np.ndarray, opening: float, mode: Mode = Mode.TRAVEL) -> bool:
         """Whether the arm may be at joints f64[n], each finger `opening` metres from the middle."""
@@ -214,7 +222,8 @@ class PlanningWorld:
 
         It costs one look and no inverse kinematics. The arm waits at home, above all else.
         """
-        model, hand = self.model, self.arm.hand
+        model = self.model
+        hand = self.arm.hand
         own = model.body_pos[hand].copy(), model.body_quat[hand].copy()
         T_world_hand = T_world_tool @ self._T_tool_hand
         self._put(hand, pose_of(self._T_wrist_world @ T_world_hand))
@@ -223,11 +232,14 @@ class PlanningWorld:
         finally:
             model.body_pos[hand], model.body_quat[hand] = own
 
-    def blocker(self, joints: np.ndarray, opening: float, mode: Mode = Mode.TRAVEL) -> tuple[str, str] | None:
+    def blocker(
+        self, joints: np.ndarray, opening: float, mode: Mode = Mode.TRAVEL
+    ) -> tuple[str, str] | None:
         """The names of two bodies that come too close, None where none do."""
         self.num_checks += 1
         data = self.data
-        data.qpos[self.arm.qpos], data.qpos[self.arm.fingers] = joints, self.gripper.joints_of(opening)
+        data.qpos[self.arm.qpos] = joints
+        data.qpos[self.arm.fingers] = self.gripper.joints_of(opening)
         mujoco.mj_kinematics(self.model, data)
         mujoco.mj_collision(self.model, data)
         if not data.ncon:
@@ -238,14 +250,18 @@ class PlanningWorld:
         too_close = data.contact.dist < _LIMIT[mode][pairs] + self.room * _IS_ROOMY[pairs]
         if not too_close.any():
             return None
-        a, b = (self.model.body(self.model.geom_bodyid[geom]).name for geom in geoms[too_close.argmax()])
+        a, b = (
+            self.model.body(self.model.geom_bodyid[geom]).name for geom in geoms[too_close.argmax()]
+        )
         return a, b
 
 
 def kinds_of(arm: Robot, bodies: Sequence[int], target: int) -> np.ndarray:
     """i[nbody]: the kind of each body; bodies: of the objects; target: of the one that is moved."""
     kind = np.full(len(arm.is_arm), Kind.GROUND)
-    kind[bodies], kind[target], kind[arm.is_arm] = Kind.OTHER, Kind.TARGET, Kind.ARM
+    kind[bodies] = Kind.OTHER
+    kind[target] = Kind.TARGET
+    kind[arm.is_arm] = Kind.ARM
     kind[arm.is_hand] = Kind.HAND
     return kind
 

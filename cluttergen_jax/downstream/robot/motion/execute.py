@@ -125,14 +125,19 @@ class Execution:
         if sleeps:
             self.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
         self.data = mujoco.MjData(self.model)
-        self.arm, self.gripper = Robot.of(self.model, self.robot), gripper_of(self.robot)
+        self.arm = Robot.of(self.model, self.robot)
+        self.gripper = gripper_of(self.robot)
         self.step_time = float(self.model.opt.timestep)
         self._bodies = [self.model.body(name).id for name in scene.names]
         self.aim_at(target)
-        self._trace, self.num_steps = trace, 0
+        self._trace = trace
+        self.num_steps = 0
         if trace is not None:
-            trace.scene, trace.stands, trace.robot = scene, tuple(stands), self.robot
-            trace.spec, trace.data = spec, self.data
+            trace.scene = scene
+            trace.stands = tuple(stands)
+            trace.robot = self.robot
+            trace.spec = spec
+            trace.data = self.data
             trace.arm = self.arm
         self.travel = 0.0
         self._start(scene)
@@ -151,7 +156,8 @@ class Execution:
     def aim_at(self, target: int) -> None:
         """From now on this object is the one that the hand may touch."""
         kind = kinds_of(self.arm, self._bodies, self._bodies[target])
-        self._kind, self._target = kind[self.model.geom_bodyid], target
+        self._kind = kind[self.model.geom_bodyid]
+        self._target = target
 
     def _start(self, scene: Scene) -> None:
         for name, pose in zip(scene.names, scene.poses, strict=True):
@@ -224,12 +230,14 @@ class Execution:
         """
         # A servo with damping trails behind a moving set-point by a known time.
         points = motion.joints + self.arm.lag * motion.speed
-        end, has_touched = motion.joints[-1], False
+        end = motion.joints[-1]
+        has_touched = False
         for number, joints in enumerate(np.clip(points, self.arm.low, self.arm.high)):
             self.data.ctrl[self.arm.ctrl] = joints
             self._step(phase)
             if until_touch and self._pressing(_TOUCHING) is not None:
-                end, has_touched = motion.joints[number], True
+                end = motion.joints[number]
+                has_touched = True
                 break
         self.data.ctrl[self.arm.ctrl] = end
         return has_touched

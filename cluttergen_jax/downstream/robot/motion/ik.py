@@ -18,8 +18,10 @@ from cluttergen_jax.downstream.robot.model_files import EXTRA, compile_model
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 
-TOLERANCE, TURN_TOLERANCE = 5e-4, np.radians(0.2)
-"""Metres and radians that a solution may be off."""
+# Metres and radians that a solution may be off.
+TOLERANCE = 5e-4
+TURN_TOLERANCE = np.radians(0.2)
+
 MAX_JUMP = 0.1
 """Radians that a joint may move between two points of a line."""
 LINE_STEP = 0.002
@@ -58,11 +60,16 @@ class ArmKinematics:
         self._SE3: Any = mink.SE3
         self._state = mink.Configuration(model)
         self._task = mink.FrameTask(
-            self._robot.of_gripper(TOOL), "site", position_cost=1.0, orientation_cost=0.5, lm_damping=1e-6
+            self._robot.of_gripper(TOOL),
+            "site",
+            position_cost=1.0,
+            orientation_cost=0.5,
+            lm_damping=1e-6,
         )
         self._fixed = [mink.DofFreezingTask(model, dof_indices=arm.finger_dofs.tolist())]
         self._limits = [mink.ConfigurationLimit(model)]
-        self._arm, self._data = arm, mujoco.MjData(model)
+        self._arm = arm
+        self._data = mujoco.MjData(model)
         self._model = model
         self.low, self.high = _limits(arm)
         self.home = np.array(self._robot.arm.home)
@@ -109,7 +116,8 @@ class ArmKinematics:
         for _ in range(min(2 * number, len(starts))):
             # Begun near one that is known, a search ends there.
             unlike = [
-                min((float(np.linalg.norm(start - each)) for each in found), default=0.0) for start in starts
+                min((float(np.linalg.norm(start - each)) for each in found), default=0.0)
+                for start in starts
             ]
             joints = self.solve(T_world_tool, starts.pop(int(np.argmax(unlike))))
             if joints is None or any(np.abs(joints - each).max() <= 0.2 for each in found):
@@ -140,7 +148,8 @@ class ArmKinematics:
           None where a point cannot be reached, or only by a jump.
         """
         number = max(int(np.ceil(np.linalg.norm(along) / LINE_STEP)), 1)
-        pose, path = self.tool(start), [np.asarray(start, np.float64)]
+        pose = self.tool(start)
+        path = [np.asarray(start, np.float64)]
         for step in range(1, number + 1):
             target = pose.copy()
             target[:3, 3] += along * step / number
@@ -173,9 +182,12 @@ def _arm(robot: RobotDescription) -> tuple[mujoco.MjModel, Robot]:
     for body in spec.bodies[1:]:
         # Masses may have been those of the shapes; kinematics have no use for them.
         if not body.explicitinertial:
-            body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
+            body.explicitinertial = True
+            body.mass = 1.0
+            body.inertia = (1.0, 1.0, 1.0)
     model = compile_model(spec, robot.name)
-    data, first = mujoco.MjData(model), model.joint(robot.arm.joints[0]).id
+    data = mujoco.MjData(model)
+    first = model.joint(robot.arm.joints[0]).id
     mujoco.mj_kinematics(model, data)
     if data.xaxis[first, 2] < _UPRIGHT or np.hypot(*data.xanchor[first, :2]) > TOLERANCE:
         raise ConfigError(
@@ -211,7 +223,8 @@ def _from_axis(T_base_tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses f64[n, 4, 4] as seen from the first joint's axis: f64[n, 8], and their turns about it, f64[n]."""
     x, y, z = T_base_tool[:, :3, 3].T
     turns = np.arctan2(y, x)
-    cos, sin = np.cos(turns), np.sin(turns)
+    cos = np.cos(turns)
+    sin = np.sin(turns)
     axes = T_base_tool[:, :3, 1:3]
     ahead = cos[:, None] * axes[:, 0] + sin[:, None] * axes[:, 1]
     aside = cos[:, None] * axes[:, 1] - sin[:, None] * axes[:, 0]

@@ -15,11 +15,19 @@ from cluttergen_jax.downstream.robot.motion.ik import LINE_STEP, ArmKinematics
 from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.protocols import PathPlanner
-from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of, raise_by
+from cluttergen_jax.downstream.transforms import (
+    angle_between,
+    inverse,
+    matrix_of,
+    pose_of,
+    raise_by,
+)
 
-_APPROACH, _LEAVE = (0.10, 0.06), (0.10, 0.06, 0.03)
-"""Metres that the hand comes straight to an object and leaves it, the first that is free; the latter of
-leaving what has turned in the hand since this was planned."""
+# Metres that the hand comes straight to an object and leaves it, the first that is free; the latter of
+# leaving what has turned in the hand since this was planned.
+_APPROACH = (0.10, 0.06)
+_LEAVE = (0.10, 0.06, 0.03)
+
 LIFT = 0.12
 """Metres that an object is lifted, and lowered from."""
 RELEASE = 0.001
@@ -28,8 +36,10 @@ TOUCH = 0.01
 """Metres of lifting and lowering in which an object may touch what it stands on."""
 FELT = 0.02
 """The same of lowering where the arm does not see how the object lies in the hand, but feels the touch."""
-MAX_SLIP, MAX_TURN = 0.015, np.radians(20)
-"""How far an object may slip in the hand from the closing of the fingers on."""
+# How far an object may slip in the hand from the closing of the fingers on.
+MAX_SLIP = 0.015
+MAX_TURN = np.radians(20)
+
 WIDE = 0.015
 """Metres by which the fingers open wider than they came, if there is room, where poses may be off."""
 CARRY_SHARE = 0.25
@@ -83,13 +93,19 @@ class Mover:
         feels: bool = False,
         planner: PathPlanner | None = None,
     ) -> None:
-        self.execution, self.world, self.kinematics, self.target = execution, world, kinematics, target
+        self.execution = execution
+        self.world = world
+        self.kinematics = kinematics
+        self.target = target
         self._see: See = see or (lambda only: execution.poses())
         self.planner = Planner(world, kinematics, planner)
         self._seeds = count(seed)
         self._above = Mode.APART if is_apart else Mode.CLEAR
-        self._rooms, self._feels = rooms, feels
-        self._opening, self._T_tool_object, self._grasped = 0.0, np.eye(4), np.eye(4)
+        self._rooms = rooms
+        self._feels = feels
+        self._opening = 0.0
+        self._T_tool_object = np.eye(4)
+        self._grasped = np.eye(4)
         self.fitting: int | None = None
         self._joints: np.ndarray | None = None
 
@@ -110,11 +126,15 @@ class Mover:
           Failed: no grasp, none that fits a place, no joints for one, or no path to one.
         """
         stood = self._survey()
-        T_world_object, furthest = matrix_of(stood), 0
+        T_world_object = matrix_of(stood)
+        furthest = 0
         self.fitting = self._joints = None
-        for room, grip in product(self._rooms, rank_grasps(grasps, T_world_object, self.execution.gripper)):
+        for room, grip in product(
+            self._rooms, rank_grasps(grasps, T_world_object, self.execution.gripper)
+        ):
             self.world.room = room
-            T_world_tool, opening = T_world_object @ grip.T_object_tool, grip.opening
+            T_world_tool = T_world_object @ grip.T_object_tool
+            opening = grip.opening
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
                 continue
             furthest = max(furthest, 1)
@@ -134,7 +154,9 @@ class Mover:
                 furthest = 4
                 if not self.world.is_free(joints, opening, Mode.COME):
                     continue
-                if places is not None and not self._fits(grip.T_tool_object, fitting, opening, stood):
+                if places is not None and not self._fits(
+                    grip.T_tool_object, fitting, opening, stood
+                ):
                     break
                 plan = self._pick_plan(joints, grip, stood, opening, places is not None)
                 if plan is not None:
@@ -147,7 +169,8 @@ class Mover:
         Raises:
           Failed: an unplanned contact, or the object was lost.
         """
-        run, self._opening = self.execution, plan.grip.opening
+        run = self.execution
+        self._opening = plan.grip.opening
         run.move_fingers(self._opening, Phase.FREE, 0.2)
         run.follow(run.motion_along(plan.path), Phase.FREE)
         run.follow(run.motion_along(plan.come, CARRY_SHARE), Phase.FREE)
@@ -159,7 +182,11 @@ class Mover:
         self._carry(rest, before)
 
     def _hand_fits(
-        self, T_tool_object: np.ndarray, places: np.ndarray | None, opening: float, stood: np.ndarray
+        self,
+        T_tool_object: np.ndarray,
+        places: np.ndarray | None,
+        opening: float,
+        stood: np.ndarray,
     ) -> dict[int, np.ndarray]:
         """The first few of the places where the hand alone could put the object down from above."""
         found: dict[int, np.ndarray] = {}
@@ -167,7 +194,9 @@ class Mover:
         for number, place in enumerate(() if places is None else places):
             target = _tool_at(place, T_tool_object)
             top = raise_by(target, LIFT)
-            if self._hand_leaves(target, opening) and self.world.is_hand_free(top, opening, Mode.TRAVEL):
+            if self._hand_leaves(target, opening) and self.world.is_hand_free(
+                top, opening, Mode.TRAVEL
+            ):
                 found[number] = place
             if len(found) == _PLACES:
                 break
@@ -177,10 +206,16 @@ class Mover:
     def _hand_leaves(self, T_world_tool: np.ndarray, opening: float) -> bool:
         """Whether the hand alone, with what it holds, gets straight up from there."""
         looks = [(0.0, Mode.CARRY), *((height, self._above) for height in _HEIGHTS)]
-        return all(self.world.is_hand_free(raise_by(T_world_tool, up), opening, mode) for up, mode in looks)
+        return all(
+            self.world.is_hand_free(raise_by(T_world_tool, up), opening, mode) for up, mode in looks
+        )
 
     def _fits(
-        self, T_tool_object: np.ndarray, places: dict[int, np.ndarray], opening: float, stood: np.ndarray
+        self,
+        T_tool_object: np.ndarray,
+        places: dict[int, np.ndarray],
+        opening: float,
+        stood: np.ndarray,
     ) -> bool:
         """Whether the arm can put the object down at one of some places, and leave it there; keeps how."""
         try:
@@ -188,7 +223,8 @@ class Mover:
                 target = _tool_at(place, T_tool_object)
                 for joints in self.kinematics.solutions(target, _ARMS):
                     if self._lowering(joints, place, opening, T_tool_object) is not None:
-                        self.fitting, self._joints = number, joints
+                        self.fitting = number
+                        self._joints = joints
                         return True
             return False
         finally:
@@ -205,7 +241,8 @@ class Mover:
         lifts = (self._lifting(joints, opening, height) for height in (LIFT, 2 * LIFT))
         # What lies around something tall must be lifted off it before it can go anywhere.
         lift = next(
-            (each for each in lifts if each is not None and self.world.is_free(each[-1], opening)), None
+            (each for each in lifts if each is not None and self.world.is_free(each[-1], opening)),
+            None,
         )
         if lift is None and not is_high:
             lift = self._lifting(joints, opening)
@@ -251,7 +288,11 @@ class Mover:
         return None
 
     def _lowering(
-        self, joints: np.ndarray, place: np.ndarray, opening: float, planned: np.ndarray | None = None
+        self,
+        joints: np.ndarray,
+        place: np.ndarray,
+        opening: float,
+        planned: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Joints f64[L, n] straight up from a place with what is held or planned (T_tool_object), and off."""
         T_tool_object = self._T_tool_object if planned is None else planned
@@ -276,7 +317,9 @@ class Mover:
         place = self.kinematics.tool(plan.lift[0]) @ self._T_tool_object
         self._put_down(plan.lift[::-1], plan.come[::-1], place, self._feels)
 
-    def _put_down(self, lower: np.ndarray, leave: np.ndarray, place: np.ndarray, feels: bool) -> None:
+    def _put_down(
+        self, lower: np.ndarray, leave: np.ndarray, place: np.ndarray, feels: bool
+    ) -> None:
         """Lowers what is held, at the end until it touches if it feels, opens the hand, and leaves."""
         run = self.execution
         upper, last = self.kinematics.split(lower, FELT if feels else TOUCH, from_end=True)
@@ -303,16 +346,21 @@ class Mover:
         self.world.release(pose_of(place))
         needed, self.world.room = self.world.room, ROOM
         run = self.execution
-        wide, axis = min(run.gripper.max_opening, self._opening + WIDE), run.tool[:3, 1]
+        wide = min(run.gripper.max_opening, self._opening + WIDE)
+        axis = run.tool[:3, 1]
         # One of two fingers that are not level goes down as they open.
         looks = leave[:: len(leave) // 6 or 1]
-        is_free = abs(axis[2]) < _LEVEL and all(self.world.is_free(q, wide, Mode.COME) for q in looks)
+        is_free = abs(axis[2]) < _LEVEL and all(
+            self.world.is_free(q, wide, Mode.COME) for q in looks
+        )
         self.world.room = needed
         return wide if is_free else self._opening
 
     def _correct_lowering(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray | None:
         """The path down with the object as it really lies in the hand; None if the arm cannot go it."""
-        start = self.kinematics.solve(raise_by(_tool_at(place, self._T_tool_object), LIFT), lower[0])
+        start = self.kinematics.solve(
+            raise_by(_tool_at(place, self._T_tool_object), LIFT), lower[0]
+        )
         path = None if start is None else self.kinematics.line(start, -LIFT * _UP)
         self.world.hold(self._T_tool_object)
         if path is None or not self.world.is_free(path[-1], self._opening, Mode.CARRY):
@@ -329,7 +377,8 @@ class Mover:
         self._rise(LIFT, Phase.GRASP)
 
     def _rise(self, height: float, phase: Phase) -> None:
-        run, path = self.execution, self.kinematics.line(self.execution.set_point, height * _UP)
+        run = self.execution
+        path = self.kinematics.line(self.execution.set_point, height * _UP)
         if path is not None:
             run.follow(run.motion_along(path, CARRY_SHARE), phase)
 
@@ -337,7 +386,8 @@ class Mover:
         """Brings the empty hand back to where it starts; whether there was a path."""
         self.world.release(self._see(self.target)[self.target])
         self.world.room = 0.0
-        run, home = self.execution, self.kinematics.home
+        run = self.execution
+        home = self.kinematics.home
         path = self.planner.connect(run.set_point, home, self._opening, next(self._seeds))
         if path is not None:
             run.follow(run.motion_along(path), Phase.FREE)
@@ -345,16 +395,24 @@ class Mover:
 
     # What both need
 
-    def _lifting(self, joints: np.ndarray, opening: float, height: float = LIFT) -> np.ndarray | None:
+    def _lifting(
+        self, joints: np.ndarray, opening: float, height: float = LIFT
+    ) -> np.ndarray | None:
         """Joints f64[L, n] straight up with what is held."""
         path = self.planner.line(joints, height * _UP, opening, Mode.CARRY)
         if path is None:
             return None
         above = path[round(TOUCH / LINE_STEP) :: 3]
-        return path if all(self.world.is_free(each, opening, self._above) for each in above) else None
+        return (
+            path if all(self.world.is_free(each, opening, self._above) for each in above) else None
+        )
 
     def _back(
-        self, joints: np.ndarray, tool: np.ndarray, opening: float, distances: Sequence[float] = _APPROACH
+        self,
+        joints: np.ndarray,
+        tool: np.ndarray,
+        opening: float,
+        distances: Sequence[float] = _APPROACH,
     ) -> np.ndarray | None:
         """Joints along a straight line out of a grasp at f64[4, 4]."""
         for distance in distances:
@@ -373,7 +431,9 @@ class Mover:
         return poses[self.target]
 
     def _in_hand(self) -> np.ndarray:
-        self._T_tool_object = inverse(self.execution.tool) @ matrix_of(self._see(self.target)[self.target])
+        self._T_tool_object = inverse(self.execution.tool) @ matrix_of(
+            self._see(self.target)[self.target]
+        )
         return self._T_tool_object
 
     def _carry(self, path: np.ndarray, before: np.ndarray, rest: float = 0.2) -> None:
@@ -390,7 +450,8 @@ class Mover:
     def _check_slip(self, before: np.ndarray, most: float = MAX_SLIP) -> None:
         now = self._in_hand()
         # Of the object's point that was between the fingers.
-        moved, turned = np.linalg.norm((now @ inverse(before))[:3, 3]), float(angle_between(now, before))
+        moved = np.linalg.norm((now @ inverse(before))[:3, 3])
+        turned = float(angle_between(now, before))
         if moved > most or turned > MAX_TURN:
             raise Failed(Outcome.SLIP, f"{1e3 * moved:.0f} mm, {np.degrees(turned):.0f} deg")
 

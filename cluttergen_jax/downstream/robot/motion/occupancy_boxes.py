@@ -55,14 +55,20 @@ def _boxes(height: np.ndarray, found: PartialMap) -> Iterator[Box]:
 
 def _runs(row: np.ndarray) -> dict[tuple[int, int], tuple[float, float]]:
     """First cell and the one after the last of runs of like heights above 0: the least and the greatest."""
-    runs, first = {}, 0
+    runs = {}
+    first = 0
     while first < len(row):
-        end, low, high = first + 1, float(row[first]), float(row[first])
+        end = first + 1
+        low = float(row[first])
+        high = float(row[first])
         while low > 0 and end < len(row) and row[end] > 0:
-            lower, higher = min(low, float(row[end])), max(high, float(row[end]))
+            lower = min(low, float(row[end]))
+            higher = max(high, float(row[end]))
             if higher - lower > _BAND:
                 break
-            end, low, high = end + 1, lower, higher
+            end = end + 1
+            low = lower
+            high = higher
         if low > 0:
             runs[first, end] = low, high
         first = end
@@ -70,7 +76,8 @@ def _runs(row: np.ndarray) -> dict[tuple[int, int], tuple[float, float]]:
 
 
 def _box(found: PartialMap, rows: tuple[int, int], span: tuple[int, int], height: float) -> Box:
-    grid, T = found.grid, found.grid.T_world_region
+    grid = found.grid
+    T = found.grid.T_world_region
     ends = grid.corner + np.array([rows, span], np.float64).T * grid.cell
     middle = T[:3, :3] @ np.array([*ends.mean(0), height / 2]) + T[:3, 3]
     half = (ends[1] - ends[0]) / 2

@@ -22,7 +22,8 @@ CHECKED_STEP = 0.00625
 MAX_TILT = float(np.radians(30))
 """Radians by which what is carried leans at most, where there is a way to keep it up."""
 _COARSE = 16
-_ATTEMPTS, _NEXT_SEED = 4, 7919
+_ATTEMPTS = 4
+_NEXT_SEED = 7919
 IsFree = Callable[[np.ndarray], bool]
 _SHORTCUTS = 100
 _BEND_STEPS = 2
@@ -70,7 +71,8 @@ class Planner:
         self._util: Any = import_extra("ompl.util", "motion planning")
         # It prints what it does, and it warns of each new seed.
         self._util.setLogLevel(self._util.LogLevel.LOG_NONE)
-        self.world, self.kinematics = world, kinematics
+        self.world = world
+        self.kinematics = kinematics
 
     def connect(
         self,
@@ -99,7 +101,9 @@ class Planner:
         found = (self._shortest(start, goal, is_good, seed) for is_good in ways)
         return next((path for path in found if path is not None), None)
 
-    def _shortest(self, start: np.ndarray, goal: np.ndarray, is_free: IsFree, seed: int) -> np.ndarray | None:
+    def _shortest(
+        self, start: np.ndarray, goal: np.ndarray, is_free: IsFree, seed: int
+    ) -> np.ndarray | None:
         """The straight path if it is free, else of some that are found that on which the tool goes least."""
         # OMPL waits for ever for a goal that it may not reach.
         if not (is_free(start) and is_free(goal)):
@@ -122,7 +126,9 @@ class Planner:
         tool = np.array([self.kinematics.tool(joints)[:3, 3] for joints in path])
         return float(np.linalg.norm(np.diff(tool, axis=0), axis=1).sum())
 
-    def _search(self, start: np.ndarray, goal: np.ndarray, is_free: IsFree, seed: int) -> np.ndarray | None:
+    def _search(
+        self, start: np.ndarray, goal: np.ndarray, is_free: IsFree, seed: int
+    ) -> np.ndarray | None:
         self._util.RNG.setSeed(seed + 1)
         space = self._space()
         setup = self._og.SimpleSetup(space)
@@ -146,7 +152,13 @@ class Planner:
         return np.stack([self._joints(state) for state in path.getStates()])
 
     def _ask(
-        self, own: PathPlanner, start: np.ndarray, goal: np.ndarray, opening: float, seed: int, mode: Mode
+        self,
+        own: PathPlanner,
+        start: np.ndarray,
+        goal: np.ndarray,
+        opening: float,
+        seed: int,
+        mode: Mode,
     ) -> np.ndarray | None:
         """What a user's planner finds. Raises ConfigError: it is no path."""
         path = own(
@@ -170,7 +182,9 @@ class Planner:
             )
         return found.astype(np.float64)
 
-    def line(self, start: np.ndarray, along: np.ndarray, opening: float, mode: Mode) -> np.ndarray | None:
+    def line(
+        self, start: np.ndarray, along: np.ndarray, opening: float, mode: Mode
+    ) -> np.ndarray | None:
         """Joints f64[L, n] on a straight line of the tool (`ArmKinematics.line`), or None.
 
         A third of its points are looked at, and both ends.
@@ -179,7 +193,11 @@ class Planner:
         if path is None:
             return None
         looked = {*range(0, len(path), 3), len(path) - 1}
-        return path if all(self.world.is_free(path[k], opening, mode) for k in sorted(looked)) else None
+        return (
+            path
+            if all(self.world.is_free(path[k], opening, mode) for k in sorted(looked))
+            else None
+        )
 
     def _space(self) -> Any:
         number = len(self.kinematics.low)
@@ -206,8 +224,9 @@ SHARE = 0.5
 """Of an arm's limits of speed and acceleration that is used."""
 _STILL = 1e-6
 _LEAST_STEP = 0.03
-_LEAST_POINTS, _LEAST_GRID = 5, 100
-"""Radians between two points of a path that its spline goes through, and how many there are at least."""
+# Radians between two points of a path that its spline goes through, and how many there are at least.
+_LEAST_POINTS = 5
+_LEAST_GRID = 100
 
 
 class Trajectory(NamedTuple):
@@ -272,7 +291,12 @@ def thin_path(path: np.ndarray) -> np.ndarray:
 
 def _path_fault(found: np.ndarray, start: np.ndarray, goal: np.ndarray) -> str:
     """What is wrong with a path from start to goal, f[n] each; empty if nothing is."""
-    if found.ndim != 2 or found.shape[1] != len(start) or len(found) < 2 or found.dtype.kind not in "fiu":
+    if (
+        found.ndim != 2
+        or found.shape[1] != len(start)
+        or len(found) < 2
+        or found.dtype.kind not in "fiu"
+    ):
         return f"an array of {found.dtype}, shape {found.shape}"
     if not np.isfinite(found).all():
         return f"an array of shape {found.shape} with numbers that are not finite"

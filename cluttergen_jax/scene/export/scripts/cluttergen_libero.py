@@ -41,8 +41,10 @@ from robosuite.models.tasks import ManipulationTask
 from robosuite.utils.mjcf_utils import array_to_string, new_body, string_to_array
 
 ROOT = Path(__file__).resolve().parent
-_LIBERO_BASE, _LIBERO_TOP = (-0.66, 0.0, 0.0), 0.9
-"""Where LIBERO's robot stands at LIBERO's own table, and how high that is; its cameras are set to both."""
+# Where LIBERO's robot stands at LIBERO's own table, and how high that is; its cameras are set to both.
+_LIBERO_BASE = (-0.66, 0.0, 0.0)
+_LIBERO_TOP = 0.9
+
 _GAP = 0.2
 """Metres from the scenes to the middle of the robot's base, whose pedestal reaches 0.16 m."""
 _HEADROOM = 0.24
@@ -107,12 +109,15 @@ class ExportedObject(MujocoXMLObject):
     """A model of the folder with what LIBERO asks of its objects."""
 
     def __init__(self, file, category_name, name, joints="default"):
-        super().__init__(str(ROOT / file), name=name, joints=joints, duplicate_collision_geoms=False)
+        super().__init__(
+            str(ROOT / file), name=name, joints=joints, duplicate_collision_geoms=False
+        )
         if _IS_OLD:
             for mesh in self.asset.iter("mesh"):
                 mesh.attrib.pop("inertia", None)
         self.category_name = category_name
-        self.rotation, self.rotation_axis = (0, 0), "z"
+        self.rotation = (0, 0)
+        self.rotation_axis = "z"
         self.object_properties: dict = {"vis_site_names": {}}
 
 
@@ -154,7 +159,8 @@ class ClutterGenManipulation(TASK_MAPPING["libero_tabletop_manipulation"]):  # t
         self._load_sites_in_arena(arena)
         self._generate_object_state_wrapper()
         self._setup_placement_initializer(arena)
-        self.objects, self.fixtures = list(self.objects_dict.values()), list(self.fixtures_dict.values())
+        self.objects = list(self.objects_dict.values())
+        self.fixtures = list(self.fixtures_dict.values())
         self.model = ManipulationTask(
             mujoco_arena=arena,
             mujoco_robots=[robot.robot_model for robot in self.robots],
@@ -245,7 +251,9 @@ def write_tasks(folder=ROOT):
         bddl, init = (Path(folder) / part for part in _files(task))
         if bddl.exists():
             raise FileExistsError(f"{bddl} is there already: name another folder, or remove it")
-        env = make_env(numbers[0], has_offscreen_renderer=False, use_camera_obs=False, hard_reset=False)
+        env = make_env(
+            numbers[0], has_offscreen_renderer=False, use_camera_obs=False, hard_reset=False
+        )
         states = []
         for number in numbers:
             env.env.scene = number
@@ -267,7 +275,9 @@ class ClutterGen(Benchmark):
 
     def __init__(self, task_order_index=0, folder=ROOT):
         super().__init__(task_order_index)
-        self.name, self.tasks, folder = "cluttergen", [], Path(folder).resolve()
+        self.name = "cluttergen"
+        self.tasks = []
+        folder = Path(folder).resolve()
         for task in tasks():
             bddl, init = _files(task)
             language = get_problem_info(str(folder / bddl))["language_instruction"]

@@ -60,7 +60,8 @@ class ClutterGenSceneEnv(BaseEnv):
 
     def _base(self):
         support = self.record["support"]
-        x, y = self.record["bounds"][0][0] - _GAP, support["region"]["center"][1]
+        x = self.record["bounds"][0][0] - _GAP
+        y = support["region"]["center"][1]
         return sapien.Pose(p=[x, y, support["top"]])
 
     @property
@@ -83,7 +84,9 @@ class ClutterGenSceneEnv(BaseEnv):
         self._contact = sapien.physx.PhysxMaterial(friction, friction, 0.0)
         build_ground(self.scene)
         self._build_support()
-        self.objects = {entry["name"]: self._build_object(entry) for entry in self.record["objects"]}
+        self.objects = {
+            entry["name"]: self._build_object(entry) for entry in self.record["objects"]
+        }
 
     def _build_support(self):
         support = self.record["support"]
@@ -175,7 +178,9 @@ def write_states(path, **kwargs):
                 for name, state in members.items():
                     group[f"env_states/{kind}/{name}"] = state.cpu().numpy().astype(np.float32)
             env.close()
-            episodes.append({"episode_id": place, "episode_seed": 0, "env_kwargs": {"scene": number}})
+            episodes.append(
+                {"episode_id": place, "episode_seed": 0, "env_kwargs": {"scene": number}}
+            )
     info = {"env_info": {"env_id": ENV_ID, "env_kwargs": kwargs}, "episodes": episodes}
     Path(path).with_suffix(".json").write_text(json.dumps(info, indent=1) + "\n", encoding="utf-8")
 

@@ -25,8 +25,9 @@ from mjlab.managers.event_manager import EventTermCfg
 from mjlab.sim.sim import MujocoCfg, SimulationCfg
 
 _BODY = "object"
-_ABOVE, _AWAY = 3.0, 1.0
-"""Metres: where objects are before the first reset, and between two."""
+# Metres: where objects are before the first reset, and between two.
+_ABOVE = 3.0
+_AWAY = 1.0
 
 
 class Clutter:
@@ -82,7 +83,8 @@ class Clutter:
 
     def simulation(self, **options):
         """The bank's time step, friction cone and solver; `options` replaces fields of SimulationCfg."""
-        stability, contact = self.bank.recipe["stability"], self.bank.recipe["contact"]
+        stability = self.bank.recipe["stability"]
+        contact = self.bank.recipe["contact"]
         mujoco_cfg = MujocoCfg(
             timestep=stability["timestep"] / (2 if stability.get("both_detectors") else 1),
             cone=contact["cone"],
@@ -102,7 +104,8 @@ class Clutter:
             env_ids = torch.arange(env.scene.num_envs, device=env.device)
         sets = self.sets_of_worlds(env.scene.num_envs)[env_ids.cpu().numpy()]
         start, end = (
-            torch.as_tensor(each[sets], device=env.device) for each in (self._start[:-1], self._start[1:])
+            torch.as_tensor(each[sets], device=env.device)
+            for each in (self._start[:-1], self._start[1:])
         )
         share = torch.rand(len(env_ids), device=env.device)
         scene = torch.minimum(start + (share * (end - start)).long(), end - 1)
@@ -111,7 +114,9 @@ class Clutter:
         poses[..., :3] += origins[:, None]
         rest = torch.zeros((len(env_ids), 6), device=env.device)
         upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=env.device).expand(len(env_ids), 4)
-        env.scene["support"].write_mocap_pose_to_sim(torch.cat([origins, upright], dim=-1), env_ids=env_ids)
+        env.scene["support"].write_mocap_pose_to_sim(
+            torch.cat([origins, upright], dim=-1), env_ids=env_ids
+        )
         for slot in range(len(self.names)):
             state = torch.cat([poses[:, slot], rest], dim=-1)
             env.scene[f"clutter_{slot}"].write_root_state_to_sim(state, env_ids=env_ids)

@@ -71,10 +71,15 @@ class ClutterPick(mjx_env.MjxEnv):
         self._bank = Bank(bank or (folder / "bank" if (folder / "bank").is_dir() else folder))
         self._scenes = jax.tree.map(jp.asarray, self._bank.arrays)
         spec = mujoco.MjSpec.from_string(self._bank.xml())
-        region, top = self._bank.region, self._bank.support.record["top"]
+        region = self._bank.region
+        top = self._bank.support.record["top"]
         # Beyond the region, however large and turned it is.
         half = np.abs([np.cos(region["yaw"]), np.sin(region["yaw"])]) @ region["half_extents"]
-        base = [region["center"][0] - max(_ROBOT_DISTANCE, half + _BESIDE), region["center"][1], top]
+        base = [
+            region["center"][0] - max(_ROBOT_DISTANCE, half + _BESIDE),
+            region["center"][1],
+            top,
+        ]
         panda = mujoco.MjSpec.from_file(
             (mjx_env.MENAGERIE_PATH / "franka_emika_panda" / "mjx_panda.xml").as_posix()
         )
@@ -87,7 +92,9 @@ class ClutterPick(mjx_env.MjxEnv):
         model = self._mj_model
         self._num_objects = (model.nq - len(_HOME)) // 7
         self._objects = np.arange(2, 2 + self._num_objects)
-        assert [model.jnt_bodyid[each] for each in range(self._num_objects)] == self._objects.tolist()
+        assert [
+            model.jnt_bodyid[each] for each in range(self._num_objects)
+        ] == self._objects.tolist()
         self._gripper = model.site("gripper").id
         self._lowers, self._uppers = model.actuator_ctrlrange.T
         self._ctrl = jp.asarray(_HOME[: model.nu])
@@ -120,12 +127,17 @@ class ClutterPick(mjx_env.MjxEnv):
         }
         data = mjx.forward(self._mjx_model, data)
         metrics = {"success": jp.zeros(()), **{name: jp.zeros(()) for name in _SCALES}}
-        return mjx_env.State(data, self._observation(data, info), jp.zeros(()), jp.zeros(()), metrics, info)
+        return mjx_env.State(
+            data, self._observation(data, info), jp.zeros(()), jp.zeros(()), metrics, info
+        )
 
     def step(self, state, action):
-        ctrl = jp.clip(state.data.ctrl + action * self._config.action_scale, self._lowers, self._uppers)
+        ctrl = jp.clip(
+            state.data.ctrl + action * self._config.action_scale, self._lowers, self._uppers
+        )
         data = mjx_env.step(self._mjx_model, state.data, ctrl, self.n_substeps)
-        info, places = state.info, data.xpos[self._objects]
+        info = state.info
+        places = data.xpos[self._objects]
         shift = jp.linalg.norm(places - info["start"], axis=-1) * info["is_there"]
         is_target = jp.arange(self._num_objects) == info["target"]
         height = (places - info["start"])[info["target"], 2]
@@ -137,18 +149,26 @@ class ClutterPick(mjx_env.MjxEnv):
             "others_still": 1 - jp.tanh(20 * jp.max(jp.where(is_target, 0, shift))),
             "home": 1 - jp.tanh(home),
         }
-        reward = sum(scale * terms[name] for name, scale in self._config.reward_config.scales.items())
+        reward = sum(
+            scale * terms[name] for name, scale in self._config.reward_config.scales.items()
+        )
         fall = (info["start"] - places)[:, 2] * info["is_there"]
         is_lost = (fall > self._deepest_fall).any() | jp.isnan(data.qpos).any()
         metrics = {"success": (height >= self._config.lift_height).astype(float), **terms}
         obs = self._observation(data, info)
         return state.replace(
-            data=data, obs=obs, reward=reward, done=is_lost.astype(float), metrics=metrics, info=info
+            data=data,
+            obs=obs,
+            reward=reward,
+            done=is_lost.astype(float),
+            metrics=metrics,
+            info=info,
         )
 
     def _observation(self, data, info):
         arm = slice(-len(_HOME), None)
-        position, turn = data.site_xpos[self._gripper], data.site_xmat[self._gripper].reshape(3, 3)
+        position = data.site_xpos[self._gripper]
+        turn = data.site_xmat[self._gripper].reshape(3, 3)
         body = jp.asarray(self._objects)[info["target"]]
         seen = (data.xpos[self._objects] - position) * info["is_there"][:, None]
         return jp.concatenate(

@@ -29,10 +29,16 @@ def _friction_of(folder, usual):
     found = set()
     for file in folder.glob("*/model.xml"):
         geoms = [each for each in ElementTree.parse(file).iter("geom") if each.get("priority")]
-        own = {tuple(map(float, each.get("friction").split())) for each in geoms if each.get("friction")}
+        own = {
+            tuple(map(float, each.get("friction").split()))
+            for each in geoms
+            if each.get("friction")
+        }
         found |= own or {usual}
     if len(found) > 1:
-        told = f"{folder.name} has models of different friction: RoboCasa gives all of a category one"
+        told = (
+            f"{folder.name} has models of different friction: RoboCasa gives all of a category one"
+        )
         warnings.warn(told, stacklevel=3)
     return min(found, default=usual)
 
@@ -50,7 +56,9 @@ def register(graspable=True, **properties):
 
     physics = json.loads((ROOT / "MANIFEST.json").read_text(encoding="utf-8"))["physics"]
     contact = {name: tuple(physics[name]) for name in ("solref", "solimp", "friction")}
-    folders = sorted(path for path in (ROOT / "objects" / REGISTRY).iterdir() if path.name != "textures")
+    folders = sorted(
+        path for path in (ROOT / "objects" / REGISTRY).iterdir() if path.name != "textures"
+    )
     for folder in folders:
         contact["friction"] = _friction_of(folder, tuple(physics["friction"]))
         kind = kitchen.ObjCat(

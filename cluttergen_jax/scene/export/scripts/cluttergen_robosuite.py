@@ -39,7 +39,9 @@ def read_scene(number):
 
 
 def _thing(file, name, joints):
-    return MujocoXMLObject(str(ROOT / file), name=name, joints=joints, duplicate_collision_geoms=False)
+    return MujocoXMLObject(
+        str(ROOT / file), name=name, joints=joints, duplicate_collision_geoms=False
+    )
 
 
 class ClutterGenScene(ManipulationEnv):
@@ -64,7 +66,8 @@ class ClutterGenScene(ManipulationEnv):
     def _load_model(self):
         super()._load_model()
         support = self.record["support"]
-        x, y = self.record["bounds"][0][0] - _GAP, support["region"]["center"][1]
+        x = self.record["bounds"][0][0] - _GAP
+        y = support["region"]["center"][1]
         for robot in self.robots:
             robot.robot_model.set_base_xpos([x, y, support["top"] - _TABLE_HEIGHT])
         arena = EmptyArena()
@@ -107,7 +110,12 @@ def write_states(folder, robot="Panda", **kwargs):
     """
     import h5py
 
-    headless = {"has_renderer": False, "has_offscreen_renderer": False, "use_camera_obs": False, **kwargs}
+    headless = {
+        "has_renderer": False,
+        "has_offscreen_renderer": False,
+        "use_camera_obs": False,
+        **kwargs,
+    }
     today = datetime.date.today()
     for number in scene_numbers():
         env = robosuite.make("ClutterGenScene", robots=robot, scene=number, **headless)

@@ -15,12 +15,18 @@ import gymnasium as gym
 import numpy as np
 
 _FOLDER = Path(__file__).absolute().parent
-_STEPS, _CONTROL = 300, 20
-"""Steps of an episode, and per second."""
+# Steps of an episode, and per second.
+_STEPS = 300
+_CONTROL = 20
+
 _SPEED = np.array([0.25, 0.25, 0.25, 1.5])
 """Metres and radians per second."""
-_OPEN, _START, _LIFT, _PIXELS = 0.05, 0.3, 0.1, (240, 320)
-"""Metres from the middle to an open finger, above the top at the start, and to lift; height and width."""
+# Metres from the middle to an open finger, above the top at the start, and to lift; height and width.
+_OPEN = 0.05
+_START = 0.3
+_LIFT = 0.1
+_PIXELS = (240, 320)
+
 _CLEAR = 0.03
 """Metres between the highest object and the fingers at the start."""
 _GRIPPER = """<mujoco><compiler angle="radian"/><worldbody><body name="gripper" gravcomp="1">
@@ -55,7 +61,9 @@ def _complete():
     from huggingface_hub import snapshot_download
 
     kind, owner, name = _FOLDER.parents[1].name.split("--", 2)
-    return Path(snapshot_download(f"{owner}/{name}", revision=_FOLDER.name, repo_type=kind.rstrip("s")))
+    return Path(
+        snapshot_download(f"{owner}/{name}", revision=_FOLDER.name, repo_type=kind.rstrip("s"))
+    )
 
 
 class ClutterLift(gym.Env):
@@ -71,8 +79,11 @@ class ClutterLift(gym.Env):
         sys.path.insert(0, str(Path(bank).parent))
         from bank_reader import Bank
 
-        self.bank, self.render_mode, self._has_pixels = Bank(bank), render_mode, pixels
-        self._max_episode_steps, self.task = _STEPS, "lift"
+        self.bank = Bank(bank)
+        self.render_mode = render_mode
+        self._has_pixels = pixels
+        self._max_episode_steps = _STEPS
+        self.task = "lift"
         self.task_description = "lift an object"
         self.action_space = gym.spaces.Box(-1, 1, (5,), np.float32)
         image = gym.spaces.Box(0, 255, (*_PIXELS, 3), np.uint8)
@@ -92,7 +103,8 @@ class ClutterLift(gym.Env):
         scene = self.bank.reset(self.np_random) if number is None else self.bank.scene(number)
         self.target = options.get("target") or str(self.np_random.choice(scene.names))
         self.task_description = f"lift the {self.bank.asset(self.target).label}"
-        region, self._top = self.bank.region, float(self.bank.support.record["top"])
+        region = self.bank.region
+        self._top = float(self.bank.support.record["top"])
         self._origin = np.array([*region["center"], self._top])
         spec = mujoco.MjSpec.from_string(self.bank.xml(scene.index))
         gripper = mujoco.MjSpec.from_string(_GRIPPER.format(open=_OPEN))
@@ -110,11 +122,14 @@ class ClutterLift(gym.Env):
         self.data.qpos[self._joints] = self.data.ctrl[:] = self._aim
         if self._renderer is not None:
             self._renderer.close()
-        self._renderer, self._num_steps = None, 0
+        self._renderer = None
+        self._num_steps = 0
         mujoco.mj_forward(self.model, self.data)
         bodies = self.model.geom_bodyid[self.data.contact.geom[self.data.contact.dist < 0]]
         if (self.model.body_rootid[bodies] == self.model.body("gripper-gripper").id).any():
-            raise ValueError("no room for the gripper above the region: a bank on an open top is needed")
+            raise ValueError(
+                "no room for the gripper above the region: a bank on an open top is needed"
+            )
         self._height = self.data.body(self.target).xpos[2]
         return self._observe(), {"scene": scene.index, "target": self.target, "is_success": False}
 
@@ -122,9 +137,12 @@ class ClutterLift(gym.Env):
         """Metres: the top of the highest of these objects, by the boxes of their geoms."""
         bodies = [self.model.body(name).id for name in names]
         geoms = [geom for geom in range(self.model.ngeom) if self.model.geom_bodyid[geom] in bodies]
-        center, half = self.model.geom_aabb[geoms, :3], self.model.geom_aabb[geoms, 3:]
+        center = self.model.geom_aabb[geoms, :3]
+        half = self.model.geom_aabb[geoms, 3:]
         up = self.data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 2]
-        return (self.data.geom_xpos[geoms, 2] + (up * center).sum(1) + (np.abs(up) * half).sum(1)).max()
+        return (
+            self.data.geom_xpos[geoms, 2] + (up * center).sum(1) + (np.abs(up) * half).sum(1)
+        ).max()
 
     def step(self, action):
         import mujoco
@@ -152,7 +170,10 @@ class ClutterLift(gym.Env):
     def _observe(self):
         seen = {"agent_pos": self.data.qpos[self._joints].astype(np.float32)}
         if self._has_pixels:
-            seen["pixels"] = {"front": self._picture("front"), "wrist": self._picture("gripper-wrist")}
+            seen["pixels"] = {
+                "front": self._picture("front"),
+                "wrist": self._picture("gripper-wrist"),
+            }
         return seen
 
     def _picture(self, camera):

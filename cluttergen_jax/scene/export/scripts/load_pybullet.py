@@ -65,7 +65,9 @@ def main():
     client = pybullet.connect(pybullet.DIRECT if args.direct else pybullet.GUI)
     bodies = load_scene(args.scene, client)
     timestep = pybullet.getPhysicsEngineParameters(physicsClientId=client)["fixedTimeStep"]
-    start = {name: object_pose(body, client)[0] for name, body in bodies.items() if name != "support"}
+    start = {
+        name: object_pose(body, client)[0] for name, body in bodies.items() if name != "support"
+    }
     for _ in range(round(args.seconds / timestep)):
         pybullet.stepSimulation(physicsClientId=client)
         if not args.direct:
