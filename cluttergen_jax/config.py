@@ -23,7 +23,6 @@ Method = Literal[
     "packed",
     "pile",
     "policy",
-    "beta",
     "beta_free",
     "normal",
     "open_loop",
@@ -48,12 +47,12 @@ HAND = "hand"
 REPAIR = "repair"
 """That of banks of repaired layouts."""
 UNPROPOSED = (HAND, REPAIR)
-Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
+Variant = Literal["guided", "policy", "beta_free", "normal", "open_loop", "short_memory"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.
 
 `policy` is the full method with the preset's head (a mixture; in the paper's presets its Beta a coordinate);
-`beta_free`, the paper's, `beta` and `normal` are the full method with one distribution a coordinate;
+`beta_free`, the paper's, and `normal` are the full method with one distribution a coordinate;
 `open_loop` and `short_memory` look back on nothing and on one attempt."""
 Preset = Literal["cpu", "gpu", "paper", "paper_code", "paper_cpu"]
 Engine = Literal["auto", "native", "warp", "jax"]
@@ -93,9 +92,7 @@ CameraName = Literal["overhead", "front", "side", "wrist"]
 FilmFormat = Literal["gif", "mp4"]
 PixelOrigin = Literal["center", "corner"]
 """Where pixel coordinates (0, 0) are in the first pixel."""
-PlacerHead = Literal["scored", "mixture", "regression"]
-PlacerPreset = Literal["cpu", "paper"]
-PlacerLoss = Literal["printed", "symmetric"]
+PlacerHead = Literal["scored"]
 PlacerNoise = Literal["on", "off", "both"]
 SegmenterInput = Literal["colour", "depth"]
 RobotObserver = Literal["true", "perception"]
@@ -120,9 +117,18 @@ ExportFormat = Literal[
 ]
 
 
+REMOVED_METHODS = {
+    "beta": "beta_free, the paper's own; banks of `beta` are read, but neither continued nor replayed"
+}
+"""Methods of version 0.1.0 that nothing makes any more, and what to try instead."""
+
+
 def no_such(what: str, name: str, known: Iterable[str]) -> ConfigError:
     """The error for an unknown name of a method, a variant or a preset."""
     known = tuple(known)
+    if name in REMOVED_METHODS:
+        gone = f"{what} {name!r}, which was removed after version 0.1.0"
+        return ConfigError(gone, ", ".join(known), REMOVED_METHODS[name])
     return ConfigError(f"{what} {name!r}", ", ".join(known), meant=closest(name, known))
 
 
