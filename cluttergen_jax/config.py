@@ -77,11 +77,6 @@ Encoder = Literal["set", "pointnet", "pointnet2"]
 EvalAction = Literal["sampled", "mean"]
 Suite = Literal["paper", "extended", "downstream"]
 Split = Literal["train", "val", "test"]
-SensedFrom = Literal["free", "overhead", "side"]
-RobotTask = Literal["lift", "place"]
-Rearrangement = Literal["paper", "occupied", "blocked", "eight", "stacked"]
-LayoutRule = Literal["clearance", "reach", "similar"]
-PickOrder = Literal["graph", "lowest"]
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Up = Literal["auto", "file", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
@@ -92,11 +87,6 @@ CameraName = Literal["overhead", "front", "side", "wrist"]
 FilmFormat = Literal["gif", "mp4"]
 PixelOrigin = Literal["center", "corner"]
 """Where pixel coordinates (0, 0) are in the first pixel."""
-PlacerHead = Literal["scored"]
-PlacerNoise = Literal["on", "off", "both"]
-SegmenterInput = Literal["colour", "depth"]
-RobotObserver = Literal["true", "perception"]
-RecordFormat = Literal["lerobot", "robomimic"]
 ExportFormat = Literal[
     "mjcf",
     "mjcf-old",
@@ -199,23 +189,7 @@ def check_workers(argument: str, number: int) -> None:
 
 
 # Of a split of a data set: what a larger number means is a slip of the hand.
-MAX_PAIRS = 10_000_000
 MAX_VIEWS = 1_000_000
-
-MAX_NOISE = 10.0
-"""Times the noise of a usual depth camera."""
-
-
-def check_noise(noise: object) -> None:
-    """Refuses what is no sequence of factors of the usual noise (ConfigError)."""
-    factors = list(noise) if isinstance(noise, Iterable) and not isinstance(noise, str) else []
-    if not factors or not all(
-        isinstance(each, Real) and 0 <= float(each) <= MAX_NOISE for each in factors
-    ):
-        raise ConfigError(
-            f"noise = {noise!r}", f"one number or more, 0 to {MAX_NOISE:g}", "noise=(0, 1)"
-        )
-
 
 Detector = Literal["native", "libccd"]
 DETECTORS: tuple[Detector, ...] = get_args(Detector)

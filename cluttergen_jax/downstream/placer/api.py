@@ -7,17 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import (
+from cluttergen_jax.config import PILE, Method, Split, check_range, check_workers
+from cluttergen_jax.downstream.words import (
     MAX_PAIRS,
-    PILE,
-    Method,
     PlacerHead,
     PlacerNoise,
     SensedFrom,
-    Split,
     check_noise,
-    check_range,
-    check_workers,
 )
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import check_folder

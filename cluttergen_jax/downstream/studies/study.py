@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom, check_range
+from cluttergen_jax.config import check_range
 from cluttergen_jax.downstream.fitting import FitConfig
 from cluttergen_jax.downstream.placer.api import placer_data
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
 from cluttergen_jax.downstream.placer.examples import ExampleSource
 from cluttergen_jax.downstream.placer.pairs.store import PairSet
 from cluttergen_jax.downstream.placer.training import PlacerTraining, head_of_name
+from cluttergen_jax.downstream.words import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.studies.study import Findings, Scale
