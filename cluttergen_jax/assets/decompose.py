@@ -12,11 +12,11 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from cluttergen_jax.assets.cloud import sample_solid, sample_surface
 from cluttergen_jax.assets.config import DecompositionConfig
+from cluttergen_jax.assets.deviation import deviation, is_within_parts
 from cluttergen_jax.assets.exact_parts import exact_parts
+from cluttergen_jax.assets.hollow import find_hollow
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.quality.deviation import deviation, is_within_parts
-from cluttergen_jax.assets.quality.hollow import find_hollow
 from cluttergen_jax.assets.solid import Solid, simplify_solid
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError

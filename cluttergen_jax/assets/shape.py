@@ -31,7 +31,7 @@ class Piece:
         repeated beyond [0, 1]. A vertex on a seam of the image comes once for each side.
       texture: the image. Either both `uv` and `texture` are given, or neither.
       colours: u8[V, 3], sRGB, a colour for each vertex that `rgba` multiplies, until an image is made of them
-        (`baking.bake_colours`); never beside an image.
+        (`visuals.bake_colours`); never beside an image.
       baked_side: pixels a side that the image may have, where it was made so; 0 for other images.
     """
 
@@ -213,7 +213,7 @@ class Shape:
       notes: what its reader decided on the user's behalf, in words.
       colliding: all that collides according to its file, whether or not it can serve as `parts`.
       scale: the factor on the file's lengths that was asked for.
-      is_pose_free: whether its authored pose may give way to the one in which people put it (`upright`).
+      is_pose_free: whether its authored pose may give way to the one in which people put it (`stances`).
       stated_up: what its file states about the vertical axis, in words; such a pose gives way only where the
         object does not stand so. Empty if the file says nothing.
       is_from_file: whether a file is all that is known of it: whether it is hollow is looked for.

@@ -14,10 +14,10 @@ from typing import Any
 from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
+from cluttergen_jax.importing.cache import files_outside
 from cluttergen_jax.importing.limited import call_limited
-from cluttergen_jax.importing.outside import files_outside
-from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
-from cluttergen_jax.importing.readers.gltf_file import words_of
+from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, Survey
+from cluttergen_jax.importing.readers.gltf import words_of
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import NOT_STATED, public_path
 from cluttergen_jax.importing.readers.sidecars import Sidecars, Stated
@@ -41,7 +41,7 @@ from cluttergen_jax.importing.sets import KnownSet, describe_sets, known_sets, l
 from cluttergen_jax.importing.settings import (
     OF_READING,
     TAKE,
-    Settings,
+    ObjectSettings,
     place_of,
     read_settings,
     settings_for,
@@ -106,8 +106,8 @@ class _Group:
     """
 
     root: Path
-    found: Found
-    settings: tuple[tuple[Path, Settings], ...]
+    found: Survey
+    settings: tuple[tuple[Path, ObjectSettings], ...]
     sets: tuple[KnownSet, ...] = ()
     is_folder: bool = True
     sidecars: Sidecars = field(default_factory=lambda: Sidecars((), ()))
@@ -232,12 +232,12 @@ def _rename_after_file(planned: Planned, kept: Sequence[Planned]) -> Planned:
     )
 
 
-def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
+def _group(given: str | Path, settings: ObjectSettings | None, layout: str) -> _Group:
     if not str(given):
         raise AssetError("an empty path", "a file or a folder", "'.' for this folder")
     path = Path(given)
     if str(given) == YCB and not path.exists():
-        found = Found(tuple(ycb_sources()))
+        found = Survey(tuple(ycb_sources()))
         root = found.sources[0].path.parent
         return _Group(root, found, () if settings is None else ((root, settings),))
     found = find_all(path)
@@ -261,7 +261,7 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
     return _Group(root, found, lying, sets, path.is_dir(), sidecars)
 
 
-def _with_nodes(found: Found, settings: Sequence[tuple[Path, Settings]]) -> Found:
+def _with_nodes(found: Survey, settings: Sequence[tuple[Path, ObjectSettings]]) -> Survey:
     """The nodes of mesh files that settings speak of, in place of the files."""
     sources: list[ObjectFile] = []
     for source in found.sources:

@@ -29,8 +29,8 @@ from cluttergen_jax.config import check_positive, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.files import writing
 from cluttergen_jax.importing import cache
+from cluttergen_jax.importing.cache import NOTE, outside_note
 from cluttergen_jax.importing.job import NUM_TRIES, Job, ObjectConfig, make_job, next_try
-from cluttergen_jax.importing.outside import NOTE, outside_note
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
 from cluttergen_jax.importing.processes import Crew, Outcome, Watch
 from cluttergen_jax.importing.readers import ObjectFile, Skipped

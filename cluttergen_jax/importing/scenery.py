@@ -27,8 +27,7 @@ import numpy as np
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile
-from cluttergen_jax.importing.readers.mjcf_compile import parse_mjcf
-from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
+from cluttergen_jax.importing.readers.mjcf_compile import check_mjcf_extent, parse_mjcf
 from cluttergen_jax.importing.readers.xml_tree import Element, parse_xml, plain_tag
 
 _JOINT = mujoco.mjtJoint

@@ -39,7 +39,7 @@ from typing import Any
 
 from cluttergen_jax.assets.object_files import NAME_PATTERN, RESERVED
 from cluttergen_jax.errors import ClutterGenError, ConfigError
-from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions
+from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Survey
 from cluttergen_jax.importing.readers.tree import SETTINGS
 from cluttergen_jax.schema import SchemaError, parse_toml, read_written
 
@@ -52,7 +52,7 @@ _OTHER_SPELLING = {"license": "licence"}
 
 
 @dataclass(frozen=True)
-class Settings:
+class ObjectSettings:
     """A settings file that is read.
 
     Attributes:
@@ -100,7 +100,7 @@ class Settings:
             and any(_fits(name, file) for name in names)
         ]
 
-    def check_used(self, groups: Sequence[tuple[Path, Found]]) -> None:
+    def check_used(self, groups: Sequence[tuple[Path, Survey]]) -> None:
         """Refuses patterns that fit no object, so that a slip of the pen is not passed over.
 
         Of a list some have to fit.
@@ -143,7 +143,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def read_settings(path: Path) -> Settings:
+def read_settings(path: Path) -> ObjectSettings:
     """Reads a settings file.
 
     Raises:
@@ -163,7 +163,7 @@ def read_settings(path: Path) -> Settings:
         kind = "a table of CSV" if is_list else "TOML"
         raise ConfigError(f"settings {path} are not {kind}: {error}") from error
     tables = {pattern: _check_table(path, pattern, table) for pattern, table in document.items()}
-    return Settings(path, tables, is_list)
+    return ObjectSettings(path, tables, is_list)
 
 
 _FILE = "file"
@@ -241,7 +241,7 @@ def _check_table(path: Path, pattern: str, table: Any) -> dict[str, Any]:
     return values
 
 
-def settings_for(folder: Path) -> Settings | None:
+def settings_for(folder: Path) -> ObjectSettings | None:
     """The settings that lie in a folder; None if there are none."""
     file = folder / SETTINGS
     return read_settings(file) if file.is_file() else None

@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.config import NARROW_SURFACE, SURFACE_AIR
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
-from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
+from cluttergen_jax.assets.orientation import orient_faces
 from cluttergen_jax.assets.parts import as_meshes
 from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.shape import Piece, Shape
@@ -47,18 +47,22 @@ from cluttergen_jax.assets.support_map import (
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.files import writing
 from cluttergen_jax.geometry import yaw_matrix
-from cluttergen_jax.importing.furniture_file import find_furniture
-from cluttergen_jax.importing.furniture_pose import read_upright
+from cluttergen_jax.importing.cache import files_outside, outside_note
+from cluttergen_jax.importing.furniture import find_furniture, read_upright
 from cluttergen_jax.importing.limited import call_limited
-from cluttergen_jax.importing.outside import files_outside, outside_note
 from cluttergen_jax.importing.readers import ReadOptions
-from cluttergen_jax.importing.support_joints import estimates_of, moved_together, with_joints
-from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
-from cluttergen_jax.importing.support_space import (
+from cluttergen_jax.importing.support_collision import (
     air_over,
+    as_box,
+    collision_of,
     columns_over,
+    cut_off,
+    estimates_of,
+    is_inside,
+    moved_together,
     note_of_air,
     surface_samples,
+    with_joints,
     without_air,
 )
 from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces

@@ -9,10 +9,10 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.mesh_repair.simplify import simplify_pieces
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.visuals import simplify_pieces
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.importing.readers import ReadOptions, read_source
 from cluttergen_jax.importing.supports import support_from_mesh

@@ -8,7 +8,7 @@ from PIL import Image
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import ReadOptions, read_source
-from cluttergen_jax.importing.readers.gltf_file import read_document
+from cluttergen_jax.importing.readers.gltf import read_document
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from tests.helpers.cases import CASES
 from tests.helpers.gltf import POINTS, Gltf

@@ -8,10 +8,10 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.body import make_object
 from cluttergen_jax.assets.cloud import cloud_colours, coloured_points
-from cluttergen_jax.assets.mesh_repair.simplify import simplify_pieces
 from cluttergen_jax.assets.object_files import read_object, write_object
+from cluttergen_jax.assets.visuals import simplify_pieces
 from cluttergen_jax.importing.readers import find_sources, read_shape
-from cluttergen_jax.importing.readers.colours import LEFT_OUT
+from cluttergen_jax.importing.readers.materials import LEFT_OUT
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.source import ReadOptions
 from tests.helpers.cases import CASES

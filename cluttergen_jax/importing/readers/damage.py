@@ -13,7 +13,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.gltf_file import DTYPES, WIDTHS, Json
+from cluttergen_jax.importing.readers.gltf import DTYPES, WIDTHS, Json
 from cluttergen_jax.importing.readers.xml_tree import parse_numbers, parse_xml, plain_tag
 
 _HEAD = 84

@@ -19,7 +19,7 @@ from cluttergen_jax.importing.readers import primitives
 from cluttergen_jax.importing.readers.materials import GREY, Rgba
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.model import Model, convex_parts
-from cluttergen_jax.importing.readers.places import is_found_elsewhere, mesh_place
+from cluttergen_jax.importing.readers.opening import is_found_elsewhere, mesh_place
 from cluttergen_jax.importing.readers.xml_tree import (
     Element,
     all_numbers,
@@ -36,7 +36,7 @@ _ENDLESS = ("plane", "empty")
 
 
 @dataclass(frozen=True)
-class Look:
+class SurfaceLook:
     """What a file says of a surface's looks."""
 
     colour: Rgba = GREY  # For what has none of its own; grey where the file says nothing.
@@ -64,7 +64,9 @@ class Surfaces:
     notes: list[str] = field(default_factory=list)
     _files: dict[tuple[Path, Texture | None], list[Piece]] = field(default_factory=dict)
 
-    def pieces(self, element: Element, pose: np.ndarray, scale: float, look: Look) -> list[Piece]:
+    def pieces(
+        self, element: Element, pose: np.ndarray, scale: float, look: SurfaceLook
+    ) -> list[Piece]:
         """The pieces of a <visual> or <collision>, in the model's frame.
 
         Args:
@@ -218,7 +220,7 @@ class Link:
 def rigid(
     links: Sequence[Link],
     surfaces: Surfaces,
-    look: Callable[[Element], Look],
+    look: Callable[[Element], SurfaceLook],
     notes: Sequence[str] = (),
     scale: float = 1.0,
 ) -> Model:

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from cluttergen_jax.assets.baking import bake_colours
+from cluttergen_jax.assets.folds import without_folds
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
-from cluttergen_jax.assets.mesh_repair.folds import without_folds
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.visuals import bake_colours
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.mjcf import read_mjcf

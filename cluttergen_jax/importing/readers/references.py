@@ -11,18 +11,24 @@ from xml.etree import ElementTree
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import stand_in
-from cluttergen_jax.importing.readers.mjcf import compile_with_notes, world_bodies
-from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
-from cluttergen_jax.importing.readers.opening import MOST_XML, as_utf8, check_openable, read_file
-from cluttergen_jax.importing.readers.places import folder_place, mesh_place
-from cluttergen_jax.importing.readers.sdf import models
-from cluttergen_jax.importing.readers.sdf_includes import (
+from cluttergen_jax.importing.readers.mjcf import world_bodies
+from cluttergen_jax.importing.readers.mjcf_compile import check_mjcf_extent, compile_with_notes
+from cluttergen_jax.importing.readers.opening import (
+    MOST_XML,
+    as_utf8,
+    check_openable,
+    folder_place,
+    mesh_place,
+    read_file,
+)
+from cluttergen_jax.importing.readers.sdf import (
     CONFIG,
     config_of,
     is_from_elsewhere,
+    models,
     read_sdf_tree,
 )
-from cluttergen_jax.importing.readers.sdf_includes import ROOTS as SDF_ROOTS
+from cluttergen_jax.importing.readers.sdf import ROOTS as SDF_ROOTS
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
 
 _MADE_BY_MUJOCO = ("frame", "replicate", "attach")

@@ -105,9 +105,9 @@ class ReadOptions:
     Attributes:
       scale: factor from the file's unit to metres.
       up: the file's axis that points up: x, y, z, -x, -y or -z; "file" takes what the file or its format says
-        (`axes.own_up`). All of these keep the authored pose; "auto" begins with the file's axis. Where the
+        (`own_up`). All of these keep the authored pose; "auto" begins with the file's axis. Where the
         file or its format states that axis and the object stands so, it keeps that pose; else it is turned
-        into the pose in which people put it (`assets.upright`).
+        into the pose in which people put it (`assets.stances`).
       front: the file's axis that becomes the object's +x, at a right angle to `up`, and keeps the pose too;
         "auto" takes x, or -y where x is up.
       density: kg/m^3, for objects whose mass is not known.

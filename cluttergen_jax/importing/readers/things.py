@@ -21,8 +21,12 @@ from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import AssetError, ConfigError, closest
-from cluttergen_jax.importing.readers.mesh_file import MeshFile, NamedMeshFile, read_named_file
-from cluttergen_jax.importing.readers.mesh_text import as_utf8
+from cluttergen_jax.importing.readers.mesh_file import (
+    MeshFile,
+    NamedMeshFile,
+    as_utf8,
+    read_named_file,
+)
 from cluttergen_jax.importing.readers.source import says_something
 
 _NEAR = 0.15

@@ -12,7 +12,7 @@ from cluttergen_jax.errors import AssetError, closest
 from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
-from cluttergen_jax.importing.readers.sdf_includes import CONFIG, config_of
+from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
 from cluttergen_jax.importing.readers.sidecars import named_pieces
 from cluttergen_jax.importing.readers.source import (
     GENERIC,
@@ -61,7 +61,7 @@ class Skipped:
 
 
 @dataclass(frozen=True)
-class Found:
+class Survey:
     """What a path holds: objects in sorted order, what was passed over, and all files."""
 
     sources: tuple[ObjectFile, ...]
@@ -74,13 +74,13 @@ def find_sources(path: str | Path) -> list[ObjectFile]:
     return list(survey(path).sources)
 
 
-def survey(path: str | Path) -> Found:
+def survey(path: str | Path) -> Survey:
     """`find_all`, with distinct names."""
     found = find_all(path)
     return replace(found, sources=tuple(make_names_distinct(found.sources)))
 
 
-def find_all(path: str | Path) -> Found:
+def find_all(path: str | Path) -> Survey:
     """Every object that `path` holds, and every file that is none; several objects may have one name.
 
     With "#" and a name behind a file, it is that body of a model, or that node of a mesh file.
@@ -108,9 +108,9 @@ def find_all(path: str | Path) -> Found:
         for scan, best in others.items():
             tree.skip(scan, f"another scan of the object in {best.parent.name}")
         files = tuple(file for here in tree.files.values() for file in here)
-        found = Found(tuple(sources), tuple(tree.skipped), files)
+        found = Survey(tuple(sources), tuple(tree.skipped), files)
     else:
-        found = Found(tuple(_from_file(path)), files=(path,))
+        found = Survey(tuple(_from_file(path)), files=(path,))
     if not found.sources:
         passed = ", ".join(each.name for each in found.skipped[:5])
         raise AssetError(
@@ -120,7 +120,7 @@ def find_all(path: str | Path) -> Found:
     return found
 
 
-def _chosen(text: str) -> Found:
+def _chosen(text: str) -> Survey:
     """One body of a model file, or one node of a mesh file, as `file.glb#node` names it."""
     cuts = [place for place, sign in enumerate(text) if sign == "#"]
     cut = next((each for each in cuts if os.path.isfile(text[:each])), None)
@@ -131,13 +131,13 @@ def _chosen(text: str) -> Found:
     file = Path(text[:cut])
     body = text[cut + 1 :]
     if file.suffix.lower() in MESH_SUFFIXES:
-        return Found((node_source(file, body),), files=(file,))
+        return Survey((node_source(file, body),), files=(file,))
     sources = find_all(file).sources
     known = {each.body.removeprefix("#") or each.name: each for each in sources}
     if body not in known:
         given = f"{file} holds nothing called {body!r}"
         raise AssetError(given, ", ".join(known), meant=closest(body, known))
-    return Found((known[body],), files=(file,))
+    return Survey((known[body],), files=(file,))
 
 
 def node_source(file: Path, node: str) -> ObjectFile:
